@@ -1,10 +1,11 @@
 """``glstar info``: what flight logs hold."""
 
 import json
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -12,9 +13,13 @@ from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
 from glstar.cli.verbosity import echo_note, with_verbosity
+from glstar.config import Config
 from glstar.errors import LogFormatError
-from glstar.flight import ClockQuality
+from glstar.flight import ClockQuality, Flight
 from glstar.telemetry import LOG_SUFFIXES, Survey, TriggerSurvey, is_bag_directory
+
+if TYPE_CHECKING:
+    from glstar.render.viewingconditions import LimitingMagnitude
 
 __all__ = ["info"]
 
@@ -42,7 +47,7 @@ def info(
 ) -> None:
     """Show what a flight log holds: vehicle, time, position, every attitude with its rate and gaps, night or day.
 
-    For several logs, or a folder, print a line for each.
+    For several logs, or a folder, print a line for each.  With -c, also the limiting magnitude of its camera.
 
     Try: glstar info flight.BIN --plot flight.png
     """
@@ -52,17 +57,44 @@ def info(
             raise typer.BadParameter("draws one log; name one", param_hint="--plot")
         _survey_several(paths, flags, as_json=as_json)
         return
-    found, track = flags.settings().survey_flight(paths[0], flags=flags.given())
+    settings = flags.settings()
+    found, track = settings.survey_flight(paths[0], flags=flags.given())
+    limit = None if flags.config is None else _limiting_magnitude(settings, found, track)
     if plot is not None:
         from glstar.cli.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
 
         plot_flight(track, found, plot)
     if as_json:
-        typer.echo(json.dumps(asdict(found), indent=1, ensure_ascii=False))
+        typer.echo(json.dumps(asdict(found) | _limit_keys(limit), indent=1, ensure_ascii=False))
         return
-    _print(found)
+    _print(found, limit)
     if plot is not None:
         typer.echo(f"plot: {plot}")
+
+
+def _limiting_magnitude(settings: Config, found: Survey, flight: Flight) -> "LimitingMagnitude":
+    """Return the limiting magnitude in the middle of the flight; of a star at rest only, if no sky is known there."""
+    # NumPy and the simulator, only with -c.
+    from glstar.camera.limitingmagnitude import limiting_mag, noise_equivalent_area_px2  # noqa: PLC0415
+    from glstar.render.viewingconditions import LimitingMagnitude, limiting_magnitude  # noqa: PLC0415
+
+    attitude, span_s = flight.attitude, settings.exposure.span_s
+    start_s = (attitude.first_s + attitude.last_s - span_s) / 2
+    is_inside = start_s >= attitude.first_s and attitude.gap_within(start_s, start_s + span_s) is None
+    if is_inside and found.sun_altitude_deg is not None:
+        return limiting_magnitude(settings.simulator(flight).scene(settings.exposure.starting_at(start_s)))
+    sensor = settings.sensor()
+    return LimitingMagnitude(
+        limiting_mag(sensor, settings.exposure.duration_s, noise_equivalent_area_px2(sensor)), math.nan
+    )
+
+
+def _limit_keys(limit: "LimitingMagnitude | None") -> dict[str, float | None]:
+    """Return the keys of a limiting magnitude for JSON: null where no star is seen."""
+    if limit is None:
+        return {}
+    values = {"limiting_mag": limit.at_rest_mag, "trail_limiting_mag": limit.trail_mag}
+    return {key: round(mag, 3) if math.isfinite(mag) else None for key, mag in values.items()}
 
 
 def _logs_of(path: Path) -> list[Path]:
@@ -113,7 +145,7 @@ def _print_table(found: "list[tuple[Path, Survey | LogFormatError]]") -> None:
             typer.echo(f"{path.name}: {one.reason}", err=True)
 
 
-def _print(found: Survey) -> None:
+def _print(found: Survey, limit: "LimitingMagnitude | None") -> None:
     facts = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in (
         ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB" if found.file_bytes else found.file),
@@ -125,6 +157,7 @@ def _print(found: Survey) -> None:
         *(("readings", _readings(clock)) for clock in found.clocks),
         ("position", _position(found)),
         ("light", _light(found)),
+        *([] if limit is None else [("stars", f"{limit.text}, on the optical axis with SNR 5")]),
         ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
         *([("camera", _camera(found.triggers))] if found.triggers else []),
         *([("flew by", found.estimator)] if found.estimator else []),

@@ -34,6 +34,7 @@ from glstar.flight import Flight, Gap
 from glstar.link import LatestAttitude, Link
 from glstar.render.scene import Renderer
 from glstar.render.simulator import Simulator
+from glstar.render.viewingconditions import conditions_report
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import described_earth_orientation
 from glstar.sky.timescale import format_utc
@@ -149,7 +150,8 @@ class LiveExport:
         force : bool
             Whether to remove the files of an earlier export from the directory.
         on_event : callable, optional
-            Called with a message for each event of the link.
+            Called with a message for each event of the link, and with the Sun, the Moon and the limiting magnitude of
+            the first frame.
         on_frame : callable, optional
             Called with the number of frames after each frame.
 
@@ -234,8 +236,17 @@ class LiveExport:
                         self._write_manifest(self._directory, renderer)
                     self._task().write(frame, partial(writer.stage, frame.number))
                     deque(writer.add(frame.number, frame.truth), maxlen=0)
+                if not self._drawn:
+                    on_event(self._conditions())
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
+
+    def _conditions(self) -> str:
+        """Return the Sun, the Moon and the limiting magnitude of the exposure that was drawn last."""
+        assert self._simulator is not None
+        section = self._config.exposure
+        start_s = self._simulator.flight.attitude.last_s - section.span_s
+        return conditions_report(self._simulator.scene(section.starting_at(start_s)))
 
     def _skip_missed(self, due_s: float, latest: LatestAttitude) -> None:
         """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""

@@ -5,7 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import degrees
+from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -19,6 +19,7 @@ from glstar.sky.bodies import moon_over
 from glstar.sky.observed import sun_altitude_rad
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
+from glstar.sky.twilight import light_name
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
 from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
@@ -33,14 +34,6 @@ _SLERP_SUFFICES_HZ: Final = 45.0
 # Fewer unread bytes of a file, in bytes and as a fraction, are not reported: a truncated last message, single errors.
 _UNREAD_BYTES: Final = 65536
 _UNREAD_FRACTION: Final = 0.01
-
-# Names of the altitudes of the Sun above these, deg; below all of them it is night.
-_LIGHT: Final = (
-    (-0.833, "day"),
-    (-6.0, "civil twilight"),
-    (-12.0, "nautical twilight"),
-    (-18.0, "astronomical twilight"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +268,7 @@ def _position(flight: Flight, *, lacks_utc: bool, lacks_position: bool) -> dict[
         "longitude_deg": None if lacks_position else round(degrees(site.longitude_rad), 6),
         "height_m": None if lacks_position else round(site.height_m, 1),
         "sun_altitude_deg": None if sun_deg is None else round(sun_deg, 2),
-        "light": None if sun_deg is None else _light(sun_deg),
+        "light": None if sun_deg is None else light_name(radians(sun_deg)),
     }
 
 
@@ -375,10 +368,6 @@ def _gyros(recording: Recording) -> GyroSurvey | None:
     if clock_s.size < 2:
         return None
     return GyroSurvey(recording.rates.source, round(1 / float(np.median(np.diff(clock_s))), 2))
-
-
-def _light(sun_altitude_deg: float) -> str:
-    return next((name for least_deg, name in _LIGHT if sun_altitude_deg > least_deg), "night")
 
 
 def _interpolation_advice(recording: Recording, track: AttitudeTrack) -> dict[str, object]:

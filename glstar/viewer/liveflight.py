@@ -11,6 +11,8 @@ import numpy as np
 
 from glstar.flight import Flight
 from glstar.link import LatestAttitude, Link, LinkEvent, LinkStatus
+from glstar.render.scene import Scene
+from glstar.render.viewingconditions import conditions_report
 from glstar.viewer.flightlines import FlightLines
 
 __all__ = ["Buffered", "LiveFlight"]
@@ -77,6 +79,7 @@ class LiveFlight:
         self._copying: Future[Buffered | None] | None = None
         self._copied_s, self._copied_epoch = 0.0, 0
         self._drawn: LatestAttitude | None = None
+        self._reported_conditions = False
         self._counted_s = 0.0
 
     def poll(self) -> LatestAttitude | None:
@@ -161,15 +164,23 @@ class LiveFlight:
 
     # --- latency ---
 
-    def drew(self, latest: LatestAttitude) -> None:
+    def drew(self, latest: LatestAttitude, scene: Scene | None, duration_s: float) -> None:
         """Record that the image of an attitude was drawn; `presented` follows when it is on the screen.
 
-        Each attitude counts once, even if it is drawn again with other settings.
+        Each attitude counts once, even if it is drawn again with other settings.  The Sun, the Moon and the limiting
+        magnitude of the first complete exposure are reported as an event.
 
         Parameters
         ----------
         latest : LatestAttitude
+        scene : Scene or None
+            Of the image.
+        duration_s : float
+            The camera's exposure time, s; the first image of a link may be shorter.
         """
+        if scene is not None and scene.exposure.duration_s >= duration_s and not self._reported_conditions:
+            self._reported_conditions = True
+            self._on_event(conditions_report(scene))
         if latest.arrival_s > self._counted_s and self.stale_s is None:
             self._drawn, self._counted_s = latest, latest.arrival_s
 

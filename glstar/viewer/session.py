@@ -17,6 +17,7 @@ from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.telemetry import is_bag_directory
 from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, outside
+from glstar.viewer.currentconditions import Conditions, CurrentConditions
 from glstar.viewer.display import PanelContent
 from glstar.viewer.exporting import BackgroundExport
 from glstar.viewer.frametimes import FrameTimes
@@ -110,6 +111,7 @@ class Session:
         # Reason why the flight opened last could not be loaded.
         self._opening_error = ""
         self._missing_site: MissingFromLink | None = None
+        self._current_conditions = CurrentConditions(clock)
         # Keys of the config that were given for the log shown; no other log is read with them.
         self._given: Mapping[str, Any] = {}
         # Whether the link's flight is shown or awaited; its epoch; and the time for which its stars were computed.
@@ -161,7 +163,7 @@ class Session:
         request = ImageRequest(exposure, number, loaded.simulator)
         drawn = self.image.update(request, playing=head.playing and not head.live)
         if drawn and head.live and self.live is not None and self._latest is not None:
-            self.live.drew(self._latest)
+            self.live.drew(self._latest, self.scene, self.config.exposure.duration_s)
 
     # --- live flights ---
 
@@ -243,6 +245,11 @@ class Session:
         if (stale_s := self.stale_s) is not None and live is not None:
             return f"no attitude for {stale_s:.0f} s: this sky is out of date\n{live.status.problem or ''}".strip()
         return _status_at(loaded, self.comparison, self.image.gap)
+
+    @property
+    def conditions(self) -> Conditions | None:
+        """The Sun, the Moon and the limiting magnitude of the image shown; None until there is one."""
+        return self._current_conditions.of(self.scene, self.head)
 
     @property
     def busy(self) -> bool:

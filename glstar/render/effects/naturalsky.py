@@ -15,7 +15,7 @@ from glstar.sky.bodies import Body, observed_bodies
 from glstar.sky.extinction import Extinction
 from glstar.sky.skybrightness import SkyLights, SkyState, SkyView, sky_radiance
 
-__all__ = ["NATURAL_SKY", "sky_radiance_at"]
+__all__ = ["NATURAL_SKY", "natural_sky_dn", "sky_radiance_at"]
 
 Float = NDArray[np.float64]
 
@@ -150,6 +150,34 @@ def _ground_radiance(values: Values, scene: Scene, time: int) -> float:
     return float(values["ground_fraction"]) * float(sky_radiance_at(values, scene, time, horizon).mean())
 
 
+def _radiance_on_axis(values: Values, scene: Scene) -> float:
+    """Return the brightness of the sky, or of the ground, on the optical axis in the middle of the exposure."""
+    boresight = scene.shutter.boresight_eq[1]
+    if boresight @ scene.shutter.zenith_eq[1] < scene.sine_horizon:
+        return _ground_radiance(values, scene, 1)
+    return float(sky_radiance_at(values, scene, 1, boresight))
+
+
+def natural_sky_dn(scene: Scene) -> float:
+    """Return the signal of the natural sky in a pixel on the optical axis.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        DN in the middle of the exposure; 0 without ``[sky] brightness = "natural"``.
+    """
+    values = NATURAL_SKY.values(scene.sensor)
+    if not _is_active(values):
+        return 0.0
+    solid_angle_arcsec2 = _ARCSEC2_PER_SR / (scene.camera.fx_px * scene.camera.fy_px)
+    mag_0_dn = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
+    return mag_0_dn * solid_angle_arcsec2 * _radiance_on_axis(values, scene)
+
+
 def _depends_on(values: Values, scene: Scene) -> Hashable:
     return (
         *values.items(),
@@ -167,11 +195,8 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
 def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
     boresight = scene.shutter.boresight_eq[1]
     sun, moon = _sun_and_moon(scene)
-    radiance = float(sky_radiance_at(values, scene, 1, boresight))
-    if boresight @ scene.shutter.zenith_eq[1] < scene.sine_horizon:
-        radiance = _ground_radiance(values, scene, 1)
     return {
-        "sky_mag_arcsec2": round(float(-2.5 * np.log10(radiance)), 4),
+        "sky_mag_arcsec2": round(float(-2.5 * np.log10(_radiance_on_axis(values, scene))), 4),
         "sun_altitude_deg": round(float(np.rad2deg(sun.altitude_rad)), 4),
         "moon_altitude_deg": round(float(np.rad2deg(moon.apparent_altitude_rad)), 4),
         "moon_separation_deg": round(float(np.rad2deg(_angle_rad(boresight, moon.direction_eq))), 4),

@@ -35,6 +35,8 @@ _SELECTED_PX: Final = 14.0
 _MARGIN: Final = 10.0
 # Red, green, blue and opacity of the veil over a live sky that is out of date.
 _VEIL: Final = (0.45, 0.46, 0.48, 0.55)
+# Opacity of the background of a message over the image.
+_BANNER_OPACITY: Final = 0.85
 # Two corners of a picture, as fractions of its size.
 _EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
 
@@ -113,8 +115,10 @@ class ImagePanel:
         playing = session.head is not None and session.head.playing
         if hovered and self.has_readout and not playing and not imgui.is_item_active():
             _draw_readout(session, view.to_picture(_mouse() - corner))
-        if session.status:
-            _banner(draw_list, session.status, clip)
+        conditions = session.conditions
+        warning = "" if conditions is None else conditions.viewing.warning
+        if message := "\n".join(filter(None, (session.status, warning))):
+            _banner(draw_list, message, clip)
 
     def _take_mouse(self, session: Session, corner: Float, *, hovered: bool) -> None:
         io, view = imgui.get_io(), session.view
@@ -218,7 +222,8 @@ def _banner(draw_list: imgui.ImDrawList, text: str, clip: tuple[float, float, fl
     size = imgui.calc_text_size(text, wrap_width=clip[2] - clip[0] - 4 * _MARGIN)
     left, top = clip[0] + _MARGIN, clip[1] + _MARGIN
     corner = ImVec2(left + size.x + 2 * _MARGIN, top + size.y + _MARGIN)
-    draw_list.add_rect_filled(ImVec2(left, top), corner, imgui.get_color_u32((0.05, 0.05, 0.06, 0.85)), 4.0)
+    background = imgui.get_color_u32(imgui.Col_.popup_bg, _BANNER_OPACITY)
+    draw_list.add_rect_filled(ImVec2(left, top), corner, background, 4.0)
     imgui.push_clip_rect(ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]), True)
     imgui.set_cursor_screen_pos(ImVec2(left + _MARGIN, top + _MARGIN / 2))
     imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + clip[2] - clip[0] - 4 * _MARGIN)

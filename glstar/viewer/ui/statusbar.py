@@ -1,10 +1,12 @@
 """The status bar at the bottom of the window, and the notifications above it."""
 
+from math import degrees
 from typing import Final
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from glstar.sky.timescale import format_utc
+from glstar.viewer.currentconditions import Conditions
 from glstar.viewer.exporting import BackgroundExport
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.loadedflight import LoadedFlight
@@ -64,6 +66,7 @@ def _draw_items(session: Session) -> None:
         )
         _item(f"{scene.visible.size} stars")
         _item(f"{100 * session.view.zoom:.0f} %")
+    _draw_conditions(session.conditions)
     if session.loader.path is not None:
         _item(f"reading {session.loader.path.name} ...", accent())
     if session.export is not None:
@@ -86,16 +89,34 @@ def _draw_time(loaded: LoadedFlight) -> None:
         _item(str(head.mode))
 
 
+def _draw_conditions(conditions: Conditions | None) -> None:
+    """Draw the Sun, the Moon and the limiting magnitude, each as far as it fits."""
+    if conditions is None:
+        return
+    viewing, limit = conditions.viewing, conditions.limit
+    short = f"Sun {degrees(viewing.sun_altitude_rad):.0f}, Moon {degrees(viewing.moon_altitude_rad):.0f} deg"
+    details = (
+        f"{viewing.light}: {viewing.sun_and_moon}\n{limit.text}\n"
+        "Stars on the optical axis with a signal-to-noise ratio of 5, above the air."
+    )
+    for texts in ((viewing.sun_and_moon, short), (limit.text,)):
+        imgui.same_line(0.0, _SPACING_PX)
+        free_px = imgui.get_content_region_avail().x
+        fitting = next((text for text in texts if imgui.calc_text_size(text).x <= free_px), None)
+        if fitting is not None:
+            imgui.text(fitting)
+            imgui.set_item_tooltip(details)
+
+
 def _draw_driver(session: Session) -> None:
     """Draw the frame rate and the OpenGL driver at the right edge, if they fit."""
     head = session.head
     rate = f"{session.times.frames_per_s:.0f} fps   " if head is not None and head.playing else ""
     text = rate + session.renderer.driver.split(" (")[0]
     width = imgui.calc_text_size(text).x
-    free_px = imgui.get_content_region_avail().x - width
-    imgui.same_line()
-    imgui.set_cursor_pos_x(max(imgui.get_cursor_pos_x() + _MARGIN_PX, imgui.get_window_width() - width - _MARGIN_PX))
-    if free_px > 2 * _MARGIN_PX:
+    imgui.same_line(0.0, _MARGIN_PX)
+    if imgui.get_content_region_avail().x > width + _MARGIN_PX:
+        imgui.set_cursor_pos_x(imgui.get_window_width() - width - _MARGIN_PX)
         imgui.text_disabled(text)
 
 

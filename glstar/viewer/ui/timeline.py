@@ -12,15 +12,16 @@ from glstar.config import ExposureSection
 from glstar.errors import ConfigError
 from glstar.flight import Flight
 from glstar.sky.timescale import format_utc
+from glstar.viewer.daylight import light_intervals
 from glstar.viewer.flightlines import ANGLES, FlightLines
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 from glstar.viewer.timeaxis import TimeAxis
 from glstar.viewer.trace import Trace
+from glstar.viewer.ui.timelinestyle import BOX, DAY_PALETTE, NIGHT_PALETTE, Bands, Palette
 
 __all__ = ["PlaybackControls", "Timeline"]
 
 Float = NDArray[np.float64]
-Colour = tuple[float, float, float, float]
 
 # Smallest interval of exposures that are drawn separately, px.
 _MIN_INTERVAL_PX: Final = 4
@@ -30,8 +31,6 @@ _SMALL_PX: Final = (100.0, 40.0)
 _PADDING_PX: Final = (6.0, 4.0)
 # Margin above and below the lines, as a fraction of their height.
 _MARGIN: Final = (0.0, 0.05)
-# The y coordinates of a box of full height on an axis from 0 to 1.
-_BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
 # Width of the time field and the text beside it, px.
 _TIME_PX: Final = 600
 # Zoom factor of a notch of the mouse wheel.
@@ -39,6 +38,8 @@ _WHEEL: Final = 1.25
 
 # Part of a live flight that is shown at first, s.
 _LIVE_S: Final = 60.0
+# Day and twilight of a live flight are computed this far ahead, s.
+_LIGHT_AHEAD_S: Final = 600.0
 _SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
 
 # Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
@@ -55,103 +56,27 @@ _Y: Final = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
 _Y2: Final = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
 _X1_AXIS, _Y1_AXIS, _Y2_AXIS = int(implot.ImAxis_.x1), int(implot.ImAxis_.y1), int(implot.ImAxis_.y2)
 _ALWAYS: Final = int(implot.Cond_.always)
-_BEHIND: Final = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
 _EAST, _OUTSIDE = int(implot.Location_.east), int(implot.LegendFlags_.outside)
-_NO_MARKER: Final = int(implot.Marker_.none)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
-
-
-class _Palette:
-    """The colours of the timeline.
-
-    Parameters
-    ----------
-    lines : tuple of three colours
-        Of roll, pitch and yaw, and of the rates about their axes.
-    gap, part, exposures, shown, missing, marker, head : colour
-        Of gaps, the part between the in and out points, exposures, the exposure shown, the same if it touches a gap,
-        markers, and the play head.
-    """
-
-    def __init__(
-        self,
-        lines: tuple[Colour, Colour, Colour],
-        gap: Colour,
-        part: Colour,
-        exposures: Colour,
-        shown: Colour,
-        missing: Colour,
-        marker: Colour,
-        head: Colour,
-    ) -> None:
-        self.lines = [_line(colour, flags=0) for colour in lines]
-        self.gap, self.part, self.exposures = _fill(gap), _fill(part), _fill(exposures)
-        self.shown, self.missing = _fill(shown), _fill(missing)
-        self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
-
-
-def _line(colour: Colour, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
-    return implot.Spec(line_color=colour, line_weight=weight, marker=_NO_MARKER, flags=flags)
-
-
-def _fill(colour: Colour) -> implot.Spec:
-    clear = (0.0, 0.0, 0.0, 0.0)
-    return implot.Spec(line_color=clear, fill_color=colour, marker=_NO_MARKER, flags=_BEHIND)
-
-
-_DAY: Final = _Palette(
-    lines=((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
-    gap=(0.75, 0.2, 0.2, 0.35),
-    part=(0.3, 0.7, 1.0, 0.14),
-    exposures=(1.0, 1.0, 1.0, 0.10),
-    shown=(1.0, 0.85, 0.3, 0.40),
-    missing=(1.0, 0.2, 0.2, 0.60),
-    marker=(0.9, 0.5, 1.0, 0.9),
-    head=(1.0, 0.85, 0.3, 1.0),
-)
-_NIGHT: Final = _Palette(
-    lines=((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
-    gap=(0.6, 0.0, 0.0, 0.35),
-    part=(1.0, 0.0, 0.0, 0.16),
-    exposures=(1.0, 0.0, 0.0, 0.12),
-    shown=(1.0, 0.0, 0.0, 0.40),
-    missing=(1.0, 0.0, 0.0, 0.75),
-    marker=(0.8, 0.0, 0.0, 0.9),
-    head=(1.0, 0.0, 0.0, 1.0),
-)
-
-
-@dataclass(frozen=True, slots=True)
-class _Bands:
-    """Intervals of time, drawn as boxes of full height."""
-
-    x: Float
-    y: Float
-
-    @classmethod
-    def of(cls, start_s: Float, stop_s: Float) -> "_Bands":
-        x = np.stack([start_s, start_s, stop_s, stop_s], axis=-1).ravel()
-        return cls(x, np.tile(_BOX, len(start_s)))
-
-    def draw(self, label: str, style: implot.Spec) -> None:
-        if self.x.size:
-            implot.plot_shaded(label, self.x, self.y, 0.0, style)
 
 
 @dataclass(frozen=True, slots=True)
 class _Verticals:
-    """What every plot shows at its full height: gaps, exposures, markers and the play head."""
+    """What every plot shows at its full height: day and twilight, gaps, exposures, markers and the play head."""
 
-    palette: _Palette
-    gaps: _Bands
-    part: _Bands | None
-    exposures: _Bands | None
-    shown: _Bands
+    palette: Palette
+    light: dict[str, Bands]
+    gaps: Bands
+    part: Bands | None
+    exposures: Bands | None
+    shown: Bands
     shown_style: implot.Spec
     markers_s: Float
     head_s: Float
 
     def draw_behind(self) -> None:
+        for name, bands in self.light.items():
+            bands.draw(f"##{name}", self.palette.light[name])
         self.gaps.draw("##gaps", self.palette.gap)
         if self.part is not None:
             self.part.draw("##part", self.palette.part)
@@ -166,7 +91,7 @@ class _Verticals:
 
 
 class Timeline:
-    """Roll, pitch, yaw and the body's rates over time, with gaps, exposures, markers and the play head.
+    """Roll, pitch, yaw and the body's rates over time, with day, twilight, gaps, exposures, markers and play head.
 
     A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, and a double click
     shows the complete flight.
@@ -185,6 +110,8 @@ class Timeline:
         The part of the flight that is shown.
     follow : bool
         Whether the axis follows the play head.
+    grows : bool
+        Whether the flight is live.
     utc : bool
         Whether the axis shows the time of day instead of seconds from the first attitude.
     """
@@ -192,9 +119,12 @@ class Timeline:
     def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
         first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
         self.axis = TimeAxis(last_s - first_s, max_span_s=_LIVE_S if grows else inf)
-        self.follow, self.utc = True, False
+        self.follow, self.utc, self.grows = True, False, grows
         self.show(FlightLines.of(flight.attitude, first_s) if lines is None else lines)
-        self._exposures = _Bands.of(np.empty(0), np.empty(0))
+        self._position, self._origin_s = flight.position, first_s
+        self._light: dict[str, Bands] = {}
+        self._lit_until_s = -inf
+        self._exposures = Bands.of(np.empty(0), np.empty(0))
         self._exposures_of: tuple[object, ...] = ()
         self._scrubbing = False
         # Width of the plots when they were drawn last.
@@ -209,7 +139,7 @@ class Timeline:
         lines : FlightLines
         """
         self._lines = lines
-        self._gaps = _Bands.of(*lines.gaps_s.T)
+        self._gaps = Bands.of(*lines.gaps_s.T)
 
     def draw(self, head: PlayHead, *, night: bool = False) -> None:
         """Draw the timeline into the current imgui window, and move the play head with the mouse.
@@ -228,7 +158,7 @@ class Timeline:
         self._followed_s = head.utc_s
         self._scrubbing = self._scrubbing and imgui.is_mouse_down(0)
         ticks = self.axis.ticks(self._width_px, first_utc_s=head.origin_s if self.utc else None)
-        lines = self._verticals(head, _NIGHT if night else _DAY)
+        lines = self._verticals(head, NIGHT_PALETTE if night else DAY_PALETTE)
         height_px = imgui.get_content_region_avail().y
         low = height_px < _LOW_PX
         implot.push_style_var(_MIN_SIZE, _SMALL_PX)
@@ -270,20 +200,29 @@ class Timeline:
         self._width_px = implot.get_plot_size().x
         return True
 
-    def _verticals(self, head: PlayHead, palette: _Palette) -> _Verticals:
+    def _verticals(self, head: PlayHead, palette: Palette) -> _Verticals:
         shown = head.exposure()
         gap = self._lines.attitude.gap_within(shown.start_utc_s, shown.stop_utc_s)
         opens_s = shown.start_utc_s - head.origin_s
         return _Verticals(
             palette,
+            self._light_until(head.last_s),
             self._gaps,
             _part(head),
             self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
-            _Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.span_s]]), _BOX),
+            Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.span_s]]), BOX),
             palette.shown if gap is None else palette.missing,
             np.array(head.markers) - head.origin_s,
             np.array([head.second]),
         )
+
+    def _light_until(self, last_s: float) -> dict[str, Bands]:
+        """Return day and twilight up to a time; computed again when a live flight has outgrown them."""
+        if last_s > self._lit_until_s:
+            self._lit_until_s = last_s + (_LIGHT_AHEAD_S if self.grows else 0.0)
+            intervals = light_intervals(self._position, self._origin_s, self._lit_until_s)
+            self._light = {name: Bands.of(*(ends - self._origin_s).T) for name, ends in intervals.items()}
+        return self._light
 
     def _draw_plot(self, traces: tuple[Trace, ...], verticals: _Verticals, head: PlayHead) -> None:
         implot.set_axes(_X1_AXIS, _Y2_AXIS)
@@ -295,7 +234,7 @@ class Timeline:
         self._take_mouse(head)
         implot.end_plot()
 
-    def _camera_exposures(self, head: PlayHead) -> _Bands:
+    def _camera_exposures(self, head: PlayHead) -> Bands:
         """Return the exposures in view, as one box if they are too close together to be drawn separately."""
         section, axis = head.exposure_section, self.axis
         second_px = self._width_px / axis.span_s
@@ -469,20 +408,20 @@ def _times(speed: float) -> str:
     return f"{speed:g}x" if abs(speed) >= 1 else f"{'-' if speed < 0 else ''}1/{abs(1 / speed):g}x"
 
 
-def _part(head: PlayHead) -> _Bands | None:
+def _part(head: PlayHead) -> Bands | None:
     """Return the box between the in and out points, if there is one."""
     if head.in_s is None and head.out_s is None:
         return None
     ends_s = np.array(head.part) - head.origin_s
-    return _Bands.of(ends_s[:1], ends_s[1:])
+    return Bands.of(ends_s[:1], ends_s[1:])
 
 
-def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> _Bands:
+def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> Bands:
     """Return boxes for some of the camera's exposures, or one box over all of them."""
     if last < first:
-        return _Bands.of(np.empty(0), np.empty(0))
+        return Bands.of(np.empty(0), np.empty(0))
     if crowded:
         ends_s = np.array([first * section.interval_s, last * section.interval_s + section.span_s])
-        return _Bands.of(ends_s[:1], ends_s[1:])
+        return Bands.of(ends_s[:1], ends_s[1:])
     start_s = np.arange(first, last + 1, dtype=np.float64) * section.interval_s
-    return _Bands.of(start_s, start_s + section.span_s)
+    return Bands.of(start_s, start_s + section.span_s)

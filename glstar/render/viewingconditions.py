@@ -1,0 +1,225 @@
+"""What a scene's exposure is taken under: Sun, Moon, the ground, and the limiting magnitude."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import asin, degrees, isfinite, nan, pi, radians, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.limitingmagnitude import limiting_mag, noise_equivalent_area_px2
+from glstar.errors import RenderError
+from glstar.render.effects.naturalsky import natural_sky_dn
+from glstar.render.scene import Scene
+from glstar.render.trailpeaks import trail_peaks
+from glstar.sky.bodies import Body, observed_bodies
+from glstar.sky.horizon import refraction_rad
+from glstar.sky.observed import Sky
+from glstar.sky.site import Site
+from glstar.sky.twilight import light_name
+
+__all__ = ["LimitingMagnitude", "ViewingConditions", "conditions_report", "limiting_magnitude", "viewing_conditions"]
+
+Float = NDArray[np.float64]
+
+# The Sun and the Moon are computed for the middle of every interval of this length, s: the Moon moves by 15" in half
+# of it, and its parallax changes by 8".
+_INTERVAL_S = 60.0
+# Step of latitude and longitude for which they are computed, deg: half a step changes the Moon's parallax by 3".
+_STEP_DEG = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ViewingConditions:
+    """Where the Sun and the Moon are in the middle of an exposure, and where the camera points.
+
+    Attributes
+    ----------
+    sun_altitude_rad : float
+        Without refraction, rad.
+    moon_altitude_rad : float
+        With refraction, rad.
+    moon_illuminated_fraction : float
+        0 to 1.
+    moon_separation_rad : float
+        From the optical axis, rad.
+    axis_altitude_rad : float
+        Of the optical axis above the horizon, with its dip if it has one, rad.
+    sees_only_ground : bool
+        Whether the complete image is below the horizon.
+    """
+
+    sun_altitude_rad: float
+    moon_altitude_rad: float
+    moon_illuminated_fraction: float
+    moon_separation_rad: float
+    axis_altitude_rad: float
+    sees_only_ground: bool
+
+    @property
+    def light(self) -> str:
+        """``"day"``, ``"night"``, or which twilight."""
+        return light_name(self.sun_altitude_rad)
+
+    @property
+    def sun_and_moon(self) -> str:
+        """The Sun and the Moon in one line; of a Moon below the horizon the altitude only."""
+        moon = f"Sun {degrees(self.sun_altitude_rad):.0f} deg, Moon {degrees(self.moon_altitude_rad):.0f} deg"
+        if self.moon_altitude_rad < 0:
+            return moon
+        separation_deg = degrees(self.moon_separation_rad)
+        return f"{moon}, {self.moon_illuminated_fraction:.0%} lit, {separation_deg:.0f} deg from the axis"
+
+    @property
+    def warning(self) -> str:
+        """Why a real camera would see few stars or none, a line for each reason; empty at night."""
+        lines = []
+        if self.light == "day":
+            lines.append(f"day: the Sun is {_up(self.sun_altitude_rad)}")
+        elif self.light == "civil twilight":
+            lines.append(f"bright twilight: the Sun is {_up(self.sun_altitude_rad)}")
+        if self.sees_only_ground:
+            lines.append("the camera sees only the ground: [mount] says how it is mounted")
+        elif self.axis_altitude_rad < 0:
+            lines.append(
+                f"the camera points at the ground, {-degrees(self.axis_altitude_rad):.0f} deg below the horizon"
+            )
+        return "\n".join(lines)
+
+
+def _up(altitude_rad: float) -> str:
+    altitude_deg = degrees(altitude_rad)
+    return f"{altitude_deg:.0f} deg up" if altitude_deg >= 0 else f"{-altitude_deg:.1f} deg below the horizon"
+
+
+def viewing_conditions(scene: Scene) -> ViewingConditions:
+    """Return the Sun, the Moon and the direction of the camera in the middle of an exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a simulator.
+
+    Returns
+    -------
+    ViewingConditions
+        Altitudes and angles within 0.02 deg: the places of Sun and Moon are computed once a minute.
+
+    Raises
+    ------
+    RenderError
+        If the scene does not know its sky.
+    """
+    if scene.observing_sky is None:
+        raise RenderError("the Sun and the Moon need a scene of a simulator, which knows where they are")
+    interval = int(scene.exposure.mid_utc_s // _INTERVAL_S)
+    places = (round(degrees(rad) / _STEP_DEG) for rad in (scene.site.latitude_rad, scene.site.longitude_rad))
+    sun, moon = _sun_and_moon(scene.observing_sky, interval, *places)
+    zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
+    sun_rad, moon_rad = (_elevation_rad(body.direction_eq, zenith) for body in (sun, moon))
+    axis_rad = _elevation_rad(axis, zenith) - asin(scene.sine_horizon)
+    return ViewingConditions(
+        sun_altitude_rad=sun_rad,
+        moon_altitude_rad=moon_rad + float(refraction_rad(moon_rad, scene.shutter.refraction_scale)),
+        moon_illuminated_fraction=moon.illuminated_fraction,
+        moon_separation_rad=pi / 2 - _elevation_rad(moon.direction_eq, axis),
+        axis_altitude_rad=axis_rad,
+        sees_only_ground=axis_rad < -scene.camera.field_radius_rad,
+    )
+
+
+@lru_cache(maxsize=4)
+def _sun_and_moon(sky: Sky, interval: int, latitude: int, longitude: int) -> tuple[Body, Body]:
+    """Return the Sun and the Moon in the middle of an interval, from near a site."""
+    site = Site(radians(latitude * _STEP_DEG), radians(longitude * _STEP_DEG), 0.0)
+    sun, moon = observed_bodies(sky, (interval + 0.5) * _INTERVAL_S, site, ("Sun", "Moon"))
+    return sun, moon
+
+
+def _elevation_rad(direction: Float, zenith: Float) -> float:
+    return asin(float(np.clip(direction @ zenith, -1.0, 1.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class LimitingMagnitude:
+    """Magnitudes of stars on the optical axis that are measured with a signal-to-noise ratio of 5.
+
+    Attributes
+    ----------
+    at_rest_mag : float
+        Of a star that does not move on the image; NaN if there is none.
+    trail_mag : float
+        Of a star with the trail of this exposure; NaN if there is none.
+    """
+
+    at_rest_mag: float
+    trail_mag: float
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        if not isfinite(self.at_rest_mag):
+            return "no star: the sky saturates"
+        trail = f", {self.trail_mag:.1f} as a trail" if isfinite(self.trail_mag) else ""
+        return f"limit V {self.at_rest_mag:.1f} at rest{trail}"
+
+
+def conditions_report(scene: Scene) -> str:
+    """Return the light, the Sun, the Moon and the limiting magnitude of an exposure in one line.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a simulator.
+
+    Returns
+    -------
+    str
+        With the warnings of `ViewingConditions`.
+
+    Raises
+    ------
+    RenderError
+        If the scene does not know its sky.
+    """
+    conditions = viewing_conditions(scene)
+    parts = [f"{conditions.light}: {conditions.sun_and_moon}", limiting_magnitude(scene).text]
+    return "; ".join([*parts, *(line for line in conditions.warning.splitlines() if not line.startswith("day"))])
+
+
+def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
+    """Return the limiting magnitude of an exposure, above the air.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    LimitingMagnitude
+        With the sky in the direction of the optical axis, the extinction there, and the length of a trail there.
+    """
+    zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
+    sine = float(axis @ zenith)
+    is_ground = sine < scene.sine_horizon
+    extinction = None if is_ground else scene.extinction_mag(sine)
+    extinction_mag = 0.0 if extinction is None else float(extinction)
+    sky_dn = natural_sky_dn(scene)
+    sensor, duration_s = scene.sensor, scene.exposure.duration_s
+    rest_px2 = noise_equivalent_area_px2(sensor)
+    at_rest_mag = limiting_mag(sensor, duration_s, rest_px2, sky_dn=sky_dn)
+    trail_px2 = nan if is_ground else _trail_area_px2(scene, axis, rest_px2)
+    trail_mag = limiting_mag(sensor, duration_s, trail_px2, sky_dn=sky_dn) if isfinite(trail_px2) else nan
+    return LimitingMagnitude(at_rest_mag - extinction_mag, trail_mag - extinction_mag)
+
+
+def _trail_area_px2(scene: Scene, direction_eq: Float, rest_px2: float) -> float:
+    """Return the noise-equivalent area of the trail of a star.
+
+    `trail_peaks` has that of the core's Gaussian.  The area of a star at rest grows with the square of the width, that
+    of a long trail with the width.
+    """
+    core_px2 = 4 * pi * scene.sensor.core.effective_sigma_px**2
+    area_px2 = float(trail_peaks(scene, direction_eq[np.newaxis]).area_px2[0])
+    concentration = min(core_px2 / area_px2, 1.0)
+    return float(area_px2 * sqrt(rest_px2 / core_px2) ** (1 + concentration))

@@ -1,0 +1,92 @@
+"""The limiting magnitude of scenes against rendered frames: many noise seeds and a matched filter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.config import Config
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.viewingconditions import LimitingMagnitude, limiting_magnitude
+from glstar.sky.extinction import Extinction
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
+
+EXPOSURE = Exposure(NIGHT_UTC_S + 4.0, 0.5)
+LENS = camera(100, 80, 300.0)
+AXIS_PX = [(LENS.width_px - 1) / 2, (LENS.height_px - 1) / 2]
+SEEDS = 600
+ELECTRONS = {"sensor.noise": "electrons", "sensor.bit_depth": 12}
+
+
+def scene_of(sensor: Sensor, vmag: float, deg_per_s: float, extinction: Extinction | None = None) -> Scene:
+    """Return a scene with one star on the optical axis in the middle of the exposure."""
+    simulator = sky_over_adelaide(LENS, sensor=sensor, roll_rad=-0.5, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
+    simulator = replace(simulator, extinction=extinction)
+    return with_stars_at(simulator, [AXIS_PX], [vmag], EXPOSURE.mid_utc_s).scene(EXPOSURE)
+
+
+def measured_snr(renderer: GLRenderer, scene: Scene) -> float:
+    """Return the flux of the star over the scatter that its own profile measures in frames of many seeds."""
+    light = renderer.render(scene, seed=0, light=True).light_dn
+    assert light is not None
+    profile = light.astype(np.float64)
+    # The background near the star, because a natural sky has a gradient.
+    y, x = np.indices(profile.shape)
+    dark = (profile < 1e-4 * profile.max()) & (np.hypot(x - AXIS_PX[0], y - AXIS_PX[1]) < 25)
+    fluxes = []
+    for seed in range(SEEDS):
+        pixels = renderer.render(scene, seed=seed).pixels.astype(np.float64)
+        fluxes.append(((pixels - pixels[dark].mean()) * profile).sum() / (profile**2).sum())
+    # The curvature of a natural sky is a tenth of a faint star.
+    assert np.mean(fluxes) == pytest.approx(1.0, abs=0.12)
+    return float(1 / np.std(fluxes))
+
+
+@pytest.mark.parametrize(
+    ("keys", "deg_per_s"),
+    [
+        ({}, 0.0),
+        ({}, 12.0),
+        (ELECTRONS, 0.0),
+        (ELECTRONS | {"sensor.sky_e_per_s": 100.0}, 12.0),
+        (ELECTRONS | {"sky.brightness": "natural", "sky.town_mag_arcsec2": 19.0}, 0.0),
+        ({"sensor.psf": "moffat", "sensor.psf_beta": 2.5}, 5.0),
+    ],
+    ids=["paper", "paper-trail", "electrons", "electrons-trail", "natural-sky", "moffat"],
+)
+def test_a_star_of_the_limiting_magnitude_has_snr_5(
+    renderer: GLRenderer, keys: dict[str, object], deg_per_s: float
+) -> None:
+    sensor = Config().override(**keys).sensor()
+    limit = limiting_magnitude(scene_of(sensor, 5.0, deg_per_s))
+    snr = measured_snr(renderer, scene_of(sensor, limit.trail_mag, deg_per_s))
+    # 600 frames measure the scatter to 3 %.
+    assert snr == pytest.approx(5.0, rel=0.1)
+    if not deg_per_s:
+        assert limit.at_rest_mag == pytest.approx(limit.trail_mag, abs=0.02)
+
+
+def test_extinction_costs_its_magnitudes_and_town_light_costs_more() -> None:
+    plain = limiting_magnitude(scene_of(Sensor(), 5.0, 0.0))
+    dimmed = scene_of(Sensor(), 5.0, 0.0, Extinction())
+    lost_mag = float(dimmed.extinction_mag(dimmed.shutter.boresight_eq[1] @ dimmed.shutter.zenith_eq[1]))
+    assert lost_mag > 0.1
+    assert plain.at_rest_mag - limiting_magnitude(dimmed).at_rest_mag == pytest.approx(lost_mag, abs=1e-9)
+
+    lit = [
+        Config().override(**ELECTRONS, **{"sky.brightness": "natural", "sky.town_mag_arcsec2": mag}).sensor()
+        for mag in (30.0, 19.0)
+    ]
+    dark, town = (limiting_magnitude(scene_of(sensor, 5.0, 0.0)).at_rest_mag for sensor in lit)
+    assert dark - town > 0.5
+
+
+def test_a_saturated_sky_and_a_camera_at_the_ground_have_no_limit() -> None:
+    full = Config().override(**ELECTRONS, **{"sky.brightness": "natural", "sky.town_mag_arcsec2": 1.0}).sensor()
+    assert limiting_magnitude(scene_of(full, 5.0, 0.0)).text == "no star: the sky saturates"
+    below = sky_over_adelaide(LENS, roll_rad=np.pi).scene(EXPOSURE)
+    assert np.isnan(limiting_magnitude(below).trail_mag)
+    assert LimitingMagnitude(6.25, 4.0).text == "limit V 6.2 at rest, 4.0 as a trail"
