@@ -49,7 +49,7 @@ def test_every_manual_page_named_on_a_page_exists(page: Path) -> None:
 
 
 def test_the_readme_links_to_every_page_of_the_manual() -> None:
-    linked = set(re.findall(r"\(assets/manual/(\w+)\.md\)", README))
+    linked = set(re.findall(r"\(assets/manual/([\w-]+)\.md\)", README))
 
     assert linked == {page.stem for page in manualblocks.PAGES} - {"README"}
 
