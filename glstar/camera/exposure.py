@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass, replace
 from math import ceil, isfinite
-from typing import Final, Literal, get_args
+from typing import Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["Exposure", "Readout", "Trail"]
+__all__ = ["MAX_DN", "MAX_FRAMES", "Exposure", "Readout", "Stack", "Trail", "exposure_span_s", "no_rolling_stack"]
 
 # How trails are drawn: integrated analytically, summed from sub-exposures, or whichever of the two is cheaper.
 Trail = Literal["auto", "analytic", "sprites"]
@@ -19,17 +19,27 @@ Readout = Literal["down", "up", "left", "right"]
 
 _OPPOSITE: Final[dict[Readout, Readout]] = {"down": "up", "up": "down", "left": "right", "right": "left"}
 
+# How short exposures become one image.
+Stack = Literal["sum", "mean"]
+
+Seconds = float | NDArray[np.float64]
+
+# Largest number of short exposures in one image: all their scenes are held in memory together.
+MAX_FRAMES: Final = 1000
+# Largest digital number of an image file: 16 bits.
+MAX_DN: Final = 65535
+
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """One exposure.
+    """One exposure, or several short ones that are stacked into one image.
 
     Attributes
     ----------
     start_utc_s : float
         When the shutter opens, UTC seconds since 1970; with a rolling shutter, when the first row opens.
     duration_s : float
-        Exposure time, s: of every row.
+        Exposure time, s: of every row, and of each short exposure.
     rate_hz : float
         The minimum number of sub-exposures per second, for ``"sprites"``.
     trail : {"auto", "analytic", "sprites"}
@@ -49,12 +59,19 @@ class Exposure:
     faintest_dn : float
         Analytic trails whose brightest pixel is fainter than this are left out, the faintest first and up to 0.05 % of
         the flux of all stars together, DN.  Truth lists them.
+    frames : int
+        Number of short exposures that are stacked into the image, each with its own noise; 1 to `MAX_FRAMES`.
+    gap_s : float
+        Time from the end of one short exposure to the start of the next, s.
+    stack : {"sum", "mean"}
+        Whether the digital numbers of the short exposures are added or averaged.
 
     Raises
     ------
     ConfigError
         If the duration or the rate is not a positive number, the readout time, the tolerance or the faintest signal is
-        negative, or the trail or the direction is none of these.
+        negative, the trail, the direction or the stack is none of these, the number of short exposures or the gap
+        is out of range, or a rolling shutter records several short exposures.
 
     Notes
     -----
@@ -69,6 +86,9 @@ class Exposure:
     readout: Readout = "down"
     path_tolerance_px: float = 0.01
     faintest_dn: float = 0.02
+    frames: int = 1
+    gap_s: float = 0.0
+    stack: Stack = "sum"
 
     def __post_init__(self) -> None:
         if not isfinite(self.start_utc_s):
@@ -87,11 +107,80 @@ class Exposure:
             raise ConfigError(f"must be a number from 0, not {self.readout_s}", key="exposure.readout_s")
         if self.readout not in get_args(Readout):
             raise ConfigError(f"must be 'down', 'up', 'left' or 'right', not {self.readout!r}", key="exposure.readout")
+        self._check_stack()
+
+    def _check_stack(self) -> None:
+        if self.frames not in range(1, MAX_FRAMES + 1):
+            raise ConfigError(
+                f"must be a whole number from 1 to {MAX_FRAMES}, not {self.frames}", key="exposure.frames"
+            )
+        if not (isfinite(self.gap_s) and self.gap_s >= 0):
+            raise ConfigError(f"must be a number of seconds, 0 or more, not {self.gap_s}", key="exposure.gap_s")
+        if self.stack not in get_args(Stack):
+            raise ConfigError(f"must be 'sum' or 'mean', not {self.stack!r}", key="exposure.stack")
+        if self.frames > 1 and self.readout_s > 0:
+            raise ConfigError(no_rolling_stack(self.frames, self.readout_s), key="exposure.frames")
 
     @property
     def span_s(self) -> float:
-        """Time from the opening of the first row to the closing of the last, s."""
-        return self.duration_s + self.readout_s
+        """Time from the first opening to the last closing: of all rows and all short exposures, s."""
+        return float(exposure_span_s(self.duration_s, self.readout_s, self.frames, self.gap_s))
+
+    @property
+    def signal_factor(self) -> int:
+        """The signal of the image over that of one short exposure: `frames` of a sum, 1 of a mean."""
+        return self.frames if self.stack == "sum" else 1
+
+    @property
+    def first(self) -> Self:
+        """The first short exposure."""
+        return replace(self, frames=1)
+
+    def short_times_s(self) -> NDArray[np.float64]:
+        """Return when the shutter opens and closes for each short exposure, (frames, 2), UTC seconds since 1970.
+
+        Without a gap, each opens at exactly the time at which the one before it closes.
+        """
+        opens_s = self.start_utc_s + np.arange(self.frames) * (self.duration_s + self.gap_s)
+        closes_s = opens_s + self.duration_s
+        if self.gap_s == 0:
+            closes_s[:-1] = opens_s[1:]
+        closes_s[-1] = self.stop_utc_s
+        return np.stack([opens_s, closes_s], axis=1)
+
+    def short_exposures(self) -> tuple[Self, ...]:
+        """Return the short exposures, each as an exposure of its own."""
+        last_s = self.stop_utc_s - self.duration_s  # so that the last one ends with the stack, to a rounding error
+        starts_s = np.minimum(self.short_times_s()[:, 0], max(last_s, self.start_utc_s)).tolist()
+        return tuple(replace(self.first, start_utc_s=start_s) for start_s in starts_s)
+
+    def full_scale_dn(self, saturation_dn: int) -> int:
+        """Return the largest digital number of the image.
+
+        Parameters
+        ----------
+        saturation_dn : int
+            The largest digital number of one short exposure.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        ConfigError
+            If the sum does not fit into 16 bits.
+        """
+        largest_dn = saturation_dn * self.signal_factor
+        if largest_dn > MAX_DN:
+            most = MAX_DN // saturation_dn
+            raise ConfigError(
+                f"is {self.frames}, and the sum of {self.frames} exposures of up to {saturation_dn} DN reaches"
+                f" {largest_dn} DN, more than 16 bits hold ({MAX_DN} DN); take at most {most}, a smaller"
+                ' sensor.bit_depth, or exposure.stack = "mean"',
+                key="exposure.frames",
+            )
+        return largest_dn
 
     @property
     def mid_utc_s(self) -> float:
@@ -166,3 +255,29 @@ class Exposure:
         too long.
         """
         return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.span_s / n)
+
+
+def no_rolling_stack(frames: int, readout_s: float) -> str:
+    """Return the message that refuses a stack of exposures of a rolling shutter."""
+    return (
+        f"is {frames}, and exposures of a rolling shutter (readout_s = {readout_s:g}) cannot be stacked; set"
+        " exposure.readout_s = 0 or exposure.frames = 1"
+    )
+
+
+def exposure_span_s(
+    duration_s: Seconds, readout_s: Seconds, frames: float | NDArray[np.float64], gap_s: Seconds
+) -> Seconds:
+    """Return the time from the first opening to the last closing of exposures.
+
+    Parameters
+    ----------
+    duration_s, readout_s, frames, gap_s : (...) array_like
+        See `Exposure`.
+
+    Returns
+    -------
+    (...) float64
+        s.
+    """
+    return frames * (duration_s + readout_s) + (frames - 1) * gap_s

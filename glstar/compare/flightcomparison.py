@@ -18,7 +18,7 @@ from glstar.compare.coarsealignment import likely_readout, likely_start
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, rejection
 from glstar.compare.pairs import Pairing, measure, pair_trails
 from glstar.compare.predictedtrails import Trails, predicted_trails
-from glstar.errors import ImagesError
+from glstar.errors import ConfigError, ImagesError
 from glstar.export.task import frame_seed
 from glstar.images import RealImage, TimeReference, exposure_of, read_grey
 from glstar.render.scene import Renderer
@@ -103,6 +103,11 @@ class FlightComparison:
         problems: Sequence[str] = (),
         seed: int = 0,
     ) -> None:
+        if exposure.frames > 1:
+            raise ConfigError(
+                f"is {exposure.frames}, and real images are compared with single exposures; set exposure.frames = 1",
+                key="exposure.frames",
+            )
         self._simulator, self._renderer = simulator, renderer
         self._search = search or Search()
         self._seed = seed

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from glstar.camera.camerafile import camera_from_file
 from glstar.camera.distortion import Lens, LensModel
+from glstar.camera.exposure import no_rolling_stack
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset
 from glstar.camera.sensor import EffectValue
@@ -293,11 +294,19 @@ def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrigh
 
 
 def with_readout(section: ExposureSection, tables: Tables, *presets: str | None) -> ExposureSection:
-    """Return the exposure with the readout time of the first preset that is a mode of a sensor, unless it is given."""
+    """Return the exposure with the readout time of the first preset that is a mode of a sensor, unless it is given.
+
+    Raises
+    ------
+    ConfigError
+        If short exposures of a rolling shutter are to be stacked.
+    """
     modes = [sensor_mode(name) for name in presets if name is not None and is_sensor_mode(name)]
-    if "readout_s" in tables.get("exposure", {}) or not modes or modes[0] is None:
-        return section
-    return section.model_copy(update={"readout_s": modes[0].readout_s})
+    if "readout_s" not in tables.get("exposure", {}) and modes and modes[0] is not None:
+        section = section.model_copy(update={"readout_s": modes[0].readout_s})
+    if section.frames > 1 and section.readout_s > 0:
+        raise ConfigError(no_rolling_stack(section.frames, section.readout_s), key="exposure.frames")
+    return section
 
 
 def source_of(keys: Mapping[str, Any]) -> dict[str, str]:

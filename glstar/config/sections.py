@@ -7,13 +7,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
-from glstar.camera.exposure import Exposure, Readout, Trail
 from glstar.camera.model import Mount
 from glstar.config.effectkeys import with_effect_keys
+from glstar.config.exposuresection import ExposureSection, exposures_within
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.navigatorsection import NavigatorSection
 from glstar.config.section import Section
@@ -29,7 +27,7 @@ from glstar.sky.site import (
     TEMPERATURES_C,
     Site,
 )
-from glstar.sky.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
+from glstar.sky.timescale import parse_known_utc, parse_utc
 from glstar.telemetry import FlightOptions, read_track
 
 __all__ = [
@@ -58,12 +56,8 @@ __all__ = [
 CATALOGUES = ("bsc5", "hipparcos")
 
 _MOUNT, _EXTINCTION = Mount(), Extinction()
-_EXPOSURE = Exposure(start_utc_s=0.0, duration_s=1.0)
 # The keys of [sky] with preset = "natural".
 _NATURAL = {"bodies": True, "extinction": "standard", "brightness": "natural", "horizon": "dip"}
-
-# Limit of the number of exposures, because an interval may be extremely short: float64 holds all integers up to this.
-_MOST_EXPOSURES = 2.0**53
 
 
 class CameraSection(Section):
@@ -102,136 +96,6 @@ class MountSection(Section):
     pitch_deg: float = Field(default=degrees(_MOUNT.pitch_rad), description="a number of degrees")
     roll_deg: float = Field(default=degrees(_MOUNT.roll_rad), description="a number of degrees")
     reading: Literal["body", "literal"] = _MOUNT.reading
-
-
-class ExposureSection(Section):
-    """``[exposure]``: exposure times, and how trails are drawn.
-
-    Attributes
-    ----------
-    duration_s : float
-        Exposure time, s.
-    at : {"camera"} or None
-        When exposures begin: when the log says that the camera was triggered; None for a regular interval.
-    interval_s : float
-        Time from the start of one exposure to the start of the next, s.
-    rate_hz : float
-        The minimum number of sub-exposures per second, for "sprites".
-    trail : {"auto", "analytic", "sprites"}
-        How trails are drawn: see `Exposure`.
-    path_tolerance_px : float
-        Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
-    faintest_dn : float
-        Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
-    readout_s : float
-        Readout time of a rolling shutter, s; 0 for a global shutter.
-    readout : {"down", "up", "left", "right"}
-        Direction in which the rolling shutter proceeds.
-    """
-
-    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
-    at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
-    interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
-    rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
-    trail: Trail = _EXPOSURE.trail
-    path_tolerance_px: float = Field(default=_EXPOSURE.path_tolerance_px, ge=0, description="a number of px, 0 or more")
-    faintest_dn: float = Field(default=_EXPOSURE.faintest_dn, ge=0, description="a number of DN, 0 or more")
-    readout_s: float = Field(default=_EXPOSURE.readout_s, ge=0, description="a number of seconds, 0 or more")
-    readout: Readout = _EXPOSURE.readout
-
-    @field_validator("trail", mode="before")
-    @classmethod
-    def _analytic_was_swept(cls, given: object) -> object:
-        """Accept "swept", the name of "analytic" up to glstar 0.1."""
-        return "analytic" if given == "swept" else given
-
-    def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
-        """Return one exposure of the sequence that a camera records on a flight.
-
-        Parameters
-        ----------
-        number : int
-            Number of the exposure, from 0.
-        first_utc_s : float
-            The flight's first attitude, UTC seconds since 1970.
-        start_s : float
-            Start of the first exposure, s after the first attitude.
-
-        Returns
-        -------
-        Exposure
-        """
-        return self.starting_at(first_utc_s + (start_s + number * self.interval_s))
-
-    @property
-    def span_s(self) -> float:
-        """Time from the opening of the first row to the closing of the last, s."""
-        return self.starting_at(0.0).span_s
-
-    def starting_at(self, start_utc_s: float, duration_s: float | None = None) -> Exposure:
-        """Return an exposure with the section's settings.
-
-        Parameters
-        ----------
-        start_utc_s : float
-            When the shutter opens, UTC seconds since 1970.
-        duration_s : float, optional
-            Another exposure time, s.
-
-        Returns
-        -------
-        Exposure
-        """
-        duration_s = self.duration_s if duration_s is None else duration_s
-        return Exposure(
-            start_utc_s,
-            duration_s,
-            self.rate_hz,
-            self.trail,
-            self.readout_s,
-            self.readout,
-            path_tolerance_px=self.path_tolerance_px,
-            faintest_dn=self.faintest_dn,
-        )
-
-    def count_within(self, length_s: float) -> int:
-        """Return the number of exposures of the sequence that end within a time span.
-
-        Parameters
-        ----------
-        length_s : float
-            Time from the start of the first exposure to the end of the last, s.
-
-        Returns
-        -------
-        int
-            0 if none fits.
-        """
-        return int(exposures_within(length_s, self.span_s, self.interval_s))
-
-
-def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
-    """Return the number of exposures of a sequence that end within a time span.
-
-    Parameters
-    ----------
-    length_s : (...) array_like
-        Time from the start of the first exposure to the end of the last, s.
-    span_s, interval_s : (...) array_like
-        Time from the start of an exposure to its end (of a rolling shutter, until the last row closes), and from the
-        start of one exposure to the start of the next, s.
-
-    Returns
-    -------
-    (...) int64
-        0 where none fits.
-    """
-    # A tolerance of half the resolution of the clock, so that the last exposure may end with the track.
-    length, span, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, span_s, interval_s))
-    remaining_s = length - span + CLOCK_GRAIN_S / 2
-    with np.errstate(over="ignore"):
-        counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
-    return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)
 
 
 @with_effect_keys("sky")

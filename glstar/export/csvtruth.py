@@ -68,11 +68,13 @@ def _stars(line: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _flat(record: dict[str, Any]) -> dict[str, Any]:
-    """Return a record without nested objects and lists; the list of stars is left out."""
+    """Return a record without nested objects and lists; the list of stars and the segments of stacks are left out."""
     flat: dict[str, Any] = {}
     for key, value in record.items():
         if isinstance(value, dict):
             flat |= _flat(value)
+        elif key == "segments":
+            continue  # as many as there are short exposures, each of two positions
         elif not isinstance(value, list):
             flat[key] = value
         elif not any(isinstance(item, dict) for item in value):

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import exposure_span_s
 from glstar.config import START, Config, ExposureSection, exposures_within
 from glstar.config.flightsections import SYNTHETIC, changes_length
 from glstar.errors import ConfigError, ExportError, FlightTooShortError
@@ -22,7 +23,7 @@ from glstar.flight import Flight, PositionTrack
 from glstar.render.simulator import Simulator
 from glstar.sky.catalogue import StarCatalogue
 
-__all__ = ["DataSetFrames"]
+__all__ = ["DataSetFrames", "largest_sum"]
 
 _Prepared = tuple[Simulator, ExposureSection]
 
@@ -31,6 +32,8 @@ _CACHED_SIMULATORS: Final = 4
 _DURATION: Final = "exposure.duration_s"
 _INTERVAL: Final = "exposure.interval_s"
 _READOUT: Final = "exposure.readout_s"
+_FRAMES: Final = "exposure.frames"
+_GAP: Final = "exposure.gap_s"
 # Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
 _SITE_KEYS: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
@@ -43,12 +46,29 @@ class _Times(NamedTuple):
     duration_s: NDArray[np.float64]
     interval_s: NDArray[np.float64]
     readout_s: NDArray[np.float64]
+    frames: NDArray[np.float64]
+    gap_s: NDArray[np.float64]
     length_s: NDArray[np.float64]
 
     @property
     def span_s(self) -> NDArray[np.float64]:
-        """Time from the opening of the first row to the closing of the last, s."""
-        return self.duration_s + self.readout_s
+        """Time from the first opening to the last closing: of all rows and all short exposures, s."""
+        return np.asarray(exposure_span_s(self.duration_s, self.readout_s, self.frames, self.gap_s))
+
+    def of(self, exposure: ExposureSection, sample: int) -> ExposureSection:
+        """Return a section with the times of one sample."""
+        names = ("duration_s", "interval_s", "readout_s", "gap_s")
+        update: dict[str, Any] = {name: float(getattr(self, name)[sample]) for name in names}
+        return exposure.model_copy(update=update | {"frames": int(self.frames[sample])})
+
+
+def largest_sum(config: Config) -> int:
+    """Return the largest number of short exposures that any sample of a config's sweep adds; 1 if none does.
+
+    The sensor has the same bits in all samples, so that their images have one scale.
+    """
+    samples = (config, *map(config.at, config.sweep.extremes()))
+    return max(sample.exposure.signal_factor for sample in samples)
 
 
 def _too_many(message: str) -> ConfigError:
@@ -105,7 +125,12 @@ class DataSetFrames:
     @property
     def saturation_dn(self) -> int:
         """The largest digital number of the images."""
-        return fit_format(self.image_format, self.config.sensor())[1].saturation_dn
+        _, sensor = fit_format(self.image_format, self.config.sensor(), summed=self._summed)
+        return sensor.saturation_dn * self._summed
+
+    @cached_property
+    def _summed(self) -> int:
+        return largest_sum(self.config)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -180,7 +205,7 @@ class DataSetFrames:
         """Return the start, exposure time and interval of each sample of a flight, and how long it lasts."""
         exposure = self.config.exposure
         usual = {START: self.start_s, _DURATION: exposure.duration_s, _INTERVAL: exposure.interval_s}
-        usual[_READOUT] = exposure.readout_s
+        usual |= {_READOUT: exposure.readout_s, _FRAMES: exposure.frames, _GAP: exposure.gap_s}
         varied = {axis.key for axis in self.config.sweep.axes}
         columns = [
             np.array(self.config.sweep.column(key, salt=salt), dtype=np.float64)
@@ -188,8 +213,8 @@ class DataSetFrames:
             else np.full(len(self.config.sweep), value)
             for key, value in usual.items()
         ]
-        start_s, duration_s, interval_s, readout_s = columns
-        return _Times(start_s, duration_s, interval_s, readout_s, self._lengths(salt, flight))
+        start_s, duration_s, interval_s, readout_s, frames, gap_s = columns
+        return _Times(start_s, duration_s, interval_s, readout_s, frames, gap_s, self._lengths(salt, flight))
 
     def _lengths(self, salt: int, flight: Flight) -> NDArray[np.float64]:
         """Return the time from the first to the last attitude of each sample of a flight, s."""
@@ -208,9 +233,7 @@ class DataSetFrames:
         counts = counts if self.frames is None else np.minimum(counts, self.frames)
         wrong = np.flatnonzero((counts < 1) | (counts > MOST_FRAMES) | ~(times.start_s >= 0))
         for sample in (*wrong[:1].tolist(), 0):
-            exposure = self.config.exposure.model_copy(
-                update={name: float(getattr(times, name)[sample]) for name in ("duration_s", "interval_s", "readout_s")}
-            )
+            exposure = times.of(self.config.exposure, sample)
             start_s, length_s = float(times.start_s[sample]), float(times.length_s[sample])
             count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames, length_s=length_s)
         return counts
@@ -246,7 +269,7 @@ class DataSetFrames:
                     "has changed since the export began; put it back and run the same command again, or start over"
                 )
                 raise ExportError(path, f"{message} in another directory")
-        _, sensor = fit_format(self.image_format, config.sensor())
+        _, sensor = fit_format(self.image_format, config.sensor(), summed=self._summed)
         stars = self.catalogues[config.sky.catalogue].brightest(config.sky.vmag_limit)
         if any(key.startswith(f"{SYNTHETIC}.") for key in settings):
             flight = config.open_flight(str(config.synthetic.description))

@@ -347,7 +347,9 @@ class _Followed:
         duration_s, span_s = self._config.exposure.duration_s, self._config.exposure.span_s
         # The clock of float64 is 0.2 microseconds fine: an exposure never begins before its pose.
         start_utc_s = max(self._utc_s - span_s, flight.attitude.first_s)
-        duration_s = min(duration_s, self._utc_s - start_utc_s - self._config.exposure.readout_s)
+        frames = self._config.exposure.frames
+        rest_s = span_s - frames * duration_s  # readout and gaps
+        duration_s = min(duration_s, (self._utc_s - start_utc_s - rest_s) / frames)
         exposure = self._config.exposure.starting_at(start_utc_s, duration_s)
         estimate = EstimatedAttitude(flight.attitude, self._navigator.attitude.errors)
         position = None if self._navigator.position is None else flight.position

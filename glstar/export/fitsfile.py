@@ -77,7 +77,13 @@ def _exposure_cards(scene: Scene, frame: Frame, number: int) -> Iterator[Card]:
     yield "MJD-END", _mjd(exposure.stop_utc_s), ""
     yield "TIMESYS", "UTC", ""
     yield "CLKOFFS", scene.time_offset_s, "s, the camera's clock minus UTC"
-    yield "EXPTIME", exposure.duration_s, "s"
+    if exposure.frames == 1:
+        yield "EXPTIME", exposure.duration_s, "s"
+    else:
+        yield "EXPTIME", exposure.duration_s * exposure.signal_factor, f"s, of the {exposure.stack}"
+        yield "NCOMBINE", exposure.frames, "short exposures in the image"
+        yield "SUBEXP", exposure.duration_s, "s, of each"
+        yield "SUBGAP", exposure.gap_s, "s, from the end of one to the start of the next"
     yield "SITELAT", degrees(site.latitude_rad), "deg north, WGS84"
     yield "SITELONG", degrees(site.longitude_rad), "deg east"
     yield "SITEELEV", site.height_m, "m above the ellipsoid"
@@ -90,7 +96,7 @@ def _exposure_cards(scene: Scene, frame: Frame, number: int) -> Iterator[Card]:
 
 def _sensor_cards(scene: Scene) -> Iterator[Card]:
     sensor = scene.sensor
-    yield "SATURATE", sensor.saturation_dn, "DN"
+    yield "SATURATE", scene.exposure.full_scale_dn(sensor.saturation_dn), "DN"
     yield "BUNIT", "adu", ""
     for keyword, key, comment in _SENSOR_KEYWORDS:
         value = sensor.keys.get(key, sensor.effects.get(f"sensor.{key}"))

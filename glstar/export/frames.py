@@ -140,7 +140,8 @@ class FlightFrames:
     @property
     def saturation_dn(self) -> int:
         """The largest digital number of the images."""
-        return self.simulator.sensor.saturation_dn
+        factors = [planned.exposure.signal_factor for planned in self.plan.frames[:1]]  # all have the same
+        return self.simulator.sensor.saturation_dn * max(factors, default=1)
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 import tifffile
 from zlib_ng import zlib_ng
 
+from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
 from glstar.export.fitsfile import FITS_START, damage_of_fits, decode_fits
@@ -67,7 +68,7 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_qual
     return encode_png(pixels.astype(pixel_type, copy=False))
 
 
-def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
+def fit_format(image_format: ImageFormat | None, sensor: Sensor, *, summed: int = 1) -> tuple[ImageFormat, Sensor]:
     """Return an image format for the sensor, and the sensor with the bit depth of that format.
 
     Parameters
@@ -75,18 +76,23 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
     image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     sensor : Sensor
+    summed : int
+        Number of short exposures whose sum is written: `Exposure.signal_factor`.
 
     Returns
     -------
     image_format : {"png", "png16", "tiff", "fits", "jpeg"}
     sensor : Sensor
-        A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.
+        A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.  The sensor of a sum
+        keeps its bits.
 
     Raises
     ------
     ConfigError
-        If the sensor has more bits than the format.
+        If the sensor, or the sum, has more bits than the format.
     """
+    if summed > 1:
+        return _fit_sum(image_format, sensor, summed), sensor
     if CameraProcessing.of(sensor).is_active:  # which makes 8 or 16 bits of any number
         return image_format or "png", sensor
     if image_format is None:
@@ -100,6 +106,23 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
     if image_format not in {"png", "jpeg"} and sensor.bit_depth <= 8:
         return image_format, sensor.with_bit_depth(16)
     return image_format, sensor
+
+
+def _fit_sum(image_format: ImageFormat | None, sensor: Sensor, summed: int) -> ImageFormat:
+    """Return the format of sums of short exposures; raise if they do not fit."""
+    if CameraProcessing.of(sensor).is_active:
+        raise ConfigError(
+            'adds raw images, which [output] process cannot develop afterwards; use exposure.stack = "mean"',
+            key="exposure.stack",
+        )
+    Exposure(0.0, 1.0, frames=summed).full_scale_dn(sensor.saturation_dn)  # raises if it does not fit into 16 bits
+    if image_format in {"png", "jpeg"}:
+        raise ConfigError(
+            f"adds {summed} exposures, which do not fit into 8-bit {image_format.upper()}; use --format png16, tiff or"
+            ' fits, or exposure.stack = "mean"',
+            key="exposure.stack",
+        )
+    return image_format or "png16"
 
 
 def tiff(pixels: np.ndarray[Any, Any]) -> bytes:

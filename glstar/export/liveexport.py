@@ -120,7 +120,7 @@ class LiveExport:
     ) -> None:
         self._config, self._link = config, link
         self._directory, self._latest, self._seed, self._command = directory, latest, seed, command
-        self._format, self._sensor = fit_format(image_format, config.sensor())
+        self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
         self._nav: LiveNavigator | None = None
         self._simulator: Simulator | None = None
         self._stars_utc_s = 0.0

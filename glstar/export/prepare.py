@@ -9,7 +9,7 @@ import numpy as np
 
 from glstar.config import Config
 from glstar.errors import ConfigError, FlightTooShortError, LogFormatError
-from glstar.export.dataset import DataSetFrames
+from glstar.export.dataset import DataSetFrames, largest_sum
 from glstar.export.fingerprint import file_hash
 from glstar.export.frames import FlightFrames
 from glstar.export.images import ImageFormat, fit_format
@@ -66,7 +66,7 @@ def prepare_export(
     """
     flight = config.open_flight(flight_path) if flight is None else flight
     plan = plan_frames(flight, config.exposure, start_s=options.start_s, stop_s=options.stop_s, frames=options.frames)
-    image_format, sensor = fit_format(options.image_format, config.sensor())
+    image_format, sensor = fit_format(options.image_format, config.sensor(), summed=config.exposure.signal_factor)
     frames = FlightFrames(config.simulator(flight, sensor=sensor), plan if only is None else plan.only(only))
     manifest = describe(config, flight_path, flight, sensor, replace(options, image_format=image_format), plan)
     return Export(FrameTask(frames, directory, image_format, options.noiseless, options.seed), manifest)
@@ -109,7 +109,7 @@ def prepare_data_set(
     """
     if config.exposure.at == "camera":
         raise ConfigError("a data set has exposures at a regular interval; leave out --at camera")
-    image_format, sensor = fit_format(options.image_format, config.sensor())
+    image_format, sensor = fit_format(options.image_format, config.sensor(), summed=largest_sum(config))
     catalogues = _catalogues(config, image_format)
     hashes = tuple((path, file_hash(path)) for path in config.files)
     paths, flights, omitted = _read_flights(config, flight_paths, strict=strict)
@@ -134,7 +134,7 @@ def _catalogues(config: Config, image_format: ImageFormat) -> dict[str, StarCata
     """Return each catalogue of the sweep to its faintest magnitude; raise if a sensor does not fit the format."""
     faintest: dict[str, float] = {}
     for one in (config, *map(config.at, config.sweep.extremes())):
-        fit_format(image_format, one.sensor())
+        fit_format(image_format, one.sensor(), summed=largest_sum(config))
         faintest[one.sky.catalogue] = max(faintest.get(one.sky.catalogue, -np.inf), one.sky.vmag_limit)
     return {name: StarCatalogue.open(name).brighter_than(vmag) for name, vmag in faintest.items()}
 

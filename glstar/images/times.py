@@ -155,7 +155,8 @@ def exposure_of(
     ----------
     time : ImageTime
     wanted : Exposure
-        The configured exposure: its rate, and its duration if the image's own is unknown or not used.
+        The configured exposure: its rate, and its duration if the image's own is unknown or not used; of a stack the
+        first short exposure.
     reference : TimeReference
         The instant that the image's time refers to, if the source does not state it.
     ahead_s : float
@@ -171,6 +172,7 @@ def exposure_of(
     duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
     # The time refers to the real exposure; if its duration is unknown, the configured one is used.
     real_s = duration_s if time.exposure_s is None else time.exposure_s
+    wanted = wanted.first  # a real image is one exposure
     start_utc_s = time.utc_s - ahead_s - time.fraction_before(reference) * (real_s + wanted.readout_s)
     return replace(wanted, start_utc_s=start_utc_s, duration_s=duration_s)
 

@@ -96,6 +96,8 @@ class Scene:
         The stars that truth lists, with their true paths, however the image is drawn; None for those that are drawn.
     observing_sky : Sky or None
         The frames that place the Sun and the Moon for the sky's brightness; None in scenes without it.
+    shorts : tuple of Scene
+        The scenes of the short exposures that are stacked into the image; empty for a single exposure.
     """
 
     stars: StarField
@@ -114,6 +116,7 @@ class Scene:
     listing: StarListing | None = None
     observing_sky: Sky | None = None
     motion: CameraMotion | None = None
+    shorts: tuple["Scene", ...] = ()
 
     @property
     def sine_horizon(self) -> float:
@@ -228,12 +231,15 @@ class Frame:
         The seed of its noise.
     light_dn : (height, width) float32 or None
         Noiseless signal of the stars, before sky level, noise and quantisation, DN; None unless requested.
+    saturated : (height, width) bool or None
+        Where one of the short exposures of a stacked image is saturated; None for a single exposure.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
     exposure: Exposure
     seed: int
     light_dn: NDArray[np.float32] | None = None
+    saturated: NDArray[np.bool_] | None = None
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the pixels to a PNG file, without loss: 8 or 16 bits, as they are.

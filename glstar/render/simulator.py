@@ -21,6 +21,7 @@ from glstar.render.pathfit import fitted_segments
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene, StarListing
 from glstar.render.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
+from glstar.render.stacking import StackedTrails, union
 from glstar.render.trailmodels import (
     SAMPLE_SPACING_SIGMA,
     AnalyticSegments,
@@ -195,6 +196,8 @@ class Simulator:
             If the exposure begins before the flight's first attitude or ends after its last.
         RenderError
             If the field of view of the camera's lens is too wide to be drawn.
+        ConfigError
+            If the sum of short exposures does not fit into 16 bits.
 
         Notes
         -----
@@ -204,11 +207,34 @@ class Simulator:
         `glstar.render.segmentation`.
         """
         self.camera.require_drawable()
+        if exposure.frames > 1:
+            return self._stacked(exposure)
         path = _TruePath(self, exposure)
         trails = None if exposure.trail == "sprites" else self._segments(exposure, path)
         if trails is None:
             return self._from_sub_exposures(replace(exposure, trail="sprites"), path)
         return self._from_segments(replace(exposure, trail="analytic"), trails, path)
+
+    def _stacked(self, exposure: Exposure) -> Scene:
+        """Return the scene of a stacked image: that of each short exposure, and what truth lists of all together."""
+        exposure.full_scale_dn(self.sensor.saturation_dn)  # raises if it does not fit
+        shorts = tuple(map(self.scene, exposure.short_exposures()))
+        shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), exposure.short_times_s().ravel())
+        # The light of one short exposure, at each of their ends: an upper bound of what a body leaves on any of them.
+        bodies, _ = self._body_sources(exposure, shutter.site, ends, np.ones(len(ends) - 1), analytic=False)
+        composed = self._composed(
+            replace(exposure, trail=shorts[0].exposure.trail),
+            shutter,
+            union([short.draw_list for short in shorts]),
+            StackedTrails([short.trails for short in shorts]),
+            _TruePath(self, exposure.first),
+            bodies,
+        )
+        listings = [short.listing for short in shorts if short.listing is not None]
+        listing = StarListing(
+            lambda: union([one.stars for one in listings]), lambda: StackedTrails([one.trails for one in listings])
+        )
+        return replace(composed, listing=listing, shorts=shorts)
 
     def _segments(self, exposure: Exposure, path: "_TruePath") -> AnalyticSegments | None:
         """Return an exposure's segments; None where sprites cost less."""

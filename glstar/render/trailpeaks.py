@@ -1,5 +1,6 @@
 """Expected brightness of star trails: the signal at the brightest point, and the area that its light covers."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -7,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.scene import Scene
-from glstar.render.trailmodels import AnalyticSegments
+from glstar.render.stacking import StackedTrails
+from glstar.render.trailmodels import AnalyticSegments, TrailModel
 
 __all__ = ["TrailPeaks", "trail_peaks"]
 
@@ -61,20 +63,44 @@ def trail_peaks(scene: Scene, direction_eq: Float) -> TrailPeaks:
     area 2 sqrt(pi) sigma L: flux over peak times 2 and times sqrt(2); between them the factor is interpolated.
     """
     sigma_px = scene.sensor.core.effective_sigma_px
-    xy_px, weight = _chain(scene, direction_eq)
+    chains = list(_chains(scene, direction_eq))
+    points, order = zip(*(_brightest(scene, *chain) for chain in chains), strict=True)
+    point = points[0] if len(chains) == 1 else _least(np.stack(points), np.stack(order))
+    xy_px, weight = _joined(chains)
     step = np.diff(xy_px, axis=0)
     length_px = np.hypot(step[..., 0], step[..., 1])
     hidden = ~np.isfinite(length_px)
     weights = np.where(hidden, 0.0, weight[:, np.newaxis])
-    peak = _signal_at(_brightest(scene, xy_px, length_px, weight), np.nan_to_num(xy_px), length_px, weights, sigma_px)
+    peak = _signal_at(point, np.nan_to_num(xy_px), length_px, weights, sigma_px)
     concentration = np.minimum(2 * np.pi * sigma_px**2 * peak, 1.0)
     factor = np.sqrt(2) + (2 - np.sqrt(2)) * concentration
     return TrailPeaks(peak, factor / np.maximum(peak, 1e-30))
 
 
-def _chain(scene: Scene, direction_eq: Float) -> tuple[Float, Float]:
-    """Return positions along paths, (n, m, 2) px, and the fractions of the exposure between them, (n - 1,)."""
+def _chains(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float, Float]]:
+    """Yield `_chain` of each short exposure of a stacked image, or of the exposure."""
     trails = scene.trails if scene.listing is None else scene.listing.trails
+    shorts = trails.shorts if isinstance(trails, StackedTrails) else (trails,)
+    for short in shorts:
+        xy_px, weight = _chain(scene, short, direction_eq)
+        yield xy_px, weight / len(shorts)
+
+
+def _joined(chains: list[tuple[Float, Float]]) -> tuple[Float, Float]:
+    """Return several chains as one, with lines of no light between them."""
+    if len(chains) == 1:
+        return chains[0]
+    weights = [np.concatenate([weight, [0.0]]) for _, weight in chains]
+    return np.concatenate([xy_px for xy_px, _ in chains]), np.concatenate(weights)[:-1]
+
+
+def _least(points: Float, order: Float) -> Float:
+    """Return the point with the smallest order of each star, (m, 2), of (k, m, 2) with orders (k, m)."""
+    return np.asarray(points[order.argmin(axis=0), np.arange(points.shape[1])])
+
+
+def _chain(scene: Scene, trails: TrailModel, direction_eq: Float) -> tuple[Float, Float]:
+    """Return positions along paths, (n, m, 2) px, and the fractions of the exposure between them, (n - 1,)."""
     if isinstance(trails, AnalyticSegments) and 2 * len(trails) >= _MIN_PARTS:
         weight = np.repeat(trails.time_fraction / 2, 2)
         return scene.camera.project(trails.pointing.to_camera(direction_eq)), weight
@@ -88,8 +114,10 @@ def _chain(scene: Scene, direction_eq: Float) -> tuple[Float, Float]:
     return xy_px, np.full(len(xy_px) - 1, 1 / (len(xy_px) - 1))
 
 
-def _brightest(scene: Scene, xy_px: Float, length_px: Float, weight: Float) -> Float:
-    """Return where each star is slowest on the image, or its nearest point to the image, (m, 2) px."""
+def _brightest(scene: Scene, xy_px: Float, weight: Float) -> tuple[Float, Float]:
+    """Return where each star is slowest on the image, or its nearest point to the image, (m, 2) px; and how slow."""
+    step = np.diff(xy_px, axis=0)
+    length_px = np.hypot(step[..., 0], step[..., 1])
     middle = (xy_px[1:] + xy_px[:-1]) / 2
     speed = length_px / weight[:, np.newaxis]
     # On the image the slowest part that has light from both sides, and off it the nearest.
@@ -100,9 +128,9 @@ def _brightest(scene: Scene, xy_px: Float, length_px: Float, weight: Float) -> F
     speed *= np.where(to_end_px < reaches_px, 1e6, 1.0)
     outside_px = np.nan_to_num(np.maximum(scene.camera.distance_outside_px(middle), 0.0), nan=np.inf)
     order = np.where(outside_px > 0, 1e12 + outside_px, np.nan_to_num(speed, nan=np.inf))
-    brightest = np.nan_to_num(middle[order.argmin(axis=0), np.arange(xy_px.shape[1])])
+    brightest = np.nan_to_num(_least(middle, order))
     size_px = np.array([scene.camera.width_px, scene.camera.height_px])
-    return np.asarray(brightest.clip(-0.5, size_px - 0.5))
+    return np.asarray(brightest.clip(-0.5, size_px - 0.5)), order.min(axis=0)
 
 
 def _signal_at(point: Float, xy_px: Float, length_px: Float, weight: Float, sigma_px: float) -> Float:

@@ -1,6 +1,7 @@
 """Ground truth of a frame: where every star is, in float64, from the same matrices as the image."""
 
 from collections.abc import Mapping
+from math import sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -14,8 +15,10 @@ from glstar.render.effects import effects_truth
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.rowtimes import recorded_rows, recorded_times, rolling_frame_keys, row_columns
 from glstar.render.scene import Frame, Scene
+from glstar.render.stacking import stacked_frame_keys, stacked_segments
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.render.trailpeaks import trail_peaks
+from glstar.render.truthtable import rows_of
 from glstar.sky.bodies import Body
 from glstar.sky.timescale import format_utc
 
@@ -42,7 +45,7 @@ _CELL_PX: Final = 32
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
 
 def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Mapping[str, Any] | None = None) -> bytes:
@@ -92,7 +95,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        Then `_expected`, `row_columns`, `electron_columns`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
+        Then `_expected`, `row_columns`, `stacked_segments`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
     """
     truth = {
         "schema": SCHEMA,
@@ -100,7 +103,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "file": file,
         **_frame_keys(scene, frame.seed),
         "stars": orjson.Fragment(_stars(scene, frame)),
-        **_sky_keys(scene, frame.pixels),
+        **_sky_keys(scene, _to_test(frame)),
         **effects_truth(scene),
         **(about or {}),
     }
@@ -116,6 +119,7 @@ def _frame_keys(scene: Scene, seed: int) -> dict[str, Any]:
         "camera_utc_start": format_utc(scene.exposure.start_utc_s + scene.time_offset_s),
         "camera_utc_mid": format_utc(scene.exposure.mid_utc_s + scene.time_offset_s),
         "duration_s": scene.exposure.duration_s,
+        **stacked_frame_keys(scene.exposure),
         **rolling_frame_keys(scene),
         "seed": seed,
         "sub_exposures": len(scene.trails),
@@ -200,10 +204,10 @@ def trail_centroids(scene: Scene, stars: NDArray[np.bool_]) -> Float:
 
 def _stars(scene: Scene, frame: Frame) -> bytes:
     """Return the table of stars, brightest first, as JSON."""
-    trails = _TrailStatistics(scene, frame.pixels)
+    trails = _TrailStatistics(scene, _to_test(frame))
     # Culling is a bound: some of the visible stars do not touch the image and get no label.
     drawn = np.flatnonzero(trails.touching)
-    index = scene.visible[drawn]
+    index, factor = scene.visible[drawn], scene.exposure.signal_factor
     centroid = _rounded(trails.centroid[drawn])
     recorded = recorded_rows(scene, index)
     at_shutter = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
@@ -213,7 +217,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     extinction_mag = scene.listed.extinction_mag
     transmission = _transmission(scene, middle)
     arriving_dn = peak_dn if transmission is None else peak_dn * np.nan_to_num(transmission, nan=1.0)
-    return _rows_of(
+    return rows_of(
         {
             "star_id": scene.stars.star_id[index],
             "vmag": scene.stars.vmag[index],
@@ -224,12 +228,13 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "centroid_y_px": centroid[:, 1],
             "start": start,
             "end": end,
-            "peak_dn": _rounded(peak_dn),
-            "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
+            "peak_dn": _rounded(peak_dn * factor),
+            "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn) * factor),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
             **_expected(scene, index, arriving_dn, trails.on_image[drawn]),
             **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn)),
+            **{key: _rounded(xy) for key, xy in stacked_segments(scene, scene.stars.direction_eq[index]).items()},
             **_widths(scene, drawn),
             **({} if transmission is None else {"transmission": _rounded(transmission)}),
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
@@ -250,9 +255,11 @@ def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: 
 
     ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
     signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.  In
-    electrons it has the shot noise of the star too, and ``flux_e`` is the flux on the image.
+    electrons it has the shot noise of the star too, and ``flux_e`` is the flux on the image.  `peak_dn` is that of one
+    short exposure; stacking n of them gives sqrt(n) times the ratio.
     """
-    flux_dn = scene.sensor.flux_dn(peak_dn)
+    flux_dn, factor = scene.sensor.flux_dn(peak_dn), scene.exposure.signal_factor
+    gain = sqrt(scene.exposure.frames)
     trails = trail_peaks(scene, scene.stars.direction_eq[index])
     noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)
     area_px2 = trails.area_px2 * np.maximum(on_image, 1e-9)
@@ -260,13 +267,13 @@ def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: 
     if model is not None:
         flux_e = flux_dn * on_image / model.dn_per_e
         return {
-            "trail_peak_dn": _rounded(flux_dn * trails.peak_fraction_per_px2),
-            "snr": _rounded(model.signal_to_noise(flux_e, area_px2, scene.exposure.duration_s)),
-            "flux_e": _rounded(flux_e),
+            "trail_peak_dn": _rounded(flux_dn * factor * trails.peak_fraction_per_px2),
+            "snr": _rounded(model.signal_to_noise(flux_e, area_px2, scene.exposure.duration_s) * gain),
+            "flux_e": _rounded(flux_e * factor),
         }
     return {
-        "trail_peak_dn": _rounded(flux_dn * trails.peak_fraction_per_px2),
-        "snr": _rounded(flux_dn * on_image / (noise_dn * np.sqrt(area_px2))),
+        "trail_peak_dn": _rounded(flux_dn * factor * trails.peak_fraction_per_px2),
+        "snr": _rounded(flux_dn * on_image / (noise_dn * np.sqrt(area_px2)) * gain),
     }
 
 
@@ -309,6 +316,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
     mean_px = [round(float(v / fraction), _DIGITS) for v in centroid] if fraction > 0 else [None, None]
     extinction_mag = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
     observed_mag = body.vmag + (0.0 if extinction_mag is None else float(extinction_mag))
+    flux_dn = scene.sensor.flux_of_magnitude_dn(observed_mag, scene.exposure.duration_s)
     diameter_px, limb_deg = disc_on_image(scene.camera, scene.shutter, body)
     return {
         "name": body.name,
@@ -319,7 +327,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "centroid_y_px": mean_px[1],
         "start": None if np.isnan(at_start).any() else at_start.tolist(),
         "end": None if np.isnan(at_end).any() else at_end.tolist(),
-        "flux_dn": round(float(scene.sensor.flux_of_magnitude_dn(observed_mag, scene.exposure.duration_s)), _DIGITS),
+        "flux_dn": round(float(flux_dn) * scene.exposure.signal_factor, _DIGITS),
         "in_frame": round(fraction, _DIGITS),
         "saturated": saturated,
         "azimuth_deg": round(float(np.rad2deg(body.azimuth_rad)), _DIGITS),
@@ -340,6 +348,11 @@ def _widths(scene: Scene, drawn: NDArray[np.intp]) -> dict[str, Float]:
     return {"psf_sigma_px": _rounded(scene.sensor.psf_sigma_px * psf_scale(scene)[drawn])}
 
 
+def _to_test(frame: Frame) -> Pixels:
+    """Return the pixels that say where an image is saturated: of a stacked one, where a short exposure is."""
+    return frame.pixels if frame.saturated is None else frame.saturated
+
+
 class _TrailStatistics:
     """Statistics of each visible star over the exposure, accumulated over blocks of times.
 
@@ -350,7 +363,7 @@ class _TrailStatistics:
     sum_xy : (2, k) float64
         Integral of its position over the former.
     saturated : (k,) bool
-        Whether one of the `pixels` under its centre is saturated; False without pixels.
+        Whether one of the `pixels` under its centre is saturated (or True, if they are bool); False without pixels.
     """
 
     def __init__(self, scene: Scene, pixels: Pixels | None = None) -> None:
@@ -431,6 +444,7 @@ class _SaturationMap:
     """Where an image is saturated, to find the stars whose centres cross a saturated pixel."""
 
     def __init__(self, pixels: Pixels, saturation_dn: int) -> None:
+        saturation_dn = 1 if pixels.dtype == np.bool_ else saturation_dn
         self._pixels, self._saturation_dn = pixels, saturation_dn
         # Most rows have no saturated pixel.
         rows = np.flatnonzero(pixels.max(axis=1) >= saturation_dn)
@@ -470,30 +484,3 @@ class _SaturationMap:
 
 def _rounded(values: Float) -> Float:
     return np.round(values, _DIGITS)
-
-
-def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return a table as JSON: a list of objects, one per row.
-
-    Parameters
-    ----------
-    columns : mapping of str to (n,) or (n, 2) array
-        NaN becomes null, and so does a pair of NaNs.
-
-    Returns
-    -------
-    bytes
-        The same as orjson's output for a list of dictionaries, without creating ten thousand Python objects.
-    """
-    count, width = len(next(iter(columns.values()))), 2 * len(columns)
-    if not count:
-        return b"[]"
-    parts = [b""] * (width * count)
-    for at, (key, values) in enumerate(columns.items()):
-        text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
-        cells = text.replace(b"],", b"]\n").split(b"\n") if values.ndim == 2 else text.split(b",")
-        parts[2 * at :: width] = [b'%s"%s":' % (b"," if at else b"},{", key.encode())] * count
-        parts[2 * at + 1 :: width] = cells
-    parts[0] = b"[" + parts[0][2:]
-    parts.append(b"}]")
-    return b"".join(parts).replace(b"[null,null]", b"null")

@@ -52,7 +52,7 @@ def _ending_at(utc_s: float, first_s: float, last_s: float, section: ExposureSec
     if section.span_s <= last_s - first_s:
         return section.starting_at(max(first_s, utc_s - section.span_s))
     readout_s = min(section.readout_s, (last_s - first_s) / 2)
-    return replace(section.starting_at(first_s, last_s - first_s - readout_s), readout_s=readout_s)
+    return replace(section.starting_at(first_s, last_s - first_s - readout_s).first, readout_s=readout_s)
 
 
 class PlayHead:

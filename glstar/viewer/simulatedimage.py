@@ -173,14 +173,17 @@ class SimulatedImage:
             return self._composed(request)
 
     def _composed(self, request: ImageRequest) -> Scene:
-        """Return the scene; if only noise or quantisation changed, the last scene with the new sensor."""
+        """Return the scene; if only noise or quantisation changed, the last scene with the new sensor.
+
+        Of a stacked image it is that of the first short exposure.
+        """
         last, simulator = self._shown, request.simulator
         if last is not None and last.request.exposure == request.exposure:
             before = last.request.simulator
             same = all(_are_equal(getattr(before, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES)
             if same and last.scene.sensor.leaves_same_signal(simulator.sensor):
                 return replace(last.scene, sensor=simulator.sensor)
-        return simulator.scene(request.exposure)
+        return simulator.scene(request.exposure.first)
 
     @property
     def simulator(self) -> Simulator | None:

@@ -35,7 +35,7 @@ class Readback:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._pending: deque[_Pending] = deque()
+        self._pending: deque[_Pending | Frame] = deque()
         self._idle: list[moderngl.Buffer] = []
 
     def begin(self, targets: Targets, *, light: bool) -> None:
@@ -55,6 +55,15 @@ class Readback:
         light_dn = targets.read_light() if light else None
         self._pending.append(_Pending(buffer, targets, targets.scene.exposure, targets.seed, light_dn))
 
+    def add(self, frame: Frame) -> None:
+        """Add an image that has been read already, in the order of those that were started.
+
+        Parameters
+        ----------
+        frame : Frame
+        """
+        self._pending.append(frame)
+
     def end(self) -> Frame:
         """Return the earliest image that was started and not yet returned.
 
@@ -70,6 +79,8 @@ class Readback:
         if not self._pending:
             raise RenderError("no image is being read: call begin_read first")
         pending = self._pending.popleft()
+        if isinstance(pending, Frame):
+            return pending
         pixels = pending.targets.padded()
         pending.buffer.read_into(pixels)
         self._idle.append(pending.buffer)
@@ -78,7 +89,9 @@ class Readback:
     def forget(self) -> None:
         """Discard all images that were started."""
         while self._pending:
-            self._idle.append(self._pending.popleft().buffer)
+            pending = self._pending.popleft()
+            if not isinstance(pending, Frame):
+                self._idle.append(pending.buffer)
 
     def _buffer_of(self, size: int) -> moderngl.Buffer:
         buffer = next((buffer for buffer in self._idle if buffer.size == size), None)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -24,6 +25,7 @@ from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubEx
 from glstar.render.opengl.targets import SignalTarget, Targets
 from glstar.render.opengl.trailpass import TrailPass
 from glstar.render.scene import Frame, Scene
+from glstar.render.stacking import stacked_frame
 from glstar.render.trailmodels import SAMPLE_SPACING_SIGMA, AnalyticSegments, SubExposures
 
 __all__ = ["GLRenderer"]
@@ -122,7 +124,7 @@ class GLRenderer:
         return cls(headless_context(device_index), owns_context=True, effects=effects)
 
     def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
-        """Draw a scene.
+        """Draw a scene; the short exposures of a stacked image one after the other.
 
         Parameters
         ----------
@@ -142,6 +144,8 @@ class GLRenderer:
             If a star's sprite or the image is larger than the driver can draw, the seed is invalid, or the renderer is
             closed.
         """
+        if scene.shorts:
+            return stacked_frame(partial(self.render, light=light), scene, seed=seed)
         self._developed(scene, seed)
         return self.read(light=light)
 
@@ -158,8 +162,10 @@ class GLRenderer:
         RenderError
             As `render`.
         """
+        if scene.shorts:
+            return self._readback.add(self.render(scene, seed=seed, light=light))
         self._developed(scene, seed)
-        self.begin_read(light=light)
+        return self.begin_read(light=light)
 
     def expose(self, scene: Scene) -> None:
         """Sum the flux of all stars, unless the target holds it already.
@@ -238,8 +244,7 @@ class GLRenderer:
         return targets
 
     def _exposed(self, scene: Scene) -> Targets:
-        if self._closed:
-            raise RenderError("this renderer is closed; make another")
+        _require_single(scene, is_closed=self._closed)
         with self._current:
             targets = self._targets_for(scene)
             if targets.scene is None or not _have_same_light(scene, targets.scene):
@@ -384,12 +389,10 @@ class GLRenderer:
     def _guard_band_px(self, scene: Scene) -> int:
         """Return the width of the guard band around a pinhole's image; refuse sprites and images that are too large."""
         camera, sensor = scene.camera, scene.sensor
-        fields = [scene] if scene.body_scene is None else [scene, scene.body_scene]
-        radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
+        radius_px, brightest_mag = _largest(scene)
         _refuse_large_sprites(sensor, radius_px, self._point_size_px)
         # Wide enough for the brightest star, whether visible or not, and a multiple of 8 px: neither playback nor a
         # slider creates new targets for every image.
-        brightest_mag = min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
         brightest_dn = sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
         guard_band_px = 8 * int(np.ceil((max(radius_px, float(sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
         _refuse_large_image(camera, guard_band_px, self._texture_size_px)
@@ -428,6 +431,21 @@ class GLRenderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _largest(scene: Scene) -> tuple[float, float]:
+    """Return the largest truncation radius, px, and the brightest magnitude of a scene's stars and bodies."""
+    fields = [scene] if scene.body_scene is None else [scene, scene.body_scene]
+    radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
+    return radius_px, min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
+
+
+def _require_single(scene: Scene, *, is_closed: bool) -> None:
+    """Raise if the renderer is closed, or a scene has several short exposures, which are drawn one at a time."""
+    if is_closed:
+        raise RenderError("this renderer is closed; make another")
+    if scene.shorts:
+        raise RenderError("a stacked image is no single texture; develop each of Scene.shorts, or call render")
 
 
 def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int) -> None:
