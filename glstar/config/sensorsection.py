@@ -21,7 +21,7 @@ from glstar.sky.magnitudes import brightness_ratio
 __all__ = ["SENSOR_MAPS", "SensorSection", "completed_sensor", "foreign_keys", "noise_model_of", "sensor_from"]
 
 _SENSOR = Sensor()
-# Aperture and transmission of a lens of which nothing is known: the 6 mm f/1.2 lens of the Raspberry Pi HQ camera.
+# Aperture and transmission of an unknown lens: the 6 mm f/1.2 lens of the Raspberry Pi HQ camera.
 _APERTURE_MM: Final = 5.0
 _LENS_TRANSMISSION: Final = 0.8
 # Surface brightness of a rural sky at the zenith, V magnitudes per square arcsecond.

@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 _SPACING_SIGMA: Final = 0.75
 # A disc of a smaller radius, in sigma, is one point.
 _POINT_SIGMA: Final = 0.25
-# Samples across a disc and across each of its cells, of which a cell's brightness is the mean.
+# Samples across a disc, and across each of its cells: a cell's brightness is their mean.
 _SAMPLES_ACROSS: Final = 240
 _CELL_SAMPLES: Final = (2, 8)
 # The largest number of cells across a disc, for cameras of long focal length: 31 000 sources, more widely spaced.

@@ -3,21 +3,19 @@
 from dataclasses import dataclass
 from enum import StrEnum
 from math import asin, hypot
-from typing import Final
 
-import erfa
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.rotation import turn_from_matrix
 from glstar.score.answers import Answer, ObservedStars
 from glstar.score.frametruth import FrameTruth
+from glstar.sky.geodesy import geocentric_m, north_east_down_m
+from glstar.sky.site import Site
 
 __all__ = ["AttitudeError", "FrameScore", "Limits", "Outcome", "PositionError", "StarScore", "score_frame"]
 
 Float = NDArray[np.float64]
-
-_WGS84: Final = 1
 
 
 class Outcome(StrEnum):
@@ -187,15 +185,11 @@ def _position_error(truth: FrameTruth, answer: Answer) -> PositionError | None:
     """Return the error of a position on the WGS84 ellipsoid: the chord's length as an arc, in the chord's direction."""
     if answer.latitude_rad is None or answer.longitude_rad is None:
         return None
-    true_m = np.array(erfa.gd2gc(_WGS84, truth.longitude_rad, truth.latitude_rad, 0.0))
-    answered_m = np.array(erfa.gd2gc(_WGS84, answer.longitude_rad, answer.latitude_rad, 0.0))
-    chord_km = (answered_m - true_m) / 1000
-    sin_lat, cos_lat = np.sin(truth.latitude_rad), np.cos(truth.latitude_rad)
-    sin_lon, cos_lon = np.sin(truth.longitude_rad), np.cos(truth.longitude_rad)
-    north = float(chord_km @ [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat])
-    east = float(chord_km @ [-sin_lon, cos_lon, 0.0])
+    true_site = Site(truth.latitude_rad, truth.longitude_rad)
+    chord_km = north_east_down_m(true_site, answer.latitude_rad, answer.longitude_rad, 0.0) / 1000
+    north, east = float(chord_km[0]), float(chord_km[1])
     level_km, length_km = hypot(north, east), float(np.linalg.norm(chord_km))
-    radius_km = float(np.linalg.norm(true_m)) / 1000
+    radius_km = float(np.linalg.norm(geocentric_m(truth.latitude_rad, truth.longitude_rad, 0.0))) / 1000
     arc_km = 2 * radius_km * asin(min(length_km / (2 * radius_km), 1.0))
     scale = arc_km / level_km if level_km > 0 else 0.0
     north, east = north * scale, east * scale

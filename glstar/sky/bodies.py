@@ -5,7 +5,7 @@ light by the Sun, and annual aberration.  `Sky` has the frames: the same that th
 """
 
 from dataclasses import dataclass
-from math import acos, asin, atan2, cos, pi
+from math import asin, atan2, cos, pi
 from types import MappingProxyType
 from typing import Final
 
@@ -25,6 +25,7 @@ from glstar.sky.ephemeris import (
     moon_km,
     planet_km,
 )
+from glstar.sky.geodesy import geocentric_m
 from glstar.sky.horizon import C_ned_eq, diurnal_aberration_rad, ned_to_azimuth_altitude_rad, refraction_rad
 from glstar.sky.observed import Sky
 from glstar.sky.site import Site
@@ -162,7 +163,8 @@ class _Observer:
         self._C_ned_eq = sky.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
         self._towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
         self._refraction_scale = sky.refraction_scale(site)
-        in_ned = C_ned_eq(site.latitude_rad, site.longitude_rad) @ _terrestrial_km(site)
+        geocentric_km = geocentric_m(site.latitude_rad, site.longitude_rad, site.height_m) / 1000
+        in_ned = C_ned_eq(site.latitude_rad, site.longitude_rad) @ geocentric_km
         self._position_km = self._earth.barycentric_km + self._C_eq_icrs.T @ (self._C_ned_eq.T @ in_ned)
 
         from_sun_km = self._earth.sun_km - self._position_km
@@ -181,7 +183,7 @@ class _Observer:
             # The Sun as seen from here and now, because aberration displaces both: the angle is that of the almanac.
             bright_limb_rad = _position_angle_rad(direction_eq, self._C_eq_icrs @ self._sun_apparent)
             to_sun = self._C_eq_icrs @ (-from_sun_km / np.linalg.norm(from_sun_km))
-            phase_rad = _angle_rad(from_sun_km, from_observer_km)
+            phase_rad = float(erfa.sepp(from_sun_km, from_observer_km))
         return Body(
             name=name,
             direction_eq=direction_eq,
@@ -239,17 +241,6 @@ def _barycentric_km(name: str, tt: JulianDate, earth: EarthState) -> Float:
     if name == "Moon":
         return earth.barycentric_km + moon_km(tt)
     return earth.sun_km + planet_km(name, tt)
-
-
-def _terrestrial_km(site: Site) -> Float:
-    """Return the geocentric position of a site on the rotating Earth (ITRS), (3,) km: WGS84."""
-    metres = erfa.gd2gc(1, site.longitude_rad, site.latitude_rad, site.height_m)
-    return np.asarray(metres, dtype=np.float64) / 1000
-
-
-def _angle_rad(one: Float, other: Float) -> float:
-    cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
-    return acos(max(-1.0, min(1.0, float(cosine))))
 
 
 def _position_angle_rad(direction_eq: Float, towards_eq: Float) -> float:

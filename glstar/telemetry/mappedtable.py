@@ -29,6 +29,7 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
+    check_only_boot,
 )
 from glstar.telemetry.tablefile import read_table
 
@@ -139,8 +140,7 @@ class MappedTableReader(TelemetrySource):
         self.name = os.fspath(path)
         if attitude.lower() != "auto":
             raise LogFormatError(self.name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-        if boot not in {None, 1}:
-            raise LogFormatError(self.name, f"the log has no boot {boot} (--boot): it has 1 boot")
+        check_only_boot(self.name, boot)
         self._table = read_table(self.name, () if columns is None else columns.names)
         self._map = columns or self._map_of_header()
         self._check()

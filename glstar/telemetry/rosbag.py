@@ -49,6 +49,7 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
     TriggerSamples,
+    check_only_boot,
 )
 
 __all__ = ["BagOptions", "BagReader", "is_bag", "is_bag_directory"]
@@ -219,8 +220,7 @@ class BagReader(TelemetrySource):
     ) -> None:
         self.name = os.fspath(path)
         self._attitude, self._options = attitude, BagOptions.of(columns)
-        if boot not in {None, 1}:
-            raise LogFormatError(self.name, f"the log has no boot {boot} (--boot): it has 1 boot")
+        check_only_boot(self.name, boot)
         self._format = "ROS bag"
 
     def samples(self) -> Iterator[Samples]:

@@ -29,6 +29,7 @@ __all__ = [
     "Span",
     "TelemetrySource",
     "TriggerSamples",
+    "check_only_boot",
     "chosen_boots",
 ]
 
@@ -309,3 +310,22 @@ def chosen_boots(name: str, boots: Sequence[Boot], number: int | None) -> tuple[
         has = "1 boot" if len(boots) == 1 else f"{len(boots)} boots"
         raise LogFormatError(name, f"the log has no boot {number} (--boot): it has {has}; glstar info lists them")
     return found
+
+
+def check_only_boot(name: str, number: int | None) -> None:
+    """Refuse the number of a boot that a log of a single one does not have.
+
+    Parameters
+    ----------
+    name : str
+        The log, for messages.
+    number : int, optional
+        Number of the requested boot.
+
+    Raises
+    ------
+    LogFormatError
+        If it is neither 1 nor None.
+    """
+    if number not in {None, 1}:
+        raise LogFormatError(name, f"the log has no boot {number} (--boot): it has 1 boot")

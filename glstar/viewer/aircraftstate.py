@@ -4,22 +4,21 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Final
 
-import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from glstar.flight import Flight
 from glstar.render.simulator import Simulator
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
-from glstar.sky.horizon import C_ned_eq, ned_to_azimuth_altitude_rad
+from glstar.sky.geodesy import north_east_down_m
+from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 from glstar.sky.site import Site
 
-__all__ = ["AircraftState", "aircraft_state", "ground_track_m", "north_east_down_m"]
+__all__ = ["AircraftState", "aircraft_state", "ground_track_m"]
 
 Float = NDArray[np.float64]
 
 # ERFA's number of the WGS84 ellipsoid.
-_WGS84: Final = 1
 # Interval over which speeds are measured, s: GPS positions come five times a second at most.
 _SPEED_INTERVAL_S: Final = 1.0
 
@@ -118,27 +117,6 @@ def ground_track_m(flight: Flight, origin: Site, points: int = 2000) -> Float:
         origin, position.latitude_rad[chosen], position.longitude_rad[chosen], position.height_m[chosen]
     )
     return ned_m[:, 1::-1]
-
-
-def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
-    """Return positions in the local frame of a site.
-
-    Parameters
-    ----------
-    origin : Site
-    latitude_rad, longitude_rad : (n,) array_like
-        WGS84, rad.
-    height_m : (n,) array_like
-        Above the ellipsoid, m.
-
-    Returns
-    -------
-    (n, 3) float64
-        North, east and down, m, in the plane that is tangent to the ellipsoid at the origin.
-    """
-    there_m = erfa.gd2gc(_WGS84, longitude_rad, latitude_rad, height_m)
-    here_m = erfa.gd2gc(_WGS84, origin.longitude_rad, origin.latitude_rad, origin.height_m)
-    return np.asarray((there_m - here_m) @ C_ned_eq(origin.latitude_rad, origin.longitude_rad).T)
 
 
 def _speeds_m_per_s(flight: Flight, utc_s: float) -> tuple[float, float]:

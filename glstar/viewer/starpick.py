@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
-from glstar.sky.horizon import ned_to_azimuth_altitude_rad
-from glstar.viewer.canvas import ned_to_camera_matrix
+from glstar.viewer.objectplace import object_place
 
 __all__ = ["StarUnderCursor", "star_at"]
 
@@ -83,18 +82,17 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
     stars = scene.visible[around[near]]
     cost = nearest_px[near] / max(within_px, 1e-9) + _DISTANCE_PER_MAGNITUDE * scene.stars.vmag[stars]
     star = stars[np.argmin(cost)]
-    in_camera = scene.shutter[1:2].to_camera(scene.stars.direction_eq[star : star + 1], below_horizon=True)[0, 0]
-    azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ ned_to_camera_matrix(scene.shutter[1:2]))
-    x, y = scene.camera.project(in_camera) if altitude_rad >= 0 else (np.nan, np.nan)
+    place = object_place(scene, scene.stars.direction_eq[star])
+    has_risen = place.altitude_rad >= 0
     return StarUnderCursor(
         catalogue=scene.stars.catalogue,
         star_id=int(scene.stars.star_id[star]),
         name=scene.stars.name[star],
         vmag=float(scene.stars.vmag[star]),
-        altitude_rad=float(altitude_rad),
-        azimuth_rad=float(azimuth_rad),
-        x_px=float(x),
-        y_px=float(y),
+        altitude_rad=place.altitude_rad,
+        azimuth_rad=place.azimuth_rad,
+        x_px=place.x_px if has_risen else np.nan,
+        y_px=place.y_px if has_risen else np.nan,
     )
 
 

@@ -25,7 +25,7 @@ MEANINGS: Final = {
     "--exposure": "exposure time, s",
     "--f-number": "focal length over aperture",
     "--force": "replace what exists",
-    "--format": "format of what is written",
+    "--format": "format of the files",
     "--gain": "analogue gain of the sensor",
     "--headless": "no window",
     "--interpolation": "attitude between samples: slerp, spline or gyro",

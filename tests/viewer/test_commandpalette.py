@@ -8,13 +8,7 @@ from glstar.viewer.keys import KEYS, Action
 from glstar.viewer.ui.commandpalette import matching_actions
 from glstar.viewer.ui.theme import resized_text
 from glstar.viewer.windowmemory import WindowMemory
-from tests.viewer.test_interface import press, screen
-
-
-def _type(viewer, text: str) -> None:
-    for letter in text:
-        imgui.get_io().add_input_character(ord(letter))
-        viewer.frame(0.0)
+from tests.support.windowinput import press, screen, type_text
 
 
 def test_every_action_is_found_by_its_label():
@@ -37,7 +31,7 @@ def test_words_that_no_command_has_find_nothing():
 
 def test_a_command_is_performed_from_the_palette(viewer):
     press(viewer, "Ctrl+P")
-    _type(viewer, "night")
+    type_text(viewer, "night")
     press(viewer, "Enter")
     viewer.frame(0.0)
     assert viewer.session.night
@@ -46,7 +40,7 @@ def test_a_command_is_performed_from_the_palette(viewer):
 
 def test_escape_closes_the_palette_and_letters_are_not_keys(viewer):
     press(viewer, "Ctrl+P")
-    _type(viewer, "n")
+    type_text(viewer, "n")
     press(viewer, "Escape")
     assert not viewer.session.night
     press(viewer, "N")

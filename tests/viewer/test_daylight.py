@@ -16,8 +16,8 @@ from glstar.viewer import currentconditions
 from glstar.viewer.currentconditions import CurrentConditions
 from glstar.viewer.daylight import light_intervals
 from tests.support.scenes import ADELAIDE
+from tests.support.windowinput import press, screen
 from tests.viewer.conftest import write_flight
-from tests.viewer.test_interface import press, screen
 
 POSITION = PositionTrack.from_samples([0.0], [ADELAIDE.latitude_rad], [ADELAIDE.longitude_rad], [ADELAIDE.height_m])
 

@@ -7,7 +7,7 @@ import pytest
 from glstar.viewer.ui import filedialogs
 from glstar.viewer.ui.filedialogs import FileChooser, has_native_dialogs
 from glstar.viewer.ui.manualwindow import blocks_of
-from tests.viewer.test_interface import press
+from tests.support.windowinput import press
 
 
 class Dialog:

@@ -7,10 +7,11 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
+from glstar.sky.geodesy import north_east_down_m
 from glstar.sky.site import Site
-from glstar.viewer.aircraftstate import aircraft_state, ground_track_m, north_east_down_m
+from glstar.viewer.aircraftstate import aircraft_state, ground_track_m
+from tests.support.windowinput import press, screen
 from tests.viewer.conftest import write_flight
-from tests.viewer.test_interface import press, screen
 
 HEAD = "utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg,height_m"
 START_S = 1710068400.0

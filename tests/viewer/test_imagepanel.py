@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glstar.viewer.comparisonview import ComparisonMode, compose
 from glstar.viewer.loop import Viewer
 from glstar.viewer.stretch import Stretch, StretchKind
-from tests.viewer.test_interface import press, screen
+from tests.support.windowinput import press, screen
 
 WINDOW_PX = (900, 600)
 WIDTH_PX, HEIGHT_PX = 254, 190

@@ -16,27 +16,8 @@ from glstar.viewer.playhead import Mode
 from glstar.viewer.ui.interface import Interface
 from glstar.viewer.ui.keyboard import parse_chord
 from glstar.viewer.window import text_scale
+from tests.support.windowinput import HELD_KEYS, press, screen
 from tests.viewer.conftest import write_flight
-
-_HELD = {imgui.Key.mod_ctrl: imgui.Key.left_ctrl, imgui.Key.mod_shift: imgui.Key.left_shift}
-
-
-def press(viewer, chord: str) -> None:
-    """Press a key as a keyboard does, and draw the two frames in which its effect must show."""
-    io = imgui.get_io()
-    code, modifiers = parse_chord(chord)
-    held = [key for key in _HELD if modifiers & int(key)]
-    for down in (True, False):
-        for key in held:
-            io.add_key_event(key, down)
-            io.add_key_event(_HELD[key], down)
-        io.add_key_event(code, down)
-        viewer.frame(0.0)
-
-
-def screen(viewer) -> np.ndarray:
-    width, height = viewer._surface.size
-    return np.frombuffer(viewer._surface.target.read(components=3), np.uint8).reshape(height, width, 3)
 
 
 def test_every_key_of_the_table_exists_on_the_keyboard():
@@ -196,15 +177,15 @@ def test_two_chords_pressed_within_a_frame_are_both_recognised(viewer, monkeypat
     monkeypatch.setattr(viewer.interface, "perform", done.append)
     for chord in (first, then):
         code, modifiers = parse_chord(chord)
-        held = [key for key in _HELD if modifiers & int(key)]
+        held = [key for key in HELD_KEYS if modifiers & int(key)]
         for key in held:
             io.add_key_event(key, True)
-            io.add_key_event(_HELD[key], True)
+            io.add_key_event(HELD_KEYS[key], True)
         io.add_key_event(code, True)
         io.add_key_event(code, False)
         for key in held:
             io.add_key_event(key, False)
-            io.add_key_event(_HELD[key], False)
+            io.add_key_event(HELD_KEYS[key], False)
     for _ in range(6):
         viewer.frame(0.0)
     assert done == [key.action for chord in (first, then) for key in KEYS if chord in key.chords]

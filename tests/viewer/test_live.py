@@ -31,7 +31,7 @@ from glstar.viewer.playhead import Mode
 from glstar.viewer.saving import save_frame
 from tests.link.test_receiver import UTC_S, Sender
 from tests.support.links import ScriptedLink, flown, free_port, playing
-from tests.viewer.test_interface import press, screen
+from tests.support.windowinput import press, screen
 from tests.viewer.test_missing import type_text
 
 DEG = np.pi / 180

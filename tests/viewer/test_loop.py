@@ -16,8 +16,8 @@ from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
 from glstar.viewer.saving import save_comparison, save_frame
+from tests.support.windowinput import screen
 from tests.viewer.conftest import write_flight
-from tests.viewer.test_interface import screen
 
 # The flight begins at 11:00:00; the play head is at its beginning.
 NAMES = ("20240310_110000.png", "20240310_110003.png")

@@ -15,8 +15,8 @@ from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Script, Viewer
 from glstar.viewer.saving import save_frame, save_range, save_settings
 from tests.support.dataflash import ELEVEN_S, Log, times
+from tests.support.windowinput import press, screen, type_text
 from tests.viewer.conftest import write_flight
-from tests.viewer.test_interface import press, screen
 from tests.viewer.test_session import exported, finish
 
 UTC = "2024-03-10T11:00:07.5Z"
@@ -67,13 +67,6 @@ def give(viewer: Viewer, **typed: str) -> None:
 
 def given(config: Config) -> dict:
     return {key: getattr(config.flight, key) for key in KEYS}
-
-
-def type_text(viewer: Viewer, text: str) -> None:
-    for letter in text:
-        imgui.get_io().add_input_character(ord(letter))
-    viewer.frame(0.0)
-    viewer.frame(0.0)
 
 
 @pytest.mark.parametrize(

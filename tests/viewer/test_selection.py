@@ -9,8 +9,8 @@ from glstar.viewer.objectplace import object_place, time_in_image_s
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.selection import Selection, star_cut_out
 from glstar.viewer.ui.interface import Interface
+from tests.support.windowinput import click, press, screen, type_text
 from tests.viewer.conftest import write_flight
-from tests.viewer.test_interface import press, screen
 
 
 @pytest.fixture
@@ -125,15 +125,9 @@ def _interface(viewer) -> Interface:
     return next(part for part in vars(viewer).values() if isinstance(part, Interface))
 
 
-def _type(viewer, text: str) -> None:
-    for letter in text:
-        imgui.get_io().add_input_character(ord(letter))
-        viewer.frame(0.0)
-
-
 def test_ctrl_f_finds_a_star_and_the_panel_opens(viewer):
     press(viewer, "Ctrl+F")
-    _type(viewer, "achern")
+    type_text(viewer, "achern")
     press(viewer, "Enter")
     assert _interface(viewer).selection.selected.name == "Achernar"
     assert any("Achernar" in each.message for each in viewer.session.notifications.current)
@@ -142,7 +136,7 @@ def test_ctrl_f_finds_a_star_and_the_panel_opens(viewer):
 
 def test_down_chooses_the_next_match_and_letters_are_not_keys(viewer):
     press(viewer, "Ctrl+F")
-    _type(viewer, "alpha c")
+    type_text(viewer, "alpha c")
     matches = _interface(viewer).selection.search(viewer.session.loaded.simulator.sky.catalogue).matches("alpha c")
     press(viewer, "Down")
     press(viewer, "Enter")
@@ -155,7 +149,7 @@ def test_a_click_selects_the_star_under_the_mouse_and_one_beside_it_none(viewer)
     places = [(object_place(scene, scene.stars.direction_eq[index]), index) for index in scene.visible[:20]]
     place, index = next((place, index) for place, index in places if place.on_image)
     interface.selection.selected = None
-    _click(viewer, place.x_px, place.y_px)
+    click(viewer, place.x_px, place.y_px)
     assert interface.selection.selected.star_id == scene.stars.star_id[index]
     truth = interface.selection.star_truth(scene, viewer.session.image.pixels)
     np.testing.assert_allclose([truth["x_px"], truth["y_px"]], [place.x_px, place.y_px], rtol=0, atol=0.01)
@@ -165,26 +159,10 @@ def test_at_night_the_panel_is_red_only(viewer):
     scene, interface = viewer.session.scene, _interface(viewer)
     places = [(object_place(scene, scene.stars.direction_eq[index]), index) for index in scene.visible[:20]]
     place, _ = next((place, index) for place, index in places if place.on_image)
-    _click(viewer, place.x_px, place.y_px)
+    click(viewer, place.x_px, place.y_px)
     press(viewer, "N")
     imgui.set_window_focus("Object")
     for _ in range(4):
         viewer.frame(0.0)
     assert interface.selection.selected is not None
     assert screen(viewer)[..., 1:].max() == 0
-
-
-def _click(viewer, x_px: float, y_px: float) -> None:
-    """Click on a position of the image, which fills the window meanwhile."""
-    press(viewer, "H")
-    x, y = viewer.session.view.to_screen([x_px, y_px]).tolist()
-    io = imgui.get_io()
-    for event in (
-        lambda: io.add_mouse_pos_event(x, y),
-        lambda: io.add_mouse_button_event(0, True),
-        lambda: io.add_mouse_button_event(0, False),
-        lambda: io.add_mouse_pos_event(-1.0, -1.0),
-    ):
-        event()
-        viewer.frame(0.0)
-    press(viewer, "H")

@@ -15,7 +15,7 @@ from glstar.viewer.overlays import Overlay
 from glstar.viewer.ui import connectdialog, welcome
 from glstar.viewer.windowmemory import WindowMemory
 from tests.support.links import free_port, playing
-from tests.viewer.test_interface import press
+from tests.support.windowinput import press
 from tests.viewer.test_live import frames_until
 
 

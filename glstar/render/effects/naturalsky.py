@@ -4,6 +4,7 @@ from collections.abc import Hashable, Mapping
 from functools import lru_cache
 from typing import Any, Final
 
+import erfa
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +26,7 @@ _GRID: Final = (97, 73)
 _TIME_WEIGHTS: Final = (1 / 6, 4 / 6, 1 / 6)
 # Below this rotation of the camera during the exposure, rad, the middle represents it.
 _STILL_RAD: Final = np.deg2rad(0.5)
-# Azimuths, of which the ground's brightness is a mean.
+# Number of azimuths in the mean brightness of the ground.
 _AZIMUTHS: Final = 24
 _ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
 _DEFAULT: Final = SkyLights()
@@ -73,8 +74,8 @@ def sky_radiance_at(values: Values, scene: Scene, time: int, direction_eq: Float
     view = SkyView(
         sine_altitude=sine,
         azimuth_rad=np.arctan2(direction_eq @ east, direction_eq @ north),
-        moon_separation_rad=_angle_rad(direction_eq, moon.direction_eq),
-        sun_separation_rad=_angle_rad(direction_eq, sun.direction_eq),
+        moon_separation_rad=erfa.sepp(direction_eq, moon.direction_eq),
+        sun_separation_rad=erfa.sepp(direction_eq, sun.direction_eq),
     )
     return sky_radiance(view, _lights(values), _state(scene))
 
@@ -96,10 +97,6 @@ def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
         raise RenderError("the brightness of the sky needs a scene of a simulator, which knows where the Sun is")
     sun, moon = observed_bodies(scene.observing_sky, scene.exposure.mid_utc_s, scene.site, ("Sun", "Moon"))
     return sun, moon
-
-
-def _angle_rad(direction: Float, other: Float) -> Float:
-    return np.asarray(np.arccos(np.clip(direction @ other, -1, 1)))
 
 
 @lru_cache(maxsize=4)
@@ -199,7 +196,7 @@ def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
         "sky_mag_arcsec2": round(float(-2.5 * np.log10(_radiance_on_axis(values, scene))), 4),
         "sun_altitude_deg": round(float(np.rad2deg(sun.altitude_rad)), 4),
         "moon_altitude_deg": round(float(np.rad2deg(moon.apparent_altitude_rad)), 4),
-        "moon_separation_deg": round(float(np.rad2deg(_angle_rad(boresight, moon.direction_eq))), 4),
+        "moon_separation_deg": round(float(np.rad2deg(erfa.sepp(boresight, moon.direction_eq))), 4),
         "moon_illuminated_fraction": round(moon.illuminated_fraction, 4),
     }
 

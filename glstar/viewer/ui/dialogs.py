@@ -1,7 +1,7 @@
 """Dialogs: a range to export, the UTC and the site that a log or a link lacks; and the list of keys."""
 
 from pathlib import Path
-from typing import Final, get_args
+from typing import ClassVar, Final, get_args
 
 from imgui_bundle import ImVec2, imgui
 
@@ -11,6 +11,7 @@ from glstar.viewer.keys import KEYS, MENUS
 from glstar.viewer.missing import MissingFromLink, MissingFromLog
 from glstar.viewer.saving import file_stem, save_range
 from glstar.viewer.session import Session
+from glstar.viewer.ui.rangedialog import RangeDialog
 from glstar.viewer.ui.theme import accent, centre_next_window, error
 
 __all__ = ["ExportDialog", "MissingDialog", "draw_help"]
@@ -21,77 +22,70 @@ _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFl
 _WIDTH: Final = 440.0
 
 
-class ExportDialog:
+class ExportDialog(RangeDialog):
     """Asks which part of the flight to export."""
 
-    _TITLE: Final = "Export a range"
+    title: ClassVar = "Export a range"
+    action: ClassVar = "Export"
 
     def __init__(self) -> None:
-        self._opening = False
-        self._start_s = self._stop_s = 0.0
+        super().__init__()
         self._format = 0
         self._noiseless = False
-        self._directory = ""
 
-    def ask(self, session: Session) -> None:
-        """Open the dialog for the flight shown.
-
-        Parameters
-        ----------
-        session : Session
-        """
-        if session.head is None or session.flight is None:
-            return
-        if not self._directory:
-            self._directory = str(session.output / f"{file_stem(session)}-frames")
-        self._start_s, self._stop_s = (end_s - session.head.origin_s for end_s in session.head.part)
-        self._opening = True
-
-    def draw(self, session: Session) -> None:
-        """Draw the dialog if it is open.
+    def prepare(self, session: Session) -> bool:
+        """Name the folder, unless one was typed before.
 
         Parameters
         ----------
         session : Session
-        """
-        if self._opening:
-            imgui.open_popup(self._TITLE)
-            self._opening = False
-        centre_next_window()
-        if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
-            self._draw_fields(session)
-            imgui.end_popup()
 
-    def _draw_fields(self, session: Session) -> None:
-        assert session.head is not None
-        imgui.push_item_width(_WIDTH * 0.45)
-        _, self._start_s = imgui.input_double("from, s", self._start_s, 1.0, 10.0, "%.3f")
-        _, self._stop_s = imgui.input_double("to, s", self._stop_s, 1.0, 10.0, "%.3f")
+        Returns
+        -------
+        bool
+        """
+        self.path = self.path or str(session.output / f"{file_stem(session)}-frames")
+        return True
+
+    def draw_options(self) -> None:
+        """Draw the format of the frames."""
         formats = ["fits the sensor", *get_args(ImageFormat)]
         _, self._format = imgui.combo("format", self._format, formats)
-        imgui.pop_item_width()
         _, self._noiseless = imgui.checkbox("noiseless image too (float32 TIFF)", self._noiseless)
-        imgui.set_next_item_width(_WIDTH)
-        _, self._directory = imgui.input_text("##directory", self._directory)
+
+    def draw_summary(self, session: Session) -> bool:
+        """Draw how many exposures the part has.
+
+        Parameters
+        ----------
+        session : Session
+
+        Returns
+        -------
+        bool
+        """
+        assert session.head is not None
         section = session.config.exposure
-        count = section.count_within(max(min(self._stop_s, session.head.length_s) - max(self._start_s, 0.0), 0.0))
+        count = section.count_within(max(min(self.stop_s, session.head.length_s) - max(self.start_s, 0.0), 0.0))
         imgui.text_disabled(f"{count} exposures of {section.duration_s:g} s, one every {section.interval_s:g} s")
-        imgui.begin_disabled(count == 0 or not self._directory.strip())
-        if imgui.button("Export", ImVec2(90, 0)):
-            imgui.close_current_popup()
-            chosen: list[ImageFormat | None] = [None, *get_args(ImageFormat)]
-            save_range(
-                session,
-                Path(self._directory.strip()).expanduser(),
-                start_s=self._start_s,
-                stop_s=self._stop_s,
-                image_format=chosen[self._format],
-                noiseless=self._noiseless,
-            )
-        imgui.end_disabled()
-        imgui.same_line()
-        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
-            imgui.close_current_popup()
+        return count > 0
+
+    def accept(self, session: Session) -> None:
+        """Export the frames.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        chosen: list[ImageFormat | None] = [None, *get_args(ImageFormat)]
+        save_range(
+            session,
+            Path(self.path.strip()).expanduser(),
+            start_s=self.start_s,
+            stop_s=self.stop_s,
+            image_format=chosen[self._format],
+            noiseless=self._noiseless,
+        )
 
 
 class MissingDialog:

@@ -7,8 +7,9 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from numpy.typing import NDArray
 
+from glstar.sky.geodesy import north_east_down_m
 from glstar.sky.site import Site
-from glstar.viewer.aircraftstate import AircraftState, aircraft_state, ground_track_m, north_east_down_m
+from glstar.viewer.aircraftstate import AircraftState, aircraft_state, ground_track_m
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.session import Session
 from glstar.viewer.ui.theme import error

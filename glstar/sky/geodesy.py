@@ -1,0 +1,57 @@
+"""Positions on the WGS84 ellipsoid in metres: geocentric, and in the local frame of a site."""
+
+from typing import Final
+
+import erfa
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.sky.horizon import C_ned_eq
+from glstar.sky.site import Site
+
+__all__ = ["geocentric_m", "north_east_down_m"]
+
+Float = NDArray[np.float64]
+
+# ERFA's number of the ellipsoid.
+_WGS84: Final = 1
+
+
+def geocentric_m(latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
+    """Return geocentric positions on the rotating Earth.
+
+    Parameters
+    ----------
+    latitude_rad, longitude_rad : (...) array_like
+        WGS84, rad.
+    height_m : (...) array_like
+        Above the ellipsoid, m.
+
+    Returns
+    -------
+    (..., 3) float64
+        In the terrestrial frame ITRS, m.
+    """
+    return np.asarray(erfa.gd2gc(_WGS84, longitude_rad, latitude_rad, height_m), dtype=np.float64)
+
+
+def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
+    """Return positions in the local frame of a site.
+
+    Parameters
+    ----------
+    origin : Site
+    latitude_rad, longitude_rad : (...) array_like
+        WGS84, rad.
+    height_m : (...) array_like
+        Above the ellipsoid, m.
+
+    Returns
+    -------
+    (..., 3) float64
+        North, east and down, m, in the plane that is tangent to the ellipsoid at the origin.
+    """
+    chord_m = geocentric_m(latitude_rad, longitude_rad, height_m) - geocentric_m(
+        origin.latitude_rad, origin.longitude_rad, origin.height_m
+    )
+    return np.asarray(chord_m @ C_ned_eq(origin.latitude_rad, origin.longitude_rad).T)
