@@ -28,7 +28,6 @@ from glstar.cli.exportoptions import (
     NavigatorAttitude,
     Noiseless,
     Output,
-    Parquet,
     Seed,
     ShardText,
     Start,
@@ -43,10 +42,10 @@ from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_fligh
 from glstar.cli.lightnotes import light_notes
 from glstar.cli.navigatorfiles import NavigatorFiles
 from glstar.cli.progress import progress_bar
+from glstar.cli.summaryfiles import SummaryFiles, needing, with_summary_files
 from glstar.cli.verbosity import echo_detail, echo_note, with_verbosity
 from glstar.errors import ExportError
 from glstar.flight import DATA_GAP
-from glstar.system.installation import install_command
 from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt
 
 if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
@@ -68,6 +67,7 @@ _KEYS_OF_SIZE = {"camera.file", "camera.camera", "camera.preset", "camera.width_
 
 
 @with_verbosity
+@with_summary_files
 @with_flight_flags()
 def export(
     output: Output,
@@ -89,13 +89,13 @@ def export(
     shard: ShardText = None,
     dask: Dask = None,
     strict: Strict = False,
-    parquet: Parquet = False,
     navigator: NavigatorAttitude = None,
     blind: Blind = None,
     dry_run: DryRun = False,
     verify: Verify = False,
     force: Force = False,
     as_json: Json = False,
+    summaries: SummaryFiles,
 ) -> None:
     """Write the long exposures that the camera would have taken on a flight, and where every star is on them.
 
@@ -107,16 +107,15 @@ def export(
     _import_libraries()
     from glstar.export.options import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
 
-    writes_more = dask is not None or video is not None or dry_run or force or parquet
-    _refuse_contradictions(video, dask, workers, verify=verify, writes_more=writes_more)
+    summaries.check(verify=verify)
+    _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
     part = _part_of(shard, force=force)
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**when, **{"navigator.attitude": navigator})
     options = ExportOptions(start, stop, frames, format_, light, seed)
     known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
     job = _prepare(settings, paths, known.directory, options, strict=strict, video=video)
-    # With --shard, the user has divided the processors already.
-    workers = workers or (_default_workers(len(job.numbers)) if part.is_all else 1)
+    workers = workers or _default_workers(len(job.numbers), part)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
     elif verify:
@@ -124,10 +123,10 @@ def export(
     else:
         known.begin()
         report, took_s = _draw(job, part, workers, dask, force=force)
-        video = _write_video(job, video, video_fps) if video is not None and report.complete else video
-        tables = _write_parquet(job.directory) if parquet and report.complete else ()
         if report.complete:
+            video = None if video is None else _write_video(job, video, video_fps)
             known.finish(job, paths)
+        tables = summaries.finish(job, output) if report.complete else ()
         _report(job, report, took_s, video, tables, as_json=as_json)
 
 
@@ -178,7 +177,7 @@ def _refuse_contradictions(
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
     if verify and writes_more:
         raise typer.BadParameter(
-            "only compares; leave out --dask, --dry-run, --force, --parquet and --video", param_hint="--verify"
+            "only compares; leave out --dask, --dry-run, --force and --video", param_hint="--verify"
         )
 
 
@@ -199,8 +198,10 @@ def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) ->
         )
 
 
-def _default_workers(frames: int) -> int:
+def _default_workers(frames: int, part: "Shard") -> int:
     """Return the number of processes for this many frames."""
+    if not part.is_all:
+        return 1  # the user has divided the processors already
     from glstar.export.executors import available_processors  # noqa: PLC0415 - OpenCV, only when needed
 
     return max(1, min(available_processors(), frames // FRAMES_PER_WORKER, MAX_WORKERS))
@@ -294,7 +295,7 @@ def _executor(job: "Export", workers: int, dask: str | None) -> "Iterator[Execut
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
 
     if dask is not None:
-        with _needing("cluster"):
+        with needing("cluster"):
             from glstar.export.cluster import DaskExecutor  # noqa: PLC0415 - an extra
         with DaskExecutor(dask, job.task) as cluster:
             yield cluster
@@ -308,26 +309,12 @@ def _executor(job: "Export", workers: int, dask: str | None) -> "Iterator[Execut
             yield SerialExecutor(renderer)
 
 
-@contextmanager
-def _needing(extra: str) -> "Iterator[None]":
-    try:
-        yield
-    except ImportError as error:
-        raise ExportError(error.name or extra, f"is not installed; {install_command(extra)}") from error
-
-
 def _write_video(job: "Export", video: Path, frames_per_s: float) -> Path:
     from glstar.export.images import write_video  # noqa: PLC0415 - OpenCV, only when needed
 
     images = [job.task.image_path(number) for number in job.numbers.tolist()]
     write_video(images, video, frames_per_s=frames_per_s, saturation_dn=job.task.frames.saturation_dn)
     return video
-
-
-def _write_parquet(directory: Path) -> tuple[Path, ...]:
-    with _needing("parquet"):
-        from glstar.export.parquet import write_parquet  # noqa: PLC0415 - an extra
-    return write_parquet(directory)
 
 
 def _report(

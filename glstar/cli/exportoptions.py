@@ -21,7 +21,6 @@ __all__ = [
     "NavigatorAttitude",
     "Noiseless",
     "Output",
-    "Parquet",
     "Seed",
     "ShardText",
     "Start",
@@ -94,7 +93,6 @@ Strict = Annotated[
     bool,
     typer.Option("--strict", help="Stop at a log that cannot be exported; without it, one of several is left out."),
 ]
-Parquet = Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")]
 NavigatorAttitude = Annotated[
     str | None,
     typer.Option(

@@ -9,8 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "DATA_CARD",
     "NOISELESS_SUFFIX",
     "OURS",
+    "SPLITS",
+    "SPLIT_INDEX",
+    "SUMMARIES",
     "TABLES",
     "frame_folder",
     "frame_folders",
@@ -24,10 +28,17 @@ NOISELESS_SUFFIX: Final = ".light.tiff"
 # Parquet tables of the truth, written for a complete export.
 TABLES: Final = ("frames.parquet", "stars.parquet")
 
+# Splits for learning, the index that describes them, and the data card.
+SPLITS: Final = ("train", "validation", "test")
+SPLIT_INDEX: Final = "splits.json"
+DATA_CARD: Final = "DATACARD.md"
+# Files that describe all frames of a complete export; they are removed when frames are added.
+SUMMARIES: Final = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS), DATA_CARD)
+
 # Matches the name of every file that an export writes.
 OURS: Final = re.compile(
     r"frame_\d{6,}(\.light)?\.(png|tiff|fits|jpg)|manifest\.json|nav\.jsonl(\.partial)?|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
-    r"|(frames|stars)\.parquet"
+    r"|(frames|stars)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md"
 )
 
 _FOLDER: Final = re.compile(r"frames_\d{6,}")

@@ -16,7 +16,7 @@ from glstar.camera.sensor import Sensor
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
-from glstar.export.layout import OURS, TABLES
+from glstar.export.layout import OURS, SUMMARIES, TABLES
 from glstar.export.links import create, refuse_link
 from glstar.export.options import ExportOptions
 from glstar.export.plan import Plan
@@ -279,12 +279,12 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
     _refuse_other(directory, there, manifest)
     if there == manifest:
         return False
-    # Remove tables before the manifest is written, so that they never have fewer frames than it says.
-    removed = [table for name in TABLES if os.path.lexists(table := directory / name)]
-    for table in removed:
-        table.unlink(missing_ok=True)
+    # Remove them before the manifest is written, so that they never have fewer frames than it says.
+    removed = [name for name in SUMMARIES if os.path.lexists(directory / name)]
+    for name in removed:
+        (directory / name).unlink(missing_ok=True)
     write_manifest(directory, manifest)
-    return bool(removed)
+    return not set(TABLES).isdisjoint(removed)
 
 
 def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:

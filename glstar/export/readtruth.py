@@ -12,13 +12,15 @@ from glstar.render.truth import as_current_schema
 __all__ = ["read_truth"]
 
 
-def read_truth(path: str | PathLike[str]) -> Iterator[dict[str, Any]]:
+def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterator[dict[str, Any]]:
     """Yield the frames of an export's ground truth, in the order of the file.
 
     Parameters
     ----------
     path : path-like
         The directory of an export, or its ``truth.jsonl``.
+    split : {"train", "validation", "test"}, optional
+        Yield the frames of one split only, as ``glstar export --split flight`` has listed them beside the truth.
 
     Yields
     ------
@@ -29,18 +31,30 @@ def read_truth(path: str | PathLike[str]) -> Iterator[dict[str, Any]]:
     Raises
     ------
     ExportError
-        If the file cannot be read, or a line is not a frame of glstar's truth.
+        If a file cannot be read, or a line is not a frame of glstar's truth.
     """
     file = Path(path)
     if file.is_dir():
         file /= "truth.jsonl"
+    wanted = None if split is None else _listed(file.with_name(f"{split}.txt"))
     try:
         lines = file.open("rb")
     except OSError as error:
         raise ExportError(file, f"cannot be read ({error.strerror})") from error
     with lines:
         for number, line in enumerate(lines, start=1):
-            yield _frame(file, number, line)
+            frame = _frame(file, number, line)
+            if wanted is None or frame["file"] in wanted:
+                yield frame
+
+
+def _listed(path: Path) -> set[str]:
+    """Return the images of a split."""
+    try:
+        return set(path.read_text(encoding="utf-8").splitlines())
+    except (OSError, ValueError) as error:
+        message = "is no list of a split; glstar export --split flight writes train.txt, validation.txt and test.txt"
+        raise ExportError(path, message) from error
 
 
 def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:

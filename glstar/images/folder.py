@@ -26,7 +26,10 @@ __all__ = ["RealImage", "RealImages", "choose_images", "find_images"]
 _CACHE_BYTES: Final = 256 * 2**20
 
 # Files of an export that are not images.
-_COMPANIONS: Final = (*TABLES, TRUTH, f"{TRUTH}.partial", "manifest.json", "nav.jsonl", "nav.jsonl.partial")
+_COMPANIONS: Final = (
+    *(*TABLES, TRUTH, f"{TRUTH}.partial", "manifest.json", "nav.jsonl", "nav.jsonl.partial"),
+    *("splits.json", "train.txt", "validation.txt", "test.txt", "DATACARD.md"),
+)
 
 
 @dataclass(frozen=True, slots=True)
