@@ -7,6 +7,7 @@
 // Positions are px from the picture's top-left corner, y down; row 0 of either texture is the top.
 
 // COMPARES: whether there is a real image.
+// COLOURED: whether brightness is shown in the colours of a map instead of shades of grey.
 // SHRINKS: the side of a screen pixel on the picture: 0, at most one px; 1, at most two; 2, more.
 
 uniform usampler2D simulated;
@@ -28,6 +29,7 @@ uniform float softening;                 // scale of the asinh stretch; 0 for a 
 uniform float per_asinh;                 // 1 / asinh(softening)
 uniform int   night;                     // 1: shades of red, for dark-adapted eyes
 
+uniform sampler2D colour_map;            // a row of colours, from dark to bright
 uniform vec3  more_rgb;                  // colours of a difference: real image brighter, and fainter
 uniform vec3  less_rgb;
 
@@ -111,6 +113,15 @@ float stretched(float signal, float black_level) {
     return softening > 0.0 ? log(x + sqrt(x * x + 1.0)) * per_asinh : linear;
 }
 
+vec3 coloured(float brightness) {
+#if COLOURED
+    float last = float(textureSize(colour_map, 0).x - 1);
+    return texelFetch(colour_map, ivec2(int(brightness * last + 0.5), 0), 0).rgb;
+#else
+    return vec3(brightness);
+#endif
+}
+
 void main() {
     vec2 from_px = corner_px + floor(gl_FragCoord.xy) * image_px_per_screen_px;
     vec2 to_px = from_px + image_px_per_screen_px;
@@ -124,13 +135,13 @@ void main() {
     centre_px.x -= shift_px;
     float ours = simulated_signal(from_px, to_px), theirs = real_signal(from_px, to_px);
     bool is_real = comparison == REAL || right || (comparison == WIPE && centre_px.x >= wipe * size_px.x);
-    vec3 shown = vec3(stretched(is_real ? theirs : ours, black));
+    vec3 shown = coloured(stretched(is_real ? theirs : ours, black));
     if (comparison == DIFFERENCE) {
         float brightness = is_covered(centre_px) ? stretched(abs(theirs - ours), 0.0) : 0.0;
         shown = brightness * (theirs > ours ? more_rgb : less_rgb);
     }
 #else
-    vec3 shown = vec3(stretched(simulated_signal(from_px, to_px), black));
+    vec3 shown = coloured(stretched(simulated_signal(from_px, to_px), black));
 #endif
     bool outside = any(lessThan(centre_px, vec2(0.0))) || any(greaterThanEqual(centre_px, size_px));
     vec3 tinted = night != 0 ? vec3(max(shown.r, max(shown.g, shown.b)), 0.0, 0.0) : shown;

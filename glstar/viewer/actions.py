@@ -1,6 +1,7 @@
 """What each key and menu entry does to a session."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from glstar.viewer.comparisonview import ComparisonMode
@@ -12,7 +13,7 @@ from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.skysearch import SkyObject
 
-__all__ = ["is_on", "perform", "select_object"]
+__all__ = ["fit_stretch", "is_on", "perform", "select_object"]
 
 _ZOOM_STEP: Final = 1.25
 
@@ -92,6 +93,23 @@ def select_object(session: Session, selection: Selection, found: SkyObject | Non
         session.notify(message)
 
 
+def fit_stretch(session: Session) -> None:
+    """Fit the display stretch to the image shown.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    pixels = session.image.pixels
+    if pixels is not None and session.scene is not None:
+        session.stretch = session.stretch.fitted(pixels, session.scene.sensor.saturation_dn)
+
+
+def _next_colours(session: Session) -> None:
+    session.stretch = replace(session.stretch, colours=session.stretch.colours.following)
+    session.notify(f"colours: {session.stretch.colours}")
+
+
 def _compare(session: Session, mode: ComparisonMode) -> None:
     if session.comparison.images is None:
         session.notify("no real images: drop their folder onto the window, or open it (Ctrl+I)")
@@ -111,6 +129,9 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.BRIGHTER: lambda session: setattr(session, "stretch", session.stretch.brighter(2.0)),
     Action.DARKER: lambda session: setattr(session, "stretch", session.stretch.brighter(0.5)),
     Action.STRETCH: lambda session: setattr(session, "stretch", session.stretch.other_kind()),
+    Action.FIT_STRETCH: fit_stretch,
+    Action.COLOURS: _next_colours,
+    Action.PIXEL_GRID: lambda session: setattr(session.view, "pixel_grid", not session.view.pixel_grid),
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
     Action.SAVE_FRAME: save_frame,
@@ -138,6 +159,7 @@ def is_on(action: AnyAction, session: Session) -> bool:
     head = session.head
     return {
         Action.NIGHT: session.night,
+        Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,
         Action.FIT: session.view.fitted,
         Action.LIVE: head is not None and head.live,

@@ -110,7 +110,7 @@ def compose(
     white_dn = int(np.iinfo(simulated.dtype).max) if saturation_dn is None else saturation_dn
     shown = _signal(simulated, white_dn)
     if real is None or mode is ComparisonMode.OFF:
-        return _grey(stretch(shown))
+        return stretch.colours.picture(stretch(shown))
     height_px, width_px = simulated.shape
     if not isinstance(real, FittedImage):
         real = fit(real, width_px, height_px)
@@ -118,10 +118,10 @@ def compose(
     if mode is ComparisonMode.DIFFERENCE:
         return _difference(other - shown, real, replace(stretch, black=0.0))
     if mode is ComparisonMode.SIDE_BY_SIDE:
-        return _grey(stretch(np.hstack([shown, other])))
+        return stretch.colours.picture(stretch(np.hstack([shown, other])))
     columns = np.arange(width_px) + 0.5
     simulated_here = columns < wipe * width_px if mode is ComparisonMode.WIPE else np.full(width_px, phase % 1.0 < 0.5)
-    return _grey(stretch(np.where(simulated_here, shown, other)))
+    return stretch.colours.picture(stretch(np.where(simulated_here, shown, other)))
 
 
 def _signal(dn: Grey, white_dn: int) -> NDArray[np.float32]:
@@ -144,10 +144,6 @@ def _difference(more: NDArray[np.float32], real: FittedImage, stretch: Stretch) 
     brightness = np.where(compared, stretch(np.abs(more)), 0)[..., np.newaxis]
     colour = np.where((more > 0)[..., np.newaxis], np.array(MORE_RGB, np.float32), np.array(LESS_RGB, np.float32))
     return _eight_bits(brightness * colour)
-
-
-def _grey(brightness: NDArray[np.float32]) -> Picture:
-    return np.repeat(_eight_bits(brightness)[..., np.newaxis], 3, axis=-1)
 
 
 def _eight_bits(brightness: NDArray[Any]) -> Picture:

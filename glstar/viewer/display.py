@@ -12,6 +12,7 @@ from glstar.images import FittedImage
 from glstar.render.opengl.displaypass import ComparisonInput, DisplayPass, Placement, Tone
 from glstar.render.opengl.objects import Context, Texture
 from glstar.render.scene import Scene
+from glstar.viewer.colourmap import ColourMap
 from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch
@@ -138,7 +139,8 @@ class Display:
         size = max(size[0], 1), max(size[1], 1)
         scissor = _covered(view, content.size_px, size, scale)
         placement = Placement(size, view.corner, 1 / (view.zoom * scale), scissor)
-        tone = Tone(stretch.black, stretch.boost, stretch.softening, night)
+        plain = night or stretch.colours is ColourMap.GREY
+        tone = Tone(stretch.black, stretch.boost, stretch.softening, None if plain else stretch.colours.colours, night)
         return self._pass.draw(content.image, content.white_dn, placement, tone, _compared(content))
 
     def read(self) -> NDArray[np.uint8]:

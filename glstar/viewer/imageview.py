@@ -28,12 +28,15 @@ class ImageView:
         The position on the picture in the middle of the panel, px.
     fitted : bool
         Whether the complete picture stays visible when the panel changes its size.
+    pixel_grid : bool
+        Whether magnified pixels have borders.
     """
 
     def __init__(self) -> None:
         self.zoom = 1.0
         self.centre_px: Float = np.zeros(2)
         self.fitted = True
+        self.pixel_grid = True
         self._picture: Float = np.ones(2)
         self._panel: Float = np.ones(2)
 

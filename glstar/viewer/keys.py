@@ -62,6 +62,9 @@ class Action(StrEnum):
     BRIGHTER = "brighter"
     DARKER = "darker"
     STRETCH = "stretch"
+    FIT_STRETCH = "fit stretch"
+    COLOURS = "colours"
+    PIXEL_GRID = "pixel grid"
     NIGHT = "night"
     HIDE = "hide"
     RESET_LAYOUT = "reset layout"
@@ -157,6 +160,9 @@ KEYS: Final = (
     KeyBinding(Action.BRIGHTER, "View", "Show it twice as bright", ("Up",), repeats=True),
     KeyBinding(Action.DARKER, "View", "Show it half as bright", ("Down",), repeats=True),
     KeyBinding(Action.STRETCH, "View", "Linear or asinh stretch", ("I",)),
+    KeyBinding(Action.FIT_STRETCH, "View", "Fit black and white to the image", ("Shift+A",)),
+    KeyBinding(Action.COLOURS, "View", "Next colour map", ("Shift+C",)),
+    KeyBinding(Action.PIXEL_GRID, "View", "Grid of the image's pixels where it is magnified", ("J",)),
     KeyBinding(Action.NIGHT, "View", "Night-vision red", ("N",)),
     KeyBinding(Action.HIDE, "View", "Hide all but the image", ("H", "Ctrl+T")),
     KeyBinding(Action.FULL_SCREEN, "View", "Full screen", ("F11",)),

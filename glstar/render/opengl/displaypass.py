@@ -38,7 +38,7 @@ class Placement:
     scissor: tuple[int, int, int, int]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Tone:
     """The display stretch; see `glstar.viewer.stretch.Stretch`.
 
@@ -50,6 +50,8 @@ class Tone:
         Gain.
     softening : float
         Scale of the asinh stretch; 0 for a linear one.
+    colours : (256, 3) uint8 or None
+        Red, green, blue by brightness; None for shades of grey.
     night : bool
         Whether to draw in shades of red.
     """
@@ -57,6 +59,7 @@ class Tone:
     black: float
     boost: float
     softening: float
+    colours: NDArray[np.uint8] | None
     night: bool
 
 
@@ -103,12 +106,13 @@ class DisplayPass:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._screen = context.detect_framebuffer(0)
-        # One program for each value of SHRINKS and COMPARES, compiled when it is first used.
-        self._programs: dict[tuple[int, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        # One program for each value of SHRINKS, COMPARES and COLOURED, compiled when it is first used.
+        self._programs: dict[tuple[int, bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._target: moderngl.Framebuffer | None = None
         self._texture: moderngl.Texture | None = None
         self._real: moderngl.Texture | None = None
         self._real_pixels: NDArray[Any] | None = None
+        self._colour_map: moderngl.Texture | None = None
 
     def draw(
         self,
@@ -137,7 +141,9 @@ class DisplayPass:
         target, texture = self._target_of(placement.size)
         coarseness = placement.image_px_per_screen_px
         shrinks = sum(coarseness > step for step in _SHRINK_STEPS)
-        program, panel = self._program_for(shrinks=shrinks, compares=compared is not None)
+        program, panel = self._program_for(
+            shrinks=shrinks, compares=compared is not None, coloured=tone.colours is not None
+        )
         set_uniforms(
             program,
             simulated=0,
@@ -152,6 +158,9 @@ class DisplayPass:
         )
         if compared is not None:
             self._set_comparison(program, compared)
+        if tone.colours is not None:
+            set_uniforms(program, colour_map=2)
+            self._colour_map_of(tone.colours).use(location=2)
         image.repeat_x = image.repeat_y = False  # as the shader expects
         image.use(location=0)
         self._context.enable_only(moderngl.NOTHING)
@@ -184,10 +193,19 @@ class DisplayPass:
         )
         self._uploaded(compared.pixels).use(location=1)
 
-    def _program_for(self, *, shrinks: int, compares: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        key = shrinks, compares
+    def _program_for(
+        self, *, shrinks: int, compares: bool, coloured: bool
+    ) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        key = shrinks, compares, coloured
         if key not in self._programs:
-            program = linked(self._context, "develop.vert", "display.frag", SHRINKS=shrinks, COMPARES=int(compares))
+            program = linked(
+                self._context,
+                "develop.vert",
+                "display.frag",
+                SHRINKS=shrinks,
+                COMPARES=int(compares),
+                COLOURED=int(coloured),
+            )
             self._programs[key] = program, self._context.vertex_array(program, [])
         return self._programs[key]
 
@@ -198,6 +216,13 @@ class DisplayPass:
             self._texture.filter = moderngl.NEAREST, moderngl.NEAREST
             self._target = self._context.framebuffer([self._texture])
         return self._target, self._texture
+
+    def _colour_map_of(self, colours: NDArray[np.uint8]) -> moderngl.Texture:
+        if self._colour_map is None:
+            self._colour_map = self._context.texture((len(colours), 1), 3, alignment=1)
+            self._colour_map.filter = moderngl.NEAREST, moderngl.NEAREST
+        self._colour_map.write(colours.tobytes(), alignment=1)
+        return self._colour_map
 
     def _uploaded(self, pixels: NDArray[Any]) -> moderngl.Texture:
         size, dtype = (pixels.shape[1], pixels.shape[0]), f"u{pixels.itemsize}"
@@ -226,6 +251,9 @@ class DisplayPass:
         """Release all OpenGL objects; a second call does nothing."""
         self._release_target()
         self._release_real()
+        if self._colour_map is not None:
+            self._colour_map.release()
+            self._colour_map = None
         for program, panel in self._programs.values():
             panel.release()
             program.release()

@@ -17,6 +17,7 @@ from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.starpick import star_at
 from glstar.viewer.ui.overlaydrawing import draw_shapes
+from glstar.viewer.ui.pixelgrid import draw_pixel_grid
 from glstar.viewer.ui.theme import accent, error
 
 __all__ = ["ImagePanel"]
@@ -109,6 +110,8 @@ class ImagePanel:
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
         self._draw_overlays(session, draw_list, corner, clip)
         _draw_selected(session, self._selection, draw_list, corner, clip)
+        if session.view.pixel_grid:
+            draw_pixel_grid(session, draw_list, corner, clip)
         if session.stale_s is not None:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.

@@ -26,6 +26,7 @@ from glstar.viewer.ui.commandpalette import CommandPalette
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.connectdialog import ConnectDialog
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
+from glstar.viewer.ui.displaypanel import DisplayPanel
 from glstar.viewer.ui.filedialogs import FileChooser
 from glstar.viewer.ui.findwindow import FindWindow
 from glstar.viewer.ui.flightpanel import FlightPanel
@@ -34,7 +35,7 @@ from glstar.viewer.ui.keyboard import Keyboard
 from glstar.viewer.ui.linkpanel import draw_link
 from glstar.viewer.ui.manualwindow import ManualWindow
 from glstar.viewer.ui.objectpanel import draw_object
-from glstar.viewer.ui.settingspanel import draw_display, draw_settings
+from glstar.viewer.ui.settingspanel import draw_settings
 from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import apply_theme, load_font, resized_text
 from glstar.viewer.ui.timeline import PlaybackControls, Timeline
@@ -145,7 +146,7 @@ class Interface:
         self.files = FileChooser(native=native_dialogs)
         self.keyboard = Keyboard()
         self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
-        self._flight = FlightPanel()
+        self._flight, self._display_settings = FlightPanel(), DisplayPanel()
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
         self._connect, self._palette = ConnectDialog(), CommandPalette()
@@ -362,7 +363,7 @@ class Interface:
             draw_settings(session)
         imgui.end()
         if self._begin(_DISPLAY):
-            draw_display(session)
+            self._display_settings.draw(session)
             self._draw_overlay_switches()
         imgui.end()
         if self._begin(_COMPARE):

@@ -14,9 +14,8 @@ from glstar.camera.sensorpresets import sensor_presets
 from glstar.config import Config
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.session import Session
-from glstar.viewer.stretch import Stretch, StretchKind
 
-__all__ = ["draw_display", "draw_settings"]
+__all__ = ["draw_settings"]
 
 _LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
 # Width of a control over that of the panel; its label takes the rest.
@@ -267,32 +266,3 @@ def _mount(config: Config, changes: dict[str, Any]) -> None:
     _sliders(_MOUNT, config, changes)
     is_literal = config.mount().reading == "literal"
     _switch("mount.reading", "Mount angles literally as in eq. (31)", is_literal, "literal", "body", changes)
-
-
-def draw_display(session: Session) -> None:
-    """Draw the settings of the display, which do not change the image itself.
-
-    Parameters
-    ----------
-    session : Session
-    """
-    stretch = session.stretch
-    imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
-    changed, is_asinh = imgui.checkbox("Asinh stretch", stretch.kind is StretchKind.ASINH)
-    if changed:
-        stretch = Stretch(StretchKind.ASINH if is_asinh else StretchKind.LINEAR, stretch.boost, stretch.black)
-    white_dn = session.config.sensor().saturation_dn
-    highest = max(1024.0, 4.0 * white_dn)
-    changed, boost = imgui.slider_float("Boost", stretch.boost, 0.125, highest, "x%.2f", _LOGARITHMIC)
-    if changed:
-        stretch = Stretch(stretch.kind, boost, stretch.black)
-    changed, black_dn = imgui.slider_float(
-        "Black", stretch.black * white_dn, 0.0, white_dn / 4, "%.1f DN", _LOGARITHMIC
-    )
-    if changed:
-        stretch = Stretch(stretch.kind, stretch.boost, black_dn / white_dn)
-    session.stretch = stretch
-    changed, limit = imgui.slider_float("Star names to", session.name_vmag_limit, -1.5, 7.0, "V %.1f")
-    if changed:
-        session.name_vmag_limit = limit
-    imgui.pop_item_width()

@@ -1,0 +1,124 @@
+"""Stretch, colours, histogram and pixel grid of the display."""
+
+import cv2
+import numpy as np
+import pytest
+from imgui_bundle import imgui
+
+from glstar.viewer.colourmap import ColourMap
+from glstar.viewer.histogram import Histogram
+from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.ui.theme import accent
+from tests.support.windowinput import press, screen
+
+RNG = np.random.default_rng(7)
+
+
+def test_grey_is_the_brightness_and_other_maps_are_opencv_s():
+    brightness = np.linspace(0, 1, 256, dtype=np.float32)[np.newaxis]
+    levels = np.arange(256, dtype=np.uint8)[np.newaxis]
+    np.testing.assert_array_equal(ColourMap.GREY.picture(brightness), np.stack([levels] * 3, axis=-1))
+    expected = cv2.applyColorMap(levels, cv2.COLORMAP_INFERNO)[..., ::-1]
+    np.testing.assert_array_equal(ColourMap.INFERNO.picture(brightness), expected)
+
+
+@pytest.mark.parametrize("colour_map", [each for each in ColourMap if each is not ColourMap.TURBO])
+def test_maps_grow_brighter(colour_map):
+    lightness = cv2.cvtColor(colour_map.colours[np.newaxis], cv2.COLOR_RGB2LAB)[0, :, 0].astype(int)
+    assert np.diff(lightness[::8]).min() > 0
+
+
+def test_the_fitted_stretch_darkens_the_sky_and_shows_faint_stars():
+    pixels = RNG.normal(200.0, 6.0, (400, 500)).round().astype(np.uint16)
+    pixels[::40, ::40] = 900
+    stretch = Stretch().fitted(pixels, 4095)
+    assert stretch.black * 4095 == pytest.approx(194.0, abs=0.5)
+    assert stretch.white * 4095 == pytest.approx(900.0, abs=1.0)
+    faint = np.array([200.0 + 5 * 6.0, 200.0], np.float32) / np.float32(4095)
+    star, sky = stretch(faint)
+    assert sky < 0.1
+    assert star > sky + 0.1
+
+
+def test_the_fitted_stretch_of_an_image_without_stars_does_not_amplify_its_noise_to_white():
+    pixels = RNG.normal(200.0, 6.0, (400, 500)).round().astype(np.uint16)
+    stretch = Stretch(StretchKind.LINEAR).fitted(pixels, 4095)
+    assert stretch(pixels / np.float32(4095)).max() < 0.4
+
+
+def test_limits_are_the_levels_shown_black_and_white():
+    stretch = Stretch(StretchKind.LINEAR).between(0.2, 0.6)
+    np.testing.assert_allclose(stretch(np.array([0.2, 0.4, 0.6], np.float32)), [0.0, 0.5, 1.0], rtol=0, atol=1e-6)
+    assert stretch.white == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("high", [3, 255, 5000])
+def test_the_histogram_counts_every_pixel_once(high):
+    pixels = RNG.integers(0, high + 1, (300, 200)).astype(np.uint16)
+    histogram = Histogram.of(pixels)
+    assert histogram.fraction.sum() == pytest.approx(1.0)
+    mean = histogram.level_dn @ histogram.fraction
+    width = histogram.level_dn[1] - histogram.level_dn[0]
+    assert mean == pytest.approx(pixels.mean(), abs=width)
+
+
+def test_the_histogram_of_a_flat_image_is_one_bin():
+    histogram = Histogram.of(np.full((20, 30), 7, np.uint8))
+    assert histogram.level_dn[histogram.fraction > 0].tolist() == [7.0]
+
+
+def test_keys_fit_the_stretch_and_change_the_colours(viewer):
+    session = viewer.session
+    press(viewer, "Shift+A")
+    assert session.stretch == Stretch().fitted(session.image.pixels, 255)
+    press(viewer, "Shift+C")
+    assert session.stretch.colours is ColourMap.VIRIDIS
+    press(viewer, "H")
+    shown = screen(viewer).reshape(-1, 3).astype(int)
+    np.testing.assert_array_equal(ColourMap.VIRIDIS.colours[0], [68, 1, 84])
+    assert (np.abs(shown - [68, 1, 84]).max(axis=1) <= 40).mean() > 0.3
+    press(viewer, "N")
+    assert screen(viewer)[..., 1:].max() == 0
+
+
+def test_magnified_pixels_have_borders_and_numbers(viewer):
+    session = viewer.session
+    session.shown_overlays = set()
+    press(viewer, "H")
+    for zoom in (7.0, 12.0, 48.0):
+        session.view.one_to_one()
+        session.view.zoom_at(session.view.middle, zoom)
+        session.view.pixel_grid = True
+        viewer.frame(0.0)
+        with_grid = screen(viewer).copy()
+        press(viewer, "J")
+        assert not session.view.pixel_grid
+        changed = (screen(viewer) != with_grid).any(axis=-1)
+        if zoom < 8:
+            assert not changed.any()
+            continue
+        rows = changed.mean(axis=1) > 0.9
+        assert rows.sum() == pytest.approx(viewer._surface.size[1] / zoom, abs=2)
+        # Numbers fill a part of each magnified pixel.
+        assert (changed[~rows].mean() > 1.5 / zoom) == (zoom >= 40)
+
+
+def test_the_white_level_is_dragged_in_the_histogram(viewer):
+    session, io = viewer.session, imgui.get_io()
+    imgui.set_window_focus("View")
+    session.stretch = Stretch().between(0.1, 0.5)
+    for _ in range(4):
+        viewer.frame(0.0)
+    # The lines of the levels are the two columns of the accent's colour; the right one is white.
+    rows = screen(viewer)[::-1][70:120, 600:].astype(int)
+    is_line = (np.abs(rows - np.array(list(accent())[:3]) * 255).max(axis=-1) < 30).all(axis=0)
+    x, y = 600 + float(np.flatnonzero(is_line)[-1]), 100.0
+    before = session.stretch
+    for at, down in ((x, None), (x, True), (x - 60, None), (x - 60, False)):
+        io.add_mouse_pos_event(at, y)
+        if down is not None:
+            io.add_mouse_button_event(0, down)
+        viewer.frame(0.0)
+    viewer.frame(0.0)
+    assert session.stretch.white < before.white - 0.1
+    assert session.stretch.black == pytest.approx(before.black)
