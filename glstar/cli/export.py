@@ -25,6 +25,7 @@ from glstar.cli.exportoptions import (
     Force,
     FrameLimit,
     Json,
+    Masks,
     NavigatorAttitude,
     Noiseless,
     Output,
@@ -57,6 +58,7 @@ if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
     from glstar.export.plan import SkippedFrame
     from glstar.export.run import Export, ExportReport
     from glstar.export.shard import Shard
+    from glstar.export.task import EncodedFrame
 
 __all__ = ["export"]
 
@@ -82,6 +84,7 @@ def export(
     frames: FrameLimit = None,
     format_: Format = None,
     light: Noiseless = False,
+    masks: Masks = False,
     seed: Seed = 0,
     video: Video = None,
     video_fps: VideoRate = 10.0,
@@ -112,7 +115,7 @@ def export(
     part = _part_of(shard, force=force)
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**when, **{"navigator.attitude": navigator})
-    options = ExportOptions(start, stop, frames, format_, light, seed)
+    options = ExportOptions(start, stop, frames, format_, light, seed, masks)
     known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
     job = _prepare(settings, paths, known.directory, options, strict=strict, video=video)
     workers = workers or _default_workers(len(job.numbers), part)
@@ -375,6 +378,11 @@ def _report_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
         echo_note("(--max-gap SECONDS interpolates across longer gaps)")
 
 
+def _image_bytes(frame: "EncodedFrame") -> int:
+    """Return the size of all the images of a frame."""
+    return len(frame.image) + len(frame.noiseless or b"") + sum(map(len, frame.masks.values()))
+
+
 def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw a few frames in memory, and report the estimated size and time of all."""
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
@@ -391,7 +399,7 @@ def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> 
             frames = [job.task.draw(renderer, number) for number in sample]
         seconds = count / len(sample) * (time.perf_counter() - began_s) / workers
         truth_bytes = count / len(sample) * sum(len(frame.truth) for frame in frames)
-        size_bytes = truth_bytes + count / len(sample) * sum(len(f.image) + len(f.noiseless or b"") for f in frames)
+        size_bytes = truth_bytes + count / len(sample) * sum(map(_image_bytes, frames))
         # Parts of the truth by several processes are joined into one file before they are removed.
         join_bytes = truth_bytes if workers > 1 or not shard.is_all else 0.0
     if as_json:

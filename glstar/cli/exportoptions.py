@@ -18,6 +18,7 @@ __all__ = [
     "Force",
     "FrameLimit",
     "Json",
+    "Masks",
     "NavigatorAttitude",
     "Noiseless",
     "Output",
@@ -65,6 +66,14 @@ Stop = Annotated[
 FrameLimit = Annotated[int | None, typer.Option(help="Maximum number of frames.", show_default="all")]
 Noiseless = Annotated[
     bool, typer.Option("--light", help="Write the signal before noise beside each frame, as float32 TIFF.")
+]
+Masks = Annotated[
+    bool,
+    typer.Option(
+        "--masks",
+        help="Write masks beside each frame, as PNG: which star each pixel shows (.trails), and which pixels are"
+        " saturated (.saturated).",
+    ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]
 Video = Annotated[Path | None, typer.Option(help="Write a video of all frames too: a name.mp4.", show_default=False)]

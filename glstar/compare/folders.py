@@ -21,7 +21,7 @@ from glstar.compare.pairs import measure, pair_trails
 from glstar.compare.predictedtrails import Trails, trail_jacobian
 from glstar.errors import ImagesError
 from glstar.images import read_grey
-from glstar.images.times import TABLES, TRUTH
+from glstar.images.times import BESIDE, TABLES, TRUTH
 from glstar.render.truth import as_current_schema
 
 __all__ = ["compare_folders", "paired_files"]
@@ -136,7 +136,7 @@ def _compare_image(collected: Collector, name: str, sky: SubtractedImage, trails
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Return the image files of a folder, sorted by name, without the noiseless images of an export.
+    """Return the image files of a folder, sorted by name, without the noiseless images and the masks of an export.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def image_files(folder: Path) -> list[Path]:
         files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     except OSError as error:
         raise ImagesError(folder, f"is not a folder of images: {error.strerror or error}") from error
-    files = [path for path in files if ".light." not in path.name and path.name not in (*TABLES, TRUTH)]
+    files = [path for path in files if not BESIDE.search(path.name) and path.name not in (*TABLES, TRUTH)]
     if not files:
         raise ImagesError(folder, "holds no image; choose a folder of PNG, JPEG or TIFF files")
     return files

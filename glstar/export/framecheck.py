@@ -65,6 +65,7 @@ def check_files(task: FrameTask, frame: EncodedFrame) -> CheckedFrame:
     drawn = {task.image_path(frame.number): frame.image}
     if frame.noiseless is not None:
         drawn[task.noiseless_path(frame.number)] = frame.noiseless
+    drawn |= {task.mask_path(kind, frame.number): mask for kind, mask in frame.masks.items()}
     findings = [
         Finding(path.relative_to(task.directory).as_posix(), problem, frame.number)
         for path, content in drawn.items()

@@ -18,6 +18,7 @@ from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
 from glstar.export.layout import OURS, SUMMARIES, TABLES
 from glstar.export.links import create, refuse_link
+from glstar.export.masks import masks_of
 from glstar.export.options import ExportOptions
 from glstar.export.plan import Plan
 from glstar.flight import Flight
@@ -158,6 +159,7 @@ def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str,
         "start_s": options.start_s,
         "format": options.image_format,
         "light": options.noiseless,
+        **({"masks": list(masks_of(masks=True))} if options.masks else {}),
         "seed": options.seed,
     }
 
@@ -374,6 +376,7 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
         arguments += [] if value is None else [flag, value]
     arguments += ["--format", options.image_format, "--seed", options.seed]
     arguments += ["--light"] if options.noiseless else []
+    arguments += ["--masks"] if options.masks else []
     return shlex.join(str(argument) for argument in arguments)
 
 

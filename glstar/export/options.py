@@ -24,6 +24,8 @@ class ExportOptions:
         Whether to write the signal before noise beside each frame.
     seed : int
         The seed from which the noise seed of every frame is derived.
+    masks : bool
+        Whether to write masks beside each frame: see `glstar.export.masks`.
     """
 
     start_s: float = 0.0
@@ -32,3 +34,4 @@ class ExportOptions:
     image_format: ImageFormat | None = None
     noiseless: bool = False
     seed: int = 0
+    masks: bool = False

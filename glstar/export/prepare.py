@@ -11,9 +11,10 @@ from glstar.config import Config
 from glstar.errors import ConfigError, FlightTooShortError, LogFormatError
 from glstar.export.dataset import DataSetFrames, largest_sum
 from glstar.export.fingerprint import file_hash
-from glstar.export.frames import FlightFrames
+from glstar.export.frames import FlightFrames, Frames
 from glstar.export.images import ImageFormat, fit_format
 from glstar.export.manifest import OmittedLog, describe, describe_data_set
+from glstar.export.masks import masks_of
 from glstar.export.options import ExportOptions
 from glstar.export.plan import plan_frames
 from glstar.export.run import Export
@@ -69,7 +70,7 @@ def prepare_export(
     image_format, sensor = fit_format(options.image_format, config.sensor(), summed=config.exposure.signal_factor)
     frames = FlightFrames(config.simulator(flight, sensor=sensor), plan if only is None else plan.only(only))
     manifest = describe(config, flight_path, flight, sensor, replace(options, image_format=image_format), plan)
-    return Export(FrameTask(frames, directory, image_format, options.noiseless, options.seed), manifest)
+    return Export(_task(frames, directory, image_format, options), manifest)
 
 
 def prepare_data_set(
@@ -126,8 +127,13 @@ def prepare_data_set(
             del flights[error.which]
             omitted.append(OmittedLog(paths.pop(error.which), str(error)))
     manifest = describe_data_set(paths, frames, sensor, replace(options, image_format=image_format), omitted)
-    task = FrameTask(frames, directory, image_format, options.noiseless, options.seed)
+    task = _task(frames, directory, image_format, options)
     return Export(task, manifest, tuple(omitted))
+
+
+def _task(frames: Frames, directory: Path, image_format: ImageFormat, options: ExportOptions) -> FrameTask:
+    masks = masks_of(masks=options.masks)
+    return FrameTask(frames, directory, image_format, options.noiseless, options.seed, masks=masks)
 
 
 def _catalogues(config: Config, image_format: ImageFormat) -> dict[str, StarCatalogue]:

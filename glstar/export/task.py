@@ -1,8 +1,9 @@
 """What every process needs to draw and write the frames of an export: a description that can be pickled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,6 +16,7 @@ from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
 from glstar.export.layout import NOISELESS_SUFFIX, frame_folder
 from glstar.export.lease import Lease
 from glstar.export.links import make_folder
+from glstar.export.masks import MASK_SUFFIXES, MaskKind, encoded_masks
 from glstar.export.processing import CameraProcessing, process
 from glstar.render.scene import Frame, Renderer
 from glstar.render.truth import frame_truth
@@ -37,12 +39,15 @@ class EncodedFrame:
         The float32 TIFF of the signal before noise; None unless the task asks for it.
     truth : bytes
         The line of ``truth.jsonl``, with its newline.
+    masks : mapping of str to bytes
+        Its masks by kind.
     """
 
     number: int
     image: bytes
     noiseless: bytes | None
     truth: bytes
+    masks: Mapping[MaskKind, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +67,8 @@ class FrameTask:
         The seed from which the noise seed of every frame is derived.
     lease : Lease or None
         The write permission of the run that distributes the task to other processes; None within one process.
+    masks : tuple of {"trails", "saturated"}
+        The masks to write beside each frame.
     """
 
     frames: Frames
@@ -70,6 +77,7 @@ class FrameTask:
     noiseless: bool
     seed: int
     lease: Lease | None = None
+    masks: tuple[MaskKind, ...] = ()
 
     def begin(self, renderer: Renderer, composed: ComposedFrame) -> None:
         """Begin to draw a composed frame with its own noise; `Renderer.end_read` returns it.
@@ -117,6 +125,7 @@ class FrameTask:
             image=image,
             noiseless=None if frame.light_dn is None else tiff(frame.light_dn),
             truth=line,
+            masks=encoded_masks(self.masks, composed.scene, frame),
         )
 
     def _encoded(self, sensor: Sensor, pixels: np.ndarray[Any, Any]) -> bytes:
@@ -173,6 +182,8 @@ class FrameTask:
         write(path, frame.image)
         if frame.noiseless is not None:
             write(self.noiseless_path(frame.number), frame.noiseless)
+        for kind, mask in frame.masks.items():
+            write(self.mask_path(kind, frame.number), mask)
 
     def writing(self) -> AbstractContextManager[None]:
         """Return a context in which this run may write to the directory.
@@ -221,12 +232,28 @@ class FrameTask:
         """
         return self.directory / frame_folder(number) / f"frame_{number:06d}{NOISELESS_SUFFIX}"
 
+    def mask_path(self, kind: MaskKind, number: int) -> Path:
+        """Return the path of a mask of a frame.
+
+        Parameters
+        ----------
+        kind : {"trails", "saturated"}
+        number : int
+
+        Returns
+        -------
+        Path
+        """
+        return self.directory / frame_folder(number) / f"frame_{number:06d}{MASK_SUFFIXES[kind]}"
+
     @property
     def file_kinds(self) -> dict[str, Callable[[int], Path]]:
         """For each file of a frame: the suffix of its name, and the function that returns its path."""
         kinds: dict[str, Callable[[int], Path]] = {SUFFIX[self.image_format]: self.image_path}
         if self.noiseless:
             kinds[NOISELESS_SUFFIX] = self.noiseless_path
+        for kind in self.masks:
+            kinds[MASK_SUFFIXES[kind]] = partial(self.mask_path, kind)
         return kinds
 
 

@@ -20,6 +20,7 @@ from glstar.export.framecheck import CheckedFrame, Finding, describe_pixels
 from glstar.export.images import decode
 from glstar.export.layout import NOISELESS_SUFFIX, output_files
 from glstar.export.manifest import NAME, refuse_other_settings, to_json
+from glstar.export.masks import MASK_KINDS, MASK_SUFFIXES
 from glstar.export.run import Export
 from glstar.export.shard import ALL_FRAMES, Shard
 from glstar.export.task import FrameTask
@@ -30,8 +31,13 @@ __all__ = ["Verification", "verify"]
 
 
 _TRUTH: Final = "truth.jsonl"
-_FRAME: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff|fits|jpg)")
+_FRAME: Final = re.compile(r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare))?\.(png|tiff|fits|jpg)")
 _PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16, "jpeg": np.uint8}
+# Of the files beside an image, by the suffix of their names.
+_OTHER_TYPES: Final[dict[str, type]] = {
+    NOISELESS_SUFFIX: np.float32,
+    **{MASK_SUFFIXES[kind]: pixel_type for kind, pixel_type in MASK_KINDS.items()},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +157,7 @@ def _decoded(task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> I
         line = truth.line(number)
         camera = orjson.loads(line)["camera"] if line is not None else None
         types: dict[Path, type] = {
-            path_of(number): np.float32 if suffix == NOISELESS_SUFFIX else _PIXEL_TYPES[task.image_format]
+            path_of(number): _OTHER_TYPES.get(suffix, _PIXEL_TYPES[task.image_format])
             for suffix, path_of in task.file_kinds.items()
         }
         findings = [

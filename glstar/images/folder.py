@@ -18,7 +18,7 @@ import cv2
 
 from glstar.errors import ImagesError
 from glstar.images.decoding import FittedImage, fit, read_grey
-from glstar.images.times import TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
+from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
 
 __all__ = ["RealImage", "RealImages", "choose_images", "find_images"]
 
@@ -282,7 +282,7 @@ def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealIm
     listed, problems = _listed_times(folder, table)
     images = []
     for path in files:
-        if path.name in _COMPANIONS or path == table or ".light." in path.name:
+        if path.name in _COMPANIONS or path == table or BESIDE.search(path.name):
             continue
         found = _as_image(path, listed)
         if isinstance(found, RealImage):

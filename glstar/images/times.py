@@ -32,6 +32,7 @@ from glstar.sky.timescale import parse_utc
 from glstar.system.inputfile import read_text
 
 __all__ = [
+    "BESIDE",
     "TABLES",
     "TRUTH",
     "ExifTime",
@@ -47,6 +48,8 @@ __all__ = [
 
 TABLES: Final = ("images.csv", "times.csv")
 TRUTH: Final = "truth.jsonl"
+# In the names of the files that an export writes beside its images: noiseless images and masks.
+BESIDE: Final = re.compile(r"\.(light|trails|saturated|cloud|flare)\.")
 
 # A line of some 60 bytes for each of a million images.
 _LARGEST_BYTES: Final = 64 * 2**20

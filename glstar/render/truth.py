@@ -13,11 +13,11 @@ from glstar.camera.vignetting import Vignetting
 from glstar.render.bodysources import BodySources, disc_on_image
 from glstar.render.effects import effects_truth
 from glstar.render.gaussianscenes import psf_scale
-from glstar.render.rowtimes import recorded_rows, recorded_times, rolling_frame_keys, row_columns
+from glstar.render.rowtimes import recorded_rows, rolling_frame_keys, row_columns
 from glstar.render.scene import Frame, Scene
 from glstar.render.stacking import stacked_frame_keys, stacked_segments
-from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.render.trailpeaks import trail_peaks
+from glstar.render.trailstatistics import Pixels, TrailStatistics
 from glstar.render.truthtable import rows_of
 from glstar.sky.bodies import Body
 from glstar.sky.timescale import format_utc
@@ -40,12 +40,7 @@ _DIGITS: Final = 6
 # Standard deviation of rounding to whole numbers, DN.
 _QUANTISATION_STD_DN: Final = 12**-0.5
 
-# Side of the cells in which saturated pixels are counted, px.
-_CELL_PX: Final = 32
-
 Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
 
 def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Mapping[str, Any] | None = None) -> bytes:
@@ -199,12 +194,12 @@ def trail_centroids(scene: Scene, stars: NDArray[np.bool_]) -> Float:
     (m, 2) float64
         Positions (x, y), px; NaN for stars whose flux does not touch the image.
     """
-    return _TrailStatistics(scene.with_visible(stars)).centroid
+    return TrailStatistics(scene.with_visible(stars)).centroid
 
 
 def _stars(scene: Scene, frame: Frame) -> bytes:
     """Return the table of stars, brightest first, as JSON."""
-    trails = _TrailStatistics(scene, _to_test(frame))
+    trails = TrailStatistics(scene, _to_test(frame))
     # Culling is a bound: some of the visible stars do not touch the image and get no label.
     drawn = np.flatnonzero(trails.touching)
     index, factor = scene.visible[drawn], scene.exposure.signal_factor
@@ -291,7 +286,7 @@ def _bodies(scene: Scene, bodies: BodySources, pixels: Pixels) -> list[dict[str,
     """Return the Sun, the Moon and the planets whose light touches the image."""
     sources = scene.body_scene
     assert sources is not None
-    of_sources = _TrailStatistics(sources, pixels)
+    of_sources = TrailStatistics(sources, pixels)
     body_of_source = bodies.stars.star_id[sources.visible]
     touching = np.unique(body_of_source[of_sources.touching > 0])
     saturated = set(body_of_source[of_sources.saturated].tolist())
@@ -351,135 +346,6 @@ def _widths(scene: Scene, drawn: NDArray[np.intp]) -> dict[str, Float]:
 def _to_test(frame: Frame) -> Pixels:
     """Return the pixels that say where an image is saturated: of a stacked one, where a short exposure is."""
     return frame.pixels if frame.saturated is None else frame.saturated
-
-
-class _TrailStatistics:
-    """Statistics of each visible star over the exposure, accumulated over blocks of times.
-
-    Attributes
-    ----------
-    touching, on_image : (k,) float64
-        Fractions of the exposure in which a star's flux and its centre lie on the image.
-    sum_xy : (2, k) float64
-        Integral of its position over the former.
-    saturated : (k,) bool
-        Whether one of the `pixels` under its centre is saturated (or True, if they are bool); False without pixels.
-    """
-
-    def __init__(self, scene: Scene, pixels: Pixels | None = None) -> None:
-        count = len(scene.visible)
-        self.touching = np.zeros(count)
-        self.on_image = np.zeros(count)
-        self.sum_xy = np.zeros((2, count))
-        self.saturated = np.zeros(count, dtype=np.bool_)
-        saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
-        if scene.exposure.readout_s and scene.motion is not None:
-            self._add_recorded(scene, saturation)
-            return
-        for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
-            bounds = paths.bounds_px
-            # Most stars are on the image all the time or never, and far from all saturated pixels.
-            always = scene.camera.contains(bounds).all(axis=0)
-            never = _misses(scene.camera, bounds, scene.listed.truncation_radius_px)
-            self.touching += paths.time_fraction.sum() * always
-            self.on_image += paths.time_fraction.sum() * always
-            self.sum_xy += np.where(always, paths.weighted_sum_px, 0.0)
-            self._add_samples(scene, paths, np.flatnonzero(~(always | never)))
-            if saturation is not None:
-                near = saturation.near(bounds)
-                for xy, _ in paths.samples(near):
-                    self.saturated[near] |= saturation.crossed_by(xy, scene.camera.contains(xy))
-
-    def _add_recorded(self, scene: Scene, saturation: "_SaturationMap | None") -> None:
-        """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
-        directions = scene.stars.direction_eq[scene.visible]
-        times = recorded_times(scene, directions)
-        opens, closes = times.opens_s / scene.exposure.span_s, times.closes_s / scene.exposure.span_s
-        recorded, begin = np.zeros(len(opens)), 0.0
-        for paths in scene.star_paths(directions):
-            for xy, time_fraction in paths.samples(np.arange(len(opens))):
-                end = begin + np.cumsum(time_fraction)[:, np.newaxis]
-                weight = np.minimum(end, closes) - np.maximum(end - time_fraction[:, np.newaxis], opens)
-                weight = weight.clip(min=0.0)
-                touching = (weight > 0) & scene.camera.contains(xy, scene.listed.truncation_radius_px)
-                on_image = (weight > 0) & scene.camera.contains(xy)
-                recorded += weight.sum(axis=0)
-                self.touching += (weight * touching).sum(axis=0)
-                self.on_image += (weight * on_image).sum(axis=0)
-                self.sum_xy += np.where(touching, weight * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
-                if saturation is not None:
-                    self.saturated |= saturation.crossed_by(xy, on_image)
-                begin = float(end[-1, 0])
-        recorded = np.maximum(recorded, 1e-12)
-        self.touching /= recorded
-        self.on_image /= recorded
-        self.sum_xy /= recorded
-
-    def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
-        """Add the sampled paths of stars that are on the image for a part of the time."""
-        radius_px = scene.listed.truncation_radius_px[stars]
-        for xy, time_fraction in paths.samples(stars):
-            touching = scene.camera.contains(xy, radius_px)
-            self.touching[stars] += time_fraction @ touching
-            self.on_image[stars] += time_fraction @ scene.camera.contains(xy)
-            for axis, sums in enumerate(self.sum_xy):
-                sums[stars] += time_fraction @ np.where(touching, xy[..., axis], 0.0)
-
-    @property
-    def centroid(self) -> Float:
-        """Mean position of each star while it touches the image, (k, 2) px; NaN if it never does."""
-        touching = np.where(self.touching > 0, self.touching, np.nan)
-        return (self.sum_xy / touching).T
-
-
-def _misses(camera: Camera, bounds_px: Float, radius_px: Float) -> Mask:
-    """Return which of m stars do not touch the image, given `SampledPaths.bounds_px` and truncation radii."""
-    low, high = bounds_px
-    size_px = np.array([camera.width_px, camera.height_px])
-    farthest_px = np.maximum(low - (size_px - 0.5), -0.5 - high).max(axis=1)
-    return np.asarray(farthest_px > radius_px)
-
-
-class _SaturationMap:
-    """Where an image is saturated, to find the stars whose centres cross a saturated pixel."""
-
-    def __init__(self, pixels: Pixels, saturation_dn: int) -> None:
-        saturation_dn = 1 if pixels.dtype == np.bool_ else saturation_dn
-        self._pixels, self._saturation_dn = pixels, saturation_dn
-        # Most rows have no saturated pixel.
-        rows = np.flatnonzero(pixels.max(axis=1) >= saturation_dn)
-        row_index, columns = np.divmod(np.flatnonzero(pixels[rows] >= saturation_dn), pixels.shape[1])
-        cells = np.zeros([side // _CELL_PX + 2 for side in pixels.shape], dtype=np.intp)
-        cells[rows[row_index] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
-        # Summed-area table: the number of cells with saturated pixels above and to the left of each.
-        self._area_sum = cells.cumsum(axis=0).cumsum(axis=1)
-
-    def near(self, bounds_px: Float) -> NDArray[np.intp]:
-        """Return which of m stars have saturated pixels in their bounds, (2, m, 2) px: `SampledPaths.bounds_px`."""
-        low, high = np.rint(bounds_px)
-        last = np.array(self._pixels.shape[::-1]) - 1
-        # A path that is NaN for some time may extend anywhere.
-        left, top = np.minimum(np.fmax(low, 0), last).astype(np.intp).T // _CELL_PX
-        right, bottom = np.maximum(np.fmin(high, last), 0).astype(np.intp).T // _CELL_PX + 1
-        area_sum = self._area_sum
-        return np.flatnonzero(
-            area_sum[bottom, right] - area_sum[top, right] - area_sum[bottom, left] + area_sum[top, left]
-        )
-
-    def crossed_by(self, xy: Float, on_image: Mask) -> Mask:
-        """Return which of m stars cross a saturated pixel, (m,).
-
-        Parameters
-        ----------
-        xy : (n, m, 2) float64
-            Positions (x, y) at n times, px.
-        on_image : (n, m) bool
-            Which of them lie on the image.
-        """
-        column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.intp) for axis in (0, 1))
-        row *= self._pixels.shape[1]
-        row += column
-        return np.asarray(((self._pixels.ravel().take(row) >= self._saturation_dn) & on_image).any(axis=0))
 
 
 def _rounded(values: Float) -> Float:
