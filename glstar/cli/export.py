@@ -114,10 +114,10 @@ def export(
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
     part = _part_of(shard, force=force)
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
-    settings = flags.settings(**when, **{"navigator.attitude": navigator})
-    options = ExportOptions(start, stop, frames, format_, light, seed, masks)
+    settings = flags.settings(**when | {"navigator.attitude": navigator})
     known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
-    job = _prepare(settings, paths, known.directory, options, strict=strict, video=video)
+    wanted = ExportOptions(start, stop, frames, format_, light, seed, masks)
+    job = _prepare(settings, paths, known.directory, wanted, strict=strict, video=video)
     workers = workers or _default_workers(len(job.numbers), part)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)

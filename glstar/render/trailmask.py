@@ -65,8 +65,8 @@ def trail_mask(scene: Scene) -> NDArray[np.uint16]:
 
     Notes
     -----
-    The signal is the sum of the Gaussians of the point spread function at samples of the star's path, at most 1.5 sigma
-    apart: within 0.1 % of the integral along it.
+    The signal is the sum of the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma
+    or closer: within 0.1 % of the integral along it.
     """
     shape = scene.camera.height_px, scene.camera.width_px
     mask, strongest_dn = np.zeros(shape, np.uint16), np.full(shape, mask_threshold_dn(scene), np.float32)
