@@ -45,10 +45,10 @@ layout(location = 4) out vec4 boundary;  // of LONG: an axis (x, y), and the val
 layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OPEN: fractions of the length between which any
                                           // row is open
 #endif
-// SHORT: chord holds the centres (x, y) of two Gaussians; shape a unit vector along the path and the reduction of the
-// falloff along it, 1/px^2, for exp2; flux their amplitudes, the distance up to which they are drawn, and the kind.
-// SHORT + PARTLY_OPEN: chord holds start and chord, px; shape the distance of the middle from that of the chord, px, and a
-// unit vector along the path; flux the amplitude of a Gaussian with all the flux, 0, the distance and the kind.
+// SHORT: chord holds the centres (x, y) of two Gaussians; shape the vectors along which they are widened, 1/px
+// (two_gaussians.glsl); flux their amplitudes, the distance up to which they are drawn, and the kind.
+// SHORT + PARTLY_OPEN: chord holds start and chord, px; shape the distance of the middle from that of the chord, px; flux
+// the amplitude of a Gaussian with all the flux, 0, the distance and the kind.
 
 #include "trail_constants.glsl"
 #include "rasterization.glsl"
@@ -110,20 +110,16 @@ float fraction_in_square(float side_px, vec2 extent_px) {
 
 // A SHORT path: two Gaussians.
 void two_gaussians(inout Path path, vec2 chord, vec2 ahead, float peak_dn, float radius_px) {
-    // At a turning point the path leads there and back: its axis points there.
-    vec2 axis = length(chord) > 2.0 * length(ahead) ? chord : ahead;
-    vec2 along = length(axis) > 1e-6 * sigma_px ? normalize(axis) : vec2(1.0, 0.0);
     vec2 mean = path.start_px + 0.5 * chord + ahead * (4.0 * (0.25 - OFFSET * OFFSET - VARIANCE));
-    vec2 rates_px = vec2(dot(chord, along)) + 8.0 * OFFSET * dot(ahead, along) * vec2(1.0, -1.0);
-    vec2 variances_px2 = sigma_px * sigma_px + VARIANCE * rates_px * rates_px;
-    vec2 reduction_per_px2 = (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2);
+    vec2 relative;
+    path.shape = vec4(widening_per_px(chord + RATE_CHANGE * ahead, sigma_px, relative.x),
+                      widening_per_px(chord - RATE_CHANGE * ahead, sigma_px, relative.y));
     vec2 extent_px = abs(chord);
     float margin_px = radius_px + SNAPPING_PX, side_px = 2.0 * (margin_px + OFFSET * max(extent_px.x, extent_px.y));
     float drawn_fraction = fraction_in_square(side_px, extent_px);
-    vec2 amplitudes_dn = 0.5 * peak_dn / drawn_fraction * sigma_px * inversesqrt(variances_px2);
+    vec2 amplitudes_dn = 0.5 * peak_dn / drawn_fraction * relative;
     path.amplitude_dn = peak_dn / drawn_fraction;
     path.chord = vec4(mean - OFFSET * chord, mean + OFFSET * chord);
-    path.shape = vec4(along, reduction_per_px2);
     path.flux = vec4(amplitudes_dn, margin_px, SHORT);
 }
 
@@ -189,7 +185,7 @@ void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_durati
         return;
     }
     path.chord = is_short ? vec4(path.start_px, chord) : path.chord;
-    path.shape = is_short ? vec4(ahead, path.shape.xy) : path.shape;
+    path.shape = is_short ? vec4(ahead, 0.0, 0.0) : path.shape;
     path.flux = vec4(is_short ? vec3(path.amplitude_dn, 0.0, path.flux.z) : path.flux.xyz, path.flux.w + PARTLY_OPEN);
 }
 #endif

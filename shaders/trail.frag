@@ -22,7 +22,9 @@ flat in vec4 owned;               // an axis (x, y), and the range along it whos
 
 out float light_dn;
 
-const float TWO_SIGMA = 1.6986436005760382;     // in half widths: 2 / sqrt(2 ln 2)
+// (1.6 sigma)^2 in squares of half widths, 1.6^2 / (2 ln 2): 0.5 (sqrt(t^2 + FALLOFF) - t) is about the mean of a Gaussian
+// that is cut off at t (at its centre 0.80 sigma).
+const float FALLOFF = 1.8466496523378731;
 const float SQRT_LN_2 = 0.8325546111576977;
 const float INV_SQRT_PI_LN_2 = 0.6776658635;    // 1 / sqrt(pi ln 2)
 const float HALF_LOG2_E = 0.7213475204444817;   // 1 / (2 ln 2): the variance of exp2(-x^2)
@@ -45,16 +47,19 @@ vec2 erf(vec2 x, vec2 gaussian) {
 float flux_at(vec2 position) {
     float length = shape.x, per_length = shape.y, curvature = shape.z, asymmetry = shape.w;
     float flux_slope = flux.x, flux_curvature = flux.y;
-    // The curve continues for two sigma beyond both ends, where it meets the adjacent segments; then it is straight.
-    float s = position.x, on_curve = clamp(s, -TWO_SIGMA, length + TWO_SIGMA);
+    // The curve is expanded to second order at about the mean position, weighted by the point spread function, of the part
+    // between the limits.  Beyond an end that is within the curve, where slope and bend are those of the part that lights
+    // the pixel.
+    vec2 to_limits = vec2(position.x - limits.x, limits.y - position.x), roots = sqrt(to_limits * to_limits + FALLOFF);
+    float on_curve = 0.5 * (limits.x + limits.y + roots.x - roots.y);
     float elapsed = on_curve * per_length, m = 2.0 * elapsed - 1.0, remaining = 1.0 - elapsed;
     float slope = asymmetry * (6.0 * elapsed * remaining - 1.0) - curvature * m;
-    float distance = position.y - on_curve * remaining * (curvature + asymmetry * m) - slope * (s - on_curve);
+    vec2 off = vec2(on_curve - position.x, position.y - on_curve * remaining * (curvature + asymmetry * m));
     // Where the path is inclined to the chord, and on the outside of its bend, less of it is nearby; and it is closer
     // than p says.
-    float sharpness = max(1.0 + slope * slope
-        + 2.0 * per_length * (curvature + 3.0 * asymmetry * m) * distance, 0.25);
-    float narrowing = inversesqrt(sharpness), shift = slope * distance / sharpness, nearest = s + shift;
+    float sharpness = max(1.0 + slope * slope + 2.0 * per_length * (curvature + 3.0 * asymmetry * m) * off.y, 0.25);
+    float narrowing = inversesqrt(sharpness), inclined = slope * off.y - off.x, shift = inclined / sharpness;
+    float nearest = on_curve + shift;
     vec2 x = vec2(nearest - limits.x, limits.y - nearest) / narrowing;
     vec2 ends = exp2(-x * x), integrals = erf(x, ends);
     // Flux per length as a quadratic function around there, and the integral of each of its powers over a Gaussian
@@ -66,7 +71,7 @@ float flux_at(vec2 position) {
     float between = integrals.x + integrals.y;
     vec3 moments = vec3(between, INV_SQRT_PI_LN_2 * (ends.x - ends.y),
                         HALF_LOG2_E * between - INV_SQRT_PI_LN_2 * dot(x, ends));
-    return exp2(distance * (slope * shift - distance)) * dot(powers, moments) * narrowing;
+    return exp2(inclined * shift - dot(off, off)) * dot(powers, moments) * narrowing;
 }
 
 void main() {

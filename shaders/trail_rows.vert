@@ -15,7 +15,7 @@ uniform float half_width_px;      // half width at half maximum of the point spr
 flat out vec2 clock;
 #if SHAPE == 0
 flat out vec4 path_px;
-flat out vec4 bend;
+flat out vec2 ahead_px;
 flat out float amplitude_dn;
 #else
 flat out vec4 axes;
@@ -37,7 +37,7 @@ void main() {
 
 #if SHAPE == 0
     path_px = vec4(chord.xy + 0.5, chord.zw);
-    bend = path;
+    ahead_px = path.xy;
     amplitude_dn = profile.x;
     vec2 end_px = chord.xy + chord.zw, middle_px = chord.xy + 0.5 * chord.zw + path.xy;
     vec2 low_px = min(min(chord.xy, end_px), middle_px), high_px = max(max(chord.xy, end_px), middle_px);

@@ -1,11 +1,11 @@
 #version 330 core
 
-// Trail pass: flux of a SHORT segment at one pixel, as two Gaussians, each slightly elongated along the path.  They have
+// Trail pass: flux of a SHORT segment at one pixel, as two Gaussians, each slightly widened along the path.  They have
 // the moments of flux that is spread over the path (star_path.frag).
 
 #if ROWS
 flat in vec4 path_px;             // start, in the coordinates of gl_FragCoord, and chord
-flat in vec4 bend;                // distance of the middle from that of the chord, px; unit vector along the path
+flat in vec2 ahead_px;            // distance of the middle from that of the chord
 flat in float amplitude_dn;       // of a Gaussian that does not move during the segment
 flat in vec2 clock;               // of readout.glsl
 
@@ -15,7 +15,7 @@ vec4 centres_px, shape;
 vec2 amplitudes_dn;
 #else
 flat in vec4 centres_px;          // of both Gaussians, in the coordinates of gl_FragCoord
-flat in vec4 shape;               // unit vector along the path; reduction of the falloff along it, 1/px^2, for exp2
+flat in vec4 shape;               // vectors along which they are widened, 1/px: two_gaussians.glsl
 flat in vec2 amplitudes_dn;
 #endif
 
@@ -30,23 +30,24 @@ out float light_dn;
 
 // The two Gaussians of the part of the path that the row of a pixel records: as `two_gaussians` of star_path.frag.
 void set_gaussians() {
-    vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock), start_px = path_px.xy, chord = path_px.zw, ahead = bend.xy;
+    vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock), start_px = path_px.xy, chord = path_px.zw;
     float part = elapsed.y - elapsed.x, middle = 0.5 * (elapsed.x + elapsed.y);
     vec2 times = middle + OFFSET * part * vec2(-1.0, 1.0);
     vec2 off_chord = 4.0 * times * (1.0 - times) - 4.0 * VARIANCE * part * part;
-    centres_px = start_px.xyxy + times.xxyy * chord.xyxy + off_chord.xxyy * ahead.xyxy;
-    vec2 rates_px = part * (dot(chord, bend.zw) + 4.0 * (1.0 - 2.0 * times) * dot(ahead, bend.zw));
-    vec2 variances_px2 = sigma_px * sigma_px + VARIANCE * rates_px * rates_px;
-    shape = vec4(bend.zw, (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2));
-    amplitudes_dn = 0.5 * part * amplitude_dn * sigma_px * inversesqrt(variances_px2);
+    centres_px = start_px.xyxy + times.xxyy * chord.xyxy + off_chord.xxyy * ahead_px.xyxy;
+    vec2 chord_of_part = part * (chord + (4.0 - 8.0 * middle) * ahead_px), change = RATE_CHANGE * part * part * ahead_px;
+    vec2 relative;
+    shape = vec4(widening_per_px(chord_of_part + change, sigma_px, relative.x),
+                 widening_per_px(chord_of_part - change, sigma_px, relative.y));
+    amplitudes_dn = 0.5 * part * amplitude_dn * relative;
 }
 #endif
 
 float flux_at(vec2 position_px) {
     vec4 offsets_px = position_px.xyxy - centres_px;
     vec4 squares_px2 = offsets_px * offsets_px;
-    vec2 s = shape.x * offsets_px.xz + shape.y * offsets_px.yw;
-    vec2 gaussians = exp2(shape.zw * s * s - falloff_per_px2 * (squares_px2.xz + squares_px2.yw));
+    vec2 s = shape.xz * offsets_px.xz + shape.yw * offsets_px.yw;
+    vec2 gaussians = exp2(s * s - falloff_per_px2 * (squares_px2.xz + squares_px2.yw));
     return dot(amplitudes_dn, gaussians);
 }
 

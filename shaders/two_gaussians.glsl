@@ -3,4 +3,16 @@
 // Two Gaussians at the times 1/2 -+ OFFSET of a uniform motion of duration 1, each as wide as a motion over a time with
 // variance VARIANCE, have its moments up to the seventh order.
 const float OFFSET = 0.2540669, VARIANCE = 0.0187834;
+// Of a motion whose speed or direction changes evenly, position u chord + 4 u (1 - u) ahead, each Gaussian is widened along
+// chord +- RATE_CHANGE ahead: then the third moments are those of the motion too, to first order of ahead.  RATE_CHANGE is
+// (12 / 180) / (6 OFFSET VARIANCE); the change of the rate itself would be 8 OFFSET = 2.03.
+const float RATE_CHANGE = 2.3282816;
 const float LN_2 = 0.6931471805599453;
+
+// A vector whose product with the distance from the centre, squared, is the exponent (of 2) by which a Gaussian of standard
+// deviation sigma_px is widened along a motion, 1/px.  relative: its peak divided by that of the Gaussian at rest.
+vec2 widening_per_px(vec2 rate_px, float sigma_px, out float relative) {
+    float variance_px2 = sigma_px * sigma_px + VARIANCE * dot(rate_px, rate_px);
+    relative = sigma_px * inversesqrt(variance_px2);
+    return rate_px * (sqrt(0.5 * VARIANCE / LN_2) * inversesqrt(variance_px2) / sigma_px);
+}

@@ -112,6 +112,9 @@ TOLERANCES: Final = Tolerances()
 # or too late is 0.2 % of its peak off at sigma 1 px.
 ROLLING_POSITION_PX: Final = 0.005
 SHAPE_LIMITS: Final = ShapeLimits()
+# Variance of two Gaussians due to an even change of the motion, in squares of `ahead` of two_gaussians.glsl: VARIANCE
+# RATE_CHANGE^2 there.
+_CHANGE_VARIANCE: Final = 0.0187834 * 2.3282816**2
 REFINEMENT: Final = Refinement()
 
 
@@ -361,13 +364,16 @@ def _two_gaussians_error(s: Float, p: Float, length: Float, sigma_px: float) -> 
     sigma_px : float
     """
     half = len(s) // 2
-    ahead = s[half] - length / 2
-    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * p[half] / 3
+    ahead, aside = s[half] - length / 2, p[half]
+    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * aside / 3
     off_s2, off_p2 = off_s * off_s, off_p * off_p
     powers = np.stack([off_s, off_p, off_s2, off_p2, off_s * off_p]).reshape(5, len(s), -1)
     mean_s, mean_p, var_s, var_p, covariance = (_simpson_weights(len(s)) @ powers).reshape(5, *length.shape)
-    var_s_error = np.abs(var_s - (length * length / 12 + 4 * ahead * ahead / 45))
-    second_order = (var_s_error + var_p + np.abs(covariance)) / (2 * sigma_px**2)
+    # The covariance of both Gaussians: of a motion with an even change it would be 4 / 45 (two_gaussians.glsl).
+    var_s_error = np.abs(var_s - (length * length / 12 + _CHANGE_VARIANCE * ahead * ahead))
+    var_p_error = np.abs(var_p - _CHANGE_VARIANCE * aside * aside)
+    covariance_error = np.abs(covariance - _CHANGE_VARIANCE * ahead * aside)
+    second_order = (var_s_error + var_p_error + covariance_error) / (2 * sigma_px**2)
     extent2 = (off_s2 + off_p2).max(axis=0) / sigma_px**2
     return np.asarray(0.61 / sigma_px * np.hypot(mean_s, mean_p) + second_order + 4e-4 * extent2 * extent2 * extent2)
 

@@ -19,6 +19,13 @@ def test_no_pixel_of_a_random_trail_is_half_a_percent_of_the_local_maximum_off(r
     assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
 
 
+# Trails that `poe search-random-trails` has found: short segments that bend or accelerate.
+@pytest.mark.parametrize("seed", [395, 839, 2243, 3287, 10000, 10407])
+def test_a_short_bent_segment_adds_no_light_beyond_its_ends(renderer, seed):
+    """The curve must not be continued beyond an end: that was up to 0.9 % of the local maximum here."""
+    assert worst_pixel(renderer, random_trial(seed))[0] <= TOLERANCE
+
+
 def test_softpipe_draws_random_trails_as_precisely():
     done = subprocess.run(
         [sys.executable, "-m", "tests.scripts.random_trails", "--trials", "9", "--seed", "60"],

@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import norm
 
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2
+from glstar.render import segmentation
 from glstar.render.opengl import distortionpass, trailpass
 from glstar.sky import horizon
 from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
@@ -87,6 +88,15 @@ def test_two_gaussians_have_the_moments_of_a_short_even_trail() -> None:
     assert a2**2 + 6 * a2 * own + 3 * own**2 == pytest.approx(1 / 80, rel=1e-5)
 
 
+def test_two_gaussians_have_the_asymmetry_of_a_short_trail_of_changing_speed() -> None:
+    """The third moment of u + 4 u (1 - u) ahead to first order of ahead: -12 (1 / 80 - 1 / 144)."""
+    gaussians = constants("two_gaussians.glsl")
+    offset, own, change = (gaussians[name] for name in ("OFFSET", "VARIANCE", "RATE_CHANGE"))
+
+    assert -6 * offset * own * change == pytest.approx(-12 * (1 / 80 - 1 / 144), rel=1e-5)
+    assert pytest.approx(own * change**2, rel=1e-12) == segmentation._CHANGE_VARIANCE
+
+
 def test_a_spline_widens_stars_by_as_much_as_they_are_drawn_narrower() -> None:
     (coefficients,) = re.findall(r"CURVATURE_PX2 = vec2\(([\d.]+), ([\d.]+)\)", shader("warp.frag"))
     always, between = map(float, coefficients)
@@ -104,7 +114,7 @@ def test_a_spline_widens_stars_by_as_much_as_they_are_drawn_narrower() -> None:
         ("noise.glsl", "HALF_PI", math.pi / 2),
         ("noise.glsl", "MINUS_2_LN_2", -2 * math.log(2)),
         ("star_erf.frag", "HALF_PI", math.pi / 2),
-        ("trail.frag", "TWO_SIGMA", 2 / math.sqrt(2 * math.log(2))),
+        ("trail.frag", "FALLOFF", 1.6**2 / (2 * math.log(2))),
         ("trail.frag", "SQRT_LN_2", math.sqrt(math.log(2))),
         ("trail.frag", "INV_SQRT_PI_LN_2", 1 / math.sqrt(math.pi * math.log(2))),
         ("trail.frag", "HALF_LOG2_E", 1 / (2 * math.log(2))),
