@@ -4,7 +4,6 @@ import json
 import os
 import platform
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any, Final
 
 import typer
@@ -14,24 +13,10 @@ from rich.table import Table
 from glstar import __version__
 from glstar.errors import GlstarError
 from glstar.sky.catalogue import StarCatalogue
-from glstar.system.installation import missing_library
+from glstar.system.installation import library_versions, missing_library
 
 __all__ = ["doctor", "machine_lines"]
 
-_LIBRARIES: Final = (
-    "moderngl",
-    "glcontext",
-    "numpy",
-    "glfw",
-    "imgui-bundle",
-    "opencv-contrib-python-headless",
-    "pyerfa",
-    "pymavlink",
-    "pydantic",
-    "typer",
-    "rich",
-    "tifffile",
-)
 # Names of Mesa's software renderers.
 _SOFTWARE: Final = ("llvmpipe", "softpipe", "swrast", "software")
 
@@ -42,7 +27,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
     Exits with 1 if glstar cannot render.
     """
     opengl, devices, amiss = _opengl()
-    libraries = {name: _version(name) for name in _LIBRARIES}
+    libraries = library_versions()
     amiss += [missing_library(name) for name, found in libraries.items() if not found]
     facts = {
         "glstar": __version__,
@@ -107,13 +92,6 @@ def _opengl() -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
         remedy = f"try GLSTAR_DEVICE={others[0]}" if others else "no device with a GPU answers; see its driver"
         amiss.append(f"{opengl['renderer']} draws in software: right, but 10 to 100 times slower than a GPU; {remedy}")
     return opengl, devices, amiss
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 def _catalogue(name: str) -> str:

@@ -4,18 +4,50 @@ import json
 import platform
 import shlex
 import sys
-from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 import glstar
 
-__all__ = ["install_command", "missing_library"]
+__all__ = ["install_command", "library_versions", "missing_library"]
 
+# Libraries whose versions matter in a report of a problem.
+_LIBRARIES: Final = (
+    "moderngl",
+    "glcontext",
+    "numpy",
+    "glfw",
+    "imgui-bundle",
+    "opencv-contrib-python-headless",
+    "pyerfa",
+    "pymavlink",
+    "pydantic",
+    "typer",
+    "rich",
+    "tifffile",
+)
 # Packages of the window without a wheel for macOS before this version.
 _MACOS_14 = {"imgui-bundle"}
+
+
+def library_versions() -> dict[str, str | None]:
+    """Return the versions of the libraries that glstar needs.
+
+    Returns
+    -------
+    dict of str to (str or None)
+        By the library's name; None if it is not installed.
+    """
+    found: dict[str, str | None] = {}
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = None
+    return found
 
 
 def install_command(extra: str = "") -> str:

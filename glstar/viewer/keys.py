@@ -78,6 +78,7 @@ class Action(StrEnum):
     SMALLER_TEXT = "smaller text"
     HELP = "help"
     MANUAL = "manual"
+    REPORT = "report"
 
 
 # An overlay as an action shows it, or hides it if it is shown.
@@ -177,6 +178,7 @@ KEYS: Final = (
     KeyBinding(Action.PALETTE, "Help", "Search all commands", ("Ctrl+P",)),
     KeyBinding(Action.HELP, "Help", "These keys", ("F1", "Shift+/")),
     KeyBinding(Action.MANUAL, "Help", "Manual", ("Shift+F1",)),
+    KeyBinding(Action.REPORT, "Help", "Report a problem: versions, flight and settings to the clipboard"),
 )
 
 

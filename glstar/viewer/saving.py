@@ -28,6 +28,7 @@ __all__ = [
     "save_range",
     "save_settings",
     "unused_path",
+    "write_text",
 ]
 
 # Frame rate of a video that is recorded while the viewer is used, 1/s.
@@ -126,7 +127,7 @@ def _write_inputs_and_prepare(
     new = [file for file in inputs if not file.exists()]
     try:
         for file, content in inputs.items():
-            _write_text(file, content)
+            write_text(file, content)
         loaded = None if is_live else flight
         chosen = ExportOptions(seed=seed, **options)
         return prepare_export(Config.load(settings), log, directory, chosen, flight=loaded, only=only)
@@ -146,7 +147,7 @@ def save_settings(session: Session, path: Path) -> None:
     path : Path
     """
     try:
-        _write_text(path, session.config.to_toml())
+        write_text(path, session.config.to_toml())
     except GlstarError as error:
         session.notify(str(error), is_error=True)
     else:
@@ -242,7 +243,19 @@ def unused_path(path: Path) -> Path:
     return chosen
 
 
-def _write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, complete or not at all; its folder is made.
+
+    Parameters
+    ----------
+    path : Path
+    text : str
+
+    Raises
+    ------
+    ExportError
+        If it cannot be written.
+    """
     with explain_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
+from glstar import __version__
+from glstar.config import Config
 from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.keys import KEYS, Action, key_of
 from glstar.viewer.loop import Viewer
@@ -16,6 +18,7 @@ from glstar.viewer.playhead import Mode
 from glstar.viewer.ui.interface import Interface
 from glstar.viewer.ui.keyboard import parse_chord
 from glstar.viewer.window import text_scale
+from tests.scripts.monkey import WINDOW_PX, Monkey, viewer_of
 from tests.support.windowinput import HELD_KEYS, press, screen
 from tests.viewer.conftest import write_flight
 
@@ -292,6 +295,33 @@ def test_memory_is_flat_while_flights_play_and_are_opened_in_turn(viewer, tmp_pa
         tracemalloc.stop()
     # A log of 300 samples, its plots and its stars are 2 MB: a leak of one in each of three rounds would be 18 MB.
     assert last - first < 2e6
+
+
+def test_random_use_raises_no_error(tmp_path):
+    surface = HeadlessSurface(WINDOW_PX)
+    with viewer_of(surface, tmp_path) as viewer:
+        monkey = Monkey(viewer, tmp_path, seed=11)
+        for _ in range(80):
+            monkey.act()
+    surface.close()
+    assert monkey.reported > 0
+    assert monkey.done["press"] > 20
+
+
+def test_a_problem_report_has_versions_flight_messages_and_settings(viewer, tmp_path):
+    session = viewer.session
+    session.change(**{"exposure.duration_s": 0.75})
+    session.notify("something went wrong", is_error=True)
+    viewer.interface.perform(Action.REPORT)
+    report = imgui.get_clipboard_text()
+    assert report == (session.output / "problem-report.md").read_text(encoding="utf-8")
+    assert f"| glstar | {__version__} |" in report
+    assert viewer._surface.context.info["GL_RENDERER"] in report
+    assert f"| flight | {session.flight.attitude_source}, 12.0 s, 301 attitudes |" in report
+    assert "| message | something went wrong |" in report
+    settings = tmp_path / "settings.toml"
+    settings.write_text(report.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+    assert Config.load(settings).exposure.duration_s == 0.75
 
 
 def front_tabs(viewer) -> set[str]:

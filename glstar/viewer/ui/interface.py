@@ -18,6 +18,7 @@ from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.notifications import Notification
 from glstar.viewer.pictures import PictureAction
 from glstar.viewer.playhead import PlayHead
+from glstar.viewer.problemreport import save_problem_report
 from glstar.viewer.saving import save_comparison, save_settings, unused_path
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
@@ -280,6 +281,8 @@ class Interface:
                 self._lays_out = True
             case Action.HELP:
                 self._help = not self._help
+            case Action.REPORT:
+                imgui.set_clipboard_text(save_problem_report(session))
             case Action.MANUAL:
                 self._manual.is_open = not self._manual.is_open
 
