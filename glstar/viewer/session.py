@@ -40,6 +40,9 @@ _STARTS_PER_S: Final = 1e6
 # Star directions of a live flight are computed again after this time, s: they change by 0.03" an hour.
 _STARS_S: Final = 3600.0
 
+# Suffixes of files that describe a camera and its lens.
+_CAMERA_FILES: Final = (".yaml", ".yml", ".json")
+
 
 class Session:
     """The state of the viewer, and every change of it.
@@ -115,8 +118,7 @@ class Session:
         # Keys of the config that were given for the log shown; no other log is read with them.
         self._given: Mapping[str, Any] = {}
         # Whether the link's flight is shown or awaited; its epoch; and the time for which its stars were computed.
-        self._shows_link = False
-        self._epoch = 0
+        self._shows_link, self._epoch = False, 0
         self._stars_utc_s = 0.0
         self._latest: LatestAttitude | None = None
 
@@ -256,13 +258,13 @@ class Session:
         """Whether the next frame may differ from this one without any event."""
         playing = self.head is not None and self.head.playing and self.stale_s is None
         blinking = self.comparison.active and self.comparison.mode is ComparisonMode.BLINK
-        works = self.export is not None or self.video is not None
-        return playing or blinking or works or self.loader.is_busy or self.comparison.waiting
+        works = self.export is not None or self.video is not None or self.loader.is_busy
+        return playing or blinking or works or self.comparison.waiting
 
     # --- opening ---
 
     def open(self, path: Path) -> None:
-        """Open a log, settings (``.toml``), or a folder of real images.
+        """Open a log, settings (``.toml``), a camera (``.yaml``, ``.json``), or a folder of real images.
 
         Parameters
         ----------
@@ -272,6 +274,8 @@ class Session:
             self.comparison.open(path)
         elif path.suffix.lower() == ".toml":
             self.open_settings(path)
+        elif path.suffix.lower() in _CAMERA_FILES:
+            self.change(**{"camera.file": str(path.resolve())})
         else:
             self.open_flight(path)
 
@@ -396,11 +400,10 @@ class Session:
             config = Config.load(path)
             self._given = _still_given(before, config)
             self.use(config.override(**self._given) if self._given else config)
+            self.notify(f"settings of {path.name}")
         except GlstarError as error:
             self._given = before
             self.notify(str(error), is_error=True)
-        else:
-            self.notify(f"settings of {path.name}")
 
     def change(self, **keys: Any) -> None:
         """Change settings; a value that is not valid changes nothing and is reported.

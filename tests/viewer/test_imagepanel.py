@@ -9,6 +9,7 @@ import pytest
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
+from glstar.camera.camerafile import camera_to_yaml
 from glstar.viewer.comparisonview import ComparisonMode, compose
 from glstar.viewer.loop import Viewer
 from glstar.viewer.stretch import Stretch, StretchKind
@@ -115,3 +116,31 @@ def test_the_line_of_a_wipe_is_dragged_to_the_cursor(wiping: Viewer, column: int
     real = session.real[1].pixels
     picture = np.where(np.arange(WIDTH_PX) < column, session.image.pixels, real)
     check(wiping, compose(picture, None, ComparisonMode.OFF, stretch=session.stretch))
+
+
+def test_the_sides_of_a_comparison_are_labelled_unless_all_is_hidden(wiping: Viewer) -> None:
+    session = wiping.session
+    session.comparison.wipe = 0.5
+    hidden = window(wiping)
+    press(wiping, "H")
+    session.view.fit()
+    shown = window(wiping)
+    (left, top), (right, _) = session.view.to_screen([[0, 0], [WIDTH_PX - 1, 0]])
+    # The labels' backgrounds are the darkest pixels of a bright sky: one at the left of each side.
+    band = shown.sum(axis=-1)[int(top) + 45 : int(top) + 75]
+    dark = np.flatnonzero((band < 120).any(axis=0))
+    assert hidden.shape == shown.shape
+    assert (dark < (left + right) / 2).sum() > 20
+    assert (dark > (left + right) / 2).sum() > 10
+
+
+def test_a_dropped_camera_file_is_the_camera(viewer: Viewer, tmp_path) -> None:
+    camera = viewer.session.config.camera()
+    file = tmp_path / "lens.yaml"
+    file.write_text(camera_to_yaml(camera).replace("242.0", "300.0"), encoding="utf-8")
+    viewer.session.open(file)
+    assert viewer.session.config.camera().fx_px == 300.0
+    (tmp_path / "broken.yaml").write_text("image_width: many\n", encoding="utf-8")
+    viewer.session.open(tmp_path / "broken.yaml")
+    assert viewer.session.config.camera().fx_px == 300.0
+    assert any("broken.yaml" in each for each in viewer.session.notifications.errors)

@@ -16,6 +16,7 @@ from glstar.viewer.overlays import Overlay
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.starpick import star_at
+from glstar.viewer.ui.comparisonlabels import draw_comparison_labels
 from glstar.viewer.ui.overlaydrawing import draw_shapes
 from glstar.viewer.ui.pixelgrid import draw_pixel_grid
 from glstar.viewer.ui.theme import accent, error
@@ -80,12 +81,14 @@ class ImagePanel:
         (left, top, width, height), (x, y) = self._visible
         return self._display.read()[top - y : top - y + height, left - x : left - x + width]
 
-    def draw(self, session: Session) -> None:
+    def draw(self, session: Session, *, labelled: bool = True) -> None:
         """Draw the image, and zoom and pan with the mouse.
 
         Parameters
         ----------
         session : Session
+        labelled : bool
+            Whether the sides of a comparison have labels.
         """
         origin, available = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
         width, height = max(round(available.x), 1), max(round(available.y), 1)
@@ -109,6 +112,8 @@ class ImagePanel:
         _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
         self._draw_overlays(session, draw_list, corner, clip)
+        if labelled:
+            draw_comparison_labels(session, draw_list, corner, clip)
         _draw_selected(session, self._selection, draw_list, corner, clip)
         if session.view.pixel_grid:
             draw_pixel_grid(session, draw_list, corner, clip)

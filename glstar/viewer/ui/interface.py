@@ -445,7 +445,7 @@ class Interface:
         imgui.push_style_var(int(imgui.StyleVar_.window_border_size), 0.0)
         imgui.begin("##alone", None, _BARE)
         imgui.pop_style_var(2)
-        self._image.draw(self.session)
+        self._image.draw(self.session, labelled=False)
         imgui.end()
 
     def close(self) -> None:
