@@ -12,6 +12,7 @@ uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): for exp2
 
 out float light_dn;
 
+#include "mosaic.glsl"
 #include "sub_exposures.glsl"
 
 vec2 gaussians(vec4 centres_px) {
@@ -28,5 +29,5 @@ void main() {
 #else
     vec2 flux = gaussians(centres_01_px) + gaussians(centres_23_px);
 #endif
-    light_dn = peak_dn * (flux.x + flux.y);
+    light_dn = in_mosaic(peak_dn * (flux.x + flux.y));
 }

@@ -14,6 +14,10 @@ in vec3  direction_eq;            // geocentric apparent unit vector, true equat
 in float brightness;              // 10^(-0.4 V): flux relative to a star of magnitude 0
 in float truncation_radius_px;    // up to which the star's Gaussian is drawn
 in float transmission;            // of the air in the star's direction
+#if MOSAIC
+in vec4  tints_of_star;
+flat out vec4 tints;              // mosaic.glsl
+#endif
 
 #include "projection.glsl"
 #include "rasterization.glsl"
@@ -57,6 +61,9 @@ void main() {
     centres_01_px = vec4(centres_px[0], centres_px[1]);
     centres_23_px = vec4(centres_px[2], centres_px[3]);
     peak_dn = vmag_0_peak_dn * brightness * transmission;
+#if MOSAIC
+    tints = tints_of_star;
+#endif
 #if ROWS
     bool known = max(centres_px[0].x, centres_px[SUB_EXPOSURES_PER_SPRITE - 1].x) < FAR_PX;
     step_px = known ? (centres_px[SUB_EXPOSURES_PER_SPRITE - 1] - centres_px[0]) / float(SUB_EXPOSURES_PER_SPRITE - 1)

@@ -15,6 +15,7 @@ out float light_dn;
 const float HALF_PI = 1.5707963267948966;
 
 #include "erf.glsl"
+#include "mosaic.glsl"
 #include "sub_exposures.glsl"
 
 vec4 erf(vec4 x) {
@@ -37,5 +38,5 @@ void main() {
 #else
     vec2 flux = integrals(centres_01_px) + integrals(centres_23_px);
 #endif
-    light_dn = peak_dn * HALF_PI * psf_sigma_px * psf_sigma_px * (flux.x + flux.y);
+    light_dn = in_mosaic(peak_dn * HALF_PI * psf_sigma_px * psf_sigma_px * (flux.x + flux.y));
 }

@@ -31,6 +31,7 @@ const float HALF_LOG2_E = 0.7213475204444817;   // 1 / (2 ln 2): the variance of
 
 #include "erf.glsl"
 #include "pixel_kernel.glsl"
+#include "mosaic.glsl"
 #if ROWS
 #include "readout.glsl"
 #endif
@@ -80,12 +81,12 @@ void main() {
     // A path is drawn by one primitive, which owns all of its pixels.
     vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock);
     limits = shape.x * lengths_at(elapsed, flux.x, flux.y);
-    light_dn = elapsed.y > elapsed.x ? flux.z * max(flux_in_pixel(position, mat2(axes)), 0.0) : 0.0;
+    light_dn = in_mosaic(elapsed.y > elapsed.x ? flux.z * max(flux_in_pixel(position, mat2(axes)), 0.0) : 0.0);
 #else
     limits = vec2(0.0, shape.x);
     float along = dot(owned.xy, gl_FragCoord.xy);
     bool is_owned = along >= owned.z && along < owned.w && position.y >= across.x && position.y < across.y;
     float relative_flux = flux_in_pixel(position, mat2(axes));
-    light_dn = is_owned ? flux.z * max(relative_flux, 0.0) : 0.0;
+    light_dn = in_mosaic(is_owned ? flux.z * max(relative_flux, 0.0) : 0.0);
 #endif
 }

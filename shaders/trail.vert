@@ -36,8 +36,16 @@ const float GRID_PX = 1.0 / 256.0;  // corners of quads lie on this grid: what i
 #include "rasterization.glsl"
 #include "target.glsl"
 
+#if MOSAIC
+uniform sampler2D tints_of_stars; // by column
+flat out vec4 tints;              // mosaic.glsl
+#endif
+
 void main() {
     ivec2 texel = ivec2(segment);
+#if MOSAIC
+    tints = texelFetch(tints_of_stars, ivec2(texel.x, 0), 0);
+#endif
     vec4 chord = texelFetch(chords, texel, 0), path = texelFetch(shapes, texel, 0), profile = texelFetch(fluxes, texel, 0);
     bool is_drawn;
 

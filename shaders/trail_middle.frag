@@ -12,6 +12,7 @@ flat in vec4 owned;               // trail.frag
 out float light_dn;
 
 #include "pixel_kernel.glsl"
+#include "mosaic.glsl"
 
 float flux_at(vec2 position) {
     float s = position.x, distance = position.y - s * (shape.x + s * (shape.y + s * shape.z));
@@ -26,5 +27,5 @@ void main() {
     float along = dot(owned.xy, gl_FragCoord.xy);
     bool is_owned = along >= owned.z && along < owned.w;
     float flux_dn = flux_in_pixel(position, mat2(axes));
-    light_dn = is_owned ? flux_dn : 0.0;
+    light_dn = in_mosaic(is_owned ? flux_dn : 0.0);
 }

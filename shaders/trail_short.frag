@@ -24,6 +24,7 @@ uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): for exp2
 out float light_dn;
 
 #include "pixel_kernel.glsl"
+#include "mosaic.glsl"
 #if ROWS
 #include "readout.glsl"
 #include "two_gaussians.glsl"
@@ -55,5 +56,5 @@ void main() {
 #if ROWS
     set_gaussians();
 #endif
-    light_dn = flux_in_pixel(gl_FragCoord.xy, mat2(1.0));
+    light_dn = in_mosaic(flux_in_pixel(gl_FragCoord.xy, mat2(1.0)));
 }

@@ -9,6 +9,7 @@
 // between that and the pixel's own patch.  Thus one sample is the mean over a patch, and large patches take several.
 
 // PARTS_ACROSS, PARTS_DOWN: number of samples along the sides of a patch; 0 if `parts` holds it.
+// MOSAIC: 1 to draw the pixels of one colour only.
 
 uniform sampler2D light;          // DN per pixel of the undistorted signal
 uniform float oversampling;       // its pixels per pixel of the image, on the axis
@@ -17,6 +18,10 @@ uniform float pixel_px2;          // variance of a pixel along a side; 0 if it d
 const ivec2 parts = ivec2(PARTS_ACROSS, PARTS_DOWN);
 #else
 uniform ivec2 parts;
+#endif
+
+#if MOSAIC
+uniform vec4 is_drawn;            // 1 for pixels (even column, even row), (odd, even), (even, odd), (odd, odd); or 0
 #endif
 
 flat in vec3 centre_px;
@@ -86,6 +91,12 @@ float light_at(vec2 at_px, vec3 half_covariance_px2) {
 }
 
 void main() {
+#if MOSAIC
+    vec2 odd = 2.0 * fract(0.5 * (gl_FragCoord.xy - 0.5));
+    vec2 of_row = mix(is_drawn.xy, is_drawn.zw, odd.y);
+    if (mix(of_row.x, of_row.y, odd.x) < 0.5)
+        discard;
+#endif
     vec2 uv = (gl_FragCoord.xy - centre_px.xy) * centre_px.z;
     vec4 side_px = slopes_px(uv) * centre_px.z / vec4(parts.xx, parts.yy);
     vec3 squares_px2 = vec3(dot(side_px.xz, side_px.xz), dot(side_px.yw, side_px.yw), dot(side_px.xz, side_px.yw));

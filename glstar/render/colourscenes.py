@@ -1,6 +1,7 @@
-"""Stars in the band of a camera, and one scene for each colour of a mosaic."""
+"""Stars in the band of a camera, and in the colours of its mosaic."""
 
 from dataclasses import replace
+from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -9,11 +10,15 @@ from numpy.typing import NDArray
 from glstar.camera.colourband import Channel, ColourBand
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
-from glstar.sky.magnitudes import magnitude_difference
+from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
 from glstar.sky.starcolours import USUAL_BV, star_colours
 from glstar.sky.starfield import StarField
 
-__all__ = ["channel_scenes", "colours_used", "in_band"]
+__all__ = ["FIRST_CHANNEL", "cell_tints", "channel_scenes", "colours_used", "drawn_peak_dn", "in_band"]
+
+_CHANNELS: Final[tuple[Channel, ...]] = ("r", "g", "b")
+# The first of `channel_scenes`.
+FIRST_CHANNEL: Final = _CHANNELS[0]
 
 
 def colours_used(stars: StarField) -> NDArray[np.float64]:
@@ -68,6 +73,59 @@ def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -
     return stars.camera_mag + tint + magnitude_difference(colour.photons(channel))
 
 
+_TINTS: WeakKeyDictionary[StarField, dict[ColourBand, NDArray[np.float64]]] = WeakKeyDictionary()
+
+
+def _tints(stars: StarField, colour: ColourBand) -> NDArray[np.float64]:
+    """Return the flux of stars in the pixels of each channel over that in the mean of the mosaic's cells, (n, 3)."""
+    made = _TINTS.setdefault(stars, {})
+    if colour not in made:
+        magnitudes = np.stack([_magnitudes(stars, colour, channel) for channel in _CHANNELS], axis=-1)
+        made[colour] = brightness_ratio(magnitudes - stars.camera_mag[:, np.newaxis])
+    return made[colour]
+
+
+def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
+    """Return the flux of all stars in the pixels of a mosaic over that in the mean of its cells.
+
+    Parameters
+    ----------
+    scene : Scene
+    guard_band_px : int
+        Width of the target's border around the image.
+
+    Returns
+    -------
+    (n, 4) float32 or None
+        In pixels (even column, even row), (odd, even), (even, odd), (odd, odd) of the target; None without a mosaic.
+    """
+    colour = scene.sensor.colour
+    if colour.mosaic == "none":
+        return None
+    cells = [colour.channel_at(column - guard_band_px, row - guard_band_px) for row in (0, 1) for column in (0, 1)]
+    tints = _tints(scene.stars, colour)
+    return np.ascontiguousarray(tints[:, [_CHANNELS.index(channel) for channel in cells]], dtype=np.float32)
+
+
+def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
+    """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    (k,) float64
+        In the mean of all light without a mosaic.
+    """
+    draw_list, sensor = scene.draw_list, scene.sensor
+    peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
+    if sensor.colour.mosaic == "none":
+        return peak_dn
+    return np.asarray(peak_dn * _tints(scene.stars, sensor.colour).max(axis=1)[draw_list.index])
+
+
 def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
     """Return the scene as the pixels of each colour of a mosaic see it.
 
@@ -79,10 +137,9 @@ def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
     Returns
     -------
     dict of str to Scene
-        By channel.
+        By channel; their sensors have no mosaic.
     """
-    channels: tuple[Channel, ...] = ("r", "g", "b")
-    return {channel: _of_channel(scene, channel) for channel in channels}
+    return {channel: _of_channel(scene, channel) for channel in _CHANNELS}
 
 
 def _of_channel(scene: Scene, channel: Channel) -> Scene:
@@ -95,4 +152,11 @@ def _of_channel(scene: Scene, channel: Channel) -> Scene:
     bodies = scene.bodies
     if bodies is not None:
         bodies = replace(bodies, stars=in_band(bodies.stars, colour, channel))
-    return replace(scene, stars=stars, draw_list=replace(draw_list, truncation_radius_px=radius_px), bodies=bodies)
+    effects = {key: value for key, value in scene.sensor.effects.items() if key != "sensor.mosaic"}
+    return replace(
+        scene,
+        stars=stars,
+        sensor=replace(scene.sensor, effects=effects),
+        draw_list=replace(draw_list, truncation_radius_px=radius_px),
+        bodies=bodies,
+    )

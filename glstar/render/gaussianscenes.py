@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.pointspread import PsfComponent
 from glstar.camera.sensor import TRUNCATION_DN
+from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 
@@ -66,7 +67,7 @@ def _split(scene: Scene) -> list[Scene]:
     """Return scenes that add up to the stars of a scene."""
     psf = scene.sensor.point_spread
     if psf.is_gaussian:
-        return [scene]
+        return [scene if scene.sensor.colour.mosaic == "none" else _with_radii(scene)]
     scales = psf_scale(scene)
     made = []
     for scale in np.unique(scales).tolist():
@@ -78,9 +79,18 @@ def _split(scene: Scene) -> list[Scene]:
     return made
 
 
+def _with_radii(scene: Scene) -> Scene:
+    """Return a scene of plain Gaussians, each drawn as far as its brightest colour of the mosaic demands."""
+    draw_list, sensor = scene.draw_list, scene.sensor
+    analytic = isinstance(scene.trails, AnalyticSegments)
+    radius_px = sensor.truncation_radius_px(drawn_peak_dn(scene), draw_list.min_trail_px, renormalized=analytic)
+    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
+    return replace(scene, draw_list=replace(draw_list, truncation_radius_px=radius_px))
+
+
 def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     sensor, camera, draw_list = scene.sensor.of_component(component), scene.camera, scene.draw_list
-    peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
+    peak_dn = drawn_peak_dn(replace(scene, sensor=sensor))
     trail_px = draw_list.min_trail_px
     kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= _FAINTEST_DN
     analytic = isinstance(scene.trails, AnalyticSegments)

@@ -11,9 +11,9 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.render.colourscenes import in_band
+from glstar.render.colourscenes import colours_used, in_band
 from glstar.render.scene import Scene
-from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
 
 LENS = replace(camera(161, 121), lens=Lens("plumb_bob", (-0.1, 0.0, 0.0, 0.0, 0.0)))
 # Pixels of each colour: first row and column, with steps of two.
@@ -112,3 +112,21 @@ def test_contradicting_keys_of_colour_are_an_error(keys, named):
     with pytest.raises(ConfigError) as error:
         Config().override(**{f"sensor.{key}": value for key, value in keys.items()}).sensor()
     assert error.value.key == named
+
+
+@pytest.mark.parametrize("psf", [{}, {"psf_wing_fraction": 0.2}], ids=["plain", "wings"])
+@pytest.mark.parametrize("trail", ["analytic", "sprites"])
+def test_a_trail_in_a_mosaic_is_that_of_each_colour_in_its_own_pixels(renderer, trail, psf):
+    simulator = sky_over_adelaide(camera(96, 72), yaw_rate_rad_per_s=np.deg2rad(200))
+    simulator = with_stars_at(simulator, [(62.3, 30.6)], [1.0], NIGHT_UTC_S + 1.1)
+    mosaic = replace(simulator, sensor=sensor_with(band="imx477", mosaic="gbrg", **psf))
+    white = replace(simulator, sensor=sensor_with(band="imx477", **psf))
+    exposure = Exposure(NIGHT_UTC_S + 1, 0.25, 2000.0, trail=trail)
+    bv = float(colours_used(white.scene(exposure).stars)[0])
+    mean = 10 ** (-0.4 * (MEAN[0] * bv + MEAN[1] * bv * bv))
+    drawn, expected = (light(renderer, one.scene(exposure)) for one in (mosaic, white))
+    for at, channel in enumerate(CELLS["gbrg"]):
+        cells = slice(at // 2, None, 2), slice(at % 2, None, 2)
+        of_colour = ratio(bv, channel) / mean * expected[cells]
+        assert of_colour.max() > 0
+        assert np.abs(drawn[cells] - of_colour).max() < 2e-3 * of_colour.max()

@@ -18,13 +18,13 @@ SCENE = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
 def exposed(monkeypatch):
     """Return the scenes whose flux is summed."""
     scenes = []
-    expose = GLRenderer._expose_all_pixels
+    expose = GLRenderer._expose_all
 
     def recorded(self, scene, targets):
         scenes.append(scene)
         expose(self, scene, targets)
 
-    monkeypatch.setattr(GLRenderer, "_expose_all_pixels", recorded)
+    monkeypatch.setattr(GLRenderer, "_expose_all", recorded)
     return scenes
 
 

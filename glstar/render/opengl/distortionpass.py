@@ -7,8 +7,10 @@ from typing import Final, NamedTuple
 import moderngl
 import numpy as np
 
+from glstar.camera.colourband import Channel
 from glstar.camera.model import Camera
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
+from glstar.render.colourscenes import FIRST_CHANNEL
 from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.distortionpatches import LARGE_PATCH_PX, distortion_patches, max_pixel_sides_px
 from glstar.render.opengl.program import linked, set_uniforms
@@ -94,9 +96,9 @@ class DistortionPass:
         self.camera = camera
         self._patches, self._bounds_px = distortion_patches(camera)
         self.openings = LensOpenings(context, camera)
-        self._programs: dict[tuple[int, int], moderngl.Program] = {}
+        self._programs: dict[tuple[int, int, bool], moderngl.Program] = {}
         self._groups: list[_PatchGroup] = []
-        self._grouped_for: tuple[float, str] | None = None
+        self._grouped_for: tuple[float, str, bool] | None = None
         self._occupancy = linked(context, "develop.vert", "occupancy.frag", BLOCK_PX=_BLOCK_PX)
         self._all_blocks = context.vertex_array(self._occupancy, [])
         self._context = context
@@ -203,7 +205,7 @@ class DistortionPass:
             self._target = _UndistortedTarget(self._context, *key)
         return self._target
 
-    def resample(self, scene: Scene, light: moderngl.Framebuffer) -> None:
+    def resample(self, scene: Scene, light: moderngl.Framebuffer, *, channel: Channel | None = None) -> None:
         """Resample the undistorted signal into the pixels of an image.
 
         Parameters
@@ -212,9 +214,12 @@ class DistortionPass:
             The distorted one.
         light : moderngl.Framebuffer
             One float per pixel, of the image's size.
+        channel : {"r", "g", "b"} or None
+            Draw only its pixels of the scene's mosaic, and keep the others; None for all.
         """
         assert self._target is not None
-        self._group_for(scene.sensor)
+        colour = scene.sensor.colour
+        self._group_for(scene.sensor, has_mosaic=channel is not None)
         viewport_px = self.camera.width_px + LARGE_PATCH_PX, self.camera.height_px + LARGE_PATCH_PX
         self._set_uniforms(scene.sensor, viewport_px, self._target.guard_band_px)
         self._context.enable_only(moderngl.NOTHING)
@@ -224,13 +229,17 @@ class DistortionPass:
         self._all_blocks.render(moderngl.TRIANGLES, vertices=3)
         self._target.occupancy_texture.use(location=1)
         light.use()
-        light.clear()
+        if channel in (None, FIRST_CHANNEL):
+            light.clear()
         # A point whose centre lies outside the viewport is clipped entirely.
         light.viewport = (0, 0, *viewport_px)
         self._context.enable_only(moderngl.PROGRAM_POINT_SIZE)
         for group in self._groups:
             if group.parts not in _COMPILED_PARTS:
                 group.program["parts"] = group.parts
+            if channel is not None:
+                cells = tuple(float(colour.channel_at(x, y) == channel) for y in (0, 1) for x in (0, 1))
+                set_uniforms(group.program, is_drawn=cells)
             group.vertices.render(moderngl.POINTS, vertices=group.patches)
         self._context.enable_only(moderngl.NOTHING)
         light.viewport = (0, 0, *light.size)
@@ -251,9 +260,9 @@ class DistortionPass:
                 pixel_px2=_pixel_px2(sensor),
             )
 
-    def _group_for(self, sensor: Sensor) -> None:
+    def _group_for(self, sensor: Sensor, *, has_mosaic: bool) -> None:
         """Group the patches by the number of samples that their pixels take."""
-        key = (self.oversampling(sensor), sensor.pixel)
+        key = (self.oversampling(sensor), sensor.pixel, has_mosaic)
         if self._grouped_for == key:
             return
         self._drop_groups()
@@ -263,14 +272,15 @@ class DistortionPass:
             parts[:] = 1
         for across, down in np.unique(parts, axis=0).tolist():
             patches = self._patches[(parts == (across, down)).all(axis=1)]
-            program = self._program_for((across, down))
+            program = self._program_for((across, down), has_mosaic=has_mosaic)
             buffer = self._context.buffer(np.ascontiguousarray(patches))
             vertices = self._context.vertex_array(program, [(buffer, _PATCH_FORMAT, *_PATCH_NAMES)])
             self._groups.append(_PatchGroup((across, down), program, buffer, vertices, len(patches)))
         self._grouped_for = key
 
-    def _program_for(self, parts: tuple[int, int]) -> moderngl.Program:
-        across, down = compiled = parts if parts in _COMPILED_PARTS else (0, 0)
+    def _program_for(self, parts: tuple[int, int], *, has_mosaic: bool) -> moderngl.Program:
+        across, down = parts if parts in _COMPILED_PARTS else (0, 0)
+        compiled = across, down, has_mosaic
         if compiled not in self._programs:
             self._programs[compiled] = linked(
                 self._context,
@@ -278,6 +288,7 @@ class DistortionPass:
                 "warp.frag",
                 PARTS_ACROSS=across,
                 PARTS_DOWN=down,
+                MOSAIC=int(has_mosaic),
                 SPLINE_SUPPORT_PX=_SPLINE_SUPPORT_PX,
             )
         return self._programs[compiled]

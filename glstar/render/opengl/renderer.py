@@ -9,6 +9,7 @@ from typing import Self
 import moderngl
 import numpy as np
 
+from glstar.camera.colourband import Channel
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
@@ -18,7 +19,6 @@ from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
-from glstar.render.opengl.mosaicpass import MosaicPass
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
 from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubExposurePass
@@ -89,8 +89,6 @@ class GLRenderer:
         owned.callback(self._sub_exposure_pass.release)
         self._trail_pass = TrailPass(context)
         owned.callback(self._trail_pass.release)
-        self._mosaic_pass = MosaicPass(context)
-        owned.callback(self._mosaic_pass.release)
         self._develop_pass = DevelopPass(context, self._effects)
         owned.callback(self._develop_pass.release)
         self._readback = Readback(context)
@@ -248,7 +246,7 @@ class GLRenderer:
         with self._current:
             targets = self._targets_for(scene)
             if targets.scene is None or not _have_same_light(scene, targets.scene):
-                self._expose_mosaic(scene, targets)
+                self._expose_all(scene, targets)
             targets.scene, targets.seed = scene, None
             self._screen.use()
         return targets
@@ -326,25 +324,19 @@ class GLRenderer:
             raise RenderError("nothing has been developed yet")
         return targets
 
-    def _expose_mosaic(self, scene: Scene, targets: Targets) -> None:
+    def _expose_all(self, scene: Scene, targets: Targets) -> None:
         """Sum the flux of a scene; with a mosaic, of each colour in its pixels."""
-        colour = scene.sensor.colour
-        if colour.mosaic == "none":
-            self._expose_all_pixels(scene, targets)
-            return
-        for channel, in_channel in channel_scenes(scene).items():
-            self._expose_all_pixels(in_channel, targets)
-            self._mosaic_pass.keep(targets, colour, channel)
-        self._mosaic_pass.finish(targets)
-
-    def _expose_all_pixels(self, scene: Scene, targets: Targets) -> None:
         if scene.camera.lens is None:
             clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
             self._expose(gaussian_scenes(scene), targets, clock)
-        else:
+        elif scene.sensor.colour.mosaic == "none":
             self._expose_behind_lens(scene, targets)
+        else:
+            # A pixel behind a lens gathers light of several of the undistorted signal, which then have one colour.
+            for channel, in_channel in channel_scenes(scene).items():
+                self._expose_behind_lens(in_channel, targets, mosaic=(scene, channel))
 
-    def _expose_behind_lens(self, scene: Scene, targets: Targets) -> None:
+    def _expose_behind_lens(self, scene: Scene, targets: Targets, mosaic: tuple[Scene, Channel] | None = None) -> None:
         targets.scene = None  # until it is complete
         distortion_pass = self._distortion_pass_for(scene)
         undistorted = distortion_pass.undistorted(scene)
@@ -352,7 +344,8 @@ class GLRenderer:
         clock = distortion_pass.openings.clock(scene.exposure, undistorted.camera, guard_band_px)
         target = distortion_pass.target_for(undistorted, guard_band_px)
         self._expose(distortion_pass.undistorted_gaussians(scene), target, clock)
-        distortion_pass.resample(scene, targets.light)
+        whole, channel = mosaic or (scene, None)
+        distortion_pass.resample(whole, targets.light, channel=channel)
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete

@@ -1,5 +1,7 @@
 """A star field on the GPU, as vertices of the sub-exposure pass."""
 
+from typing import Any
+
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -49,22 +51,30 @@ class StarBuffers:
         self._of_scene = np.ones((len(stars), 2), np.float32)
         self._of_scene_buffer = context.buffer(self._of_scene, dynamic=True)
         self._index = context.buffer(reserve=4 * len(stars), dynamic=True)
+        # Colours in the cells of a mosaic.
+        self._tints: moderngl.Buffer | None = None
         self._vertices: dict[moderngl.Program, moderngl.VertexArray] = {}
 
-    def choose(self, draw_list: DrawList) -> None:
-        """Upload which stars the next image shows, and how far each is drawn."""
+    def choose(self, draw_list: DrawList, tints: NDArray[np.float32] | None = None) -> None:
+        """Upload which stars the next image shows, how far each is drawn, and the colours of all in a mosaic."""
         self._of_scene[draw_list.index, 0] = draw_list.truncation_radius_px
         self._of_scene[draw_list.index, 1] = draw_list.transmission
         self._of_scene_buffer.write(self._of_scene)
         self._index.write(np.ascontiguousarray(draw_list.index))
+        if tints is not None:
+            if self._tints is None:
+                self._tints = self._context.buffer(reserve=tints.nbytes, dynamic=True)
+            self._tints.write(tints)
 
     def vertices(self, program: moderngl.Program) -> moderngl.VertexArray:
         """Return the chosen stars as the vertices of a program."""
         if program not in self._vertices:
-            content = [
+            content: list[tuple[Any, ...]] = [
                 (self._stars, "3f 1f", "direction_eq", "brightness"),
                 (self._of_scene_buffer, "1f 1f", "truncation_radius_px", "transmission"),
             ]
+            if self._tints is not None and "tints_of_star" in program:
+                content.append((self._tints, "4f", "tints_of_star"))
             self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self._index)
         return self._vertices[program]
 
@@ -73,5 +83,6 @@ class StarBuffers:
         for vertices in self._vertices.values():
             vertices.release()
         self._vertices.clear()
-        for buffer in (self._index, self._of_scene_buffer, self._stars):
-            buffer.release()
+        for buffer in (self._index, self._of_scene_buffer, self._stars, self._tints):
+            if buffer is not None:
+                buffer.release()

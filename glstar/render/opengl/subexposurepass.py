@@ -6,6 +6,7 @@ from typing import Final
 import moderngl
 import numpy as np
 
+from glstar.render.colourscenes import cell_tints
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
@@ -46,23 +47,28 @@ class SubExposurePass:
         # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
         self._uploaded: list[StarBuffers] = []
         with ExitStack() as owned:
-            # By fragment shader and ROWS of readout.glsl.
-            self._programs: dict[tuple[str, int], moderngl.Program] = {}
+            # By fragment shader, ROWS of readout.glsl, and whether there is a mosaic.
+            self._programs: dict[tuple[str, int, bool], moderngl.Program] = {}
             owned.callback(self._release_programs)
             for fragments in ("star.frag", "star_erf.frag"):
-                self._linked(fragments, rows=0)
+                self._linked(fragments, rows=0, mosaic=False)
             self._pointing = context.texture((TEXELS_PER_TIME, _SUB_EXPOSURES_PER_CALL), 4, dtype="f4")
             owned.callback(self._pointing.release)
             self._pointing.filter = moderngl.NEAREST, moderngl.NEAREST
             owned.callback(self._drop_stars)
             self._owned = owned.pop_all()
 
-    def _linked(self, fragments: str, rows: int) -> moderngl.Program:
-        """Return the program of a fragment shader for one value of ROWS."""
-        key = fragments, rows
+    def _linked(self, fragments: str, rows: int, *, mosaic: bool) -> moderngl.Program:
+        """Return the program of a fragment shader for one value of ROWS, with or without a mosaic."""
+        key = fragments, rows, mosaic
         if key not in self._programs:
             self._programs[key] = linked(
-                self._context, "star.vert", fragments, SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE, ROWS=rows
+                self._context,
+                "star.vert",
+                fragments,
+                SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE,
+                ROWS=rows,
+                MOSAIC=int(mosaic),
             )
         return self._programs[key]
 
@@ -94,7 +100,7 @@ class SubExposurePass:
             When the pixels of the target open.
         """
         program = self._program_for(scene, trails, light, guard_band_px, clock)
-        vertices = self._stars_of(scene).vertices(program)
+        vertices = self._stars_of(scene, guard_band_px).vertices(program)
         self._pointing.use(location=0)
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
@@ -118,7 +124,8 @@ class SubExposurePass:
     ) -> moderngl.Program:
         """Return the program for the sensor's point spread function, with its uniforms set."""
         sensor, camera = scene.sensor, scene.camera
-        program = self._linked("star_erf.frag" if sensor.needs_erf else "star.frag", clock.rows)
+        fragments, has_mosaic = "star_erf.frag" if sensor.needs_erf else "star.frag", sensor.colour.mosaic != "none"
+        program = self._linked(fragments, clock.rows, mosaic=has_mosaic)
         vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span
         if not sensor.needs_erf:
             vmag_0_peak_dn *= sensor.effective_peak
@@ -143,7 +150,7 @@ class SubExposurePass:
             set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.effective_sigma_px**2))
         return program
 
-    def _stars_of(self, scene: Scene) -> StarBuffers:
+    def _stars_of(self, scene: Scene, guard_band_px: int) -> StarBuffers:
         known = [number for number, buffers in enumerate(self._uploaded) if buffers.stars is scene.stars]
         if known:
             self._uploaded.append(self._uploaded.pop(known[0]))
@@ -151,7 +158,7 @@ class SubExposurePass:
             if len(self._uploaded) == _MOST_FIELDS:
                 self._uploaded.pop(0).release()
             self._uploaded.append(StarBuffers(self._context, scene.stars))
-        self._uploaded[-1].choose(scene.draw_list)
+        self._uploaded[-1].choose(scene.draw_list, cell_tints(scene, guard_band_px))
         return self._uploaded[-1]
 
     def _drop_stars(self) -> None:

@@ -7,6 +7,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.colourscenes import cell_tints
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
@@ -68,6 +69,8 @@ _ROW_SHAPES: Final = (
 
 # Texture units at which trail.vert and trail_rows.vert read the outputs of star_path.frag.
 _PATH_TEXTURES: Final = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4, "openings_of_paths": 5}
+# Texture unit at which they read the colours of stars in a mosaic.
+_TINTS_UNIT: Final = 6
 
 # Limits of one draw call: stars and times are columns and rows of textures, which every driver supports up to 4096.
 _STARS_PER_CALL: Final = 4096
@@ -107,9 +110,10 @@ class TrailPass:
         # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
         self._uploaded: list[tuple[StarField, moderngl.Texture]] = []
         self._positions = _TextureTable(context, 1)
-        # By ROWS of readout.glsl, and draw passes also by whether the point spread function is narrow.
+        # By ROWS of readout.glsl, and draw passes also by whether the point spread function is narrow, and whether
+        # there is a mosaic.
         self._path_tables: dict[int, _PathTable] = {}
-        self._draw_passes: dict[tuple[bool, int], list[_DrawPass]] = {}
+        self._draw_passes: dict[tuple[bool, bool, int], list[_DrawPass]] = {}
         try:
             self._make()
         except BaseException:
@@ -128,10 +132,11 @@ class TrailPass:
         self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
         self._path_table(0)
         for narrow in (False, True):
-            self._draw_passes_of(narrow, rows=0)
+            self._draw_passes_of(narrow, mosaic=False, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
         self._chosen = self._texture((_STARS_PER_CALL, 1), 3)
+        self._tints = self._texture((_STARS_PER_CALL, 1), 4)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._positions.release)
 
@@ -160,7 +165,7 @@ class TrailPass:
         paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
         self._upload(scene.stars)
         texels = _segment_texels(trails)
-        drawn = scene.draw_list
+        drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
         chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
@@ -168,6 +173,9 @@ class TrailPass:
             self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
             for begin in range(0, len(chosen), _STARS_PER_CALL):
                 stars = slice(begin, begin + _STARS_PER_CALL)
+                if tints is not None:
+                    of_columns = tints[drawn.index[stars]]
+                    self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
                 self._draw(paths, draw_passes, chosen[stars], _near_image(scene, trails, times, stars), light)
 
     def _with_uniforms(
@@ -207,7 +215,7 @@ class TrailPass:
             "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
             "sigma_px": sigma_px,
         }
-        draw_passes = self._draw_passes_of(narrow, clock.rows)
+        draw_passes = self._draw_passes_of(narrow, sensor.colour.mosaic != "none", clock.rows)
         for program, *_ in draw_passes:
             set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
             clock.bind(program)
@@ -233,6 +241,7 @@ class TrailPass:
         paths = path_table.textures.filled(path_table.vertex_array, len(chosen), segments + 1)
         for location, texture in enumerate(paths):
             texture.use(location)
+        self._tints.use(location=_TINTS_UNIT)
         light.use()
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
@@ -265,20 +274,23 @@ class TrailPass:
             self._path_tables[rows] = _PathTable(program, vertex_array, textures)
         return self._path_tables[rows]
 
-    def _draw_passes_of(self, narrow: bool, rows: int) -> list[_DrawPass]:
-        """Return the draw passes for narrow or wide point spread functions and one value of ROWS."""
-        key = narrow, rows
+    def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int) -> list[_DrawPass]:
+        """Return the draw passes for narrow or wide point spread functions, with a mosaic, and one value of ROWS."""
+        key = narrow, mosaic, rows
         if key not in self._draw_passes:
             if rows:
-                own = [self._draw_pass(shape, narrow, rows) for shape in _ROW_SHAPES]
-                self._draw_passes[key] = [*self._draw_passes_of(narrow, 0), *own]
+                own = [self._draw_pass(shape, *key) for shape in _ROW_SHAPES]
+                self._draw_passes[key] = [*self._draw_passes_of(narrow, mosaic, 0), *own]
             else:
-                self._draw_passes[key] = [self._draw_pass(shape, narrow, 0) for shape in _SHAPES]
+                self._draw_passes[key] = [self._draw_pass(shape, *key) for shape in _SHAPES]
         return self._draw_passes[key]
 
-    def _draw_pass(self, shape: _Shape, narrow: bool, rows: int) -> _DrawPass:
-        program = self._own(linked(self._context, *shape.shaders, NARROW=int(narrow), SHAPE=shape.number, ROWS=rows))
-        set_uniforms(program, **{name: unit for name, unit in _PATH_TEXTURES.items() if name in program})
+    def _draw_pass(self, shape: _Shape, narrow: bool, mosaic: bool, rows: int) -> _DrawPass:
+        program = self._own(
+            linked(self._context, *shape.shaders, NARROW=int(narrow), SHAPE=shape.number, ROWS=rows, MOSAIC=int(mosaic))
+        )
+        units = _PATH_TEXTURES | {"tints_of_stars": _TINTS_UNIT}
+        set_uniforms(program, **{name: unit for name, unit in units.items() if name in program})
         corners = self._corners if shape.mode == moderngl.TRIANGLES else None
         content = [(self._drawn, shape.layout, "segment")]
         vertex_array = self._context.vertex_array(program, content, index_buffer=corners, index_element_size=4)
