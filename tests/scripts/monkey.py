@@ -50,7 +50,8 @@ class Monkey:
         self.viewer = viewer
         self.done: Counter[str] = Counter()
         self.reported = 0
-        self._random = np.random.default_rng(seed)
+        # How often a frame is drawn while a log is read is not the seed's: its times have a generator of their own.
+        self._random, self._times = np.random.default_rng(seed), np.random.default_rng(seed)
         self._good, self._broken = flights(folder), broken_logs(folder)
         self._at = (0.0, 0.0)
 
@@ -75,7 +76,7 @@ class Monkey:
     def _frame(self) -> None:
         interface = self.viewer.interface
         interface.wants_to_quit = False
-        self.viewer.frame(float(self._random.uniform(0.0, 0.1)))
+        self.viewer.frame(float(self._times.uniform(0.0, 0.1)))
 
     def _press(self) -> str:
         chord = str(self._random.choice(CHORDS))

@@ -301,7 +301,7 @@ def test_random_use_raises_no_error(tmp_path):
     surface = HeadlessSurface(WINDOW_PX)
     with viewer_of(surface, tmp_path) as viewer:
         monkey = Monkey(viewer, tmp_path, seed=11)
-        for _ in range(80):
+        for _ in range(60):
             monkey.act()
     surface.close()
     assert monkey.reported > 0

@@ -389,7 +389,7 @@ def test_another_bit_depth_shows_the_same_brightness(viewer, bits):
 
 
 def test_a_time_outside_the_flight_is_reported_in_a_notification_that_expires(viewer):
-    session, transport = viewer.session, viewer.interface._playback
+    session, transport = viewer.session, viewer.interface._panels._playback
     transport.error = "99 lies outside the flight"
     viewer.frame(0.0)
 

@@ -5,67 +5,37 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from imgui_bundle import ImVec2, imgui, implot
+from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
 from glstar.errors import GlstarError
 from glstar.render.opengl.objects import Context, Framebuffer
 from glstar.viewer.actions import is_on, perform
 from glstar.viewer.display import Display
-from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.keys import KEYS, MENUS, Action, AnyAction
-from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.notifications import Notification
 from glstar.viewer.pictures import PictureAction
-from glstar.viewer.playhead import PlayHead
 from glstar.viewer.problemreport import save_problem_report
-from glstar.viewer.saving import save_comparison, save_settings, unused_path
+from glstar.viewer.saving import save_settings, unused_path
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.settingshistory import SettingsHistory
 from glstar.viewer.ui.commandpalette import CommandPalette
-from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.connectdialog import ConnectDialog
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
-from glstar.viewer.ui.displaypanel import DisplayPanel
 from glstar.viewer.ui.filedialogs import FileChooser
 from glstar.viewer.ui.findwindow import FindWindow
-from glstar.viewer.ui.flightpanel import FlightPanel
 from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.keyboard import Keyboard
-from glstar.viewer.ui.linkpanel import draw_link
 from glstar.viewer.ui.manualwindow import ManualWindow
-from glstar.viewer.ui.objectpanel import draw_object
-from glstar.viewer.ui.settingspanel import draw_settings
+from glstar.viewer.ui.panels import OBJECT, Panels
 from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import apply_theme, load_font, resized_text
-from glstar.viewer.ui.timeline import PlaybackControls, Timeline
 from glstar.viewer.ui.videodialog import VideoDialog
 from glstar.viewer.ui.welcome import draw_welcome
 
 __all__ = ["Interface"]
 
-# Titles of the panels; imgui stores their layout by title.
-_IMAGE, _TIMELINE, _LINK, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Link", "Settings", "View", "Compare"
-_OBJECT, _FLIGHT = "Object", "Flight"
-
-_PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
-_BARE: Final = int(
-    imgui.WindowFlags_.no_decoration
-    | imgui.WindowFlags_.no_docking
-    | imgui.WindowFlags_.no_saved_settings
-    | imgui.WindowFlags_.no_move
-    | imgui.WindowFlags_.no_bring_to_front_on_focus
-)
-# Frames that imgui takes to dock a remembered layout.
-_DOCKING_FRAMES: Final = 3
-# The initial layout: the fractions of the window on the right and below, and the width and the height, px, that the
-# controls there need in a small window.
-_RIGHT_FRACTION: Final = 0.26
-_RIGHT_PX: Final = 300.0
-_BELOW_FRACTION: Final = 0.34
-_BELOW_PX: Final = 230.0
-_NOTHING: Final = (0.0, 0.0)
 _ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
 
@@ -131,23 +101,16 @@ class Interface:
         io.config_flags |= int(imgui.ConfigFlags_.docking_enable)
         io.set_ini_filename("" if layout is None else str(layout))
         io.config_windows_move_from_title_bar_only = True
-        self._lays_out = layout is None or not layout.exists()
-        # Number of frames in which the first panel of each dock is brought to the front.
-        self._fronts = _DOCKING_FRAMES
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
         self.selection = Selection()
         self._image = ImagePanel(self._display, self.selection)
-        self._playback = PlaybackControls()
-        self._timeline: Timeline | None = None
-        self._timeline_of: PlayHead | None = None
-        self._lines: FlightLines | None = None
-        self._compare = ComparisonPanel(session.comparison)
+        has_layout = layout is not None and layout.exists()
+        self._panels = Panels(session, self._image, self.selection, self.perform, has_layout=has_layout)
         self.files = FileChooser(native=native_dialogs)
         self.keyboard = Keyboard()
         self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
-        self._flight, self._display_settings = FlightPanel(), DisplayPanel()
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
         self._connect, self._palette = ConnectDialog(), CommandPalette()
@@ -162,7 +125,6 @@ class Interface:
         self._help = False
         self._hidden = False
         self._themed: bool | None = None
-        self._docked: set[str] = set()
 
     # --- a frame ---
 
@@ -187,15 +149,13 @@ class Interface:
         # Before the session's update, so that this frame shows the effect of a key.
         self.keyboard.poll(self.perform)
         session.update(elapsed_s)
-        if session.loaded is not None and session.loaded.lines is not self._lines:
-            self._show_on_timeline(session.loaded)
         self._image.has_readout = self.picture is None and session.video is None
         if self._hidden:
-            self._draw_image_alone()
+            self._panels.draw_image_alone()
         else:
             self._draw_menus()
             draw_status_bar(session)
-            self._draw_panels()
+            self._panels.draw()
             draw_welcome(session, self.recent, self.perform)
         self.drawn_notifications = draw_notifications(session)
         self.files.draw()
@@ -204,21 +164,13 @@ class Interface:
         self._missing.draw(session)
         self._manual.draw()
         if self._find.draw(session):
-            imgui.set_window_focus(_OBJECT)
+            self._panels.show(OBJECT)
         self._help = draw_help(self._help)
         self.wanted_link = self._connect.draw()
         if (action := self._palette.draw()) is not None:
             self.perform(action)
         self._history.observe(session.config, is_dragging=imgui.is_any_item_active())
         imgui.render()
-
-    def _show_on_timeline(self, loaded: LoadedFlight) -> None:
-        if loaded.head is not self._timeline_of or self._timeline is None:
-            self._timeline = Timeline(loaded.flight, loaded.lines, grows=loaded.head.grows)
-            self._timeline_of = loaded.head
-        else:
-            self._timeline.show(loaded.lines)
-        self._lines = loaded.lines
 
     def paint(self, target: Framebuffer, size: tuple[int, int]) -> None:
         """Draw the interface that `frame` built.
@@ -278,7 +230,7 @@ class Interface:
             case Action.LARGER_TEXT | Action.SMALLER_TEXT:
                 self.text_scale = resized_text(self.text_scale, 1 if action is Action.LARGER_TEXT else -1)
             case Action.RESET_LAYOUT:
-                self._lays_out = True
+                self._panels.reset_layout()
             case Action.HELP:
                 self._help = not self._help
             case Action.REPORT:
@@ -342,112 +294,6 @@ class Interface:
                 imgui.text_disabled(text)
         imgui.end_main_menu_bar()
 
-    # --- panels ---
-
-    def _draw_panels(self) -> None:
-        session = self.session
-        # Without a background of its own: the window has been cleared to its colour, and filling it a second time takes
-        # a tenth of a frame on software OpenGL.
-        imgui.push_style_color(int(imgui.Col_.window_bg), (0.0, 0.0, 0.0, 0.0))
-        dock = imgui.dock_space_over_viewport(flags=int(imgui.DockNodeFlags_.passthru_central_node))
-        imgui.pop_style_color()
-        if self._lays_out:
-            _lay_out(dock)
-            self._fronts = 1
-        self._draw_image_panel()
-        if self._begin(_TIMELINE, _PLAIN):
-            self._draw_time()
-        imgui.end()
-        if session.live is not None:
-            if self._begin(_LINK):
-                draw_link(session, session.live)
-            imgui.end()
-        if self._begin(_SETTINGS):
-            draw_settings(session)
-        imgui.end()
-        if self._begin(_DISPLAY):
-            self._display_settings.draw(session)
-            self._draw_overlay_switches()
-        imgui.end()
-        if self._begin(_COMPARE):
-            self._draw_comparison()
-        imgui.end()
-        if self._begin(_OBJECT):
-            draw_object(session, self.selection)
-        imgui.end()
-        if self._begin(_FLIGHT):
-            self._flight.draw(session)
-        imgui.end()
-        if self._fronts:
-            # Of the panels that share a place the first one is in front, also with a stored layout, in which another
-            # one may have been: that one may be empty now.
-            imgui.set_window_focus(_SETTINGS if session.live is None else _LINK)
-            self._fronts -= 1
-        self._lays_out = False
-
-    def _begin(self, name: str, flags: int = 0) -> bool:
-        """Begin a panel; a docked one needs no background, because the window has been cleared to its colour."""
-        if name in self._docked:
-            imgui.set_next_window_bg_alpha(0.0)
-        visible = imgui.begin(name, None, flags)[0]
-        (self._docked.add if imgui.is_window_docked() else self._docked.discard)(name)
-        return visible
-
-    def _draw_image_panel(self) -> None:
-        imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))
-        visible = imgui.begin(_IMAGE, None, _PLAIN | int(imgui.WindowFlags_.no_background))[0]
-        imgui.pop_style_var()
-        if visible:
-            self._image.draw(self.session)
-        imgui.end()
-
-    def _draw_time(self) -> None:
-        session = self.session
-        if session.head is None or self._timeline is None:
-            return
-        self._playback.draw(session.head)
-        if self._playback.error is not None:
-            session.notify(self._playback.error, is_error=True)
-            self._playback.error = None
-        self._timeline.draw(session.head, night=session.night)
-
-    def _draw_overlay_switches(self) -> None:
-        imgui.separator_text("Overlays")
-        for key in KEYS:
-            if key.menu == "Overlays":
-                changed, _ = imgui.checkbox(key.label, is_on(key.action, self.session))
-                imgui.set_item_tooltip(f"key {key.chords[0]}")
-                if changed:
-                    self.perform(key.action)
-
-    def _draw_comparison(self) -> None:
-        session = self.session
-        if session.head is None:
-            return
-        real = session.real
-        image = session.comparison.image_at(session.head.utc_s)
-        requests = self._compare.draw(
-            session.head.utc_s,
-            image,
-            real[1] if real is not None and real[0] is image else None,
-            status=session.status if image is not None else "",
-        )
-        if requests.seek_utc_s is not None:
-            session.head.seek(requests.seek_utc_s)
-        if requests.save_view:
-            save_comparison(session)
-
-    def _draw_image_alone(self) -> None:
-        viewport = imgui.get_main_viewport()
-        imgui.set_next_window_pos(viewport.pos)
-        imgui.set_next_window_size(viewport.size)
-        imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))
-        imgui.push_style_var(int(imgui.StyleVar_.window_border_size), 0.0)
-        imgui.begin("##alone", None, _BARE)
-        imgui.pop_style_var(2)
-        self._image.draw(self.session, labelled=False)
-        imgui.end()
-
     def close(self) -> None:
         """Release the interface's objects on the GPU and in imgui; the session stays the caller's."""
         self.files.close()
@@ -455,31 +301,3 @@ class Interface:
         imgui.backends.opengl3_shutdown()
         implot.destroy_context(self._implot)
         imgui.destroy_context(self._imgui)
-
-
-def _lay_out(dock: int) -> None:
-    """Dock the panels in the initial layout: the image, time below it, the other panels on the right."""
-    builder = imgui.internal
-    builder.dock_builder_remove_node(dock)
-    builder.dock_builder_add_node(dock, int(builder.DockNodeFlagsPrivate_.dock_space))
-    builder.dock_builder_set_node_size(dock, imgui.get_main_viewport().work_size)
-    size, scale = imgui.get_main_viewport().work_size, imgui.get_style().font_scale_dpi
-    across, down = (
-        min(max(fraction, needed_px * scale / px), 0.5)
-        for fraction, needed_px, px in ((_RIGHT_FRACTION, _RIGHT_PX, size.x), (_BELOW_FRACTION, _BELOW_PX, size.y))
-    )
-    right = builder.dock_builder_split_node(dock, imgui.Dir.right, across)
-    below = builder.dock_builder_split_node(right.id_at_opposite_dir, imgui.Dir.down, down)
-    panels = (
-        (_IMAGE, below.id_at_opposite_dir),
-        (_TIMELINE, below.id_at_dir),
-        (_LINK, right.id_at_dir),
-        (_SETTINGS, right.id_at_dir),
-        (_DISPLAY, right.id_at_dir),
-        (_COMPARE, right.id_at_dir),
-        (_OBJECT, right.id_at_dir),
-        (_FLIGHT, right.id_at_dir),
-    )
-    for name, node in panels:
-        builder.dock_builder_dock_window(name, node)
-    builder.dock_builder_finish(dock)
