@@ -13,41 +13,85 @@ from glstar.errors import ConfigError, ExportError
 __all__ = ["convert"]
 
 _BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet"}
+_LEAST_SNR = 5.0
+_SHARD_FRAMES = 1000
 
 
 @with_verbosity
 def convert(
     export: Annotated[Path, typer.Argument(help="The directory of an export.", show_default=False)],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="A new file or directory, by the format.", show_default=False)
+        str,
+        typer.Option(
+            "-o",
+            "--output",
+            help="A new file or directory, by the format; webdataset also to a URL of an object store (s3://...).",
+            show_default=False,
+        ),
     ],
     to: Annotated[
-        Literal["mcap", "ros2", "csv", "png", "jpeg"] | None,
+        Literal["mcap", "ros2", "csv", "png", "jpeg", "coco", "yolo", "webdataset"] | None,
         typer.Option(
             help="MCAP file or directory of a ROS 2 bag (Image, CameraInfo, Imu, NavSatFix, TF), the truth as CSV"
-            " tables, or images with EXIF (UTC, exposure, position).",
+            " tables, images with EXIF (UTC, exposure, position), labels of trails as COCO or YOLO, or tar files for"
+            " WebDataset.",
             show_default="by the suffix of the output: .mcap or .csv",
         ),
     ] = None,
+    min_snr: Annotated[
+        float, typer.Option(help="Smallest signal-to-noise ratio of a star with a label (coco, yolo).", min=0.0)
+    ] = _LEAST_SNR,
+    shard_frames: Annotated[int, typer.Option(help="Frames of a tar file (webdataset).", min=1)] = _SHARD_FRAMES,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
-    """Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, or its frames to images with EXIF.
+    """Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, its frames to images with EXIF, or for learning.
 
     Try: glstar convert frames -o frames.mcap
     """
-    kind = to or _BY_SUFFIX.get(output.suffix.lower())
+    kind = to or _BY_SUFFIX.get(Path(output).suffix.lower())
     if kind == "parquet":
         raise ConfigError("glstar export --parquet writes the truth as Parquet tables into the export")
     if kind is None:
-        raise ConfigError(f"{output}: say with --to whether mcap, ros2, csv, png or jpeg is meant")
+        kinds = "mcap, ros2, csv, png, jpeg, coco, yolo or webdataset"
+        raise ConfigError(f"{output}: say with --to whether {kinds} is meant")
     if not export.is_dir():
         raise ExportError(export, "is no directory of an export")
-    written = _written(export, output, kind)
+    if "://" in output and kind != "webdataset":
+        raise ConfigError(f"{output}: only --to webdataset writes to an object store")
+    if kind in {"coco", "yolo", "webdataset"}:
+        written = _written_to_learn(export, output, kind, min_snr, shard_frames)
+    else:
+        written = tuple(map(str, _written(export, Path(output), kind)))
     if as_json:
-        typer.echo(json.dumps({"export": str(export), "format": kind, "written": [str(path) for path in written]}))
+        typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
     else:
         for path in written:
             typer.echo(f"{kind}: {path}")
+
+
+def _written_to_learn(export: Path, output: str, kind: str, min_snr: float, shard_frames: int) -> tuple[str, ...]:
+    """Write labels or tar files; return what was written."""
+    from glstar.export.convertedset import ConvertedSet  # noqa: PLC0415 - OpenCV, only when needed
+
+    with progress_bar("frames") as on_step:
+        source = ConvertedSet(export, on_step)
+        if kind == "coco":
+            from glstar.export.cocofile import write_coco  # noqa: PLC0415
+
+            if Path(output).suffix.lower() != ".json":
+                raise ConfigError(f"{output}: a file of COCO is named .json")
+            return tuple(map(str, write_coco(source, Path(output), least_snr=min_snr)))
+        if kind == "yolo":
+            from glstar.export.yolofiles import write_yolo  # noqa: PLC0415
+
+            write_yolo(source, Path(output), least_snr=min_snr)
+            return (output,)
+        from glstar.export.objectstore import opened_target  # noqa: PLC0415
+        from glstar.export.tarshards import write_shards  # noqa: PLC0415
+
+        with opened_target(output) as target:
+            names = write_shards(source, target, shard_frames=shard_frames)
+        return tuple(f"{output.rstrip('/')}/{name}" for split in names.values() for name in split)
 
 
 def _written(export: Path, output: Path, kind: str) -> tuple[Path, ...]:

@@ -29,7 +29,7 @@ from rosbags.typesys import Stores, get_typestore
 from glstar.errors import ExportError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import decode
-from glstar.export.readtruth import read_truth
+from glstar.export.readtruth import count_frames_of_truth, read_truth
 from glstar.rotation import conjugate, multiply, quaternion_from_matrix
 from glstar.sky.timescale import parse_utc
 
@@ -72,7 +72,7 @@ def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all:
     """
     if output.exists():
         raise ExportError(output, "exists already; name another file, or remove it")
-    lines = list(read_truth(directory))
+    count = count_frames_of_truth(directory)
     with explain_disk_errors(output):
         folder = Path(tempfile.mkdtemp(prefix=f".{output.name}-", dir=output.absolute().parent))
         try:
@@ -81,9 +81,9 @@ def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all:
             bag = folder / output.stem
             with Writer(bag, version=9, storage_plugin=plugin) as writer:
                 messages = _Messages(writer)
-                for number, line in enumerate(lines):
+                for number, line in enumerate(read_truth(directory)):
                     messages.write(line, _pixels(directory, line))
-                    on_step(number + 1, len(lines))
+                    on_step(number + 1, count)
             (next(bag.glob("*.mcap")) if is_mcap else bag).replace(output)
         finally:
             shutil.rmtree(folder, ignore_errors=True)

@@ -13,7 +13,7 @@ import cv2
 from glstar.errors import ExportError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import decode
-from glstar.export.readtruth import read_truth
+from glstar.export.readtruth import count_frames_of_truth, read_truth
 from glstar.sky.timescale import parse_utc
 from glstar.system.durable import write_atomically
 
@@ -51,10 +51,10 @@ def write_photographs(directory: Path, output: Path, kind: str) -> int:
     """
     if output.exists():
         raise ExportError(output, "exists already; name another directory, or remove it")
-    lines = list(read_truth(directory))
+    count = count_frames_of_truth(directory)
     with explain_disk_errors(output):
         output.mkdir(parents=True)
-        for line in lines:
+        for line in read_truth(directory):
             source = directory / line["file"]
             try:
                 content = source.read_bytes()
@@ -64,7 +64,7 @@ def write_photographs(directory: Path, output: Path, kind: str) -> int:
             except (OSError, ValueError) as error:
                 raise ExportError(source, f"cannot be read ({error})") from error
             write_atomically(output / Path(line["file"]).with_suffix(f".{kind}").name, image)
-    return len(lines)
+    return count
 
 
 def exif_of(line: dict[str, Any]) -> bytes:

@@ -9,7 +9,9 @@ from typing import Any
 from glstar.errors import ExportError
 from glstar.render.truth import as_current_schema
 
-__all__ = ["read_truth"]
+__all__ = ["count_frames_of_truth", "read_truth"]
+
+_BLOCK_BYTES = 1 << 20
 
 
 def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterator[dict[str, Any]]:
@@ -63,3 +65,27 @@ def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
         return as_current_schema(json.loads(line))
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ExportError(file, f"line {number} is not a frame of a truth file of glstar") from error
+
+
+def count_frames_of_truth(directory: Path) -> int:
+    """Return the number of frames of an export, without parsing its truth.
+
+    Parameters
+    ----------
+    directory : Path
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ExportError
+        If the truth cannot be read.
+    """
+    file = directory / "truth.jsonl"
+    try:
+        with file.open("rb") as truth:
+            return sum(block.count(b"\n") for block in iter(lambda: truth.read(_BLOCK_BYTES), b""))
+    except OSError as error:
+        raise ExportError(file, f"cannot be read ({error.strerror})") from error

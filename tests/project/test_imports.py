@@ -241,7 +241,7 @@ def test_what_is_imported_is_declared() -> None:
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
-        *("distributed", "openpyxl", "orjson", "pyarrow", "rosbags", "tomli_w", "zlib_ng"),
+        *("distributed", "fsspec", "openpyxl", "orjson", "pyarrow", "rosbags", "tomli_w", "zlib_ng"),
     }
     strangers = {
         (source.name, name)

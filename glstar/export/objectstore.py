@@ -1,0 +1,132 @@
+"""Where converted files go: a directory, or a prefix of an object store by fsspec (``s3://``, ``gs://``, ``memory://``)."""
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from glstar.errors import ExportError
+from glstar.export.convertedset import new_directory
+from glstar.system.installation import install_command
+
+__all__ = ["ObjectStore", "Target", "is_url", "opened_target"]
+
+
+class Target(Protocol):
+    """A place for whole files."""
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write a file.
+
+        Parameters
+        ----------
+        name : str
+            With forward slashes between folders.
+        content : bytes
+        """
+        ...
+
+
+class _Directory:
+    """A directory on a disk."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+
+    def put(self, name: str, content: bytes) -> None:
+        path = self._directory / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+class ObjectStore:
+    """A prefix of an object store.
+
+    Beside each object lies its SHA-256, ``NAME.sha256``, which is sent after it.  An object with the same one is not
+    sent again, so that an upload that was cut off goes on where it stopped.
+
+    Parameters
+    ----------
+    url : str
+        Such as ``s3://bucket/night-1``; the file system's own environment variables give keys and hosts.
+
+    Raises
+    ------
+    ExportError
+        If fsspec or the library of this kind of store is missing, or the store does not answer.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url, self.sent = url, 0
+        with self._explained():
+            import fsspec  # noqa: PLC0415 - an extra
+
+            self._files, self._prefix = fsspec.core.url_to_fs(url)
+
+    def put(self, name: str, content: bytes) -> None:
+        """Send a file, unless the same one is there."""
+        path, digest = f"{self._prefix.rstrip('/')}/{name}", hashlib.sha256(content).hexdigest().encode()
+        with self._explained():
+            if self._read(f"{path}.sha256") == digest and self._files.exists(path):
+                return
+            if "file" in self._files.protocol:
+                self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
+            self._files.pipe_file(path, content)
+            self._files.pipe_file(f"{path}.sha256", digest)
+        self.sent += 1
+
+    def _read(self, path: str) -> bytes | None:
+        try:
+            return bytes(self._files.cat_file(path))
+        except FileNotFoundError:
+            return None
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except ImportError as error:
+            message = f"needs {error.name or error}: {install_command('storage')}, and the library of the store"
+            raise ExportError(self._url, message) from error
+        except Exception as error:  # each store has errors of its own
+            summary = (str(error).splitlines() or [""])[0]
+            raise ExportError(self._url, f"cannot be written ({type(error).__name__}: {summary})") from error
+
+
+def is_url(text: str) -> bool:
+    """Return whether a text names an object store rather than a file.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    bool
+    """
+    return "://" in text
+
+
+@contextmanager
+def opened_target(output: str) -> Iterator[Target]:
+    """Open a new directory, which appears when it is complete, or a prefix of an object store.
+
+    Parameters
+    ----------
+    output : str
+
+    Yields
+    ------
+    Target
+
+    Raises
+    ------
+    ExportError
+        If the directory exists, or the store does not answer.
+    """
+    if is_url(output):
+        yield ObjectStore(output)
+    else:
+        with new_directory(Path(output)) as folder:
+            yield _Directory(folder)
