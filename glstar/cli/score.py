@@ -39,6 +39,10 @@ def score(
     detectable_snr: Annotated[
         float, typer.Option(help="Smallest signal-to-noise ratio of a detectable star.")
     ] = DETECTABLE_SNR,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(help="Print all ranges of a setting that the sweep drew at random.", show_default=False),
+    ] = None,
 ) -> None:
     """Score a navigator's answers: attitude, position, identified stars and run time against the truth.
 
@@ -46,8 +50,12 @@ def score(
     """
     from glstar.score.scoring import score as scored  # noqa: PLC0415 - the name of the command
 
+    chosen = frozenset(by or ())
     limits = Limits(float(np.deg2rad(false_deg)), false_km, tolerance_px)
     found = scored(export, answers, limits=limits, least_snr=detectable_snr)
+    if unknown := sorted(chosen - {name for name, _ in found.bins}):
+        names = ", ".join(name for name, _ in found.bins) or "none"
+        raise typer.BadParameter(f"{unknown[0]} is no bin of these frames; there are {names}", param_hint="--by")
     text = json.dumps(found.json, indent=1) + "\n"
     if output is not None:
         from glstar.score.scoreplot import draw_score  # noqa: PLC0415 - matplotlib
@@ -59,12 +67,12 @@ def score(
         typer.echo(text, nl=False)
         return
     console = Console(width=None if Console().is_terminal else 120)
-    _print(found, console)
+    _print(found, console, chosen)
     if output is not None:
         typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
 
 
-def _print(found: Score, console: Console) -> None:
+def _print(found: Score, console: Console, by: frozenset[str]) -> None:
     whole = found.summary
     console.print(
         f"{whole.frames} frames: {whole.solved} solved, {whole.refused} refused, {whole.false} false", highlight=False
@@ -110,8 +118,11 @@ def _print(found: Score, console: Console) -> None:
             f" weighted by heading {orbit.weighted_mean_km:.2f} km{circle}",
             highlight=False,
         )
+    drawn = found.drawn - by
     for name, groups in found.bins:
-        _print_bins(name, groups, console)
+        if name not in drawn:
+            _print_bins(name, groups, console)
+    _print_drawn([(name, groups) for name, groups in found.bins if name in drawn], console)
 
 
 def _print_runs(spread: RunSpread, console: Console) -> None:
@@ -136,6 +147,28 @@ def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Con
     for label, one in groups:
         medians = [_median(_arcsec(one.boresight_rad)), _median(one.position_km)]
         table.add_row(label, *(str(count) for count in (one.frames, one.solved, one.refused, one.false)), *medians)
+    console.print(table)
+
+
+def _print_drawn(bins: list[tuple[str, tuple[tuple[str, Summary], ...]]], console: Console) -> None:
+    """Print the lowest and the highest range of each setting that was drawn at random, a line for each setting."""
+    if not bins:
+        return
+    table = Table(
+        "drawn at random (--by prints all ranges)",
+        "lowest",
+        "solved",
+        "arcsec",
+        "highest",
+        "solved",
+        "arcsec",
+        box=None,
+    )
+    for name, groups in bins:
+        cells = []
+        for label, one in (groups[0], groups[-1]):
+            cells += [label, f"{one.solved} of {one.frames}", _median(_arcsec(one.boresight_rad))]
+        table.add_row(name, *cells)
     console.print(table)
 
 

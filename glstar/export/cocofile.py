@@ -71,7 +71,7 @@ class _CocoFile:
     """One file; images and annotations are written as they come, and joined at the end."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._annotation = path, 0
+        self._path, self._frames, self._annotation = path, 0, 0
         self._images_path, self._annotations_path = temporary_path(path), temporary_path(path)
         self._images: IO[bytes] = self._images_path.open("wb")
         self._annotations: IO[bytes] = self._annotations_path.open("wb")
@@ -93,7 +93,8 @@ class _CocoFile:
             "height": line["camera"]["height_px"],
             "date_captured": line["utc_mid"],
         }
-        _append(self._images, image, is_first=not self._images.tell())
+        _append(self._images, image, is_first=self._frames == 0)
+        self._frames += 1
         for label in labels:
             self._annotation += 1
             pixels = {} if runs is None else runs.annotation(label.index)

@@ -19,9 +19,15 @@ from glstar.sky.apparent import direction, proper_motion
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.timescale import parse_utc
 
-__all__ = ["FrameTruth", "read_frame_truths"]
+__all__ = ["CONDITIONS", "FrameTruth", "read_frame_truths"]
 
 Float = NDArray[np.float64]
+
+# Keys of a frame's truth that describe the light and the cloud under which it was taken.
+CONDITIONS: Final = (
+    *("cloud_transmission", "moon_altitude_deg", "moon_illuminated_fraction", "moon_separation_deg"),
+    *("sun_altitude_deg", "sky_mag_arcsec2"),
+)
 
 _TRUTH: Final = "truth.jsonl"
 _MANIFEST: Final = "manifest.json"
@@ -61,6 +67,8 @@ class FrameTruth:
         Name of the flight and number of the sample, in a data set: frames of one run follow each other.
     settings : mapping
         Settings of the sample of a sweep, by dotted key.
+    conditions : mapping of str to float
+        Those of `CONDITIONS` that the truth has, as far as they are simulated.
     """
 
     frame: int
@@ -80,6 +88,7 @@ class FrameTruth:
     is_detectable: NDArray[np.bool_]
     run: tuple[str, int] = ("", 0)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def trail_length_px(self) -> float:
@@ -234,6 +243,7 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
         (snr >= least_snr) & (in_frame >= 0.5),
         (line.get("flight", ""), line.get("sample", 0)),
         line.get("settings", {}),
+        {key: float(line[key]) for key in CONDITIONS if line.get(key) is not None},
     )
 
 

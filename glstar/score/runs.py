@@ -139,6 +139,22 @@ def settings_bins(scores: Sequence[FrameScore]) -> Iterator[tuple[str, list[tupl
             yield key, list(_in_ranges(key, values, known))
 
 
+def drawn_settings(scores: Sequence[FrameScore]) -> frozenset[str]:
+    """Return the settings of a sweep that `settings_bins` groups into ranges, because they were drawn at random.
+
+    Parameters
+    ----------
+    scores : sequence of FrameScore
+
+    Returns
+    -------
+    frozenset of str
+    """
+    keys = dict.fromkeys(key for score in scores for key in score.truth.settings)
+    values = {key: {score.truth.settings[key] for score in scores if key in score.truth.settings} for key in keys}
+    return frozenset(key for key, different in values.items() if len(different) > _MOST_VALUES)
+
+
 def _in_ranges(
     key: str, values: Sequence[float], scores: Sequence[FrameScore]
 ) -> Iterator[tuple[str, list[FrameScore]]]:

@@ -142,7 +142,7 @@ class Bin:
     name : str
         With its unit.
     of : callable
-        Returns the quantity of a frame's score.
+        Returns the quantity of a frame's score; NaN if it has none.
     edges : tuple of float
         Lower edge of each bin except the first.
     """
@@ -152,7 +152,7 @@ class Bin:
     edges: tuple[float, ...]
 
     def grouped(self, scores: Sequence[FrameScore]) -> list[tuple[str, list[FrameScore]]]:
-        """Return the labels and frames of the bins that are not empty."""
+        """Return the labels and frames of the bins that are not empty; frames without the quantity are in none."""
         groups: list[tuple[str, list[FrameScore]]] = []
         bounds = (-np.inf, *self.edges, np.inf)
         for low, high in pairwise(bounds):
@@ -163,10 +163,27 @@ class Bin:
         return groups
 
 
+_LIT: Final = "moon_illuminated_fraction"
+_AWAY: Final = "moon_separation_deg"
+
+
+def _condition(score: FrameScore, key: str) -> float:
+    return score.truth.conditions.get(key, float("nan"))
+
+
+def _of_moon_up(score: FrameScore, key: str) -> float:
+    return _condition(score, key) if _condition(score, "moon_altitude_deg") > 0 else float("nan")
+
+
 BINS: Final = (
     Bin("exposure, s", lambda score: score.truth.duration_s, (0.05, 0.2, 0.5, 1.0, 2.0)),
     Bin("trail length, px", lambda score: score.truth.trail_length_px, (1.0, 5.0, 20.0, 100.0)),
     Bin("detectable stars", lambda score: float(score.truth.is_detectable.sum()), (5.0, 10.0, 20.0, 50.0)),
+    Bin("transmission of cloud", lambda score: _condition(score, "cloud_transmission"), (0.2, 0.4, 0.6, 0.8, 0.99)),
+    Bin("altitude of the Moon, deg", lambda score: _condition(score, "moon_altitude_deg"), (0.0, 15.0, 30.0, 60.0)),
+    Bin("lit fraction of a Moon above the horizon", lambda score: _of_moon_up(score, _LIT), (0.25, 0.5, 0.75)),
+    Bin("axis to a Moon above the horizon, deg", lambda score: _of_moon_up(score, _AWAY), (15.0, 30.0, 60.0, 90.0)),
+    Bin("altitude of the Sun, deg", lambda score: _condition(score, "sun_altitude_deg"), (-18.0, -12.0, -6.0, 0.0)),
 )
 
 

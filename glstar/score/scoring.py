@@ -9,7 +9,7 @@ from glstar.errors import AnswersError
 from glstar.score.answers import Answer, read_answers
 from glstar.score.framescore import FrameScore, Limits, score_frame
 from glstar.score.frametruth import FrameTruth, read_frame_truths
-from glstar.score.runs import Run, RunSpread, runs_of, settings_bins, spread_of_runs
+from glstar.score.runs import Run, RunSpread, drawn_settings, runs_of, settings_bins, spread_of_runs
 from glstar.score.scoresummary import BINS, Orbit, Summary, as_json, summarized
 
 __all__ = ["DETECTABLE_SNR", "Score", "score"]
@@ -28,15 +28,19 @@ class Score:
         One for each frame of the truth, in its order.
     summary : Summary
     bins : tuple of (str, tuple of (str, Summary))
-        The same by exposure, trail length, number of stars and each setting of a sweep, where frames occupy two bins.
+        The same by exposure, trail length, number of stars, transmission of cloud, Moon, Sun and each setting of a
+        sweep, where frames occupy two bins.
     runs : tuple of Run
         One for each flight and sample of a data set.
+    drawn : frozenset of str
+        Names of the bins that are ranges of a setting that was drawn at random.
     """
 
     frames: tuple[FrameScore, ...]
     summary: Summary
     bins: tuple[tuple[str, tuple[tuple[str, Summary], ...]], ...]
     runs: tuple[Run, ...]
+    drawn: frozenset[str] = frozenset()
 
     @property
     def orbits(self) -> tuple[Orbit, ...]:
@@ -106,7 +110,7 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
         for name, groups in grouped
         if len(groups) > 1
     )
-    return Score(frames, summarized(frames), tuple(binned), tuple(runs_of(frames)))
+    return Score(frames, summarized(frames), tuple(binned), tuple(runs_of(frames)), drawn_settings(frames))
 
 
 def _matched(path: Path, truths: Sequence[FrameTruth], answers: Sequence[Answer]) -> dict[int, Answer]:
@@ -137,4 +141,5 @@ def _frame_json(one: FrameScore) -> dict[str, Any]:
         **({"stars": as_json(one.stars)} if one.stars else {}),
         "trail_length_px": one.truth.trail_length_px,
         "detectable_stars": int(one.truth.is_detectable.sum()),
+        **one.truth.conditions,
     }
