@@ -55,6 +55,7 @@ from glstar.config.tomlvalues import toml_value
 from glstar.config.validation import Fault, config_error, key_text
 from glstar.errors import ConfigError
 from glstar.flight import Flight
+from glstar.flight.gimbal import Gimbal
 from glstar.render.simulator import Simulator
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue
@@ -269,14 +270,13 @@ class Config:
         mount = self._mount
         return Mount(radians(mount.roll_deg), radians(mount.pitch_deg), radians(mount.yaw_deg), mount.reading)
 
-    def sensor(self) -> Sensor:
-        """Return the sensor.
+    @property
+    def gimbal(self) -> Gimbal:
+        """What carries the camera."""
+        return self._mount.carrier
 
-        Returns
-        -------
-        Sensor
-            Brightness in DN.
-        """
+    def sensor(self) -> Sensor:
+        """Return the sensor, with its brightness in DN."""
         effects = {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
         effects |= sky_effects(self.sky)
         sensor = sensor_from(self._sensor.numbers, effects)
@@ -310,9 +310,8 @@ class Config:
         LogFormatError
             If the log cannot be replayed.
         """
-        flight = self.flight
-        with _open_log(path, flight) as source:
-            return read_flight(source, flight.options)
+        with _open_log(path, self.flight) as source:
+            return self.gimbal.carried(read_flight(source, self.flight.options))
 
     def survey_flight(
         self, path: str | PathLike[str], *, flags: Mapping[str, object] = MappingProxyType({})
@@ -337,9 +336,8 @@ class Config:
         LogFormatError
             If the log has no attitude.
         """
-        flight = self.flight
-        with _open_log(path, flight) as source:
-            return survey(source, flight.options, flags=flags)
+        with _open_log(path, self.flight) as source:
+            return survey(source, self.flight.options, flags=flags)
 
     def simulator(
         self, flight: Flight, *, sensor: Sensor | None = None, stars: StarCatalogue | None = None
@@ -374,6 +372,7 @@ class Config:
             ),
             camera=self.camera(),
             mount=self.navigator.real_mount(self.mount()),
+            gimbal=self.gimbal,
             sensor=self.sensor() if sensor is None else sensor,
             pressure_hpa=self.air.pressure_hpa,
             temperature_c=self.air.temperature_c,

@@ -17,6 +17,7 @@ from glstar.config.navigatorsection import NavigatorSection
 from glstar.config.section import Section
 from glstar.config.sensorsection import SENSOR_MAPS, SensorSection
 from glstar.flight import Interpolation
+from glstar.flight.gimbal import Gimbal, GimbalMode
 from glstar.render.effects import EFFECTS
 from glstar.sky.extinction import Extinction
 from glstar.sky.site import (
@@ -96,6 +97,17 @@ class MountSection(Section):
     pitch_deg: float = Field(default=degrees(_MOUNT.pitch_rad), description="a number of degrees")
     roll_deg: float = Field(default=degrees(_MOUNT.roll_rad), description="a number of degrees")
     reading: Literal["body", "literal"] = _MOUNT.reading
+    gimbal: GimbalMode = "none"
+    gimbal_roll_limit_deg: float = Field(default=180.0, ge=0, le=180, description="a number of degrees, 0 to 180")
+    gimbal_pitch_limit_deg: float = Field(default=90.0, ge=0, le=90, description="a number of degrees, 0 to 90")
+    gimbal_lag_s: float = Field(default=0.0, ge=0, le=60, description="a number of seconds, 0 to 60")
+    gimbal_heading_lag_s: float = Field(default=0.0, ge=0, le=600, description="a number of seconds, 0 to 600")
+
+    @property
+    def carrier(self) -> Gimbal:
+        """What carries the camera."""
+        limits = radians(self.gimbal_roll_limit_deg), radians(self.gimbal_pitch_limit_deg)
+        return Gimbal(self.gimbal, *limits, self.gimbal_lag_s, self.gimbal_heading_lag_s)
 
 
 @with_effect_keys("sky")

@@ -300,7 +300,8 @@ class LiveExport:
             del self.exposures[next(iter(self.exposures))]
         frame = task.draw(renderer, number, on_pixels=publish)
         if self._nav is not None and estimate is not None:
-            self._nav.write(estimate, planned.exposure, number=number, image=task.image_path(number))
+            shown = self._simulator.flight
+            self._nav.write(estimate, planned.exposure, number=number, image=task.image_path(number), flight=shown)
         return frame
 
     def _simulator_of(self, flight: Flight) -> Simulator:

@@ -13,6 +13,7 @@ from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.navfile import NAV
 from glstar.export.navrecord import Navigator
+from glstar.flight import Flight
 from glstar.flight.navigator import AttitudeErrors, EstimatedAttitude
 from glstar.link import Estimate
 from glstar.system.durable import publish
@@ -57,7 +58,7 @@ class LiveNavigator:
         self._errors: AttitudeErrors | None = None
         self._file: BinaryIO | None = None
 
-    def write(self, estimate: Estimate, exposure: Exposure, *, number: int, image: Path) -> None:
+    def write(self, estimate: Estimate, exposure: Exposure, *, number: int, image: Path, flight: Flight) -> None:
         """Append the record of a frame.
 
         Parameters
@@ -69,6 +70,8 @@ class LiveNavigator:
             The frame's number.
         image : Path
             Its image, in the directory.
+        flight : Flight
+            The flight that the frame shows.
         """
         track = estimate.attitude
         if self._errors is None:
@@ -81,6 +84,7 @@ class LiveNavigator:
             self._camera,
             self._C_camera_body,
             estimate.position if self._section.gps == "known" else None,
+            None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
         )
         record = navigator.record(exposure, number=number, file=image.relative_to(self._directory).as_posix())
         if self._file is None:

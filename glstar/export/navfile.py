@@ -51,7 +51,7 @@ def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrac
             key="navigator.attitude",
         )
     other = config.override(**{"flight.attitude": config.navigator.attitude})
-    return [other.open_flight(path).attitude for path in flight_paths]
+    return [other.open_flight(path).aircraft_attitude for path in flight_paths]
 
 
 def remove_nav(directory: Path) -> None:

@@ -38,6 +38,8 @@ class Navigator:
         The nominal mount.
     position : PositionTrack or None
         None where GPS is denied.
+    gimbal : (AttitudeTrack, AttitudeTrack) or None
+        The attitudes of a gimbal's platform and of the aircraft, whose difference the gimbal states; None without one.
     """
 
     attitude: EstimatedAttitude
@@ -45,6 +47,7 @@ class Navigator:
     camera: Camera
     C_camera_body: Float
     position: PositionTrack | None
+    gimbal: tuple[AttitudeTrack, AttitudeTrack] | None = None
 
     @classmethod
     def of(
@@ -78,11 +81,12 @@ class Navigator:
         last_utc_s = flight.attitude.last_s if until_utc_s is None else until_utc_s
         errors = section.errors.drawn(flight.attitude.first_s, last_utc_s, rng)
         return cls(
-            EstimatedAttitude(flight.attitude if estimate is None else estimate, errors),
+            EstimatedAttitude(flight.aircraft_attitude if estimate is None else estimate, errors),
             flight.time_offset_s + section.clock_offset_s,
             config.camera(),
             config.mount().C_camera_body,
             flight.position if section.gps == "known" else None,
+            None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
         )
 
     def record(self, exposure: Exposure, *, number: int, file: str) -> dict[str, Any]:
@@ -104,10 +108,18 @@ class Navigator:
             ``duration_s, readout_s, readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure),
             ``up_camera`` (at the same instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is
             denied).  The estimated attitude is that of the time on the frame's stamp, which the clock's error moves.
+            With a gimbal, all attitudes are those of its platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the
+            aircraft to the platform, by the gimbal's joints) and ``q_aircraft_ned`` at the same instants.
         """
         true_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         stamped_s = true_s + self.clock_offset_s
         q_body_ned = self.attitude.at(stamped_s)
+        gimbal: dict[str, Any] = {}
+        if self.gimbal is not None:
+            turned, q_aircraft_ned = self._turned(stamped_s), q_body_ned
+            q_body_ned = multiply(turned, q_aircraft_ned)
+            both = {"q_gimbal_aircraft": turned, "q_aircraft_ned": q_aircraft_ned}
+            gimbal = {"gimbal": {name: dict(zip(_INSTANTS, q.tolist(), strict=True)) for name, q in both.items()}}
         up_camera = matrix_from_quaternion(q_body_ned) @ _UP_NED @ self.C_camera_body.T
         rates = turn_from_quaternion(multiply(q_body_ned[2], conjugate(q_body_ned[0]))) / exposure.span_s
         return {
@@ -124,7 +136,15 @@ class Navigator:
             "C_camera_body": self.C_camera_body.tolist(),
             "camera": camera_keys(self.camera),
             "position": self._position(float(true_s[1])),
+            **gimbal,
         }
+
+    def _turned(self, utc_s: Float) -> Float:
+        """Return the rotations from the aircraft to the platform of the gimbal, (n, 4), by its joints."""
+        assert self.gimbal is not None
+        platform, aircraft = self.gimbal
+        inside_s = np.clip(utc_s, platform.first_s, platform.last_s)
+        return multiply(platform.at(inside_s), conjugate(aircraft.at(inside_s)))
 
     def _position(self, utc_s: float) -> dict[str, float] | None:
         if self.position is None:

@@ -15,12 +15,13 @@ module                holds
 ``spline``            `RotationSpline`: a curve through attitudes with continuous rate and angular acceleration
 ``gyroaided``         `gyro_aided`: attitude between samples from integrated gyro rates, and the lag of the gyros
 ``estimatorresets``   `estimator_resets`: turns that the aircraft did not make
+``gimbal``            `Gimbal`: the attitude of the platform that carries the camera
 ``rotationvector``    rotation vectors and their time derivatives
 ====================  ==================================================================================================
 """
 
 from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
-from glstar.flight.flight import CameraTriggers, ClockQuality, Flight
+from glstar.flight.flight import CameraTriggers, ClockQuality, Flight, GimbalAttitude
 from glstar.flight.position import PositionTrack
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "ClockQuality",
     "Flight",
     "Gap",
+    "GimbalAttitude",
     "Interpolation",
     "PositionTrack",
 ]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from glstar.flight.attitude import AttitudeTrack
 from glstar.flight.position import PositionTrack
 
-__all__ = ["CameraTriggers", "ClockQuality", "Flight"]
+__all__ = ["CameraTriggers", "ClockQuality", "Flight", "GimbalAttitude"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +68,49 @@ class CameraTriggers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GimbalAttitude:
+    """The attitude of a gimbal's platform, as a log states it.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64
+        UTC seconds since 1970.
+    q_gimbal_reference : (n, 4) float64
+        Unit quaternions (w, x, y, z) that turn components in the frame of reference into those of the platform.
+    is_earth : (n,) bool
+        Whether the frame of reference is NED; otherwise it is level, with its first axis along the aircraft's heading.
+    source : str
+        The message that says so: ``"GIMBAL_DEVICE_ATTITUDE_STATUS"``.
+    """
+
+    utc_s: NDArray[np.float64]
+    q_gimbal_reference: NDArray[np.float64]
+    is_earth: NDArray[np.bool_]
+    source: str
+
+    def shifted(self, shift_s: float) -> Self:
+        """Return the attitude with all times shifted.
+
+        Parameters
+        ----------
+        shift_s : float
+            Added to all times, s.
+
+        Returns
+        -------
+        GimbalAttitude
+        """
+        return replace(self, utc_s=self.utc_s + shift_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """Attitude and position of an aircraft over UTC.
 
     Attributes
     ----------
     attitude : AttitudeTrack
+        Of the body that carries the camera: the aircraft, or the platform of its gimbal.
     position : PositionTrack
     name : str
         File name of the log.
@@ -88,6 +125,10 @@ class Flight:
         Quality of UTC, for each boot; empty where the user gave UTC, or where UTC is the clock of the log.
     triggers : CameraTriggers or None
         When a camera was triggered; None if the log does not say.
+    gimbal : GimbalAttitude or None
+        What the log states of a gimbal; None if it has none.
+    own_attitude : AttitudeTrack or None
+        The attitude of the aircraft, where `attitude` is that of a gimbal's platform; else None.
     """
 
     attitude: AttitudeTrack
@@ -100,6 +141,13 @@ class Flight:
     notes: tuple[str, ...] = ()
     clocks: tuple[ClockQuality, ...] = ()
     triggers: CameraTriggers | None = None
+    gimbal: GimbalAttitude | None = None
+    own_attitude: AttitudeTrack | None = None
+
+    @property
+    def aircraft_attitude(self) -> AttitudeTrack:
+        """The attitude of the aircraft, whether or not a gimbal carries the camera."""
+        return self.attitude if self.own_attitude is None else self.own_attitude
 
     def shifted(self, shift_s: float) -> Self:
         """Return the flight with all times shifted.
@@ -115,4 +163,11 @@ class Flight:
         """
         position = replace(self.position, utc_s=self.position.utc_s + shift_s)
         triggers = None if self.triggers is None else self.triggers.shifted(shift_s)
-        return replace(self, attitude=self.attitude.shifted(shift_s), position=position, triggers=triggers)
+        return replace(
+            self,
+            attitude=self.attitude.shifted(shift_s),
+            position=position,
+            triggers=triggers,
+            gimbal=None if self.gimbal is None else self.gimbal.shifted(shift_s),
+            own_attitude=None if self.own_attitude is None else self.own_attitude.shifted(shift_s),
+        )

@@ -102,7 +102,7 @@ class Vehicle:
         loop: bool = False,
         sysid: int = 1,
     ) -> None:
-        track = flight.attitude
+        track = flight.aircraft_attitude
         length_s = track.last_s - track.first_s
         if not 0 <= start_s < length_s:
             raise ConfigError(f"--start {start_s:g} s lies outside the flight, whose attitude lasts {length_s:.3f} s")
@@ -267,7 +267,7 @@ class Vehicle:
 
     def _attitude(self, boot_ms: int) -> Float | None:
         """Return the attitude at a time since boot, NED to body; None in a gap of the flight."""
-        track = self._flight.attitude
+        track = self._flight.aircraft_attitude
         utc_s = min(self._utc_s(boot_ms), track.last_s)
         if track.gap_within(utc_s, utc_s) is not None:
             return None

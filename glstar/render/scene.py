@@ -98,6 +98,9 @@ class Scene:
         The frames that place the Sun and the Moon for the sky's brightness; None in scenes without it.
     shorts : tuple of Scene
         The scenes of the short exposures that are stacked into the image; empty for a single exposure.
+    q_aircraft_ned : (4,) float64 or None
+        The attitude of the aircraft in the middle of the exposure where a gimbal carries the camera, and `q_body_ned`
+        is that of its platform; None without a gimbal.
     """
 
     stars: StarField
@@ -117,6 +120,7 @@ class Scene:
     observing_sky: Sky | None = None
     motion: CameraMotion | None = None
     shorts: tuple["Scene", ...] = ()
+    q_aircraft_ned: Float | None = None
 
     @property
     def sine_horizon(self) -> float:

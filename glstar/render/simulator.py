@@ -12,6 +12,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.flight import Flight
+from glstar.flight.gimbal import NO_GIMBAL, Gimbal
 from glstar.render.bodysources import BodySources, body_field
 from glstar.render.cameramotion import CameraMotion, MotionSamples
 from glstar.render.colourscenes import in_band
@@ -74,6 +75,8 @@ class Simulator:
         Whether the Sun, the Moon and the planets are drawn.
     extinction : Extinction or None
         By the air above the aircraft; None for none.
+    gimbal : Gimbal
+        What carries the camera; `flight` has the attitude of its platform.
     """
 
     flight: Flight
@@ -87,6 +90,7 @@ class Simulator:
     sub_exposures_per_segment: float = SUB_EXPOSURES_PER_SEGMENT
     bodies: bool = False
     extinction: Extinction | None = None
+    gimbal: Gimbal = NO_GIMBAL
 
     @classmethod
     def of(
@@ -102,6 +106,7 @@ class Simulator:
         *,
         bodies: bool = False,
         extinction: Extinction | None = None,
+        gimbal: Gimbal = NO_GIMBAL,
     ) -> Self:
         """Return the simulator of a flight under a sky.
 
@@ -120,6 +125,8 @@ class Simulator:
             Whether the Sun, the Moon and the planets are drawn.
         extinction : Extinction, optional
             By the air above the aircraft.
+        gimbal : Gimbal
+            What carries the camera.
 
         Returns
         -------
@@ -129,7 +136,10 @@ class Simulator:
         ------
         CalibrationError
             If the brightnesses belong to the stars of another catalogue.
+        TelemetryError
+            If the flight does not record its gimbal.
         """
+        flight = gimbal.carried(flight)
         middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
         stars = sky.star_field(middle_s)
         if star_brightness is not None:
@@ -138,6 +148,7 @@ class Simulator:
             *(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c),
             bodies=bodies,
             extinction=extinction,
+            gimbal=gimbal,
         )
 
     def with_flight(self, flight: Flight) -> Self:
@@ -152,7 +163,7 @@ class Simulator:
         -------
         Simulator
         """
-        return replace(self, flight=flight)
+        return replace(self, flight=self.gimbal.carried(flight))
 
     @property
     def motion(self) -> CameraMotion:
@@ -341,6 +352,11 @@ class Simulator:
         draw_list = touching.integrated(exposure.faintest_dn) if analytic else touching.summed
         return BodySources(bodies, field, draw_list), touching.longest_step_px
 
+    def _q_aircraft_ned(self, utc_s: float) -> Float | None:
+        """Return the attitude of the aircraft below a gimbal; None without one."""
+        own = self.flight.own_attitude
+        return None if own is None else own.at(utc_s)
+
     def _culler(self, stars: StarField, site: Site) -> StarCuller:
         zenith_mag = None if self.extinction is None else self.extinction.zenith_mag(site.height_m)
         return StarCuller(stars, self.camera, self.sensor, zenith_mag)
@@ -370,6 +386,7 @@ class Simulator:
             site=site,
             C_camera_body=self.mount.C_camera_body,
             q_body_ned=q_body_ned[1],
+            q_aircraft_ned=self._q_aircraft_ned(exposure.mid_utc_s),
             shutter=shutter,
             time_offset_s=self.flight.time_offset_s,
             bodies=bodies,

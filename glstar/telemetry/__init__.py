@@ -54,6 +54,7 @@ from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
+    GimbalSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
@@ -83,6 +84,7 @@ __all__ = [
     "DataFlashDumpReader",
     "DataFlashReader",
     "FlightOptions",
+    "GimbalSamples",
     "GivenTrack",
     "LogFacts",
     "LogFormat",

@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight import AttitudeTrack, CameraTriggers, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, CameraTriggers, Flight, GimbalAttitude, PositionTrack
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
@@ -314,6 +314,7 @@ class RecordedLog:
             else given_utc(options.utc_start),
             time_offset_s=options.time_offset_s,
             notes=(*notes, *options.notes(attitude, self.name)),
+            gimbal=_gimbals([used[n].gimbal_attitude(offset_s[n] - earlier_s) for n in used]),
             triggers=_triggers([used[n].camera_triggers(offset_s[n] - earlier_s, by_log=not earlier_s) for n in used]),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
             if options.utc_start is None
@@ -341,6 +342,18 @@ def _triggers(parts: list[CameraTriggers | None]) -> CameraTriggers | None:
     """Return the triggers of several boots."""
     found = [part for part in parts if part is not None]
     return CameraTriggers(np.concatenate([part.utc_s for part in found]), found[0].source) if found else None
+
+
+def _gimbals(parts: list[GimbalAttitude | None]) -> GimbalAttitude | None:
+    """Return the attitude of a gimbal in several boots."""
+    found = [part for part in parts if part is not None]
+    if not found:
+        return None
+    utc_s, q, is_earth = (
+        np.concatenate(columns)
+        for columns in zip(*((one.utc_s, one.q_gimbal_reference, one.is_earth) for one in found), strict=True)
+    )
+    return GimbalAttitude(utc_s, q, is_earth, found[0].source)
 
 
 def _remedy(number: int, recording: Recording) -> str:

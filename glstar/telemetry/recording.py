@@ -9,12 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight import AttitudeTrack, CameraTriggers, ClockQuality, Flight, Interpolation, PositionTrack
+from glstar.flight import (
+    AttitudeTrack,
+    CameraTriggers,
+    ClockQuality,
+    Flight,
+    GimbalAttitude,
+    Interpolation,
+    PositionTrack,
+)
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
+    GimbalSamples,
     PositionSamples,
     RateSamples,
     Samples,
@@ -125,6 +134,8 @@ class Recording:
         Number of the boot, from 1.
     triggers : TriggerSamples or None
         None if the log has none.
+    gimbal : GimbalSamples or None
+        None if the log has none.
     """
 
     name: str
@@ -134,6 +145,7 @@ class Recording:
     rates: RateSamples
     boot: int = 1
     triggers: TriggerSamples | None = None
+    gimbal: GimbalSamples | None = None
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
@@ -178,6 +190,7 @@ class Recording:
         clocks: list[ClockSamples] = []
         rates: list[RateSamples] = []
         triggers: list[TriggerSamples] = []
+        gimbals: list[GimbalSamples] = []
         for batch in batches:
             match batch:
                 case AttitudeSamples():
@@ -190,8 +203,17 @@ class Recording:
                     rates.append(batch)
                 case TriggerSamples():
                     triggers.append(batch)
+                case GimbalSamples():
+                    gimbals.append(batch)
         return cls(
-            name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates), boot, _triggers(triggers)
+            name,
+            _attitude(attitudes),
+            _position(positions),
+            _clock(clocks),
+            _rates(rates),
+            boot,
+            _triggers(triggers),
+            gimbals[0] if gimbals else None,
         )
 
     def require_two_attitudes(self) -> None:
@@ -264,7 +286,16 @@ class Recording:
             notes=(*self.attitude.notes, *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
             triggers=self.camera_triggers(shift_s, by_log=utc_start is None),
+            gimbal=self.gimbal_attitude(shift_s),
         )
+
+    def gimbal_attitude(self, utc_minus_clock_s: float) -> GimbalAttitude | None:
+        """Return the attitude of the gimbal over UTC, sorted by time; None if the log has none."""
+        if (known := self.gimbal) is None:
+            return None
+        clock_s, first = np.unique(known.clock_s, return_index=True)
+        q, is_earth = known.q_gimbal_reference[first], known.is_earth[first]
+        return GimbalAttitude(clock_s + utc_minus_clock_s, q, is_earth, known.source)
 
     def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
         """Return when the camera was triggered.

@@ -191,7 +191,32 @@ class TriggerSamples:
     boot: int = 1
 
 
-Samples = AttitudeSamples | PositionSamples | ClockSamples | RateSamples | TriggerSamples
+@dataclass(frozen=True, slots=True, eq=False)
+class GimbalSamples:
+    """Recorded attitudes of the platform of a gimbal.
+
+    Attributes
+    ----------
+    clock_s : (n,) float64
+        Sample times by the clock of the source, s; in any order.
+    q_gimbal_reference : (n, 4) float64
+        Unit quaternions (w, x, y, z) from the frame of reference to the platform.
+    is_earth : (n,) bool
+        Whether the frame of reference is NED; otherwise it is level, with its first axis along the aircraft's heading.
+    source : str
+        The message, for messages.
+    boot : int
+        Number of the boot, and so of its clock; from 1.
+    """
+
+    clock_s: Float
+    q_gimbal_reference: Float
+    is_earth: NDArray[np.bool_]
+    source: str
+    boot: int = 1
+
+
+Samples = GimbalSamples | AttitudeSamples | PositionSamples | ClockSamples | RateSamples | TriggerSamples
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,9 @@ SCALED_IMU, 2, 3      time_boot_ms, xgyro, ygyro, zgyro (mrad/s)    that is as f
 RAW_IMU               the same with time_usec                       the same, of ArduPilot; others have no unit
 CAMERA_FEEDBACK       time_usec                                     when the camera was triggered
 CAMERA_TRIGGER        time_usec                                     the same, if there is no CAMERA_FEEDBACK
+GIMBAL_DEVICE_...      time_boot_ms, flags, q (..._ATTITUDE_STATUS)  attitude of a gimbal
+MOUNT_ORIENTATION     time_boot_ms, roll, pitch, yaw (deg)          the same, if there is none of the above
+MOUNT_STATUS          pointing_a, _b, _c (0.01 deg), on arrival     the same, if there is none of the above
 AUTOPILOT_VERSION     flight_sw_version                             the firmware
 STATUSTEXT            text                                          the firmware, of ArduPilot
 ====================  ============================================  ================================================
@@ -38,6 +41,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.timescale import format_utc
+from glstar.telemetry.gimbals import gimbal_of_packets
 from glstar.telemetry.samplevalidation import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
@@ -156,6 +160,7 @@ class TelemetryLogReader(TelemetrySource):
         for boot in boots:
             yield from _rates(self._packets, sender, clock, boot.number)
             yield from _triggers(self._packets, sender, clock, boot.number)
+            yield from gimbal_of_packets(self._packets, sender, clock, boot.number)
 
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the autopilot in the log, or the requested one.

@@ -62,13 +62,16 @@ MESSAGES: Final = {
     116: ("SCALED_IMU2", _IMU),
     129: ("SCALED_IMU3", _IMU),
     148: ("AUTOPILOT_VERSION", ("flight_sw_version",)),
+    158: ("MOUNT_STATUS", ("pointing_a", "pointing_b", "pointing_c")),
     180: ("CAMERA_FEEDBACK", ("time_usec", "img_idx")),
     253: ("STATUSTEXT", ()),
+    265: ("MOUNT_ORIENTATION", ("time_boot_ms", "roll", "pitch", "yaw")),
+    285: ("GIMBAL_DEVICE_ATTITUDE_STATUS", ("time_boot_ms", "flags", *(f"q[{k}]" for k in range(4)))),
 }
 _NUMBERS: Final = {name: number for number, (name, _) in MESSAGES.items()}
 
 # Messages that only ArduPilot's dialect has.
-_OF_ARDUPILOT: Final = {"CAMERA_FEEDBACK"}
+_OF_ARDUPILOT: Final = {"CAMERA_FEEDBACK", "MOUNT_STATUS"}
 # Messages with attitude.  The last one is a simulator's own state, used if a system sends neither of the others.
 QUATERNION: Final = "ATTITUDE_QUATERNION"
 EULER: Final = "ATTITUDE"

@@ -12,6 +12,9 @@ vehicle_angular_velocity                 xyz[0..2]                              
 sensor_combined                          gyro_rad[0..2], gyro_rad_s[0..2] until 2017     the same
 sensor_gyro                              x, y, z                                         the same
 camera_capture, camera_trigger           timestamp, timestamp_utc                        when the camera was triggered
+gimbal_device_attitude_status            q[0..3], device_flags                           attitude of a gimbal
+mount_orientation                        attitude_euler_angle[0..2] (rad)                the same, if there is none of
+                                                                                         the above
 vehicle_status                           system_type                                     the vehicle
 =======================================  ==============================================  =============================
 
@@ -33,6 +36,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate
 from glstar.telemetry.boots import find_boots
+from glstar.telemetry.gimbals import gimbal_of_topics
 from glstar.telemetry.samplevalidation import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
@@ -144,6 +148,7 @@ class ULogReader(TelemetrySource):
         for number, log in flew:
             yield from (replace(rates, boot=number) for rates in _rates(log))
             yield from (replace(triggers, boot=number) for triggers in _triggers(log))
+            yield from (replace(gimbal, boot=number) for gimbal in gimbal_of_topics(log))
 
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the autopilot in the file, or the requested one.

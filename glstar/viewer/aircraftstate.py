@@ -74,8 +74,8 @@ def aircraft_state(simulator: Simulator, utc_s: float) -> AircraftState:
     AircraftState
     """
     flight, camera = simulator.flight, simulator.camera
+    roll, pitch, yaw = (float(angle) for angle in euler_from_quaternion(flight.aircraft_attitude.at(utc_s)))
     q_body_ned = flight.attitude.at(np.array([utc_s]))
-    roll, pitch, yaw = (float(angle[0]) for angle in euler_from_quaternion(q_body_ned))
     C_camera_ned = simulator.mount.C_camera_body @ matrix_from_quaternion(q_body_ned)[0]
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_camera_ned[2])
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5

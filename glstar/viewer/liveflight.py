@@ -144,7 +144,7 @@ class LiveFlight:
 
     def _copy(self, origin_s: float) -> Buffered | None:
         flight = self.link.flight()
-        return None if flight is None else Buffered(flight, FlightLines.of(flight.attitude, origin_s))
+        return None if flight is None else Buffered(flight, FlightLines.of(flight.aircraft_attitude, origin_s))
 
     @property
     def stale_s(self) -> float | None:

@@ -82,7 +82,7 @@ class LoadedFlight:
         LoadedFlight
         """
         simulator = config.simulator(flight)
-        lines = FlightLines.of(flight.attitude, flight.attitude.first_s)
+        lines = FlightLines.of(flight.aircraft_attitude, flight.attitude.first_s)
         return cls(path, config, given, flight, lines, simulator, Overlays(simulator.sky.catalogue))
 
     @classmethod
@@ -191,6 +191,8 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
         return config.simulator(simulator.flight)
     return replace(
         simulator,
+        gimbal=config.gimbal,
+        flight=config.gimbal.carried(simulator.flight),
         sky=replace(
             simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction, dip=config.sky.horizon == "dip"
         ),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from glstar.rotation import matrix_from_quaternion, turn_between
 from glstar.sky.timescale import parse_utc
@@ -157,3 +158,29 @@ def test_without_a_navigator_there_is_no_record(tmp_path: Path) -> None:
     assert glstar("export", "-o", "set", "--frames", "1", folder=tmp_path).returncode == 0
 
     assert not (tmp_path / "set" / "nav.jsonl").exists()
+
+
+def test_the_gimbal_turns_the_estimate_of_the_aircraft_onto_its_platform(tmp_path: Path) -> None:
+    settings = tmp_path / "gimbal.toml"
+    settings.write_text(
+        '[mount]\ngimbal = "level"\n[navigator]\nroll_bias_deg = 0.5\n[flight.synthetic]\npath = "orbit"\n'
+        "[camera]\nwidth_px = 64\nheight_px = 48\nfx_px = 61\nfy_px = 61\n"
+    )
+    run = glstar("export", "-c", settings.name, "-o", "set", "--frames", "2", folder=tmp_path)
+    assert run.returncode == 0, run.stderr
+    for truth, nav in zip(
+        lines_of(tmp_path / "set" / "truth.jsonl"), lines_of(tmp_path / "set" / "nav.jsonl"), strict=True
+    ):
+        aircraft, joints, platform = (
+            Rotation.from_quat(np.roll(q["middle"], -1))
+            for q in (nav["gimbal"]["q_aircraft_ned"], nav["gimbal"]["q_gimbal_aircraft"], nav["q_body_ned"])
+        )
+        assert ((platform * aircraft.inv()) * joints.inv()).magnitude() < 1e-9
+        real = {key: Rotation.from_quat(np.roll(q, -1)) for key, q in truth["gimbal"].items()}["q_aircraft_ned"]
+        # The platform is level in truth; the roll bias of the aircraft tilts what the navigator believes of it.
+        level = Rotation.from_quat(np.roll(truth["q_body_ned"], -1)).inv().as_euler("ZYX", degrees=True)
+        assert np.abs(level[1:]).max() < 1e-9
+        assert np.rad2deg((aircraft * real.inv()).magnitude()) == pytest.approx(0.5, abs=1e-6)
+        assert np.rad2deg((platform * Rotation.from_quat(np.roll(truth["q_body_ned"], -1)).inv()).magnitude()) == (
+            pytest.approx(0.5, abs=1e-6)
+        )

@@ -12,6 +12,7 @@ from glstar.camera.presets import camera_presets
 from glstar.camera.sensor import NoiseModel
 from glstar.camera.sensorpresets import sensor_presets
 from glstar.config import Config
+from glstar.flight.gimbal import GimbalMode
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.session import Session
 
@@ -265,4 +266,5 @@ def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) 
 def _mount(config: Config, changes: dict[str, Any]) -> None:
     _sliders(_MOUNT, config, changes)
     is_literal = config.mount().reading == "literal"
+    _choice("mount.gimbal", "Gimbal", config.gimbal.mode, get_args(GimbalMode), changes)
     _switch("mount.reading", "Mount angles literally as in eq. (31)", is_literal, "literal", "body", changes)

@@ -120,7 +120,7 @@ class Timeline:
         first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
         self.axis = TimeAxis(last_s - first_s, max_span_s=_LIVE_S if grows else inf)
         self.follow, self.utc, self.grows = True, False, grows
-        self.show(FlightLines.of(flight.attitude, first_s) if lines is None else lines)
+        self.show(FlightLines.of(flight.aircraft_attitude, first_s) if lines is None else lines)
         self._position, self._origin_s = flight.position, first_s
         self._light: dict[str, Bands] = {}
         self._lit_until_s = -inf
