@@ -77,7 +77,7 @@ class Gimbal:
         """Return the attitude of a level platform at the samples of the aircraft's attitude.
 
         Its roll and pitch are those of the aircraft minus what the joints compensate; the joints follow with a
-        first-order lag, exactly for angles that are linear between samples, and begin anew after each gap.
+        first-order lag, exactly for angles that are linear between samples, and begin again after each gap.
         """
         roll, pitch, heading = euler_from_quaternion(own.q_body_ned)
         joint_roll = np.clip(roll, -self.roll_limit_rad, self.roll_limit_rad)

@@ -90,8 +90,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        With ``[mount] gimbal``, ``q_body_ned`` is the platform's, and ``gimbal`` has ``q_aircraft_ned``.
-        Then `_expected`, `row_columns`, `stacked_segments`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
+        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
     """
     truth = {
         "schema": SCHEMA,
@@ -274,7 +273,7 @@ def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: 
 
 
 def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
-    """Return the keys of the gimbal, of extinction and of the bodies, as far as they are simulated."""
+    """Return the keys of the gimbal (the aircraft's own attitude), of extinction and of the bodies, if simulated."""
     keys: dict[str, Any] = {}
     if scene.q_aircraft_ned is not None:
         keys["gimbal"] = {"q_aircraft_ned": scene.q_aircraft_ned.tolist()}

@@ -314,7 +314,9 @@ class RecordedLog:
             else given_utc(options.utc_start),
             time_offset_s=options.time_offset_s,
             notes=(*notes, *options.notes(attitude, self.name)),
-            gimbal=_gimbals([used[n].gimbal_attitude(offset_s[n] - earlier_s) for n in used]),
+            gimbal=_gimbals(
+                [one.over_utc(offset_s[n] - earlier_s) for n in used if (one := used[n].gimbal) is not None]
+            ),
             triggers=_triggers([used[n].camera_triggers(offset_s[n] - earlier_s, by_log=not earlier_s) for n in used]),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
             if options.utc_start is None
@@ -344,9 +346,8 @@ def _triggers(parts: list[CameraTriggers | None]) -> CameraTriggers | None:
     return CameraTriggers(np.concatenate([part.utc_s for part in found]), found[0].source) if found else None
 
 
-def _gimbals(parts: list[GimbalAttitude | None]) -> GimbalAttitude | None:
+def _gimbals(found: list[GimbalAttitude]) -> GimbalAttitude | None:
     """Return the attitude of a gimbal in several boots."""
-    found = [part for part in parts if part is not None]
     if not found:
         return None
     utc_s, q, is_earth = (

@@ -286,16 +286,8 @@ class Recording:
             notes=(*self.attitude.notes, *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
             triggers=self.camera_triggers(shift_s, by_log=utc_start is None),
-            gimbal=self.gimbal_attitude(shift_s),
+            gimbal=None if self.gimbal is None else self.gimbal.over_utc(shift_s),
         )
-
-    def gimbal_attitude(self, utc_minus_clock_s: float) -> GimbalAttitude | None:
-        """Return the attitude of the gimbal over UTC, sorted by time; None if the log has none."""
-        if (known := self.gimbal) is None:
-            return None
-        clock_s, first = np.unique(known.clock_s, return_index=True)
-        q, is_earth = known.q_gimbal_reference[first], known.is_earth[first]
-        return GimbalAttitude(clock_s + utc_minus_clock_s, q, is_earth, known.source)
 
     def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
         """Return when the camera was triggered.

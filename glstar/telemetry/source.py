@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.flight import GimbalAttitude
 
 __all__ = [
     "EVERYWHERE",
@@ -214,6 +215,23 @@ class GimbalSamples:
     is_earth: NDArray[np.bool_]
     source: str
     boot: int = 1
+
+    def over_utc(self, utc_minus_clock_s: float) -> GimbalAttitude:
+        """Return the attitudes sorted by time, each time once.
+
+        Parameters
+        ----------
+        utc_minus_clock_s : float
+            UTC minus the clock of the source, s.
+
+        Returns
+        -------
+        GimbalAttitude
+        """
+        clock_s, first = np.unique(self.clock_s, return_index=True)
+        return GimbalAttitude(
+            clock_s + utc_minus_clock_s, self.q_gimbal_reference[first], self.is_earth[first], self.source
+        )
 
 
 Samples = GimbalSamples | AttitudeSamples | PositionSamples | ClockSamples | RateSamples | TriggerSamples

@@ -62,7 +62,7 @@ def test_joints_and_heading_lag_as_the_differential_equation_says() -> None:
     assert abs((angles_deg(T_S)[-1, 0] - found[-1, 0]) % 360 - 6 * 2.0) < 1e-2
 
 
-def test_a_lag_begins_anew_after_a_gap() -> None:
+def test_a_lag_begins_again_after_a_gap() -> None:
     t_s = np.concatenate([T_S[T_S < 5], T_S[T_S > 9]])
     gap = Gap(float(t_s[t_s < 5][-1]), float(t_s[t_s > 9][0]), "a data gap")
     found = platform_deg(Gimbal("level", heading_lag_s=5.0).carried(flight(t_s, (gap,))))

@@ -15,7 +15,7 @@ from glstar.telemetry import open_flight
 from tests.support.dataflash import Log
 from tests.telemetry.test_triggers import BOOT_S, ELEVEN_S, ULogWriter
 
-# The aircraft turns with 20 deg of bank; the platform is pitched up and looks to the side of the heading.
+# The aircraft turns with 20 deg of bank; the platform is pitched up and turned to the side of the heading.
 ROLL_DEG, PITCH_DEG, RATE_DEG_PER_S = 20.0, 3.0, 12.0
 PLATFORM_ROLL_DEG, PLATFORM_PITCH_DEG = 1.5, 35.0
 STEP_S = 0.02
