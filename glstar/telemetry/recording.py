@@ -14,7 +14,6 @@ from glstar.flight import (
     CameraTriggers,
     ClockQuality,
     Flight,
-    GimbalAttitude,
     Interpolation,
     PositionTrack,
 )
