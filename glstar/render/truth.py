@@ -90,7 +90,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
+        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; ``bodies`` with ``[sky] bodies``: `_body`.
     """
     truth = {
         "schema": SCHEMA,
