@@ -315,7 +315,7 @@ class RecordedLog:
             time_offset_s=options.time_offset_s,
             notes=(*notes, *options.notes(attitude, self.name)),
             gimbal=_gimbals(
-                [one.over_utc(offset_s[n] - earlier_s) for n in used if (one := used[n].gimbal) is not None]
+                [known.over_utc(offset_s[n] - earlier_s) for n in used if (known := used[n].gimbal) is not None]
             ),
             triggers=_triggers([used[n].camera_triggers(offset_s[n] - earlier_s, by_log=not earlier_s) for n in used]),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
