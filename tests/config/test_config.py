@@ -594,7 +594,9 @@ def test_a_resolved_config_has_every_value(write: Write) -> None:
     of_the_paper = [effect for effect in EFFECTS if effect.noise_model != "electrons"]
     of_effects = {key.name for effect in of_the_paper if effect.section == "sensor" for key in effect.keys}
     assert set(resolved["sensor"]) == Sensor().keys.keys() | of_effects | {"file"}
-    assert resolved["mount"] == {"yaw_deg": -90.0, "pitch_deg": 90.0, "roll_deg": 0.0, "reading": "body"}
+    limits = {"gimbal_roll_limit_deg": 180.0, "gimbal_pitch_limit_deg": 90.0}
+    gimbal = {"gimbal": "none", **limits, "gimbal_lag_s": 0.0, "gimbal_heading_lag_s": 0.0}
+    assert resolved["mount"] == {"yaw_deg": -90.0, "pitch_deg": 90.0, "roll_deg": 0.0, "reading": "body", **gimbal}
 
 
 def test_a_resolved_config_names_its_preset() -> None:
