@@ -8,7 +8,7 @@
 // Pixel (0, 0) is the CENTRE of the top-left pixel, x to the right, y down.  Row 0 of the target is the image's top row:
 // y grows with gl_Position.y and with gl_FragCoord.y, and nothing is ever flipped.
 
-// SUB_EXPOSURES_PER_SPRITE: 4.
+// SUB_EXPOSURES_PER_SPRITE: 4.  PASSAGE_COLUMNS: columns of the texture of cloud.
 
 in vec3  direction_eq;            // geocentric apparent unit vector, true equator and equinox
 in float brightness;              // 10^(-0.4 V): flux relative to a star of magnitude 0
@@ -19,10 +19,15 @@ in vec4  tints_of_star;
 flat out vec4 tints;              // mosaic.glsl
 #endif
 
+in float passage_column;          // of the star among those that are drawn
+
 #include "projection.glsl"
 #include "rasterization.glsl"
 
 uniform vec2  target_px;          // width and height of the target
+uniform sampler2D passage;        // transmission of cloud by star and instance, in rows of PASSAGE_COLUMNS; 1 without
+uniform int   passage_instances;  // values for each star; 0 without cloud
+uniform int   passage_first;      // the first instance of this call
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 in one sub-exposure, eqs. (37), (43)
 
 flat out vec4  centres_01_px;     // (x, y) of two sub-exposures in the target; gl_PointCoord would inherit the
@@ -64,6 +69,10 @@ void main() {
 #if MOSAIC
     tints = tints_of_star;
 #endif
+    if (passage_instances > 0) {
+        int texel = int(passage_column) * passage_instances + passage_first + gl_InstanceID;
+        peak_dn *= texelFetch(passage, ivec2(texel % PASSAGE_COLUMNS, texel / PASSAGE_COLUMNS), 0).r;
+    }
 #if ROWS
     bool known = max(centres_px[0].x, centres_px[SUB_EXPOSURES_PER_SPRITE - 1].x) < FAR_PX;
     step_px = known ? (centres_px[SUB_EXPOSURES_PER_SPRITE - 1] - centres_px[0]) / float(SUB_EXPOSURES_PER_SPRITE - 1)

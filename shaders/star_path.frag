@@ -25,6 +25,7 @@
 // SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
 
 uniform sampler2D positions;      // of project_stars.frag
+uniform sampler2D passage;        // transmission of cloud by star (column) and segment (row); one texel of 1 without
 uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends; start
 uniform int   last_time;
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
@@ -219,7 +220,8 @@ Path path_of(int star, int segment) {
     path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
-    float peak_dn = vmag_0_peak_dn * brightness_and_radius.x * duration * (sets - rises);
+    float transmission = texelFetch(passage, min(ivec2(star, segment), textureSize(passage, 0) - 1), 0).r;
+    float peak_dn = vmag_0_peak_dn * brightness_and_radius.x * duration * (sets - rises) * transmission;
     if (length(chord) < SHORT_SIGMA * effective_sigma_px)
         two_gaussians(path, chord, ahead, peak_dn, brightness_and_radius.y);
     else

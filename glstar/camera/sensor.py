@@ -30,7 +30,7 @@ EffectValue = float | int | bool | str
 NoiseModel = Literal["paper", "electrons"]
 
 # Beginnings of the effects' keys that change the noiseless signal of stars; all others act on it later.
-_KEYS_OF_LIGHT = ("sensor.psf", "sensor.band", "sensor.mosaic")
+_KEYS_OF_LIGHT = ("sensor.psf", "sensor.band", "sensor.mosaic", "cloud.")
 
 # The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
 TRUNCATION_DN = 0.02

@@ -159,7 +159,7 @@ def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str,
         "start_s": options.start_s,
         "format": options.image_format,
         "light": options.noiseless,
-        **({"masks": list(masks_of(masks=True))} if options.masks else {}),
+        **({"masks": list(masks_of(config, masks=True))} if options.masks else {}),
         "seed": options.seed,
     }
 

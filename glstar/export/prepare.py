@@ -70,7 +70,7 @@ def prepare_export(
     image_format, sensor = fit_format(options.image_format, config.sensor(), summed=config.exposure.signal_factor)
     frames = FlightFrames(config.simulator(flight, sensor=sensor), plan if only is None else plan.only(only))
     manifest = describe(config, flight_path, flight, sensor, replace(options, image_format=image_format), plan)
-    return Export(_task(frames, directory, image_format, options), manifest)
+    return Export(_task(config, frames, directory, image_format, options), manifest)
 
 
 def prepare_data_set(
@@ -127,12 +127,14 @@ def prepare_data_set(
             del flights[error.which]
             omitted.append(OmittedLog(paths.pop(error.which), str(error)))
     manifest = describe_data_set(paths, frames, sensor, replace(options, image_format=image_format), omitted)
-    task = _task(frames, directory, image_format, options)
+    task = _task(config, frames, directory, image_format, options)
     return Export(task, manifest, tuple(omitted))
 
 
-def _task(frames: Frames, directory: Path, image_format: ImageFormat, options: ExportOptions) -> FrameTask:
-    masks = masks_of(masks=options.masks)
+def _task(
+    config: Config, frames: Frames, directory: Path, image_format: ImageFormat, options: ExportOptions
+) -> FrameTask:
+    masks = masks_of(config, masks=options.masks)
     return FrameTask(frames, directory, image_format, options.noiseless, options.seed, masks=masks)
 
 

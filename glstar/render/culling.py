@@ -45,12 +45,15 @@ class DrawList:
         Lower bound of the length of each star's trail at its slowest rate, px; 0 by default.
     extinction_mag : (k,) float64 or None
         What the air takes from each star in the middle of the exposure, mag; None without extinction.
+    passage : (k, s) float32 or None
+        What cloud transmits of each star in each of the s segments or sub-exposures; None without cloud.
     """
 
     index: NDArray[np.int32]
     truncation_radius_px: Float
     min_trail_px: Float = field(default_factory=lambda: np.zeros(0))
     extinction_mag: Float | None = None
+    passage: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         if len(self.min_trail_px) != len(self.index):
@@ -71,7 +74,9 @@ class DrawList:
 
     def __getitem__(self, stars: slice | NDArray[np.intp] | NDArray[np.bool_]) -> "DrawList":
         extinction_mag = None if self.extinction_mag is None else self.extinction_mag[stars]
-        return DrawList(self.index[stars], self.truncation_radius_px[stars], self.min_trail_px[stars], extinction_mag)
+        passage = None if self.passage is None else self.passage[stars]
+        radius_px, trail_px = self.truncation_radius_px[stars], self.min_trail_px[stars]
+        return DrawList(self.index[stars], radius_px, trail_px, extinction_mag, passage)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from glstar.flight import Flight
 from glstar.flight.gimbal import NO_GIMBAL, Gimbal
 from glstar.render.bodysources import BodySources, body_field
 from glstar.render.cameramotion import CameraMotion, MotionSamples
+from glstar.render.cloudedsky import CloudedSky
 from glstar.render.colourscenes import in_band
 from glstar.render.culling import DrawList, StarCuller, TouchingStars
 from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SegmentLimit, SpriteCost
@@ -316,6 +317,11 @@ class Simulator:
         bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
         n = self._sub_exposure_rule(exposure).count(steps * max(touching.longest_step_px, body_step_px))
         trails = SubExposures(self.pointing(exposure.sub_utc_s(n)))
+        sky = CloudedSky.of(self.motion, self.sensor, exposure)
+        if sky is not None:
+            part = np.full(n, 1 / n)
+            draw_list, bodies = sky.dimmed(self._stars_in_band, touching.summed, part), sky.dimmed_bodies(bodies, part)
+            return self._composed(exposure, shutter, draw_list, trails, path, bodies)
         return self._composed(exposure, shutter, touching.summed, trails, path, bodies)
 
     def _from_segments(self, exposure: Exposure, trails: AnalyticSegments, path: "_TruePath") -> Scene:
@@ -324,6 +330,11 @@ class Simulator:
         draw_list = touching.integrated(exposure.faintest_dn)
         step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
         bodies, _ = self._body_sources(exposure, shutter.site, trails.pointing, step_fraction, analytic=True)
+        sky = CloudedSky.of(self.motion, self.sensor, exposure)
+        if sky is not None:
+            trails = sky.divided(trails, self._stars_in_band, draw_list, bodies)
+            part = trails.time_fraction
+            draw_list, bodies = sky.dimmed(self._stars_in_band, draw_list, part), sky.dimmed_bodies(bodies, part)
         return self._composed(exposure, shutter, draw_list, trails, path, bodies)
 
     def touching(self, exposure: Exposure, trails: AnalyticSegments, site: Site) -> TouchingStars:

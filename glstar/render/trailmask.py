@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.vignetting import Vignetting
+from glstar.render.cloudedsky import scene_passage
 from glstar.render.effects.naturalsky import natural_sky_dn
 from glstar.render.rowtimes import recorded_times
 from glstar.render.scene import Scene
@@ -208,6 +209,10 @@ def _samples(scene: Scene, stars: NDArray[np.intp]) -> tuple[Float, Float]:
         begin = end - time_fraction[:, np.newaxis]
         weight = np.minimum(end, times.closes_s / span_s) - np.maximum(begin, times.opens_s / span_s)
         weight = weight.clip(min=0.0) * (span_s / scene.exposure.duration_s)
+    passage = scene_passage(scene, directions)
+    if passage is not None:
+        end = np.cumsum(time_fraction)
+        weight = weight * passage.at(end - time_fraction / 2)
     hidden = np.isnan(xy_px[..., 0])
     xy_px = np.where(hidden[..., np.newaxis], -1e6, xy_px)
     vignetting = Vignetting.of(scene.sensor.effects)

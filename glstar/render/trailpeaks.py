@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.clouds import CloudPassage
 from glstar.render.scene import Scene
 from glstar.render.stacking import StackedTrails
 from glstar.render.trailmodels import AnalyticSegments, TrailModel
@@ -42,7 +43,7 @@ class TrailPeaks:
     area_px2: Float
 
 
-def trail_peaks(scene: Scene, direction_eq: Float) -> TrailPeaks:
+def trail_peaks(scene: Scene, direction_eq: Float, passage: CloudPassage | None = None) -> TrailPeaks:
     """Return the expected brightness of trails along the true paths of stars.
 
     Parameters
@@ -50,6 +51,8 @@ def trail_peaks(scene: Scene, direction_eq: Float) -> TrailPeaks:
     scene : Scene
     direction_eq : (m, 3) float64
         Geocentric apparent unit vectors, true equator and equinox.
+    passage : CloudPassage, optional
+        What cloud transmits of the stars: the peak is that of the dimmed trail, over the flux above the cloud.
 
     Returns
     -------
@@ -71,10 +74,15 @@ def trail_peaks(scene: Scene, direction_eq: Float) -> TrailPeaks:
     length_px = np.hypot(step[..., 0], step[..., 1])
     hidden = ~np.isfinite(length_px)
     weights = np.where(hidden, 0.0, weight[:, np.newaxis])
+    mean = np.ones(1)
+    if passage is not None:
+        ends = np.cumsum(weight)
+        weights, mean = weights * passage.at((ends - weight / 2) / ends[-1]), passage.mean
     peak = _signal_at(point, np.nan_to_num(xy_px), length_px, weights, sigma_px)
-    concentration = np.minimum(2 * np.pi * sigma_px**2 * peak, 1.0)
+    dimmed = peak / np.maximum(mean, 1e-30)
+    concentration = np.minimum(2 * np.pi * sigma_px**2 * dimmed, 1.0)
     factor = np.sqrt(2) + (2 - np.sqrt(2)) * concentration
-    return TrailPeaks(peak, factor / np.maximum(peak, 1e-30))
+    return TrailPeaks(peak, factor / np.maximum(dimmed, 1e-30))
 
 
 def _chains(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float, Float]]:

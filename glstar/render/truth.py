@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.camera.vignetting import Vignetting
 from glstar.render.bodysources import BodySources, disc_on_image
+from glstar.render.cloudedsky import scene_passage
+from glstar.render.clouds import CloudPassage
 from glstar.render.effects import effects_truth
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.rowtimes import recorded_rows, rolling_frame_keys, row_columns
@@ -211,6 +213,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
     extinction_mag = scene.listed.extinction_mag
     transmission = _transmission(scene, middle)
+    passage = scene_passage(scene, scene.stars.direction_eq[index])
     arriving_dn = peak_dn if transmission is None else peak_dn * np.nan_to_num(transmission, nan=1.0)
     return rows_of(
         {
@@ -227,10 +230,11 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn) * factor),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
-            **_expected(scene, index, arriving_dn, trails.on_image[drawn]),
+            **_expected(scene, index, arriving_dn, trails.on_image[drawn], passage),
             **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn)),
             **{key: _rounded(xy) for key, xy in stacked_segments(scene, scene.stars.direction_eq[index]).items()},
             **_widths(scene, drawn),
+            **_cloud_columns(passage),
             **({} if transmission is None else {"transmission": _rounded(transmission)}),
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
         }
@@ -245,7 +249,20 @@ def _transmission(scene: Scene, middle_px: Float) -> Float | None:
     return np.where(np.isnan(middle_px[:, 0]), np.nan, vignetting.of_stars(scene.camera, middle_px))
 
 
-def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: Float) -> dict[str, Float]:
+def _cloud_columns(passage: CloudPassage | None) -> dict[str, Float]:
+    """Return what cloud transmits of each star as the shutter opens, in the middle, as it closes, and the mean."""
+    if passage is None:
+        return {}
+    at_times = zip(("start", "mid", "end"), _rounded(passage.at(np.array([0.0, 0.5, 1.0]))), strict=True)
+    return {
+        **{f"cloud_transmission_{name}": values for name, values in at_times},
+        "cloud_transmission_mean": _rounded(passage.mean),
+    }
+
+
+def _expected(
+    scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: Float, passage: CloudPassage | None
+) -> dict[str, Float]:
     """Return the columns of the expected brightness of trails.
 
     ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
@@ -255,19 +272,21 @@ def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: 
     """
     flux_dn, factor = scene.sensor.flux_dn(peak_dn), scene.exposure.signal_factor
     gain = sqrt(scene.exposure.frames)
-    trails = trail_peaks(scene, scene.stars.direction_eq[index])
+    trails = trail_peaks(scene, scene.stars.direction_eq[index], passage)
+    # Of what passes the cloud; the peak has it already.
+    flux_dn, whole_dn = (flux_dn, flux_dn) if passage is None else (flux_dn * passage.mean, flux_dn)
     noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)
     area_px2 = trails.area_px2 * np.maximum(on_image, 1e-9)
     model = scene.sensor.electrons
     if model is not None:
         flux_e = flux_dn * on_image / model.dn_per_e
         return {
-            "trail_peak_dn": _rounded(flux_dn * factor * trails.peak_fraction_per_px2),
+            "trail_peak_dn": _rounded(whole_dn * factor * trails.peak_fraction_per_px2),
             "snr": _rounded(model.signal_to_noise(flux_e, area_px2, scene.exposure.duration_s) * gain),
             "flux_e": _rounded(flux_e * factor),
         }
     return {
-        "trail_peak_dn": _rounded(flux_dn * factor * trails.peak_fraction_per_px2),
+        "trail_peak_dn": _rounded(whole_dn * factor * trails.peak_fraction_per_px2),
         "snr": _rounded(flux_dn * on_image / (noise_dn * np.sqrt(area_px2)) * gain),
     }
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from glstar.camera.sensor import Sensor
 from glstar.render.effects.blacklevel import BLACK_LEVEL
+from glstar.render.effects.cloud import CLOUD
 from glstar.render.effects.colourkeys import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS
 from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
@@ -59,6 +60,7 @@ EFFECTS: tuple[Effect, ...] = (
     MOSAIC_OF_STARS,
     MOSAIC_OF_SKY,
     NATURAL_SKY,
+    CLOUD,
     CAMERA_PROCESSING,
 )
 

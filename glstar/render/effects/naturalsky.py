@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.errors import RenderError
+from glstar.render.clouds import CLOUD_DEFAULTS, cloud_sheet
+from glstar.render.effects.cloudtexture import crossing_at
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
 from glstar.render.scene import Scene
 from glstar.sky.bodies import Body, observed_bodies
-from glstar.sky.extinction import Extinction
+from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
+from glstar.sky.extinction import Extinction, air_mass
 from glstar.sky.skybrightness import SkyLights, SkyState, SkyView, sky_radiance
 
 __all__ = ["NATURAL_SKY", "natural_sky_dn", "sky_radiance_at"]
@@ -22,12 +25,16 @@ Float = NDArray[np.float64]
 
 # Columns and rows of the texture: of the smooth sky at most 1.5 % off beyond 3 deg of the Moon.
 _GRID: Final = (97, 73)
+# With cloud, whose edges are sharper.
+_CLOUD_GRID: Final = (193, 145)
 # Weights of the start, the middle and the end of the exposure: Simpson's rule.
 _TIME_WEIGHTS: Final = (1 / 6, 4 / 6, 1 / 6)
 # Below this rotation of the camera during the exposure, rad, the middle represents it.
 _STILL_RAD: Final = np.deg2rad(0.5)
 # Number of azimuths in the mean brightness of the ground.
 _AZIMUTHS: Final = 24
+# Town glow of no town.
+NO_TOWN_MAG: Final = 30.0
 _ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
 _DEFAULT: Final = SkyLights()
 
@@ -100,12 +107,12 @@ def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: Camera) -> tuple[Float, Float]:
+def _rays(camera: Camera, grid: tuple[int, int]) -> tuple[Float, Float]:
     """Return the directions of the texture's nodes in the camera frame, and the solid angles of pixels there.
 
     The nodes reach from edge to edge of the image: (rows, columns, 3) unit vectors, (rows, columns) arcsec^2.
     """
-    columns, rows = _GRID
+    columns, rows = grid
     x = np.linspace(-0.5, camera.width_px - 0.5, columns)
     y = np.linspace(-0.5, camera.height_px - 0.5, rows)
     centres = np.stack(np.meshgrid(x, y), axis=-1)
@@ -122,15 +129,15 @@ def _rays(camera: Camera) -> tuple[Float, Float]:
 
 def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     """Return sky and ground, DN a pixel, and the sine of the altitude above the horizon, (rows, columns, 3)."""
-    rays, solid_angle = _rays(scene.camera)
+    rays, solid_angle = _rays(scene.camera, _GRID if cloud_sheet(scene.sensor, scene.motion) is None else _CLOUD_GRID)
     boresight = scene.shutter.boresight_eq
     still = boresight[0] @ boresight[2] > np.cos(_STILL_RAD)
     times = {1: 1.0} if still else dict(enumerate(_TIME_WEIGHTS))
-    radiance, ground = np.zeros(rays.shape[:2]), 0.0
+    radiance, ground = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2])
     for time, weight in times.items():
         direction = rays @ scene.shutter.C_camera_eq[time]
-        radiance = radiance + weight * sky_radiance_at(values, scene, time, direction)
-        ground += weight * _ground_radiance(values, scene, time)
+        sky, below = _sky_and_ground(values, scene, time, direction)
+        radiance, ground = radiance + weight * sky, ground + weight * below
     sine = rays @ scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1] - scene.sine_horizon
     dn_of_mag_0 = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
     per_pixel = dn_of_mag_0 * solid_angle
@@ -138,21 +145,55 @@ def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     return np.stack([per_pixel * radiance, per_pixel * ground, sine, np.zeros_like(sine)], axis=-1).astype(np.float32)
 
 
+def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float) -> tuple[Float, Float]:
+    """Return the brightness of sky and ground in some directions, with cloud in front of them."""
+    ground = _ground_radiance(values, scene, time)
+    crossing = crossing_at(scene, time, direction_eq)
+    if crossing is None:
+        return sky_radiance_at(values, scene, time, direction_eq), np.full(direction_eq.shape[:-1], ground)
+    without_towns = {**values, "town_mag_arcsec2": NO_TOWN_MAG}
+    sky = sky_radiance_at(without_towns, scene, time, direction_eq)
+    town = sky_radiance_at(values, scene, time, direction_eq) - sky
+    lights = _cloud_lights(without_towns, scene, time)
+    if scene.site.height_m >= float(scene.sensor.effects.get("cloud.height_m", CLOUD_DEFAULTS["height_m"])):
+        return sky + town, cloud_from_above(crossing, ground, lights)
+    _, moon = _sun_and_moon(scene)
+    clouded = cloud_from_below(crossing, direction_eq @ moon.direction_eq, sky, town, lights)
+    # The ground is lit by what the cloud leaves.
+    return clouded, np.full(direction_eq.shape[:-1], ground)
+
+
+def _cloud_lights(values: Values, scene: Scene, time: int) -> CloudLights:
+    """Return what lights the cloud: the Moon, if it is to light the air, and the mean sky at 30 deg."""
+    _, moon = _sun_and_moon(scene)
+    sine_moon = float(np.sin(moon.apparent_altitude_rad))
+    extinction = scene.extinction or Extinction()
+    mag = moon.vmag + extinction.zenith_mag(scene.site.height_m) * float(air_mass(sine_moon))
+    mean_sky = float(sky_radiance_at(values, scene, time, _ring(scene.shutter.zenith_eq[time], 0.5)).mean())
+    return CloudLights(10 ** (-0.4 * mag) if values["moonlight"] else 0.0, sine_moon, mean_sky)
+
+
 def _ground_radiance(values: Values, scene: Scene, time: int) -> float:
     zenith = scene.shutter.zenith_eq[time]
+    horizon = _ring(zenith, 0.0)
+    return float(values["ground_fraction"]) * float(sky_radiance_at(values, scene, time, horizon).mean())
+
+
+def _ring(zenith: Float, sine: float) -> Float:
+    """Return directions all around at an altitude."""
     level = np.cross(zenith, [0.0, 0.0, 1.0] if abs(zenith[2]) < 0.9 else [1.0, 0.0, 0.0])
     level /= np.linalg.norm(level)
     angle = 2 * np.pi * np.arange(_AZIMUTHS)[:, np.newaxis] / _AZIMUTHS
     horizon = np.cos(angle) * level + np.sin(angle) * np.cross(zenith, level)
-    return float(values["ground_fraction"]) * float(sky_radiance_at(values, scene, time, horizon).mean())
+    return np.asarray(horizon if sine == 0 else np.sqrt(1 - sine * sine) * horizon + sine * zenith)
 
 
 def _radiance_on_axis(values: Values, scene: Scene) -> float:
     """Return the brightness of the sky, or of the ground, on the optical axis in the middle of the exposure."""
     boresight = scene.shutter.boresight_eq[1]
     if boresight @ scene.shutter.zenith_eq[1] < scene.sine_horizon:
-        return _ground_radiance(values, scene, 1)
-    return float(sky_radiance_at(values, scene, 1, boresight))
+        return float(_sky_and_ground(values, scene, 1, boresight[np.newaxis])[1][0])
+    return float(_sky_and_ground(values, scene, 1, boresight[np.newaxis])[0][0])
 
 
 def natural_sky_dn(scene: Scene) -> float:
@@ -178,6 +219,7 @@ def natural_sky_dn(scene: Scene) -> float:
 def _depends_on(values: Values, scene: Scene) -> Hashable:
     return (
         *values.items(),
+        cloud_sheet(scene.sensor, scene.motion),
         scene.exposure.mid_utc_s,
         scene.exposure.duration_s,
         scene.site,

@@ -47,8 +47,8 @@ class StarBuffers:
         self.stars = stars
         self._context = context
         self._stars = context.buffer(packed_stars(stars))
-        # Truncation radius, px, and transmission of the air.
-        self._of_scene = np.ones((len(stars), 2), np.float32)
+        # Truncation radius, px, transmission of the air, and number among the stars that are drawn.
+        self._of_scene = np.ones((len(stars), 3), np.float32)
         self._of_scene_buffer = context.buffer(self._of_scene, dynamic=True)
         self._index = context.buffer(reserve=4 * len(stars), dynamic=True)
         # Colours in the cells of a mosaic.
@@ -59,6 +59,7 @@ class StarBuffers:
         """Upload which stars the next image shows, how far each is drawn, and the colours of all in a mosaic."""
         self._of_scene[draw_list.index, 0] = draw_list.truncation_radius_px
         self._of_scene[draw_list.index, 1] = draw_list.transmission
+        self._of_scene[draw_list.index, 2] = np.arange(len(draw_list))
         self._of_scene_buffer.write(self._of_scene)
         self._index.write(np.ascontiguousarray(draw_list.index))
         if tints is not None:
@@ -71,7 +72,7 @@ class StarBuffers:
         if program not in self._vertices:
             content: list[tuple[Any, ...]] = [
                 (self._stars, "3f 1f", "direction_eq", "brightness"),
-                (self._of_scene_buffer, "1f 1f", "truncation_radius_px", "transmission"),
+                (self._of_scene_buffer, "1f 1f 1f", "truncation_radius_px", "transmission", "passage_column"),
             ]
             if self._tints is not None and "tints_of_star" in program:
                 content.append((self._tints, "4f", "tints_of_star"))

@@ -7,6 +7,7 @@ import moderngl
 import numpy as np
 
 from glstar.render.colourscenes import cell_tints
+from glstar.render.opengl.passagetexture import PASSAGE_COLUMNS, PassageTexture, group_means
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
@@ -56,6 +57,8 @@ class SubExposurePass:
             owned.callback(self._pointing.release)
             self._pointing.filter = moderngl.NEAREST, moderngl.NEAREST
             owned.callback(self._drop_stars)
+            self._passage = PassageTexture(context)
+            owned.callback(self._passage.release)
             self._owned = owned.pop_all()
 
     def _linked(self, fragments: str, rows: int, *, mosaic: bool) -> moderngl.Program:
@@ -69,6 +72,7 @@ class SubExposurePass:
                 SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE,
                 ROWS=rows,
                 MOSAIC=int(mosaic),
+                PASSAGE_COLUMNS=PASSAGE_COLUMNS,
             )
         return self._programs[key]
 
@@ -102,6 +106,10 @@ class SubExposurePass:
         program = self._program_for(scene, trails, light, guard_band_px, clock)
         vertices = self._stars_of(scene, guard_band_px).vertices(program)
         self._pointing.use(location=0)
+        groups = group_means(scene.draw_list.passage, SUB_EXPOSURES_PER_SPRITE)
+        self._passage.write(groups)
+        self._passage.texture.use(location=1)
+        set_uniforms(program, passage=1, passage_instances=groups.shape[1])
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
         texels = pointing_texels(trails.pointing, multiple=SUB_EXPOSURES_PER_SPRITE)
@@ -110,6 +118,7 @@ class SubExposurePass:
             self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
             if clock.rows:
                 set_uniforms(program, first_instance=first // SUB_EXPOSURES_PER_SPRITE)
+            set_uniforms(program, passage_first=first // SUB_EXPOSURES_PER_SPRITE)
             instances = len(rows) // SUB_EXPOSURES_PER_SPRITE
             vertices.render(moderngl.POINTS, vertices=len(scene.draw_list), instances=instances)
         self._context.enable_only(moderngl.NOTHING)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.colourscenes import cell_tints
+from glstar.render.opengl.passagetexture import PassageTexture
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
@@ -139,6 +140,8 @@ class TrailPass:
         self._tints = self._texture((_STARS_PER_CALL, 1), 4)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._positions.release)
+        self._passage = PassageTexture(context)
+        self._owned.callback(self._passage.release)
 
     def draw(
         self,
@@ -164,6 +167,8 @@ class TrailPass:
         """
         paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
         self._upload(scene.stars)
+        if scene.draw_list.passage is None:
+            self._passage.write_table(np.ones((1, 1), np.float32))
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
         chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
@@ -176,6 +181,9 @@ class TrailPass:
                 if tints is not None:
                     of_columns = tints[drawn.index[stars]]
                     self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
+                if drawn.passage is not None:
+                    segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
+                    self._passage.write_table(drawn.passage[stars, segments].T)
                 self._draw(paths, draw_passes, chosen[stars], _near_image(scene, trails, times, stars), light)
 
     def _with_uniforms(
@@ -238,6 +246,7 @@ class TrailPass:
         self._context.enable_only(moderngl.NOTHING)
         positions = self._positions.filled(self._all_positions, len(chosen), times + 1)
         positions[0].use(location=0)
+        self._passage.texture.use(location=1)
         paths = path_table.textures.filled(path_table.vertex_array, len(chosen), segments + 1)
         for location, texture in enumerate(paths):
             texture.use(location)
@@ -267,7 +276,7 @@ class TrailPass:
                     ROWS=rows,
                 )
             )
-            set_uniforms(program, positions=0, pointing=2)
+            set_uniforms(program, positions=0, passage=1, pointing=2)
             vertex_array = self._own(self._context.vertex_array(program, []))
             textures = _TextureTable(self._context, len(_PATH_TEXTURES) if rows else len(_PATH_TEXTURES) - 1)
             self._owned.callback(textures.release)

@@ -1,0 +1,176 @@
+"""A sheet of cloud: its optical depth over the ground, and what it takes of the light of a direction."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["CloudSheet", "SheetCrossing"]
+
+Float = NDArray[np.float64]
+
+# Mean radius of the Earth, m.
+_EARTH_RADIUS_M: Final = 6371008.8
+# Cells along a side of the periodic field, and its side in units of the largest structures.
+_CELLS: Final = 1024
+_PERIOD_SCALES: Final = 16.0
+# Power per area falls as the wave number to minus this power: that of the light of clouds below some 500 m, which is
+# smoother than their water (Davis and others 1997, J. Atmos. Sci. 54, 241).
+_SPECTRAL_SLOPE: Final = 11 / 3
+
+
+class SheetCrossing(NamedTuple):
+    """Where lines of sight cross a sheet.
+
+    Attributes
+    ----------
+    optical_depth : (...) float64
+        Of the sheet there, vertically; 0 where a line does not cross it.
+    slant : (...) float64
+        1 over the cosine of the angle between the line and the vertical there.
+    """
+
+    optical_depth: Float
+    slant: Float
+
+    @property
+    def transmission(self) -> Float:
+        """Fraction of light that passes along the line, (...)."""
+        return np.exp(-self.optical_depth * self.slant)
+
+
+@dataclass(frozen=True, slots=True)
+class CloudSheet:
+    """A thin sheet of cloud at a constant height, which drifts with the wind.
+
+    Attributes
+    ----------
+    coverage : float
+        Fraction of the sheet that is cloud, 0 to 1.
+    optical_depth : float
+        Vertical optical depth far from an edge.
+    height_m : float
+        As the height of the aircraft is measured.
+    scale_m : float
+        Size of the largest structures.
+    edge : float
+        Width of the edges, in standard deviations of the field that makes the structures.
+    wind_m_s : float
+        Speed at which it drifts.
+    wind_from_rad : float
+        Azimuth from which the wind blows.
+    seed : int
+    latitude_rad, longitude_rad : float
+        Origin of the coordinates on the sheet.
+
+    Notes
+    -----
+    A Gaussian random field f with a power law for its spectrum, of unit variance, is cut at its quantile f0 of 1 -
+    coverage: the optical depth is D (1 - exp(-(f - f0) / edge)) where f > f0.  The field repeats after 16 `scale_m`.
+    """
+
+    coverage: float
+    optical_depth: float
+    height_m: float
+    scale_m: float
+    edge: float
+    wind_m_s: float
+    wind_from_rad: float
+    seed: int
+    latitude_rad: float = 0.0
+    longitude_rad: float = 0.0
+
+    @property
+    def cell_m(self) -> float:
+        """Size of the smallest structures, m."""
+        return self.scale_m * _PERIOD_SCALES / _CELLS
+
+    def depth_at(self, east_m: ArrayLike, north_m: ArrayLike, utc_s: float) -> Float:
+        """Return the vertical optical depth at some places of the sheet.
+
+        Parameters
+        ----------
+        east_m, north_m : (...) array_like
+            From the origin, m.
+        utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        (...) float64
+        """
+        from scipy.ndimage import map_coordinates  # noqa: PLC0415 - only with cloud
+
+        drift_m = self.wind_m_s * utc_s
+        x = (np.asarray(east_m) + drift_m * np.sin(self.wind_from_rad)) / self.cell_m % _CELLS
+        y = (np.asarray(north_m) + drift_m * np.cos(self.wind_from_rad)) / self.cell_m % _CELLS
+        field, levels = _field(self.seed)
+        f = map_coordinates(field, np.stack([y.ravel(), x.ravel()]), order=3, prefilter=False, mode="grid-wrap")
+        above = f.reshape(x.shape) - levels[round((1 - self.coverage) * (len(levels) - 1))]
+        return np.asarray(self.optical_depth * -np.expm1(-np.maximum(above, 0.0) / self.edge))
+
+    def crossed(
+        self, sine_altitude: Float, east: Float, north: Float, site: tuple[float, float, float], utc_s: float
+    ) -> SheetCrossing:
+        """Return where lines of sight cross the sheet, upwards or downwards.
+
+        Parameters
+        ----------
+        sine_altitude : (...) float64
+            Sines of apparent altitudes.
+        east, north : (...) float64
+            Sine and cosine of the azimuth.
+        site : tuple of float
+            Latitude and longitude, rad, and height, m, of the observer.
+        utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        SheetCrossing
+            On a sphere, with straight lines of sight.
+        """
+        latitude_rad, longitude_rad, height_m = site
+        radius_m, above_m = _EARTH_RADIUS_M + height_m, self.height_m - height_m
+        along = radius_m * sine_altitude
+        square = along * along + above_m * (2 * radius_m + above_m)
+        root = np.sqrt(np.maximum(square, 0.0))
+        sheet_radius_m = radius_m + above_m
+        if above_m >= 0:  # the only positive solution, without cancellation
+            crosses = sine_altitude > -1.0
+            path_m = np.where(
+                along > 0, above_m * (2 * radius_m + above_m) / np.maximum(along + root, 1e-9), root - along
+            )
+        else:
+            crosses = (square > 0) & (along < 0)
+            path_m = np.where(crosses, above_m * (2 * radius_m + above_m) / np.minimum(along - root, -1e-9), 0.0)
+        cosine = np.sqrt(np.maximum(1 - sine_altitude * sine_altitude, 0.0))
+        arc_m = _EARTH_RADIUS_M * np.arctan2(path_m * cosine, radius_m + path_m * sine_altitude)
+        slant = sheet_radius_m / np.maximum(np.abs(along + path_m), 1e-9)
+        origin_east_m = _EARTH_RADIUS_M * np.cos(self.latitude_rad) * _wrapped(longitude_rad - self.longitude_rad)
+        origin_north_m = _EARTH_RADIUS_M * (latitude_rad - self.latitude_rad)
+        depth = self.depth_at(origin_east_m + arc_m * east, origin_north_m + arc_m * north, utc_s)
+        return SheetCrossing(np.where(crosses, depth, 0.0), slant)
+
+
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + np.pi) % (2 * np.pi) - np.pi
+
+
+@lru_cache(maxsize=4)
+def _field(seed: int) -> tuple[Float, Float]:
+    """Return the spline coefficients of a periodic field of unit variance, and a sorted sample of its values."""
+    from scipy.ndimage import map_coordinates  # noqa: PLC0415 - only with cloud
+
+    noise = np.fft.rfft2(np.random.default_rng(seed).standard_normal((_CELLS, _CELLS)))
+    ky, kx = np.fft.fftfreq(_CELLS)[:, np.newaxis] * _CELLS, np.fft.rfftfreq(_CELLS) * _CELLS
+    amplitude = (kx * kx + ky * ky + _PERIOD_SCALES**2) ** (-_SPECTRAL_SLOPE / 4)
+    amplitude[0, 0] = 0.0
+    field = np.fft.irfft2(noise * amplitude, s=(_CELLS, _CELLS))
+    side = np.arange(0, _CELLS, 4) + 0.5
+    places = np.stack([grid.ravel() for grid in np.meshgrid(side, side)])
+    values = map_coordinates(field, places, order=3, prefilter=False, mode="grid-wrap")
+    field = (field - values.mean()) / values.std()
+    return field, np.sort((values - values.mean()) / values.std())

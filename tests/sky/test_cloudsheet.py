@@ -1,0 +1,64 @@
+"""The sheet of cloud: cover, spectrum, drift, and energy of its light."""
+
+import numpy as np
+import pytest
+
+from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
+from glstar.sky.cloudsheet import CloudSheet, SheetCrossing
+
+SHEET = CloudSheet(0.4, 2.0, 4000.0, 2000.0, 1.0, 20.0, np.deg2rad(270.0), 1)
+
+
+@pytest.mark.parametrize("coverage", [0.1, 0.4, 0.9, 1.0])
+def test_cloud_covers_the_fraction_that_was_asked_for(coverage: float) -> None:
+    sheet = CloudSheet(coverage, 2.0, 4000.0, 2000.0, 1.0, 0.0, 0.0, 3)
+    x, y = np.random.default_rng(0).uniform(0, 32_000, (2, 40_000))
+    depth = sheet.depth_at(x, y, 0.0)
+    assert np.mean(depth > 0) == pytest.approx(coverage, rel=0, abs=0.01)
+    assert depth.max() < 2.0
+
+
+def test_cloud_drifts_with_the_wind() -> None:
+    x, y = np.random.default_rng(0).uniform(0, 32_000, (2, 100))
+    # From the west: after 50 s the cloud is 1000 m farther east.
+    np.testing.assert_allclose(
+        SHEET.depth_at(x + 1000.0, y, 1.71e9 + 50.0), SHEET.depth_at(x, y, 1.71e9), rtol=0, atol=1e-4
+    )
+
+
+def test_the_spectrum_of_the_field_is_a_power_law() -> None:
+    sheet = CloudSheet(1.0, 1.0, 4000.0, 2000.0, 1e6, 0.0, 0.0, 3)  # so wide an edge that the depth is linear
+    x = np.arange(1024) * sheet.cell_m
+    power = np.zeros(513)
+    for y in np.linspace(0, 32_000, 60):
+        power += np.abs(np.fft.rfft(sheet.depth_at(x, np.full_like(x, y), 0.0))) ** 2
+    k = np.arange(40, 120)
+    slope = np.polyfit(np.log(k), np.log(power[k]), 1)[0]
+    assert slope == pytest.approx(-8 / 3, rel=0, abs=0.25)
+
+
+def test_lines_of_sight_meet_the_sheet_of_a_round_earth() -> None:
+    for altitude_deg in (0.0, 5.0, 40.0, 90.0):
+        a = np.deg2rad(altitude_deg)
+        crossing = SHEET.crossed(np.array([np.sin(a)]), np.zeros(1), np.ones(1), (0.0, 0.0, 500.0), 0.0)
+        radius, sheet = 6371008.8 + 500.0, 6371008.8 + 4000.0
+        sine_there = radius * np.cos(a) / sheet  # the impact parameter stays
+        assert crossing.slant[0] == pytest.approx(1 / np.sqrt(1 - sine_there**2), rel=1e-6, abs=0)
+
+
+def test_no_cloud_has_the_light_of_the_sky_and_thick_cloud_that_of_the_layer() -> None:
+    lights = CloudLights(1e5, 0.5, 1e-8)
+    sky, town, cosine = np.array([2e-8]), np.array([1e-8]), np.array([0.3])
+    none = cloud_from_below(SheetCrossing(np.zeros(1), np.ones(1)), cosine, sky, town, lights)
+    np.testing.assert_allclose(none, sky + town, rtol=1e-12, atol=0)
+    above = cloud_from_above(SheetCrossing(np.zeros(1), np.ones(1)), 3e-9, lights)
+    np.testing.assert_allclose(above, 3e-9, rtol=1e-12, atol=0)
+    # What a layer without absorption transmits and reflects of the Moon adds up to what falls on it.
+    depth = 5.0
+    up, azimuth = np.meshgrid(np.linspace(1e-3, 1, 400), np.linspace(0, 2 * np.pi, 200))
+    cosine = up * 0.5 + np.sqrt(1 - up**2) * np.sqrt(0.75) * np.cos(azimuth)
+    crossing = SheetCrossing(np.full_like(up, depth), 1 / up)
+    moon = cloud_from_below(crossing, cosine, np.zeros_like(up), np.zeros_like(up), CloudLights(1e5, 0.5, 0.0))
+    flux = 2 * np.pi * np.mean(moon * up) * (648000 / np.pi) ** 2 / (1e5 * 0.5)
+    reflected = cloud_from_above(crossing, 0.0, CloudLights(1e5, 0.5, 0.0)).mean() * np.pi * 4.2545e10 / (1e5 * 0.5)
+    assert flux + reflected + np.exp(-depth / 0.5) == pytest.approx(1.0, rel=0, abs=0.1)
