@@ -101,14 +101,11 @@ class CloudSheet:
         -------
         (...) float64
         """
-        from scipy.ndimage import map_coordinates  # noqa: PLC0415 - only with cloud
-
         drift_m = self.wind_m_s * utc_s
-        x = (np.asarray(east_m) + drift_m * np.sin(self.wind_from_rad)) / self.cell_m % _CELLS
-        y = (np.asarray(north_m) + drift_m * np.cos(self.wind_from_rad)) / self.cell_m % _CELLS
+        x = (np.asarray(east_m) + drift_m * np.sin(self.wind_from_rad)) / self.cell_m
+        y = (np.asarray(north_m) + drift_m * np.cos(self.wind_from_rad)) / self.cell_m
         field, levels = _field(self.seed)
-        f = map_coordinates(field, np.stack([y.ravel(), x.ravel()]), order=3, prefilter=False, mode="grid-wrap")
-        above = f.reshape(x.shape) - levels[round((1 - self.coverage) * (len(levels) - 1))]
+        above = _spline(field, x, y) - levels[round((1 - self.coverage) * (len(levels) - 1))]
         return np.asarray(self.optical_depth * -np.expm1(-np.maximum(above, 0.0) / self.edge))
 
     def crossed(
@@ -162,15 +159,31 @@ def _wrapped(angle_rad: float) -> float:
 @lru_cache(maxsize=4)
 def _field(seed: int) -> tuple[Float, Float]:
     """Return the spline coefficients of a periodic field of unit variance, and a sorted sample of its values."""
-    from scipy.ndimage import map_coordinates  # noqa: PLC0415 - only with cloud
-
     noise = np.fft.rfft2(np.random.default_rng(seed).standard_normal((_CELLS, _CELLS)))
     ky, kx = np.fft.fftfreq(_CELLS)[:, np.newaxis] * _CELLS, np.fft.rfftfreq(_CELLS) * _CELLS
     amplitude = (kx * kx + ky * ky + _PERIOD_SCALES**2) ** (-_SPECTRAL_SLOPE / 4)
     amplitude[0, 0] = 0.0
     field = np.fft.irfft2(noise * amplitude, s=(_CELLS, _CELLS))
     side = np.arange(0, _CELLS, 4) + 0.5
-    places = np.stack([grid.ravel() for grid in np.meshgrid(side, side)])
-    values = map_coordinates(field, places, order=3, prefilter=False, mode="grid-wrap")
-    field = (field - values.mean()) / values.std()
-    return field, np.sort((values - values.mean()) / values.std())
+    field = np.pad(field, 1, mode="wrap")
+    values = _spline(field, *np.meshgrid(side, side))
+    return (field - values.mean()) / values.std(), np.sort(((values - values.mean()) / values.std()).ravel())
+
+
+def _spline(field: Float, x: Float, y: Float) -> Float:
+    """Return the quadratic B-spline of a periodic field, which has a border of one cell, at some columns and rows."""
+    (column, across), (row, down) = _taps(x), _taps(y)
+    total = np.zeros(np.shape(x))
+    first = row * (_CELLS + 2) + column
+    for k, weight in enumerate(down):
+        for j, other in enumerate(across):
+            total += weight * other * field.take(first + k * (_CELLS + 2) + j)
+    return total
+
+
+def _taps(x: Float) -> tuple[NDArray[np.intp], tuple[Float, Float, Float]]:
+    """Return the first of three cells of a field with a border, and their weights."""
+    nearest = np.floor(x + 0.5)
+    t = x - nearest
+    weights = 0.5 * (0.5 - t) ** 2, 0.75 - t * t, 0.5 * (0.5 + t) ** 2
+    return (nearest % _CELLS).astype(np.intp), weights
