@@ -25,11 +25,14 @@ from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.matches import Matches
 from glstar.calibrate.near import identify_near
 from glstar.calibrate.photograph import Channel, Photograph, read_image
+from glstar.calibrate.photographmodel import PhotographModel, measure_photograph
 from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.pointspreadfit import with_point_spread
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
 from glstar.calibrate.sharedlens import SharedLensFit, fit_shared_lens
+from glstar.calibrate.twin import Twin, TwinFigures, compare_twin, render_twin
+from glstar.calibrate.twinreport import draw_twin
 
 __all__ = [
     "BrightnessFit",
@@ -46,17 +49,22 @@ __all__ = [
     "Matches",
     "MeasuredStars",
     "Photograph",
+    "PhotographModel",
     "PlateSolution",
     "ReferenceStars",
     "SharedLensFit",
     "StarTable",
+    "Twin",
+    "TwinFigures",
     "calibrate",
     "calibrate_geometry",
     "combine",
+    "compare_twin",
     "detect_stars",
     "draw_combined",
     "draw_geometry",
     "draw_report",
+    "draw_twin",
     "fit_brightness",
     "fit_camera",
     "fit_lens",
@@ -65,7 +73,9 @@ __all__ = [
     "identify_by_labels",
     "identify_lost",
     "identify_near",
+    "measure_photograph",
     "prepare_to_draw",
     "read_image",
+    "render_twin",
     "with_point_spread",
 ]

@@ -259,7 +259,18 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
 def _flat_keys(sensor: Sensor) -> dict[str, Any]:
     """Return the keys of ``[sensor]``, with those of its effects."""
     keys = {key: value for key, value in sensor.keys.items() if key != "effects"}
-    return keys | {key.removeprefix("sensor."): value for key, value in sensor.effects.items()}
+    own = {key: value for key, value in sensor.effects.items() if key.startswith("sensor.")}
+    return keys | {key.removeprefix("sensor."): value for key, value in own.items()}
+
+
+def _other_tables(sensor: Sensor | None) -> list[str]:
+    """Return the lines of effects in tables of their own, such as ``[lens]``."""
+    others = {} if sensor is None else {key: v for key, v in sensor.effects.items() if not key.startswith("sensor.")}
+    lines = []
+    for section in dict.fromkeys(key.partition(".")[0] for key in others):
+        keys = {key.partition(".")[2]: value for key, value in others.items() if key.startswith(f"{section}.")}
+        lines += ["", f"[{section}]", *(f"{key} = {toml_value(value)}" for key, value in keys.items())]
+    return lines
 
 
 def calibration_toml(
@@ -315,6 +326,7 @@ def calibration_toml(
         *(f"{key} = {toml_value(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
         f"skew_px = {toml_value(camera.skew_px)}",
         *(f"{key} = {toml_value(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
+        *_other_tables(sensor),
     ]
     return "\n".join(lines) + "\n"
 

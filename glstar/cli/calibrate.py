@@ -100,6 +100,13 @@ Shape = Annotated[
     bool,
     typer.Option("--shape", help="Fit the shape of the stars too: Moffat wings, ellipticity, growth off axis."),
 ]
+Twin = Annotated[
+    bool,
+    typer.Option(
+        "--twin",
+        help="Measure all that the image shows (sky, noise, shape, colour, vignetting), simulate it, and compare.",
+    ),
+]
 CameraOut = Annotated[
     Path | None,
     typer.Option(help="Also write the camera as a file for [camera] file, ROS and OpenCV.", show_default="none"),
@@ -129,6 +136,7 @@ def calibrate(
     fit_lens: FitLens = False,
     geometry_only: GeometryOnly = False,
     shape: Shape = False,
+    twin: Twin = False,
     camera_out: CameraOut = None,
     darks: Darks = None,
     flats: Flats = None,
@@ -160,14 +168,27 @@ def calibrate(
         fit_lens=fit_lens,
         geometry_only=geometry_only,
         shape=shape,
+        twin=twin,
     )
-    _require_consistent(options, images or [])
+    _run(images or [], options, output, camera_out, as_json=as_json)
+
+
+def _run(
+    images: list[Path], options: CalibrateOptions, output: Path, camera_out: Path | None, *, as_json: bool
+) -> None:
+    """Calibrate from photographs, write the results and report."""
+    _require_consistent(options, images)
     # OpenCV, SciPy and matplotlib are loaded only now.
     from glstar.cli.calibrateoutput import print_result  # noqa: PLC0415
     from glstar.cli.calibraterun import calibrate_images  # noqa: PLC0415
 
-    result = calibrate_images(images or [], options, output, camera_out)
-    print_result(result, output, as_json=as_json)
+    result = calibrate_images(images, options, output, camera_out)
+    if not options.twin:
+        print_result(result, output, as_json=as_json)
+        return
+    from glstar.cli.calibratetwin import write_twin_of  # noqa: PLC0415 - OpenGL
+
+    write_twin_of(result, output, as_json=as_json)
 
 
 def _calibrated_from_darks(
@@ -198,6 +219,10 @@ def _calibrated_from_darks(
 
 def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
     """Refuse options that contradict the number of images."""
+    if options.twin and options.geometry_only:
+        raise ConfigError("--twin needs the sensor, and --geometry-only leaves it out; give one of them")
+    if options.twin and options.shape:
+        raise ConfigError("--twin measures the shape of the stars too: leave --shape out")
     if len(images) == 1:
         if options.fit_lens:
             raise ConfigError("--fit-lens needs several images: the lens of a single one is always fitted, see --lens")
@@ -206,6 +231,8 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
         raise ConfigError("--geometry-only takes one image: several measure the brightness of the stars")
     if options.shape:
         raise ConfigError("--shape takes one image: calibrate the sharpest one with it")
+    if options.twin:
+        raise ConfigError("--twin takes one image: its sky is that of the one photograph")
     if options.labels is not None:
         raise ConfigError("--labels belong to one image: leave them out, or calibrate the images one by one")
     if options.criterion == "paper":

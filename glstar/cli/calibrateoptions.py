@@ -25,3 +25,4 @@ class CalibrateOptions:
     fit_lens: bool
     geometry_only: bool
     shape: bool
+    twin: bool = False

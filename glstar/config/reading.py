@@ -34,6 +34,7 @@ from glstar.config.sensorsection import SENSOR_MAPS, completed_sensor
 from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
 from glstar.render.effects import EFFECTS
+from glstar.render.effects.skymap import SKY_MAP_KEY, relative_sky
 from glstar.sky.extinction import Extinction
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
@@ -248,6 +249,7 @@ def sensor_of(
         found: list[Fault] = []
         section = _at_its_place(section, folder)
         section = completed_sensor(section, tables.get("sensor", {}), camera, aperture_mm, found)
+        _check_sky_map(section, found)
         if section.noise == "electrons" and _is_lit_naturally(tables):
             section = section.model_copy(update={"sky_e_per_s": 0.0})
         # Without a valid camera, it is not known which mode of a sensor fits.
@@ -272,6 +274,7 @@ def sensor_of(
     else:
         section = _at_its_place(section_of(SensorSection, "sensor", inside, found), path.parent)
         section = completed_sensor(section, inside.get("sensor", {}), camera, aperture_mm, found)
+        _check_sky_map(section, found)
     faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
     return section
 
@@ -280,6 +283,16 @@ def _at_its_place(section: SensorSection, folder: Path) -> SensorSection:
     """Return the sensor's section with the absolute paths of its star brightness table and its maps."""
     keys = ("star_brightness", *SENSOR_MAPS)
     return section.model_copy(update={key: absolute(f"sensor.{key}", getattr(section, key), folder) for key in keys})
+
+
+def _check_sky_map(section: SensorSection, faults: list[Fault]) -> None:
+    """Append an error to `faults` if the section's map of the sky cannot be used."""
+    file = str(getattr(section, SKY_MAP_KEY.name))
+    try:
+        if file:
+            relative_sky(file)
+    except ConfigError as error:
+        faults.append(("sensor.sky_map", str(error).removeprefix("sensor.sky_map: ")))
 
 
 def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrightness | None:

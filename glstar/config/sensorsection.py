@@ -47,7 +47,7 @@ _ELECTRON_KEYS: Final = frozenset(
     }
 )
 # Keys of the files with measured maps of the pixels.
-SENSOR_MAPS: Final = ("dark_frame", "flat_field", "defect_map")
+SENSOR_MAPS: Final = ("dark_frame", "flat_field", "defect_map", "sky_map")
 _SOURCES: Final = ("file", "preset", "star_brightness")
 
 

@@ -105,6 +105,30 @@ def test_the_sensor_of_an_exported_frame_is_recovered(ground: Path, tmp_path: Pa
     assert found["notes"] == []
 
 
+def test_the_twin_of_a_frame_is_like_the_frame(ground: Path, tmp_path: Path) -> None:
+    flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC, "--twin")
+    found = calibrated(ground, tmp_path / "twin.toml", *flight)
+    assert found["twin"]["sky_ks"] < 0.01
+    assert found["twin"]["width_ratio"] == pytest.approx(1.0, abs=0.01)
+    assert found["twin"]["peak_error"] < 1.5 * found["twin"]["peak_noise"]
+    assert found["twin"]["profile_error"] < 0.03
+    assert cv2.imread(str(tmp_path / "twin.twin.png")).shape == cv2.imread(str(found_frame(ground))).shape
+    assert (tmp_path / "twin.pair.png").exists()
+    assert not (tmp_path / "twin.sky.tiff").exists()  # its sky is even
+
+
+@pytest.mark.parametrize("other", ["--geometry-only", "--shape"])
+def test_the_twin_and_options_that_contradict_it_are_refused(ground: Path, tmp_path: Path, other: str) -> None:
+    result = run("calibrate", found_frame(ground), "-o", tmp_path / "c.toml", "--exposure", "0.5", "--twin", other)
+    assert result.exit_code != 0
+    assert "--twin" in result.output + result.stderr
+    assert not (tmp_path / "c.toml").exists()
+
+
+def found_frame(ground: Path) -> Path:
+    return ground / "frames" / "frame_000000.png"
+
+
 def test_the_offset_of_the_camera_s_clock_is_applied(ground: Path, tmp_path: Path) -> None:
     """The camera is an hour ahead: its 12:00 is the flight's 11:00."""
     settings = tmp_path / "ahead.toml"

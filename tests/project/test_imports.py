@@ -34,6 +34,7 @@ MAY_LOAD = {
     "cli.calibratedarks": {"cv2", "scipy"},
     "cli.calibrateoutput": {"cv2", "scipy"},
     "cli.calibraterun": {"cv2", "scipy"},
+    "cli.calibratetwin": {"cv2", "moderngl", "scipy"},
 }
 # Modules of the viewer that scripts may use: no window, no widgets, no OpenGL.
 WINDOWLESS = (

@@ -18,6 +18,7 @@ from glstar.calibrate import Matches, Photograph, ReferenceStars
 from glstar.camera.model import Camera
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.observed import Sky
+from glstar.sky.starcolours import star_colours
 from tests.support.starphotos import ALL_STARS
 
 Float = NDArray[np.float64]
@@ -100,13 +101,16 @@ def _star_light(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: 
     return light
 
 
-def _drawn_stars(projection: Projection, C_camera_eq: Float, shape: tuple[int, int]) -> tuple[Float, Float]:
-    """Return pixel positions and V magnitudes of the catalogue's stars on an image."""
+def _drawn_stars(
+    projection: Projection, C_camera_eq: Float, shape: tuple[int, int], band_slope: float = 0.0
+) -> tuple[Float, Float]:
+    """Return pixel positions and magnitudes (V, or in the camera's band) of the catalogue's stars on an image."""
     bright = REFERENCE.stars.vmag < _FAINTEST_VMAG
     xy = projection(REFERENCE.stars.direction_eq[bright] @ C_camera_eq.T)
     x, y = xy.T
     on_image = (x > -3) & (y > -3) & (x < shape[1] + 2) & (y < shape[0] + 2)
-    return xy[on_image], REFERENCE.stars.vmag[bright][on_image]
+    tint = band_slope * np.nan_to_num(star_colours(REFERENCE.stars)[bright][on_image], nan=0.65).clip(-0.3, 1.7)
+    return xy[on_image], REFERENCE.stars.vmag[bright][on_image] + tint
 
 
 def all_sky(seed: int = 1, *, shape: tuple[int, int] = (1000, 1000), across_deg: float = 180.0) -> PlainPhoto:
@@ -178,13 +182,16 @@ def imperfect(
     axis_ratio: float = 1.0,
     corner_growth: float = 0.0,
     demosaiced: bool = False,
+    dn_per_e: float = 0.0,
+    band_slope: float = 0.0,
     shape: tuple[int, int] = (768, 1024),
 ) -> PlainPhoto:
     """Return 42 deg of the sky through a pinhole with known imperfections of a real camera.
 
     A Moffat PSF of the same full width at half maximum as the Gaussian of 1.3 px; light of stars and sky lost towards
     the corner as r^2; a sky that brightens to the right; stars longer than wide at 30 deg from the x axis; sigma that
-    grows as r^2; the brightest of three colours interpolated from a Bayer mosaic.
+    grows as r^2; the brightest of three colours interpolated from a Bayer mosaic; Poisson noise of electrons
+    besides the noise of 3 DN; stars brighter or fainter by `band_slope` times B - V.
     """
     rng = np.random.default_rng(seed)
     height, width = shape
@@ -192,7 +199,7 @@ def imperfect(
     axis_px = np.array([width / 2, height / 2])
     projection = barrel(width / 2 / np.tan(np.deg2rad(21.0)), *axis_px, 0.0, 0.0, 0.0, 0.0)
     C_camera_eq = Rotation.random(random_state=rng).as_matrix()
-    xy, vmag = _drawn_stars(projection, C_camera_eq, shape)
+    xy, vmag = _drawn_stars(projection, C_camera_eq, shape, band_slope)
 
     def corner2(x_px: Float, y_px: Float) -> Float:
         return np.asarray(((x_px - axis_px[0]) ** 2 + (y_px - axis_px[1]) ** 2) / (axis_px**2).sum())
@@ -221,6 +228,8 @@ def imperfect(
     light = light[half:-half, half:-half]
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     light = (light + sky_dn) * (1 - corner_loss * corner2(columns, rows)) + gradient_dn * (columns / (width - 1) - 0.5)
+    if dn_per_e:
+        light = dn_per_e * rng.poisson(light / dn_per_e)
     mosaic = np.floor(np.clip(light + rng.normal(0, noise_dn, shape), 0, 255) + 0.5)
     if demosaiced:
         colours = cv2.demosaicing(mosaic.astype(np.uint8), cv2.COLOR_BayerBG2BGR)

@@ -24,6 +24,7 @@ from glstar.render.effects.quantisation import QUANTISATION
 from glstar.render.effects.rownoise import ROW_NOISE
 from glstar.render.effects.shotnoise import SHOT_NOISE
 from glstar.render.effects.skylevel import SKY_LEVEL
+from glstar.render.effects.skymap import SKY_MAP
 from glstar.render.effects.uniformsky import UNIFORM_SKY
 from glstar.render.scene import Scene
 
@@ -45,6 +46,7 @@ EFFECTS: tuple[Effect, ...] = (
     SKY_LEVEL,
     NOISE,
     UNIFORM_SKY,
+    SKY_MAP,
     LENS_FALLOFF,
     FLAT_FALLOFF,
     RESPONSE_PATTERN,

@@ -34,9 +34,13 @@ _KEYS: Final = (
 
 
 def _sky_dn(scene: Scene) -> float:
-    """Return the level of the uniform sky, which has been added with that on the axis."""
+    """Return the level of the uniform sky, which has been added with that on the axis; 0 for a map of the sky."""
     model = scene.sensor.electrons
-    return 0.0 if model is None else model.dn_per_e * model.sky_e_per_s * scene.exposure.duration_s
+    return (
+        0.0
+        if model is None or scene.sensor.effects.get("sensor.sky_map")
+        else model.dn_per_e * model.sky_e_per_s * scene.exposure.duration_s
+    )
 
 
 def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:

@@ -2,6 +2,7 @@
 
 from glstar.camera.sensor import Sensor
 from glstar.render.effects.effect import Control, Effect, Key, Stage
+from glstar.render.effects.skymap import SKY_MAP_KEY
 
 __all__ = ["SKY_LEVEL"]
 
@@ -19,6 +20,8 @@ SKY_LEVEL = Effect(
     ),
     stage=Stage.SKY,
     noise_model="paper",
+    reads=(SKY_MAP_KEY,),
+    is_active=lambda values: not values["sky_map"],
     glsl="""\
 // Mean of Teague & Chahl eq. (40), added once to the sum of all starlight.
 uniform float sky_mean_dn;

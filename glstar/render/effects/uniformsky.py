@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from glstar.render.effects.effect import Effect, Stage, UniformValue, Values
+from glstar.render.effects.skymap import SKY_MAP_KEY
 from glstar.render.scene import Scene
 
 __all__ = ["UNIFORM_SKY"]
@@ -22,6 +23,8 @@ UNIFORM_SKY = Effect(
     stage=Stage.SKY_RADIANCE,
     noise_model="electrons",
     uniforms=_uniforms,
+    reads=(SKY_MAP_KEY,),
+    is_active=lambda values: not values["sky_map"],
     glsl="""\
 uniform float uniform_sky_dn;
 

@@ -1,0 +1,288 @@
+"""The twin of a photograph: the image that the simulator makes of the same stars, and how it differs."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.calibrate.calibration import Calibration
+from glstar.calibrate.photographmodel import PhotographModel
+from glstar.calibrate.psf import fit_stars
+from glstar.calibrate.siderealtrails import sidereal_trails
+from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_noise
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import PIXEL_VARIANCE_PX2
+from glstar.config import Config
+from glstar.errors import CalibrationError
+from glstar.render.colourscenes import in_band
+from glstar.render.culling import DrawList
+from glstar.render.pointing import Pointing
+from glstar.render.scene import Renderer, Scene
+from glstar.render.trailmodels import SubExposures
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+from glstar.sky.site import Site
+
+__all__ = ["Twin", "TwinFigures", "compare_twin", "render_twin"]
+
+Float = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+_SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
+# Largest distance of the sub-exposures of a sidereal trail, px.
+_SPACING_PX: Final = 0.25
+# Peaks above this multiple of the sky's noise are compared, and the widths of this number of the brightest stars.
+_PEAK_SNR: Final = 3.0
+_WIDTHS: Final = 60
+_BRIGHTEST: Final = 10
+_PROFILE_PX: Final = 10
+# Half the side of the square around a star whose median is its sky, px.
+_SKY_PX: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class TwinFigures:
+    """How a twin differs from its photograph.
+
+    Attributes
+    ----------
+    sky_ks : float
+        Kolmogorov-Smirnov distance of the pixels of the sky.
+    noise_error : float or None
+        Root mean square of the relative difference of the noise over the levels of the sky.
+    neighbour_correlation, twin_neighbour_correlation : float
+        Of the noise of neighbouring pixels.
+    peak_error : float
+        Mean absolute relative error of the brightest pixel of each star.
+    peak_noise : float
+        The same between two twins that differ in their noise only.
+    width_ratio : float
+        Median width of the twin's stars over that of the photograph's.
+    profile_error : float
+        Largest difference of the mean radial profiles of the ten brightest stars, over the profile's peak.
+    stars, width_stars : int
+        Number of stars whose peaks, and whose widths, were compared.
+    """
+
+    sky_ks: float
+    noise_error: float | None
+    neighbour_correlation: float
+    twin_neighbour_correlation: float
+    peak_error: float
+    peak_noise: float
+    width_ratio: float
+    profile_error: float
+    stars: int
+    width_stars: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        return {name: None if value is None or np.isnan(value) else value for name, value in asdict(self).items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twin:
+    """A photograph's twin with what is compared.
+
+    Attributes
+    ----------
+    pixels : (height, width) uint8 or uint16
+        The simulated image, DN.
+    figures : TwinFigures
+    peaks_dn : (2, n) float64
+        Peaks of stars in photograph and twin.
+    profiles_dn : (2, k) float64
+        Mean radial profiles of the ten brightest stars, at 0, 1, 2 ... px.
+    noise : NoiseAgainstLevel or None
+        Of the twin.
+    """
+
+    pixels: NDArray[Any]
+    figures: TwinFigures
+    peaks_dn: Float
+    profiles_dn: Float
+    noise: NoiseAgainstLevel | None
+
+
+def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, seed: int = 1) -> NDArray[Any]:
+    """Return the image that the simulator makes of the stars of a photograph.
+
+    Parameters
+    ----------
+    model : PhotographModel
+    config : Config
+        What the calibration wrote.
+    renderer : Renderer
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    (height, width) uint8 or uint16
+        Mirrored if the photograph is.
+
+    Raises
+    ------
+    CalibrationError
+        If the simulator does not draw a camera of so wide a view.
+    """
+    calibration = model.calibration
+    solution, reference = calibration.matches.solution, calibration.reference
+    sensor, camera = config.sensor(), config.camera()
+    if not camera.is_drawable:
+        raise CalibrationError("has no twin: the simulator does not draw a view that wide")
+    exposure_s = calibration.sensor.reference_exposure_s
+    stars = in_band(reference.stars, sensor.colour)
+    shown = np.sort(calibration.matches.predicted).astype(np.int32)
+    peak_dn = sensor.peak_dn(stars.camera_mag[shown], exposure_s)
+    radius_px = camera.max_magnification * sensor.truncation_radius_px(peak_dn)
+    longest_px = 0.0
+    if model.moved:
+        trails_px = sidereal_trails(solution, calibration.matches.predicted_xy_px, exposure_s)
+        longest_px = float(np.linalg.norm(trails_px, axis=1).max(initial=0.0))
+    count = 1 + 2 * int(np.ceil(longest_px / _SPACING_PX / 2))
+
+    def pointing(times: int) -> Pointing:
+        C = _turning(solution.C_camera_eq, exposure_s if longest_px else 0.0, times)
+        zenith, velocity = (
+            np.repeat(one[np.newaxis], times, axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
+        )
+        # Without a site there is no horizon: all stars on the image are up.
+        return Pointing(C, zenith if zenith.any() else C[:, 2], velocity, reference.refraction_scale)
+
+    scene = Scene(
+        stars=stars,
+        draw_list=DrawList(shown, radius_px + longest_px / 2),
+        trails=SubExposures(pointing(count)),
+        camera=camera,
+        sensor=sensor,
+        exposure=Exposure(0.0, exposure_s, trail="sprites"),
+        site=Site(0.0, 0.0, 0.0),
+        C_camera_body=np.eye(3),
+        q_body_ned=np.array([1.0, 0.0, 0.0, 0.0]),
+        shutter=pointing(3),
+    )
+    pixels = renderer.render(scene, seed=seed).pixels
+    return np.ascontiguousarray(pixels[:, ::-1]) if solution.mirrored else pixels
+
+
+def _turning(C_camera_eq: Float, exposure_s: float, times: int) -> Float:
+    """Return the attitude of a camera at rest on the ground at equal intervals of the exposure, (times, 3, 3)."""
+    angles = _SIDEREAL_RAD_PER_S * exposure_s * (np.linspace(-0.5, 0.5, times) if times > 1 else np.zeros(1))
+    pole = np.array([0.0, 0.0, 1.0])
+    return np.array([C_camera_eq @ matrix_from_quaternion(quaternion_from_turn(-angle * pole)) for angle in angles])
+
+
+def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[Any]) -> Twin:
+    """Return how a twin differs from its photograph.
+
+    Parameters
+    ----------
+    model : PhotographModel
+    pixels : (height, width) uint8 or uint16
+        The twin.
+    again : (height, width) uint8 or uint16
+        A twin with other noise.
+
+    Returns
+    -------
+    Twin
+    """
+    calibration = model.calibration
+    real, twin = calibration.image.pixels_dn, pixels.astype(np.float64)
+    both = (real, twin)
+    sky = model.sky
+    of_twin = SkyMap(sky.texels_dn, sky.level_dn, twin - sky.level_dn, sky.is_sky, sky.error_dn)
+    noise = measure_noise(of_twin)
+    matches = calibration.matches
+    at = np.rint(matches.predicted_xy_px[np.isin(matches.predicted, matches.star)]).astype(int)
+    peaks = np.array([_peaks_dn(image, at) for image in (*both, again.astype(np.float64))])
+    good = peaks[0] > _PEAK_SNR * calibration.sensor.background_std_dn(calibration.sensor.reference_exposure_s)
+    order = np.flatnonzero(good)[np.argsort(-peaks[0][good], kind="stable")]
+    whole = order[[_unsaturated(calibration, both, star) for star in at[order]]]
+    widths, counts = zip(*(_width(calibration, image, at[whole][:_WIDTHS]) for image in both), strict=True)
+    # Saturated stars have equal peaks: the catalogue has the order of their brightness.
+    profiles = np.array([_profile(image, at[good][:_BRIGHTEST]) for image in both])
+    figures = TwinFigures(
+        sky_ks=_distance(*(image[sky.is_sky] for image in both)),
+        noise_error=_noise_error(model.noise, noise),
+        neighbour_correlation=_correlation(sky.residual_dn, sky.is_sky),
+        twin_neighbour_correlation=_correlation(of_twin.residual_dn, sky.is_sky),
+        peak_error=float(np.mean(np.abs(peaks[1][good] / peaks[0][good] - 1))) if good.any() else np.nan,
+        peak_noise=float(np.mean(np.abs(peaks[2][good] / peaks[1][good] - 1))) if good.any() else np.nan,
+        width_ratio=widths[1] / widths[0],
+        profile_error=float(np.abs(profiles[1] - profiles[0]).max() / profiles[0].max()) if len(order) else np.nan,
+        stars=int(good.sum()),
+        width_stars=min(counts),
+    )
+    return Twin(pixels, figures, peaks[:2, good], profiles, noise)
+
+
+def _distance(one: Float, other: Float) -> float:
+    """Return the Kolmogorov-Smirnov distance of two samples."""
+    levels = np.unique(np.concatenate([one[::20], other[::20]]))
+    below = [np.searchsorted(np.sort(values), levels, side="right") / len(values) for values in (one, other)]
+    return float(np.abs(below[0] - below[1]).max())
+
+
+def _noise_error(one: NoiseAgainstLevel | None, other: NoiseAgainstLevel | None) -> float | None:
+    if one is None or other is None:
+        return None
+    twin = np.interp(one.level_dn, other.level_dn, np.sqrt(other.variance_dn2))
+    return float(np.sqrt(np.mean((twin / np.sqrt(one.variance_dn2) - 1) ** 2)))
+
+
+def _correlation(residual: Float, is_sky: NDArray[np.bool_]) -> float:
+    """Return the correlation of horizontal and vertical neighbours, without that of pixels at 6 px from each other."""
+    scale = np.median(np.abs(residual[is_sky])) * 1.4826
+    good = is_sky & (np.abs(residual) < 3.5 * max(float(scale), 0.5))
+    left = np.where(good, residual - residual[good].mean(), 0.0)
+    variance = float((left**2).sum() / max(good.sum(), 1))
+
+    def at(lag: int) -> float:
+        pairs = (good[:, lag:] & good[:, :-lag]).sum() + (good[lag:] & good[:-lag]).sum()
+        total = (left[:, lag:] * left[:, :-lag]).sum() + (left[lag:] * left[:-lag]).sum()
+        return float(total / max(pairs, 1))
+
+    return (at(1) - at(6)) / max(variance, 1e-9)
+
+
+def _peaks_dn(image: Float, xy_px: Index) -> Float:
+    """Return the largest pixel around each position above the median of its surroundings, DN."""
+    found = []
+    for x, y in xy_px:
+        near = image[max(0, y - _SKY_PX) : y + _SKY_PX + 1, max(0, x - _SKY_PX) : x + _SKY_PX + 1]
+        found.append(image[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2].max() - np.median(near))
+    return np.array(found)
+
+
+def _unsaturated(calibration: Calibration, both: tuple[Float, Float], star: Index) -> bool:
+    """Return whether no pixel of a star is saturated in either image."""
+    (x, y), limit = star.tolist(), 0.98 * calibration.image.saturation_dn
+    return all(image[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4].max() < limit for image in both)
+
+
+def _width(calibration: Calibration, image: Float, xy_px: Index) -> tuple[float, int]:
+    """Return the median width of Gaussians fitted to stars, pixel included, px, and how many converged."""
+    if not len(xy_px):
+        return np.nan, 0
+    fits = fit_stars(
+        image - calibration.detected.background.level_dn, np.ones(image.shape, np.bool_), xy_px.astype(np.float64),
+        start_sigma_px=calibration.detected.psf_sigma_px,
+    )  # fmt: skip
+    recorded_px = np.sqrt(fits.sigma_px**2 + PIXEL_VARIANCE_PX2)[fits.converged]
+    return (float(np.median(recorded_px)), len(recorded_px)) if len(recorded_px) else (np.nan, 0)
+
+
+def _profile(image: Float, xy_px: Index) -> Float:
+    """Return the mean radial profile of stars above their sky at 0, 1, 2 ... px, DN."""
+    along = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
+    radius = np.rint(np.hypot(along, along[:, np.newaxis])).astype(int)
+    found = []
+    for x, y in xy_px:
+        if min(x, y) < _SKY_PX or x + _SKY_PX >= image.shape[1] or y + _SKY_PX >= image.shape[0]:
+            continue
+        near = image[y - _SKY_PX : y + _SKY_PX + 1, x - _SKY_PX : x + _SKY_PX + 1]
+        above = image[y - _PROFILE_PX : y + _PROFILE_PX + 1, x - _PROFILE_PX : x + _PROFILE_PX + 1] - np.median(near)
+        found.append([above[radius == r].mean() for r in range(_PROFILE_PX + 1)])
+    return np.mean(found, axis=0) if found else np.zeros(_PROFILE_PX + 1)
