@@ -11,7 +11,7 @@ from glstar.camera.pointspread import PsfComponent
 from glstar.camera.sensor import TRUNCATION_DN
 from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.scene import Scene
-from glstar.render.trailmodels import AnalyticSegments
+from glstar.render.trailmodels import AnalyticSegments, SubExposures
 
 __all__ = ["gaussian_scenes", "psf_scale"]
 
@@ -99,4 +99,7 @@ def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     if dx_px or dy_px:
         camera = replace(camera, cx_px=camera.cx_px + dx_px, cy_px=camera.cy_px + dy_px)
     stars = replace(draw_list[kept], truncation_radius_px=scene.camera.max_magnification * radius_px)
-    return replace(scene, sensor=sensor, camera=camera, draw_list=stars, bodies=None)
+    trails = scene.trails
+    if isinstance(trails, SubExposures):
+        trails = trails.for_sigma(scene.camera, sensor.effective_sigma_px)
+    return replace(scene, sensor=sensor, camera=camera, draw_list=stars, trails=trails, bodies=None)

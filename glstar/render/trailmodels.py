@@ -5,7 +5,7 @@ computes from the same numbers where each star is drawn: truth and overlays use 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Final, Protocol
 
@@ -99,6 +99,43 @@ class SubExposures:
         """Return where stars are drawn in the sub-exposures that contain some times: see `TrailModel.positions`."""
         index = np.minimum((time * len(self)).astype(np.intp), len(self) - 1)
         return camera.project(self.pointing.to_camera(direction_eq))[index]
+
+    def for_sigma(self, camera: Camera, sigma_px: float) -> "SubExposures":
+        """Return fewer sub-exposures that suffice for a wide point spread function.
+
+        Parameters
+        ----------
+        camera : Camera
+        sigma_px : float
+            Standard deviation of a star in the image, px.
+
+        Returns
+        -------
+        SubExposures
+            The middle of each group of equal number; neighbouring ones differ by at most 1.5 sigma.
+        """
+        C = self.pointing.C_camera_eq
+        rotation_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1)
+        path_px = np.concatenate([[0.0], np.cumsum(rotation_rad)]) * camera.max_px_per_rad
+        limit_px = SAMPLE_SPACING_SIGMA * sigma_px
+        group = 1
+        for k in (k for k in range(2, len(self) + 1) if len(self) % k == 0):
+            within_px = path_px[k - 1 :: k] - path_px[::k]
+            group = k if within_px.max() <= limit_px * (k - 1) / k else group
+        return self if group == 1 else SubExposures(self._middles(group))
+
+    def _middles(self, group: int) -> Pointing:
+        """Return the orientations in the middle of groups of sub-exposures."""
+        first, last = slice((group - 1) // 2, None, group), slice(group // 2, None, group)
+        if group % 2:
+            return self.pointing[first]
+        # The mean of two orientations: they differ by less than a milliradian.
+        early, late = self.pointing[first], self.pointing[last]
+        means = {
+            name: (getattr(early, name) + getattr(late, name)) / 2
+            for name in ("C_camera_eq", "zenith_eq", "velocity_eq")
+        }
+        return replace(self.pointing, **means)
 
     def star_paths(
         self,

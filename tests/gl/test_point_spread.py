@@ -154,3 +154,17 @@ def test_wings_of_a_sensor_that_counts_electrons_keep_the_flux(renderer):
     expected_dn = 0.47 * 90_000 * 0.5 * 10 ** (-0.4 * 3)
     assert flux_dn(scene) == pytest.approx(expected_dn, rel=1e-9, abs=0)
     assert light(renderer, scene).sum() == pytest.approx(expected_dn, rel=5e-3, abs=0)
+
+
+def test_wide_gaussians_take_fewer_sub_exposures_of_the_same_path():
+    simulator = sky_over_adelaide(camera(96, 72), yaw_rate_rad_per_s=np.deg2rad(60))
+    simulator = with_stars_at(simulator, [(62.3, 30.6)], [1.0], NIGHT_UTC_S + 1.1)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.25, 400.0, trail="sprites"))
+    path_px = scene.trails.positions(scene.camera, scene.stars.direction_eq, (np.arange(100) + 0.5) / 100)[:, 0]
+    fewer = scene.trails.for_sigma(scene.camera, 4.0)
+    count = len(fewer)
+    assert len(scene.trails) == 100
+    assert 1 < count < 50
+    found_px = fewer.positions(scene.camera, scene.stars.direction_eq, (np.arange(count) + 0.5) / count)[:, 0]
+    assert np.linalg.norm(np.diff(found_px, axis=0), axis=1).max() <= 1.5 * 4.0
+    assert np.allclose(found_px, path_px.reshape(count, -1, 2).mean(axis=1), rtol=0, atol=0.01)
