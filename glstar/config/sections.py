@@ -19,6 +19,7 @@ from glstar.config.sensorsection import SENSOR_MAPS, SensorSection
 from glstar.flight import Interpolation
 from glstar.flight.gimbal import Gimbal, GimbalMode
 from glstar.render.effects import EFFECTS
+from glstar.sky.catalogue import NAMES
 from glstar.sky.extinction import Extinction
 from glstar.sky.site import (
     HEIGHTS_M,
@@ -54,7 +55,7 @@ __all__ = [
     "with_effect_keys",
 ]
 
-CATALOGUES = ("bsc5", "hipparcos")
+CATALOGUES = NAMES
 
 _MOUNT, _EXTINCTION = Mount(), Extinction()
 # The keys of [sky] with preset = "natural".
@@ -117,7 +118,7 @@ class SkySection(Section):
     Attributes
     ----------
     catalogue : str
-        ``"bsc5"``, ``"hipparcos"``, or the absolute path of a catalogue file (``.sqlite``).
+        ``"bsc5"``, ``"hipparcos"``, ``"tycho2"``, ``"gaia"``, or the absolute path of a catalogue file (``.sqlite``).
     vmag_limit : float
         The faintest visual magnitude.
     astrometry : {"paper", "erfa"}
@@ -137,7 +138,7 @@ class SkySection(Section):
     """
 
     catalogue: str = Field(
-        default="bsc5", min_length=1, description='"bsc5", "hipparcos" or the path of a .sqlite file'
+        default="bsc5", min_length=1, description='"bsc5", "hipparcos", "tycho2", "gaia" or the path of a .sqlite file'
     )
     vmag_limit: float = Field(default=6.5, description="a magnitude")
     astrometry: Literal["paper", "erfa"] = "paper"

@@ -18,6 +18,7 @@ from glstar.render.pointing import Pointing
 from glstar.sky.extinction import air_mass
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.sky.magnitudes import brightness_ratio
+from glstar.sky.skycells import SkyCells
 from glstar.sky.starfield import StarField
 
 __all__ = ["DrawList", "StarCuller", "TouchingStars"]
@@ -27,6 +28,9 @@ Float = NDArray[np.float64]
 # Fraction of the flux of all stars that touch an image that may be left out: half of what is promised, because some
 # of these stars are on the image only for a part of the exposure.
 MAX_FRACTION_LEFT_OUT: Final = 5e-4
+# Cells of the sky save time from this number of stars, and for cones up to this radius, rad.
+_MANY_STARS: Final = 50_000
+_NARROW_RAD: Final = 0.5
 # The four sides of the image are tested at every eighth time, where a bound suffices.
 _SIDES_STRIDE: Final = 8
 
@@ -180,6 +184,8 @@ class StarCuller:
         radius_rad = self.camera.field_radius_rad + swing_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
+        if len(self.stars) > _MANY_STARS and radius_rad < _NARROW_RAD:
+            return _cells(self.stars).within(middle, radius_rad)
         return np.flatnonzero(self.stars.direction_eq @ middle > cos(radius_rad))
 
     def _within_sides(self, pointing: Pointing, step_rad: float, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -271,6 +277,13 @@ class TouchingStars:
     def _drawn_up_to(self, radius_px: Float) -> DrawList:
         radius_px = self.culler.camera.max_magnification * radius_px
         return DrawList(self.index, radius_px, self.slowest_px, self.extinction_mag)
+
+
+# Sorting takes 0.3 s for two million stars, whose directions are those of hours.
+@lru_cache(maxsize=2)
+def _cells(stars: StarField) -> SkyCells:
+    """Return the stars of a field sorted into cells."""
+    return SkyCells.of(stars.direction_eq)
 
 
 # Every scene of a flight has the same camera.

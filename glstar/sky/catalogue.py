@@ -24,18 +24,21 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from platformdirs import user_data_path
 
 from glstar.errors import CatalogueError
-from glstar.system.resources import asset
+from glstar.sky.cataloguenames import ALL_NAMES, NAMES, PREFIXES, catalogue_path, star_label
 
-__all__ = ["APPLICATION_ID", "NAMES", "SCHEMAS", "CatalogueFile", "StarCatalogue", "catalogue_path", "star_label"]
+__all__ = [
+    "APPLICATION_ID",
+    "NAMES",
+    "SCHEMAS",
+    "CatalogueFile",
+    "StarCatalogue",
+    "catalogue_path",
+    "star_label",
+]
 
 Float = NDArray[np.float64]
-
-NAMES = ("bsc5", "hipparcos")
-# The prefix of a star's number in each catalogue, as SIMBAD writes it: HR 2491, HIP 32349.
-_PREFIXES = {"bsc5": "HR", "hipparcos": "HIP"}
 
 # The header of a catalogue file has "glst" in ASCII as its application ID, and the version of the tables as its user
 # version: 1 without parallaxes and radial velocities, 2 with them.
@@ -44,6 +47,9 @@ SCHEMAS = (1, 2)
 
 # Margin of the box around a cone, rad (0.2 mas), so that rounding excludes no star; the cone itself is exact.
 _MARGIN_RAD = 1e-9
+
+# Number of rows that are held as Python objects at once.
+_ROWS_AT_ONCE = 100_000
 
 # Number of stars per query: SQLite limits the parameters of a statement to 999 in older versions.
 _NUMBERS_AT_ONCE = 500
@@ -217,7 +223,7 @@ class CatalogueFile:
     @property
     def catalogue(self) -> str:
         """The catalogue that numbers the stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown."""
-        return next((name for name, prefix in _PREFIXES.items() if prefix == self.numbering), "")
+        return next((name for name, prefix in PREFIXES.items() if prefix == self.numbering), "")
 
     @property
     def note(self) -> str:
@@ -251,7 +257,7 @@ class CatalogueFile:
         StarCatalogue
         """
         with _reading(self.path) as connection:
-            return _stars(self.catalogue, _query(connection, _BRIGHTER_THAN, (float(vmag),)))
+            return _many_stars(self.catalogue, _query(connection, _BRIGHTER_THAN, (float(vmag),)))
 
     def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
         """Return the stars within a cone, by their mean places at J2000.
@@ -333,62 +339,23 @@ class CatalogueFile:
         return message
 
 
-def star_label(catalogue: str, star_id: int) -> str:
-    """Return a star's designation by its number.
-
-    Parameters
-    ----------
-    catalogue : str
-        ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown.
-    star_id : int
-        The star's number in that catalogue.
-
-    Returns
-    -------
-    str
-        Such as ``"HR 2491"``; ``"star 2491"`` if the catalogue is unknown.
-    """
-    return f"{_PREFIXES.get(catalogue, 'star')} {star_id}"
-
-
-def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """Return the path of a catalogue, whether or not the file exists.
-
-    Parameters
-    ----------
-    name_or_path : str or path
-        ``"bsc5"``: bundled with glstar; ``"hipparcos"``: in the user's data directory, or in the directory of the
-        environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
-
-    Returns
-    -------
-    pathlib.Path
-    """
-    if name_or_path == "bsc5":
-        return asset("bsc5.sqlite")
-    if name_or_path == "hipparcos":
-        moved = os.environ.get("GLSTAR_DATA_DIR")
-        return (Path(moved) if moved else user_data_path("glstar", appauthor=False)) / "hipparcos.sqlite"
-    return Path(name_or_path)
-
-
 def _checked_schema(path: Path, asked: str | os.PathLike[str]) -> int:
     """Return the version of a catalogue file's tables; raise CatalogueError if it is no glstar catalogue."""
     if path.is_dir():
-        raise CatalogueError(path, "is a directory; name a catalogue file, bsc5 or hipparcos")
+        raise CatalogueError(path, f"is a directory; name a catalogue file, {ALL_NAMES}")
     if path.exists() and not path.is_file():
-        raise CatalogueError(path, "is no regular file; name a catalogue file, bsc5 or hipparcos")
+        raise CatalogueError(path, f"is no regular file; name a catalogue file, {ALL_NAMES}")
     try:
         with path.open("rb") as file:
             header = file.read(100)
     except FileNotFoundError as error:
-        if asked == "hipparcos":
-            raise CatalogueError(path, "does not exist yet; run `glstar catalogue build hipparcos`") from error
+        if asked in NAMES and asked != "bsc5":
+            raise CatalogueError(path, f"does not exist yet; run `glstar catalogue build {asked}`") from error
         if asked == "bsc5":
             raise CatalogueError(
                 path, "is missing from this installation; run `glstar catalogue build bsc5`"
             ) from error
-        raise CatalogueError(path, "does not exist; name a catalogue file, bsc5 or hipparcos") from error
+        raise CatalogueError(path, f"does not exist; name a catalogue file, {ALL_NAMES}") from error
     except (OSError, ValueError) as error:
         raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if not header:
@@ -465,6 +432,25 @@ def _stars(catalogue: str, rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
     ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = numbers
     star_id = np.array(columns.number, dtype=np.int32)
     return StarCatalogue(catalogue, star_id, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
+
+
+def _many_stars(catalogue: str, cursor: sqlite3.Cursor) -> StarCatalogue:
+    """Return rows that are sorted already, as arrays, in chunks: millions of rows as tuples would take gigabytes."""
+    cursor.row_factory = None
+    parts = []
+    while rows := cursor.fetchmany(_ROWS_AT_ONCE):
+        parts.append(_stars(catalogue, rows))
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return _stars(catalogue, ())
+    names = tuple(name for part in parts for name in part.name)
+    columns = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(StarCatalogue)
+        if column.name not in {"catalogue", "name"}
+    }
+    return StarCatalogue(catalogue, name=names, **columns)
 
 
 def _direction(ra_rad: Float, dec_rad: Float) -> Float:

@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from typing import NamedTuple
 from glstar.errors import ExportError
 from glstar.sky.catalogue import APPLICATION_ID
 
-__all__ = ["CatalogueRow", "write_catalogue"]
+__all__ = ["CatalogueRow", "write_catalogue", "write_rows"]
 
 _TABLES = """
 CREATE TABLE star (
@@ -76,15 +76,41 @@ def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mappi
     ExportError
         If the file cannot be written.
     """
+    rows = [tuple(star) for star in stars]
+    knows_distances = any(star.parallax_rad or star.radial_velocity_m_per_s is not None for star in stars)
+    if not knows_distances:
+        rows = [row[: -len(_OF_DISTANCE)] for row in rows]
+    _write(path, rows, provenance, knows_distances=knows_distances)
+
+
+def write_rows(path: Path, rows: Iterable[tuple[object, ...]], provenance: Mapping[str, str]) -> None:
+    """Write a catalogue file row by row, for millions of stars; see `write_catalogue`.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an existing one is replaced.
+    rows : iterable of tuple
+        In the order of `CatalogueRow`, sorted by number.
+    provenance : mapping of str to str
+
+    Raises
+    ------
+    ExportError
+        If the file cannot be written.
+    """
+    _write(path, rows, provenance, knows_distances=True)
+
+
+def _write(
+    path: Path, rows: Iterable[tuple[object, ...]], provenance: Mapping[str, str], *, knows_distances: bool
+) -> None:
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.unlink(missing_ok=True)
         # No dates and no host names: the same stars give the same bytes.
-        rows = [tuple(star) for star in stars]
-        knows_distances = any(star.parallax_rad or star.radial_velocity_m_per_s is not None for star in stars)
-        if not knows_distances:
-            rows = [row[: -len(_OF_DISTANCE)] for row in rows]
+        columns = len(CatalogueRow._fields) - (0 if knows_distances else len(_OF_DISTANCE))
         schema, tables = (2, _TABLES + _DISTANCES) if knows_distances else (1, _TABLES)
         with closing(sqlite3.connect(beside, isolation_level=None)) as connection:
             connection.executescript(
@@ -93,7 +119,7 @@ def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mappi
                 f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {schema}; {tables}"
             )
             connection.execute("BEGIN")
-            connection.executemany(f"INSERT INTO star VALUES ({','.join('?' * len(rows[0]))})", rows)  # noqa: S608
+            connection.executemany(f"INSERT INTO star VALUES ({','.join('?' * columns)})", rows)  # noqa: S608
             connection.executemany("INSERT INTO provenance VALUES (?, ?)", provenance.items())
             connection.execute("COMMIT")
             connection.executescript(f"{_INDICES} VACUUM;")

@@ -286,7 +286,7 @@ def test_all_validation_errors_are_reported_together(write: Write) -> None:
         ("sensor", "bit_depth = 8.5", "must be a whole number from 1 to 16, not 8.5"),
         ("sensor", 'pixel = "point"', 'must be "integrated" or "sampled", not "point"'),
         ("sky", 'catalogue = "bsc"', 'not "bsc" (did you mean "bsc5"?)'),
-        ("sky", 'catalogue = "gaia"', 'must be "bsc5", "hipparcos" or the path of a .sqlite file, not "gaia"'),
+        ("sky", 'catalogue = "sao"', '"bsc5", "hipparcos", "tycho2", "gaia" or the path of a .sqlite file, not "sao"'),
         ("sky", "dut1_s = 37", "must be UT1 - UTC in seconds, from -1 to 1, not 37"),
         ("air", "pressure_hpa = 101325", "must be a number of hPa from 0 to 1200, not 101325"),
         ("air", "temperature_c = 283.15", "must be degrees Celsius, from -120 to 100, not 283.15"),

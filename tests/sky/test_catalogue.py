@@ -408,8 +408,8 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ("missing", "does not exist; name a catalogue file, bsc5 or hipparcos"),
-        ("directory", "is a directory; name a catalogue file, bsc5 or hipparcos"),
+        ("missing", "does not exist; name a catalogue file, bsc5, hipparcos, tycho2 or gaia"),
+        ("directory", "is a directory; name a catalogue file, bsc5, hipparcos, tycho2 or gaia"),
         ("empty", "is empty; build it again"),
         ("text", "is no SQLite file; name one that `glstar catalogue build` wrote"),
         ("short", "is no SQLite file"),
@@ -781,7 +781,7 @@ def test_the_command_does_not_change_an_installation(tmp_path, bsc_table, monkey
 
 
 def test_an_unknown_catalogue_is_a_usage_error():
-    result = runner.invoke(app, ["build", "gaia"])
+    result = runner.invoke(app, ["build", "sao"])
     assert result.exit_code == 2
 
 
