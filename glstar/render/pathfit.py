@@ -38,6 +38,9 @@ class FitLimits:
         interval of the log, because a spline bends between its nodes.
     min_parts : int
         Minimum number of intervals between samples in a segment.
+    max_even_parts : int
+        Maximum number of parts between two samples of the log at which all segments are sampled alike; more are added
+        only in the segments that need them.
     sigma_px : float
         Stars narrower than this have a proportionally smaller tolerance, px: a displacement by 0.01 px changes a pixel
         by 0.5 % of the peak at 1.2 px, and a path may be somewhat farther off between the times of comparison.
@@ -63,6 +66,7 @@ class FitLimits:
 
     min_samples: int = 32
     min_parts: int = 4
+    max_even_parts: int = 8
     sigma_px: float = 1.4
     block: int = 256
     search_fraction: float = 0.8
@@ -75,6 +79,8 @@ class FitLimits:
 
 
 LIMITS: Final = FitLimits()
+# Times that differ by less than this are the same, s: UTC seconds have a resolution of 2.4e-7 s.
+_SAME_S: Final = 1e-6
 # Lengths of segments that the search tries, in intervals of the log: in steps of about a quarter.
 _LENGTHS: Final = (2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 120, 152, 192, 240)
 
@@ -166,16 +172,48 @@ class SampledMotion:
         return cls(nodes_s, parts, times_s, pointing, bends)
 
     def resolving(self, motion: CameraMotion, knots_s: Float) -> Self:
-        """Return samples that divide each segment into at least four parts, or two where the log's rate is constant.
+        """Return samples that divide each segment into at least eight parts, or two where the log's rate is constant.
 
         A quadratic passes through three samples, whatever is between them.
         """
-        fewest = int(np.diff(self.times_s.searchsorted(knots_s - 1e-6)).min())
         # A constant rate between two samples of the log is a quadratic of its own.
         needed = LIMITS.min_parts if self.bends else 2
-        if fewest >= needed:
+        fewest = int(self._counts(knots_s).min())
+        if fewest >= (LIMITS.few_samples if self.bends else needed):
             return self
-        return self.of(motion, self.nodes_s, self.parts * -(-needed // max(fewest, 1)))
+        parts = min(self.parts * -(-needed // max(fewest, 1)), max(self.parts, LIMITS.max_even_parts))
+        even = self if parts == self.parts else self.of(motion, self.nodes_s, parts)
+        return even.resolved_around(motion, knots_s)
+
+    def _counts(self, knots_s: Float) -> Integer:
+        """Return the number of samples of each segment, without its end."""
+        return np.diff(self.times_s.searchsorted(knots_s - _SAME_S))
+
+    def resolved_around(self, motion: CameraMotion, knots_s: Float) -> Self:
+        """Return the samples and others in segments with few: one may need a hundred times as many as the others."""
+        coarse = np.flatnonzero(self._counts(knots_s) < LIMITS.few_samples)
+        if not coarse.size:
+            return self
+        length_s = knots_s[coarse + 1] - knots_s[coarse]
+        fractions = np.arange(LIMITS.few_samples) / LIMITS.few_samples
+        even_s = (knots_s[coarse, np.newaxis] + length_s[:, np.newaxis] * fractions).ravel()
+        after = self.times_s.searchsorted(even_s).clip(1, len(self.times_s) - 1)
+        distance_s = np.minimum(np.abs(self.times_s[after] - even_s), np.abs(self.times_s[after - 1] - even_s))
+        return self._with(motion, even_s[distance_s > _SAME_S])
+
+    def _with(self, motion: CameraMotion, added_s: Float) -> Self:
+        """Return the samples and others at further times."""
+        (added,) = motion.pointings(added_s)
+        times_s = np.concatenate([self.times_s, added_s])
+        order = np.argsort(times_s, kind="stable")
+        own = self.pointing
+        pointing = replace(
+            own,
+            C_camera_eq=np.concatenate([own.C_camera_eq, added.C_camera_eq])[order],
+            zenith_eq=np.concatenate([own.zenith_eq, added.zenith_eq])[order],
+            velocity_eq=np.concatenate([own.velocity_eq, added.velocity_eq])[order],
+        )
+        return replace(self, times_s=times_s[order], pointing=pointing)
 
     def search(self, camera: Camera, tolerance_px: float) -> Float:
         """Return nodes at which segments begin and end, UTC seconds, from the start to the end of the exposure.

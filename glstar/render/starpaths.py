@@ -111,9 +111,9 @@ class ConicPaths:
     @cached_property
     def sample_counts(self) -> NDArray[np.intp]:
         """Number of equal parts of each segment, (s,); a path is sampled in the middle of each part."""
-        chord_px = self._nodes_px[:, 2::2] - self._nodes_px[:, :-2:2]
+        chord_px = self.nodes_px[:, 2::2] - self.nodes_px[:, :-2:2]
         length_px = np.sqrt((chord_px * chord_px).sum(axis=0))  # five times as fast as hypot
-        on_image = self.camera.pinhole.contains(self._nodes_px[:, 1::2].transpose(1, 2, 0))
+        on_image = self.camera.pinhole.contains(self.nodes_px[:, 1::2].transpose(1, 2, 0))
         longest_px = np.fmax.reduce(length_px, axis=1, where=on_image, initial=0.0)
         counts = np.maximum(np.ceil(longest_px / self.spacing_px), np.ceil(_MIN_SAMPLES * self.time_fraction))
         return np.asarray(counts, dtype=np.intp)
@@ -132,28 +132,42 @@ class ConicPaths:
             return
         first = np.flatnonzero(np.diff(piece, prepend=-1))
         for start, stop in zip(first, [*first[1:], len(piece)], strict=True):
-            nodes = self.nodes[:, 2 * start : 2 * stop + 1]
-            yield replace(
-                self, nodes=nodes, weight=self.weight[start:stop], time_fraction=self.time_fraction[start:stop]
+            nodes, segments = slice(2 * start, 2 * stop + 1), slice(start, stop)
+            piece_of = replace(
+                self,
+                nodes=self.nodes[:, nodes],
+                weight=self.weight[segments],
+                time_fraction=self.time_fraction[segments],
             )
+            # What is known of the whole is not computed again.
+            vars(piece_of).update(nodes_px=self.nodes_px[:, nodes], sample_counts=self.sample_counts[segments])
+            yield piece_of
 
     @property
     def bounds_px(self) -> Float:
         """`SampledPaths.bounds_px`, or slightly larger bounds; in the undistorted image plane."""
-        start, middle, end = self._weighted_nodes(self.nodes)
+        start, middle, end = self._weighted
         # A conic does not leave the triangle of its ends and the intersection of the tangents there.
         apex = _projected(self.camera.pinhole, 2 * middle - (start + end) / 2)
-        ends = self._nodes_px[:, ::2]
+        ends = self.nodes_px[:, ::2]
         return _bounds(np.minimum(ends.min(axis=1), apex.min(axis=1)), np.maximum(ends.max(axis=1), apex.max(axis=1)))
 
     @property
     def weighted_sum_px(self) -> Float:
         """The integral of position over the exposure, (2, m) px; in the undistorted image plane."""
         # Boole's rule: the paths are so smooth that it is exact to float64.
-        start, rate, curvature = self._quadratics()
-        early, late = (_projected(self.camera.pinhole, start + u * (rate + u * curvature)) for u in (0.25, 0.75))
-        at_start, at_middle, at_end = self._nodes_px[:, :-2:2], self._nodes_px[:, 1::2], self._nodes_px[:, 2::2]
-        ninetieths: Float = 7 * (at_start + at_end) + 32 * (early + late) + 12 * at_middle
+        start, middle, end = self._weighted
+        between = 0.75 * middle
+        early, late = (0.375 * near - 0.125 * far for near, far in ((start, end), (end, start)))
+        early += between
+        late += between
+        ninetieths = _projected(self.camera.pinhole, early)
+        ninetieths += _projected(self.camera.pinhole, late)
+        ninetieths *= 32
+        ninetieths += 12 * self.nodes_px[:, 1::2]
+        at_ends = 7 * self.nodes_px[:, ::2]
+        ninetieths += at_ends[:, :-1]
+        ninetieths += at_ends[:, 1:]
         return np.stack([self.time_fraction @ coordinate for coordinate in ninetieths]) / 90
 
     def positions(self, segment: NDArray[np.intp], elapsed: Float) -> Float:
@@ -193,13 +207,20 @@ class ConicPaths:
         weight = self.weight[:, np.newaxis]
         return nodes[:, :-2:2] * weight, nodes[:, 1::2], nodes[:, 2::2] * weight
 
+    @cached_property
+    def _weighted(self) -> tuple[Float, Float, Float]:
+        return self._weighted_nodes(self.nodes)
+
     def _quadratics(self, stars: NDArray[np.intp] | None = None) -> tuple[Float, Float, Float]:
         """Return coefficients of 1, u and u^2 of the vectors to some stars, u the elapsed fraction of a segment."""
-        start, middle, end = self._weighted_nodes(self.nodes if stars is None else self.nodes.take(stars, axis=2))
+        if stars is None:
+            start, middle, end = self._weighted
+        else:
+            start, middle, end = self._weighted_nodes(self.nodes.take(stars, axis=2))
         return start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)
 
     @cached_property
-    def _nodes_px(self) -> Float:
+    def nodes_px(self) -> Float:
         """Columns and rows of all nodes in the undistorted image plane, (2, 2 s + 1, m) px."""
         return _projected(self.camera.pinhole, self.nodes)
 

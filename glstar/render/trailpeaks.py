@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,9 @@ class TrailPeaks:
     area_px2: Float
 
 
-def trail_peaks(scene: Scene, direction_eq: Float, passage: CloudPassage | None = None) -> TrailPeaks:
+def trail_peaks(
+    scene: Scene, direction_eq: Float, passage: CloudPassage | None = None, nodes_px: Float | None = None
+) -> TrailPeaks:
     """Return the expected brightness of trails along the true paths of stars.
 
     Parameters
@@ -53,6 +55,8 @@ def trail_peaks(scene: Scene, direction_eq: Float, passage: CloudPassage | None 
         Geocentric apparent unit vectors, true equator and equinox.
     passage : CloudPassage, optional
         What cloud transmits of the stars: the peak is that of the dimmed trail, over the flux above the cloud.
+    nodes_px : (2, n, m) float64, optional
+        Their `ConicPaths.nodes_px`, if these are known.
 
     Returns
     -------
@@ -66,40 +70,31 @@ def trail_peaks(scene: Scene, direction_eq: Float, passage: CloudPassage | None 
     area 2 sqrt(pi) sigma L: flux over peak times 2 and times sqrt(2); between them the factor is interpolated.
     """
     sigma_px = scene.sensor.core.effective_sigma_px
-    chains = list(_chains(scene, direction_eq))
-    points, order = zip(*(_brightest(scene, *chain) for chain in chains), strict=True)
+    chains = [_Chain.of(xy_px, weight) for xy_px, weight in _chains(scene, direction_eq, nodes_px)]
+    points, order = zip(*(_brightest(scene, chain) for chain in chains), strict=True)
     point = points[0] if len(chains) == 1 else _least(np.stack(points), np.stack(order))
-    xy_px, weight = _joined(chains)
-    step = np.diff(xy_px, axis=0)
-    length_px = np.hypot(step[..., 0], step[..., 1])
-    hidden = ~np.isfinite(length_px)
-    weights = np.where(hidden, 0.0, weight[:, np.newaxis])
-    mean = np.ones(1)
-    if passage is not None:
-        ends = np.cumsum(weight)
-        weights, mean = weights * passage.at((ends - weight / 2) / ends[-1]), passage.mean
-    peak = _signal_at(point, np.nan_to_num(xy_px), length_px, weights, sigma_px)
+    peak, mean = np.zeros(len(point)), np.ones(1) if passage is None else passage.mean
+    whole, begin = sum(float(chain.weight.sum()) for chain in chains), 0.0
+    for chain in chains:
+        ends = begin + np.cumsum(chain.weight)
+        transmission = None if passage is None else passage.at((ends - chain.weight / 2) / whole)
+        peak += chain.signal_at(point, sigma_px, transmission)
+        begin = ends[-1]
     dimmed = peak / np.maximum(mean, 1e-30)
     concentration = np.minimum(2 * np.pi * sigma_px**2 * dimmed, 1.0)
     factor = np.sqrt(2) + (2 - np.sqrt(2)) * concentration
     return TrailPeaks(peak, factor / np.maximum(dimmed, 1e-30))
 
 
-def _chains(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float, Float]]:
+def _chains(scene: Scene, direction_eq: Float, nodes_px: Float | None) -> Iterator[tuple[Float, Float]]:
     """Yield `_chain` of each short exposure of a stacked image, or of the exposure."""
     trails = scene.trails if scene.listing is None else scene.listing.trails
-    shorts = trails.shorts if isinstance(trails, StackedTrails) else (trails,)
-    for short in shorts:
-        xy_px, weight = _chain(scene, short, direction_eq)
-        yield xy_px, weight / len(shorts)
-
-
-def _joined(chains: list[tuple[Float, Float]]) -> tuple[Float, Float]:
-    """Return several chains as one, with lines of no light between them."""
-    if len(chains) == 1:
-        return chains[0]
-    weights = [np.concatenate([weight, [0.0]]) for _, weight in chains]
-    return np.concatenate([xy_px for xy_px, _ in chains]), np.concatenate(weights)[:-1]
+    if not isinstance(trails, StackedTrails):
+        yield _chain(scene, trails, direction_eq, nodes_px)
+        return
+    for short in trails.shorts:
+        xy_px, weight = _chain(scene, short, direction_eq, None)
+        yield xy_px, weight / len(trails.shorts)
 
 
 def _least(points: Float, order: Float) -> Float:
@@ -107,59 +102,123 @@ def _least(points: Float, order: Float) -> Float:
     return np.asarray(points[order.argmin(axis=0), np.arange(points.shape[1])])
 
 
-def _chain(scene: Scene, trails: TrailModel, direction_eq: Float) -> tuple[Float, Float]:
-    """Return positions along paths, (n, m, 2) px, and the fractions of the exposure between them, (n - 1,)."""
+def _chain(scene: Scene, trails: TrailModel, direction_eq: Float, nodes_px: Float | None) -> tuple[Float, Float]:
+    """Return positions along paths, (2, n, m) px, and the fractions of the exposure between them, (n - 1,)."""
     if isinstance(trails, AnalyticSegments) and 2 * len(trails) >= _MIN_PARTS:
-        weight = np.repeat(trails.time_fraction / 2, 2)
-        return scene.camera.project(trails.pointing.to_camera(direction_eq)), weight
+        if nodes_px is None:
+            nodes_px = np.moveaxis(scene.camera.project(trails.pointing.to_camera(direction_eq)), -1, 0)
+        return nodes_px, np.repeat(trails.time_fraction / 2, 2)
     if isinstance(trails, AnalyticSegments):
         parts = 2 * -(-_MIN_PARTS // (2 * len(trails)))
         weight = np.repeat(trails.time_fraction / parts, parts)
         times = np.concatenate([[0.0], np.cumsum(weight)])
-        return trails.positions(scene.camera, direction_eq, np.minimum(times, 1.0)), weight
-    xy_px = scene.camera.project(trails.pointing.to_camera(direction_eq))
-    xy_px = np.concatenate([xy_px, xy_px[-1:]])
-    return xy_px, np.full(len(xy_px) - 1, 1 / (len(xy_px) - 1))
+        xy_px = trails.positions(scene.camera, direction_eq, np.minimum(times, 1.0))
+        return np.moveaxis(xy_px, -1, 0), weight
+    xy_px = np.moveaxis(scene.camera.project(trails.pointing.to_camera(direction_eq)), -1, 0)
+    xy_px = np.concatenate([xy_px, xy_px[:, -1:]], axis=1)
+    return xy_px, np.full(xy_px.shape[1] - 1, 1 / (xy_px.shape[1] - 1))
 
 
-def _brightest(scene: Scene, xy_px: Float, weight: Float) -> tuple[Float, Float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chain:
+    """Paths of m stars as chains of n lines.
+
+    Attributes
+    ----------
+    xy_px : (2, n + 1, m) float64
+        Positions at the ends of the lines, px; 0 where a star is not visible.
+    step_px : (2, n, m) float64
+        From one to the next, px.
+    length_px : (n, m) float64
+        Lengths of the lines, px.
+    weight : (n,) float64
+        The fraction of the exposure of each line.
+    hidden : (n, m) bool or None
+        Which lines have an end that is not visible; None if all are visible.
+    """
+
+    xy_px: Float
+    step_px: Float
+    length_px: Float
+    weight: Float
+    hidden: NDArray[np.bool_] | None
+
+    @classmethod
+    def of(cls, xy_px: Float, weight: Float) -> Self:
+        """Return the chain through positions, (2, n + 1, m) px; NaN where a star is not visible."""
+        step_px = xy_px[:, 1:] - xy_px[:, :-1]
+        length_px = np.sqrt(step_px[0] * step_px[0] + step_px[1] * step_px[1])  # five times as fast as hypot
+        if np.isfinite(length_px.sum()):
+            return cls(xy_px, step_px, length_px, weight, None)
+        hidden = ~np.isfinite(length_px)
+        step_px[:, hidden] = 0.0
+        length_px[hidden] = 0.0
+        return cls(np.nan_to_num(xy_px), step_px, length_px, weight, hidden)
+
+    def signal_at(self, point: Float, sigma_px: float, transmission: Float | None) -> Float:
+        """Return the signal at one point per star, (m,), over the flux of the star, 1/px^2.
+
+        `transmission`, (n, m), is that of each line; None for 1.
+        """
+        off_px = [point[:, axis] - self.xy_px[axis, :-1] for axis in (0, 1)]
+        # Most lines are too far to matter.
+        reach = self.length_px + _FAR_SIGMA * sigma_px
+        is_near = off_px[0] * off_px[0] + off_px[1] * off_px[1] < reach * reach
+        if self.hidden is not None:
+            is_near &= ~self.hidden
+        near = np.flatnonzero(is_near)
+        line, star = np.divmod(near, len(point))
+        length_px = np.maximum(self.length_px.ravel().take(near), 1e-9)
+        along_x, along_y = (step.ravel().take(near) / length_px for step in self.step_px)
+        off_x, off_y = (off.ravel().take(near) / sigma_px for off in off_px)
+        length = length_px / sigma_px
+        s = off_x * along_x + off_y * along_y
+        p2 = np.maximum(off_x * off_x + off_y * off_y - s * s, 0.0)
+        signal = self.weight.take(line) * _density(s, length) * np.exp(-0.5 * p2)
+        if transmission is not None:
+            signal *= transmission.ravel().take(near)
+        summed = np.bincount(star, signal, minlength=len(point))
+        return np.asarray(summed / (np.sqrt(2 * np.pi) * sigma_px**2))
+
+
+def _brightest(scene: Scene, chain: _Chain) -> tuple[Float, Float]:
     """Return where each star is slowest on the image, or its nearest point to the image, (m, 2) px; and how slow."""
-    step = np.diff(xy_px, axis=0)
-    length_px = np.hypot(step[..., 0], step[..., 1])
-    middle = (xy_px[1:] + xy_px[:-1]) / 2
-    speed = length_px / weight[:, np.newaxis]
+    length_px = chain.length_px
+    order = length_px / chain.weight[:, np.newaxis]
     # On the image the slowest part that has light from both sides, and off it the nearest.
-    length_px = np.nan_to_num(length_px)
-    from_start_px = np.cumsum(length_px, axis=0) - length_px / 2
-    to_end_px = np.minimum(from_start_px, length_px.sum(axis=0) - from_start_px)
+    from_start_px = np.cumsum(length_px, axis=0)
+    total_px = from_start_px[-1].copy()
+    from_start_px -= length_px / 2
+    to_end_px = np.minimum(from_start_px, total_px - from_start_px)
     reaches_px = np.minimum(_REACH_SIGMA * scene.sensor.core.effective_sigma_px, to_end_px.max(axis=0))
-    speed *= np.where(to_end_px < reaches_px, 1e6, 1.0)
-    outside_px = np.nan_to_num(np.maximum(scene.camera.distance_outside_px(middle), 0.0), nan=np.inf)
-    order = np.where(outside_px > 0, 1e12 + outside_px, np.nan_to_num(speed, nan=np.inf))
-    brightest = np.nan_to_num(_least(middle, order))
+    order *= np.where(to_end_px < reaches_px, 1e6, 1.0)
+    middle = chain.xy_px[:, 1:] + chain.xy_px[:, :-1]
+    middle /= 2
+    outside_px = scene.camera.distance_outside_px(middle.transpose(1, 2, 0))
+    is_outside = outside_px > 0
+    if is_outside.any():
+        order = np.where(is_outside, 1e12 + outside_px, order)
+    if chain.hidden is not None:
+        order[chain.hidden] = np.inf
+    slowest = order.argmin(axis=0)
+    stars = np.arange(len(slowest))
+    brightest = middle[:, slowest, stars].T
     size_px = np.array([scene.camera.width_px, scene.camera.height_px])
-    return np.asarray(brightest.clip(-0.5, size_px - 0.5)), order.min(axis=0)
+    return np.asarray(brightest.clip(-0.5, size_px - 0.5)), order[slowest, stars]
 
 
-def _signal_at(point: Float, xy_px: Float, length_px: Float, weight: Float, sigma_px: float) -> Float:
-    """Return the signal of chains of lines at one point each, (m,), over the flux of the star, 1/px^2."""
-    off_x, off_y = (point[:, axis] - xy_px[:-1, :, axis] for axis in (0, 1))
-    length = np.maximum(np.nan_to_num(length_px), 1e-9)
-    # Most lines are too far to matter.
-    reach = length + _FAR_SIGMA * sigma_px
-    line, star = np.nonzero(off_x * off_x + off_y * off_y < reach * reach)
-    length = length[line, star]
-    along = (xy_px[line + 1, star] - xy_px[line, star]) / length[:, np.newaxis]
-    off = np.stack([off_x[line, star], off_y[line, star]], axis=1) / sigma_px
-    length = length / sigma_px
-    s = (off * along).sum(axis=-1)
-    p2 = np.maximum((off * off).sum(axis=-1) - s * s, 0.0)
-    variance = 1 + length * length / 12
-    wide = np.exp(-0.5 * (s - length / 2) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-    density = np.where(length < _SHORT_SIGMA, wide, (_normal_cumulative(s) - _normal_cumulative(s - length)) / length)
-    across = np.exp(-0.5 * p2) / np.sqrt(2 * np.pi)
-    signal = np.bincount(star, weight[line, star] * across * density, minlength=len(point))
-    return np.asarray(signal / sigma_px**2)
+def _density(s: Float, length: Float) -> Float:
+    """Return the light per sigma of lines at a distance s from their starts along them; lengths in sigma."""
+    density = np.empty_like(s)
+    is_short = length < _SHORT_SIGMA
+    short, long = np.flatnonzero(is_short), np.flatnonzero(~is_short)
+    size = length.take(short)
+    variance = 1 + size * size / 12
+    off = s.take(short) - size / 2
+    density[short] = np.exp(-0.5 * off * off / variance) / np.sqrt(2 * np.pi * variance)
+    size, at = length.take(long), s.take(long)
+    density[long] = (_normal_cumulative(at) - _normal_cumulative(at - size)) / size
+    return density
 
 
 def _normal_cumulative(z: Float) -> Float:

@@ -39,11 +39,14 @@ class TrailStatistics:
         self.on_image = np.zeros(count)
         self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
+        self._nodes_px: list[Float] = []
         saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
         if scene.exposure.readout_s and scene.motion is not None:
             self._add_recorded(scene, saturation)
             return
         for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
+            if isinstance(paths, ConicPaths):
+                self._nodes_px.append(paths.nodes_px)
             bounds = paths.bounds_px
             # Most stars are on the image all the time or never, and far from all saturated pixels.
             always = scene.camera.contains(bounds).all(axis=0)
@@ -91,6 +94,13 @@ class TrailStatistics:
             self.on_image[stars] += time_fraction @ scene.camera.contains(xy)
             for axis, sums in enumerate(self.sum_xy):
                 sums[stars] += time_fraction @ np.where(touching, xy[..., axis], 0.0)
+
+    def chosen_nodes_px(self, stars: NDArray[np.intp]) -> Float | None:
+        """Return the `ConicPaths.nodes_px` of some stars over the whole exposure; None where paths are sampled."""
+        if not self._nodes_px:
+            return None
+        *pieces, last = (nodes.take(stars, axis=2) for nodes in self._nodes_px)
+        return np.concatenate([*(nodes[:, :-1] for nodes in pieces), last], axis=1) if pieces else last
 
     @property
     def centroid(self) -> Float:

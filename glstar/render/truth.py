@@ -230,7 +230,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn) * factor),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
-            **_expected(scene, index, arriving_dn, trails.on_image[drawn], passage),
+            **_expected(scene, trails.chosen_nodes_px(drawn), index, arriving_dn, trails.on_image[drawn], passage),
             **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn)),
             **{key: _rounded(xy) for key, xy in stacked_segments(scene, scene.stars.direction_eq[index]).items()},
             **_widths(scene, drawn),
@@ -261,9 +261,14 @@ def _cloud_columns(passage: CloudPassage | None) -> dict[str, Float]:
 
 
 def _expected(
-    scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: Float, passage: CloudPassage | None
+    scene: Scene,
+    nodes_px: Float | None,
+    index: NDArray[np.int32],
+    peak_dn: Float,
+    on_image: Float,
+    passage: CloudPassage | None,
 ) -> dict[str, Float]:
-    """Return the columns of the expected brightness of trails.
+    """Return the columns of the expected brightness of trails, of which `nodes_px` are known or None.
 
     ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
     signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.  In
@@ -272,7 +277,7 @@ def _expected(
     """
     flux_dn, factor = scene.sensor.flux_dn(peak_dn), scene.exposure.signal_factor
     gain = sqrt(scene.exposure.frames)
-    trails = trail_peaks(scene, scene.stars.direction_eq[index], passage)
+    trails = trail_peaks(scene, scene.stars.direction_eq[index], passage, nodes_px)
     # Of what passes the cloud; the peak has it already.
     flux_dn, whole_dn = (flux_dn, flux_dn) if passage is None else (flux_dn * passage.mean, flux_dn)
     noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)

@@ -1,5 +1,6 @@
 """Least-squares segments, against the interpolated attitude itself."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.pathfit import LIMITS, _least_squares
-from glstar.render.scene import Scene
+from glstar.render.pathfit import LIMITS, SampledMotion, _least_squares
+from glstar.render.scene import Frame, Scene
 from glstar.render.simulator import Simulator
+from glstar.render.trailpeaks import trail_peaks
+from glstar.render.truth import frame_truth
 from glstar.rotation import quaternion_from_euler
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
@@ -62,11 +65,45 @@ def test_drawn_paths_are_within_the_tolerance_of_the_interpolated_attitude(hz, i
     assert largest_px <= 1.1 * tolerance_px
 
 
+def test_only_short_segments_are_sampled_more_finely_and_the_samples_are_those_of_the_motion():
+    motion = rough(50.0, "spline").motion
+    nodes_s = EXPOSURE.start_utc_s + np.linspace(0.0, 0.5, 26)
+    samples = SampledMotion.of(motion, nodes_s, 2)
+    knots_s = np.sort(np.append(nodes_s[::5], nodes_s[10] + [2e-4, 4e-4]))
+    resolved = samples.resolving(motion, knots_s)
+    counts = np.diff(resolved.times_s.searchsorted(knots_s - 1e-7))
+    assert counts.min() >= LIMITS.few_samples - 1
+    assert len(resolved.times_s) < LIMITS.max_even_parts * len(nodes_s) + 20
+    assert (np.diff(resolved.times_s) > 1e-7).all()
+    (expected,) = motion.pointings(resolved.times_s)
+    np.testing.assert_allclose(resolved.pointing.C_camera_eq, expected.C_camera_eq, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(resolved.pointing.zenith_eq, expected.zenith_eq, rtol=0, atol=1e-10)
+
+
 @pytest.mark.parametrize("hz", [50.0, 200.0])
 def test_the_mean_of_a_fitted_path_is_that_of_the_attitude(hz):
     simulator = rough(hz)
     _, mean_px = off_px(simulator, simulator.scene(EXPOSURE))
     assert mean_px <= 5e-4
+
+
+@pytest.mark.parametrize("exposure", [EXPOSURE, replace(EXPOSURE, duration_s=0.1, frames=2, gap_s=0.05)])
+def test_truth_has_the_expected_peaks_of_paths_that_are_projected_again(exposure):
+    scene = rough(200.0).scene(exposure)
+    trails = scene.trails.shorts[0] if exposure.frames > 1 else scene.trails
+    assert len(trails) >= 8
+    pixels = np.zeros((LENS.height_px, LENS.width_px), dtype=np.uint8)
+    line = json.loads(frame_truth(scene, Frame(pixels, exposure, 0), number=0, file="a.png"))
+    star_id = np.array([star["star_id"] for star in line["stars"]])
+    index = np.flatnonzero(np.isin(scene.stars.star_id, star_id))
+    peaks = trail_peaks(scene, scene.stars.direction_eq[index])
+    flux_dn = dict(zip(star_id, [star["flux_dn"] for star in line["stars"]], strict=True))
+    expected = {
+        number: flux_dn[number] * peak
+        for number, peak in zip(scene.stars.star_id[index], peaks.peak_fraction_per_px2, strict=True)
+    }
+    for star in line["stars"]:
+        assert star["trail_peak_dn"] == pytest.approx(expected[star["star_id"]], rel=1e-5, abs=1e-5)
 
 
 def test_a_wider_tolerance_needs_fewer_segments_and_none_needs_most():
