@@ -1,6 +1,7 @@
 """Photographs, read as one channel of digital numbers."""
 
 import logging
+import re
 from dataclasses import dataclass
 from io import BytesIO
 from os import PathLike
@@ -12,6 +13,7 @@ import exifread
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.pixelpattern import read_map
 from glstar.errors import CalibrationError
 from glstar.system.imagesize import size_error
 
@@ -27,6 +29,11 @@ _ENDS: Final[dict[bytes, bytes]] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"
 _END_WITHIN_BYTES: Final = 64 * 1024
 # Messages of exifread on files without EXIF are suppressed.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
+
+# First characters of a FITS file, and its exposure, s.
+_FITS_BEGIN: Final = b"SIMPLE  ="
+_FITS_EXPOSURE: Final = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
+_LARGEST: Final = 65535
 
 # Smallest side of an image of stars.
 _LEAST_SIDE_PX: Final = 32
@@ -67,7 +74,8 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     Parameters
     ----------
     path : path-like
-        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour; rotated by its EXIF.
+        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; or FITS of
+        one channel.
     channel : {"value", "red", "green", "blue", "mean"}
         Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
     bit_depth : int, optional
@@ -111,6 +119,8 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
 
 
 def _decoded(content: bytes, path: Path) -> NDArray[Any]:
+    if content.startswith(_FITS_BEGIN):
+        return _decoded_fits(path)
     # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore the EXIF orientation.
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     try:
@@ -118,11 +128,23 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=path)
+        raise CalibrationError("is no image that can be read; JPEG, PNG, TIFF and FITS can", path=path)
     if pixels.dtype not in (np.uint8, np.uint16):
         message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
         raise CalibrationError(message, path=path)
     return np.asarray(pixels)
+
+
+def _decoded_fits(path: Path) -> NDArray[Any]:
+    """Return the whole numbers of a FITS file's first image, uint16."""
+    try:
+        pixels = read_map(str(path))
+    except ValueError as error:
+        raise CalibrationError(f"is no image that can be read: {error}", path=path) from error
+    if pixels.min() < 0 or pixels.max() > _LARGEST or (pixels != np.rint(pixels)).any():
+        message = f"holds numbers from {pixels.min():g} to {pixels.max():g}; a calibration needs a camera's own, whole"
+        raise CalibrationError(f"{message} and from 0 to {_LARGEST}", path=path)
+    return pixels.astype(np.uint16)
 
 
 def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:
@@ -144,6 +166,9 @@ def _depth_of(pixels: NDArray[Any]) -> int:
 
 def _exposure_s(content: bytes) -> float | None:
     """Return the exposure that the camera wrote into its file, s, or None."""
+    if content.startswith(_FITS_BEGIN):
+        found = _FITS_EXPOSURE.search(content[:_END_WITHIN_BYTES])
+        return (float(found[1]) or None) if found else None
     try:
         tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
         return float(tags["EXIF ExposureTime"].values[0]) or None

@@ -37,7 +37,7 @@ class _Criterion(StrEnum):
 
 Images = Annotated[
     list[Path] | None,
-    typer.Argument(help="Photographs of the stars by one camera: JPEG, PNG or TIFF.", show_default=False),
+    typer.Argument(help="Photographs of the stars by one camera: JPEG, PNG, TIFF or FITS.", show_default=False),
 ]
 Darks = Annotated[
     Path | None,

@@ -1,0 +1,42 @@
+"""FITS photographs, written by astropy or by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glstar.calibrate import read_image
+from glstar.calibrate.photontransfer import images_in
+from glstar.errors import CalibrationError
+
+
+def written(path: Path, pixels: np.ndarray, exposure_s: float | None = None) -> Path:
+    fits = pytest.importorskip("astropy.io.fits")
+    unit = fits.PrimaryHDU(pixels)
+    if exposure_s is not None:
+        unit.header["EXPTIME"] = (exposure_s, "s")
+    unit.writeto(path)
+    return path
+
+
+def test_pixels_bits_and_exposure_of_a_fits_file_are_read(tmp_path):
+    pixels = np.random.default_rng(1).integers(0, 4096, (48, 64)).astype(np.uint16)
+    pixels[0, 0] = 4095
+    image = read_image(written(tmp_path / "one.fits", pixels, 0.25))
+    np.testing.assert_array_equal(image.pixels_dn, pixels)
+    assert (image.bit_depth, image.exposure_s) == (12, 0.25)
+    assert [path.name for path in images_in(tmp_path)] == ["one.fits"]
+
+
+@pytest.mark.parametrize("value", [-1.0, 0.5])
+def test_numbers_that_no_camera_writes_are_refused(tmp_path, value):
+    path = written(tmp_path / "flat.fits", np.full((48, 64), value, np.float32))
+    with pytest.raises(CalibrationError, match="holds numbers from"):
+        read_image(path)
+
+
+def test_a_fits_file_that_is_cut_off_is_refused(tmp_path):
+    path = written(tmp_path / "one.fits", np.ones((48, 64), np.int16))
+    path.write_bytes(path.read_bytes()[:4000])
+    with pytest.raises(CalibrationError, match="cut off"):
+        read_image(path)
