@@ -71,8 +71,8 @@ Masks = Annotated[
     bool,
     typer.Option(
         "--masks",
-        help="Write masks beside each frame, as PNG: which star each pixel shows (.trails), and which pixels are"
-        " saturated (.saturated).",
+        help="Write masks beside each frame, as PNG: which star each pixel shows (.trails), which pixels are"
+        " saturated (.saturated), and with [cloud] and [flare] what cloud transmits (.cloud) and the flare (.flare).",
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]

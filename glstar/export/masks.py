@@ -1,4 +1,4 @@
-"""Masks of a frame: which star each pixel shows, which pixels are saturated, and what cloud transmits."""
+"""Masks of a frame: which star each pixel shows, which pixels are saturated, what cloud transmits, and the flare."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal
@@ -7,23 +7,41 @@ import cv2
 import numpy as np
 
 from glstar.config import Config
+from glstar.render.effects import active_effects
 from glstar.render.effects.cloudtexture import transmission_at
+from glstar.render.effects.flare import flare_dn
 from glstar.render.scene import Frame, Scene
 from glstar.render.trailmask import trail_mask
 from glstar.system.png import encode_png
 
-__all__ = ["MASK_KINDS", "MASK_SUFFIXES", "MaskKind", "cloud_mask", "encoded_masks", "masks_of", "saturated_mask"]
+__all__ = [
+    "MASK_KINDS",
+    "MASK_SUFFIXES",
+    "MaskKind",
+    "cloud_mask",
+    "encoded_masks",
+    "flare_mask",
+    "masks_of",
+    "saturated_mask",
+]
 
-MaskKind = Literal["trails", "saturated", "cloud"]
+MaskKind = Literal["trails", "saturated", "cloud", "flare"]
 
 # The kinds of masks, in the order of the manifest, with the type of their pixels.
-MASK_KINDS: Final[Mapping[MaskKind, type]] = {"trails": np.uint16, "saturated": np.uint8, "cloud": np.uint8}
+MASK_KINDS: Final[Mapping[MaskKind, type]] = {
+    "trails": np.uint16,
+    "saturated": np.uint8,
+    "cloud": np.uint8,
+    "flare": np.uint16,
+}
 # The suffix of each kind's file, after the name of its frame.
 MASK_SUFFIXES: Final[Mapping[MaskKind, str]] = {kind: f".{kind}.png" for kind in MASK_KINDS}
 # Value of a saturated pixel.
 _WHITE: Final = 255
 # Distance of the pixels at which the transmission of cloud is computed, px.
 _CLOUD_STEP_PX: Final = 4
+# Values of the mask of flare per DN.
+_FLARE_STEPS_PER_DN: Final = 16
 
 
 def saturated_mask(scene: Scene, frame: Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -71,10 +89,29 @@ def cloud_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint8]]:
     return np.asarray(np.rint(_WHITE * values), dtype=np.uint8)
 
 
+def flare_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint16]]:
+    """Return the flare of the lens in each pixel.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    (height, width) uint16
+        16 times its signal in DN, rounded, at most 65535; of one short exposure of a stacked image.
+    """
+    camera = scene.camera
+    x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+    values = flare_dn(scene, np.stack([x, y], axis=-1))
+    return np.asarray(np.rint(np.minimum(_FLARE_STEPS_PER_DN * values, 65535)), dtype=np.uint16)
+
+
 _DRAWN_BY: Final[Mapping[MaskKind, Callable[[Scene, Frame], np.ndarray[Any, Any]]]] = {
     "trails": lambda scene, _frame: trail_mask(scene),
     "saturated": saturated_mask,
     "cloud": lambda scene, _frame: cloud_mask(scene),
+    "flare": lambda scene, _frame: flare_mask(scene),
 }
 
 
@@ -83,7 +120,7 @@ def encoded_masks(kinds: tuple[MaskKind, ...], scene: Scene, frame: Frame) -> di
 
     Parameters
     ----------
-    kinds : tuple of {"trails", "saturated", "cloud"}
+    kinds : tuple of {"trails", "saturated", "cloud", "flare"}
     scene : Scene
     frame : Frame
 
@@ -106,11 +143,11 @@ def masks_of(config: Config, *, masks: bool) -> tuple[MaskKind, ...]:
 
     Returns
     -------
-    tuple of {"trails", "saturated", "cloud"}
+    tuple of {"trails", "saturated", "cloud", "flare"}
     """
     if not masks:
         return ()
-    has_cloud = "cloud.coverage" in config.sensor().effects or any(
-        axis.key.startswith("cloud.") for axis in config.sweep.axes
-    )
-    return ("trails", "saturated", *(("cloud",) if has_cloud else ()))
+    active = {effect.name for effect in active_effects(config.sensor())}
+    active |= {axis.key.partition(".")[0] for axis in config.sweep.axes}
+    optional: tuple[MaskKind, ...] = ("cloud", "flare")
+    return ("trails", "saturated", *(kind for kind in optional if kind in active))

@@ -67,7 +67,7 @@ class FrameTask:
         The seed from which the noise seed of every frame is derived.
     lease : Lease or None
         The write permission of the run that distributes the task to other processes; None within one process.
-    masks : tuple of {"trails", "saturated", "cloud"}
+    masks : tuple of {"trails", "saturated", "cloud", "flare"}
         The masks to write beside each frame.
     """
 
@@ -237,7 +237,7 @@ class FrameTask:
 
         Parameters
         ----------
-        kind : {"trails", "saturated", "cloud"}
+        kind : {"trails", "saturated", "cloud", "flare"}
         number : int
 
         Returns

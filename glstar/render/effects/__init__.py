@@ -15,6 +15,7 @@ from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
 from glstar.render.effects.falloff import FLAT_FALLOFF, LENS_FALLOFF
 from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
+from glstar.render.effects.flare import FLARE
 from glstar.render.effects.fullwell import FULL_WELL
 from glstar.render.effects.naturalsky import NATURAL_SKY
 from glstar.render.effects.noise import NOISE
@@ -63,6 +64,7 @@ EFFECTS: tuple[Effect, ...] = (
     MOSAIC_OF_SKY,
     NATURAL_SKY,
     CLOUD,
+    FLARE,
     CAMERA_PROCESSING,
 )
 

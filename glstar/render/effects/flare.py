@@ -1,0 +1,251 @@
+"""Flare of the Sun, the Moon, bright planets and a lamp: light scattered in the lens, its ghosts, and a streak."""
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.render.clouds import cloud_sheet, horizontal_axes
+from glstar.render.effects.cloudtexture import crossing_at
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
+from glstar.render.scene import Scene
+from glstar.sky.bodies import Body, observed_bodies
+from glstar.sky.magnitudes import brightness_ratio
+
+__all__ = ["FLARE", "flare_dn"]
+
+Float = NDArray[np.float64]
+
+_SOURCES: Final = ("Sun", "Moon", "Venus", "Jupiter")
+# A lamp of this magnitude is none.
+_NO_LAMP_MAG: Final = 30.0
+# Columns and rows of the texture.
+_GRID: Final = (193, 145)
+# Ghosts of a source that is farther from the middle than this, in half diagonals of the image, do not reach the sensor.
+_GHOST_REACH: Final = 1.5
+# Width of the soft edge of a ghost, over its radius.
+_GHOST_EDGE: Final = 0.15
+# Half width at half maximum of a streak across its direction and along it, over the height of the image.
+_STREAK_ACROSS, _STREAK_ALONG = 0.012, 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """A source of flare: its direction in the camera frame, a unit vector, and its flux, DN."""
+
+    direction: Float
+    flux_dn: float
+
+
+def _is_active(values: Values) -> bool:
+    return any(float(values[key]) > 0 for key in ("scatter", "ghost_fraction", "streak_fraction"))
+
+
+def flare_dn(scene: Scene, xy_px: Float) -> Float:
+    """Return the flare at some pixels, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    xy_px : (..., 2) float64
+
+    Returns
+    -------
+    (...) float64
+        DN a pixel above the sky; 0 without flare.
+    """
+    values = FLARE.values(scene.sensor)
+    flare = np.zeros(xy_px.shape[:-1])
+    if not _is_active(values):
+        return flare
+    camera = scene.camera
+    rays = camera.unproject(xy_px.reshape(-1, 2)).reshape(*xy_px.shape[:-1], 3)
+    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    # Projected solid angles: those of a pinhole's pixels, cos^3, times the cosine of their direction.
+    pixel_sr = rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px)
+    for source in _sources(values, scene):
+        cosine = float(source.direction[2])
+        if cosine <= np.cos(np.deg2rad(float(values["hood_deg"]))) or cosine <= 0:
+            continue
+        # The aperture is seen obliquely.
+        entering_dn = source.flux_dn * cosine
+        flare += entering_dn * float(values["scatter"]) * _scattered(values, rays @ source.direction) * pixel_sr
+        flare += entering_dn * _ghosts(values, camera, source.direction, xy_px)
+        flare += entering_dn * _streak(values, camera, source.direction, xy_px)
+    return flare
+
+
+def _sources(values: Values, scene: Scene) -> list[_Source]:
+    """Return the bodies above the horizon, and the lamp."""
+    found: list[_Source] = []
+    mag_0_dn = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
+    for body in _bodies(scene):
+        in_camera = scene.shutter[1:2].to_camera(body.direction_eq[np.newaxis])[0, 0]
+        if np.isnan(in_camera).any():
+            continue
+        extinction = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
+        mag = body.vmag + (0.0 if extinction is None else float(extinction))
+        crossing = crossing_at(scene, 1, body.direction_eq[np.newaxis])
+        is_below_cloud = crossing is not None and scene.site.height_m < float(
+            getattr(cloud_sheet(scene.sensor, scene.motion), "height_m", 0.0)
+        )
+        passed = float(crossing.transmission[0]) if crossing is not None and is_below_cloud else 1.0
+        found.append(_Source(in_camera / np.linalg.norm(in_camera), mag_0_dn * float(brightness_ratio(mag)) * passed))
+    lamp_mag = float(values["lamp_mag"])
+    if lamp_mag < _NO_LAMP_MAG:
+        azimuth, altitude = (np.deg2rad(float(values[f"lamp_{name}_deg"])) for name in ("azimuth", "altitude"))
+        zenith = scene.shutter.zenith_eq[1]
+        east, north = horizontal_axes(zenith)
+        level = np.sin(azimuth) * east + np.cos(azimuth) * north
+        direction = scene.shutter.C_camera_eq[1] @ (np.cos(altitude) * level + np.sin(altitude) * zenith)
+        found.append(_Source(direction, mag_0_dn * float(brightness_ratio(lamp_mag))))
+    return found
+
+
+@lru_cache(maxsize=4)
+def _bodies(scene: Scene) -> tuple[Body, ...]:
+    if scene.observing_sky is None:
+        return ()
+    return observed_bodies(scene.observing_sky, scene.exposure.mid_utc_s, scene.site, _SOURCES)
+
+
+def _scattered(values: Values, cosine: Float) -> Float:
+    """Return the scattered light per projected solid angle, 1 over the hemisphere: Harvey and Shack, slope -2."""
+    shoulder = np.sin(np.deg2rad(float(values["scatter_deg"])))
+    sine2 = np.where(cosine > 0, 1 - cosine * cosine, 1.0)
+    return np.asarray(1 / (np.pi * shoulder**2 * np.log1p(shoulder**-2) * (1 + sine2 / shoulder**2)))
+
+
+def _source_px(camera: Camera, direction: Float) -> Float:
+    """Return where a source would be on the plane of the image, px."""
+    return np.asarray(camera.pinhole.project(direction[np.newaxis])[0])
+
+
+def _ghosts(values: Values, camera: Camera, direction: Float, xy_px: Float) -> Float:
+    """Return the light of the ghosts of a source, per pixel: soft discs on the line through source and axis."""
+    fraction, count = float(values["ghost_fraction"]), int(values["ghosts"])
+    axis_px = np.array([camera.cx_px, camera.cy_px])
+    offset_px = _source_px(camera, direction) - axis_px
+    light = np.zeros(xy_px.shape[:-1])
+    half_diagonal_px = np.hypot(camera.width_px, camera.height_px) / 2
+    if fraction == 0 or not np.linalg.norm(offset_px) < _GHOST_REACH * half_diagonal_px:
+        return light
+    chance = np.random.default_rng(int(values["ghost_seed"]))
+    for _ in range(count):
+        place, size = chance.uniform(-1.2, 0.8), chance.uniform(0.3, 1.0)
+        radius_px = size * float(values["ghost_size"]) * camera.height_px / 2
+        distance = np.linalg.norm(xy_px - (axis_px + place * offset_px), axis=-1) / radius_px
+        # A disc whose edge is a straight line has the flux pi r^2 (1 + edge^2 / 12).
+        disc = np.clip((1 - distance) / _GHOST_EDGE + 0.5, 0.0, 1.0)
+        light += fraction * disc / (np.pi * radius_px**2 * (1 + _GHOST_EDGE**2 / 12))
+    return light
+
+
+def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> Float:
+    """Return the light of the streak through a source, per pixel: Lorentzian along it, Gaussian across."""
+    fraction, angle = float(values["streak_fraction"]), np.deg2rad(float(values["streak_deg"]))
+    if fraction == 0:
+        return np.zeros(xy_px.shape[:-1])
+    offset = xy_px - _source_px(camera, direction)
+    along = (offset[..., 0] * np.cos(angle) + offset[..., 1] * np.sin(angle)) / (_STREAK_ALONG * camera.height_px)
+    sigma_px = _STREAK_ACROSS * camera.height_px / np.sqrt(2 * np.log(2))
+    across = (offset[..., 1] * np.cos(angle) - offset[..., 0] * np.sin(angle)) / sigma_px
+    lorentzian = 1 / (np.pi * _STREAK_ALONG * camera.height_px * (1 + along * along))
+    return np.asarray(fraction * lorentzian * np.exp(-0.5 * across * across) / (np.sqrt(2 * np.pi) * sigma_px))
+
+
+@lru_cache(maxsize=4)
+def _nodes(camera: Camera) -> Float:
+    """Return the positions of the texture's nodes, from edge to edge of the image, (rows, columns, 2) px."""
+    x = np.linspace(-0.5, camera.width_px - 0.5, _GRID[0])
+    y = np.linspace(-0.5, camera.height_px - 0.5, _GRID[1])
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
+    flare = flare_dn(scene, _nodes(scene.camera))
+    # Four components: software OpenGL is slow with one that is not its own.
+    return np.stack([flare, *([np.zeros_like(flare)] * 3)], axis=-1).astype(np.float32)
+
+
+def _depends_on(values: Values, scene: Scene) -> Hashable:
+    return (
+        *values.items(),
+        cloud_sheet(scene.sensor, scene.motion),
+        scene.exposure.mid_utc_s,
+        scene.site,
+        scene.camera,
+        scene.shutter.C_camera_eq.tobytes(),
+        scene.extinction,
+        scene.sine_horizon,
+        float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s)),
+    )
+
+
+def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
+    flare = flare_dn(scene, _nodes(scene.camera)[::4, ::4])
+    return {"flare_mean_dn": round(float(flare.mean()), 6), "flare_max_dn": round(float(flare.max()), 6)}
+
+
+FLARE = Effect(
+    name="flare",
+    section="flare",
+    keys=(
+        Key(
+            "scatter",
+            0.0,
+            allowed="a fraction of the light from 0 to 0.5; 0 is none",
+            minimum=0.0,
+            maximum=0.5,
+            control=Control("Scattered light", 0.0, 0.05, "%.4f"),
+        ),
+        Key("scatter_deg", 0.5, allowed="an angle from 0.01 to 45 deg", minimum=0.01, maximum=45.0),
+        Key("hood_deg", 90.0, allowed="an angle from 1 to 90 deg", minimum=1.0, maximum=90.0),
+        Key(
+            "ghost_fraction",
+            0.0,
+            allowed="a fraction of the light from 0 to 0.1; 0 is none",
+            minimum=0.0,
+            maximum=0.1,
+            control=Control("Ghosts", 0.0, 0.002, "%.5f"),
+        ),
+        Key("ghosts", 4, allowed="a whole number from 1 to 20", minimum=1, maximum=20),
+        Key("ghost_size", 0.15, allowed="a part of the image's height from 0.01 to 2", minimum=0.01, maximum=2.0),
+        Key("ghost_seed", 0, allowed="a whole number, 0 or more", minimum=0),
+        Key(
+            "streak_fraction",
+            0.0,
+            allowed="a fraction of the light from 0 to 0.1; 0 is none",
+            minimum=0.0,
+            maximum=0.1,
+            control=Control("Streak", 0.0, 0.005, "%.5f"),
+        ),
+        Key("streak_deg", 0.0, allowed="an angle in degrees"),
+        Key("lamp_mag", _NO_LAMP_MAG, allowed="a magnitude from -30 to 30; 30 is no lamp", minimum=-30.0, maximum=30.0),
+        Key("lamp_azimuth_deg", 0.0, allowed="an azimuth in degrees"),
+        Key("lamp_altitude_deg", 0.0, allowed="an altitude from -90 to 90 deg", minimum=-90.0, maximum=90.0),
+    ),
+    stage=Stage.SKY,
+    uniforms=no_uniforms,
+    textures=(EffectTexture("flare_signal", _texels, _depends_on),),
+    truth=_truth,
+    is_active=_is_active,
+    glsl="""\
+// Flare, DN a pixel, at nodes from edge to edge of the image.
+uniform sampler2D flare_signal;
+
+vec4 flare(vec4 signal_dn, uvec2 quad) {
+    vec2 nodes = vec2(textureSize(flare_signal, 0));
+    vec4 x = (columns_px(quad) + 0.5) / image_px.x;
+    float y = (row_px(quad) + 0.5) / image_px.y;
+    vec2 scale = nodes - 1.0;
+    float first = textureLod(flare_signal, (vec2(x.x, y) * scale + 0.5) / nodes, 0.0).r;
+    float last = textureLod(flare_signal, (vec2(x.w, y) * scale + 0.5) / nodes, 0.0).r;
+    return signal_dn + mix(vec4(first), vec4(last), vec4(0.0, 1.0, 2.0, 3.0) / 3.0);
+}
+""",
+)
