@@ -69,8 +69,7 @@ class CloudedSky:
         """
         if not len(draw_list):
             return draw_list
-        means = self.passage(stars, draw_list).means(time_fraction)
-        return replace(draw_list, passage=np.ascontiguousarray(means.T, dtype=np.float32))
+        return _with_passage(draw_list, self.passage(stars, draw_list), time_fraction)
 
     def dimmed_bodies(self, bodies: BodySources | None, time_fraction: Float) -> BodySources | None:
         """Return bodies whose draw list has its passage."""
@@ -78,10 +77,10 @@ class CloudedSky:
             return None
         return replace(bodies, draw_list=self.dimmed(bodies.stars, bodies.draw_list, time_fraction))
 
-    def divided(
+    def behind(
         self, trails: AnalyticSegments, stars: StarField, draw_list: DrawList, bodies: BodySources | None
-    ) -> AnalyticSegments:
-        """Return trails of shorter segments, where the transmission changes much within one.
+    ) -> tuple[AnalyticSegments, DrawList, BodySources | None]:
+        """Return analytic trails, the stars and the bodies with their passage.
 
         Parameters
         ----------
@@ -92,14 +91,30 @@ class CloudedSky:
 
         Returns
         -------
-        AnalyticSegments
+        trails : AnalyticSegments
+            Of shorter segments, where the transmission changes much within one.
+        draw_list : DrawList
+        bodies : BodySources or None
         """
-        fields = [(stars, draw_list)] + ([] if bodies is None else [(bodies.stars, bodies.draw_list)])
-        changes = [_largest_changes(self.passage(*one), trails.time_fraction) for one in fields if len(one[1])]
-        if not changes:
-            return trails
-        parts = np.ceil(np.max(changes, axis=0) / _LARGEST_CHANGE).clip(1, _MAX_PARTS).astype(np.intp)
-        return trails if parts.max() == 1 else _divided(trails, parts)
+        of_stars = self.passage(stars, draw_list) if len(draw_list) else None
+        of_bodies = None
+        if bodies is not None and len(bodies.draw_list):
+            of_bodies = self.passage(bodies.stars, bodies.draw_list)
+        passages = [one for one in (of_stars, of_bodies) if one is not None]
+        if not passages:
+            return trails, draw_list, bodies
+        changes = np.max([_largest_changes(one, trails.time_fraction) for one in passages], axis=0)
+        parts = np.ceil(changes / _LARGEST_CHANGE).clip(1, _MAX_PARTS).astype(np.intp)
+        trails = trails if parts.max() == 1 else _divided(trails, parts)
+        if of_stars is not None:
+            draw_list = _with_passage(draw_list, of_stars, trails.time_fraction)
+        if bodies is not None and of_bodies is not None:
+            bodies = replace(bodies, draw_list=_with_passage(bodies.draw_list, of_bodies, trails.time_fraction))
+        return trails, draw_list, bodies
+
+
+def _with_passage(draw_list: DrawList, passage: CloudPassage, time_fraction: Float) -> DrawList:
+    return replace(draw_list, passage=np.ascontiguousarray(passage.means(time_fraction).T, dtype=np.float32))
 
 
 def _largest_changes(passage: CloudPassage, time_fraction: Float) -> Float:

@@ -332,9 +332,7 @@ class Simulator:
         bodies, _ = self._body_sources(exposure, shutter.site, trails.pointing, step_fraction, analytic=True)
         sky = CloudedSky.of(self.motion, self.sensor, exposure)
         if sky is not None:
-            trails = sky.divided(trails, self._stars_in_band, draw_list, bodies)
-            part = trails.time_fraction
-            draw_list, bodies = sky.dimmed(self._stars_in_band, draw_list, part), sky.dimmed_bodies(bodies, part)
+            trails, draw_list, bodies = sky.behind(trails, self._stars_in_band, draw_list, bodies)
         return self._composed(exposure, shutter, draw_list, trails, path, bodies)
 
     def touching(self, exposure: Exposure, trails: AnalyticSegments, site: Site) -> TouchingStars:

@@ -23,6 +23,8 @@ Float = NDArray[np.float64]
 _SOURCES: Final = ("Sun", "Moon", "Venus", "Jupiter")
 # A lamp of this magnitude is none.
 _NO_LAMP_MAG: Final = 30.0
+# Sources whose whole light is less than this per pixel of the image are left out, DN.
+_FAINTEST_DN: Final = 1e-3
 # Columns and rows of the texture.
 _GRID: Final = (193, 145)
 # Ghosts of a source that is farther from the middle than this, in half diagonals of the image, do not reach the sensor.
@@ -63,8 +65,7 @@ def flare_dn(scene: Scene, xy_px: Float) -> Float:
     if not _is_active(values):
         return flare
     camera = scene.camera
-    rays = camera.unproject(xy_px.reshape(-1, 2)).reshape(*xy_px.shape[:-1], 3)
-    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays = _node_rays(camera) if xy_px is _nodes(camera) else _rays(camera, xy_px)
     # Projected solid angles: those of a pinhole's pixels, cos^3, times the cosine of their direction.
     pixel_sr = rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px)
     for source in _sources(values, scene):
@@ -73,10 +74,18 @@ def flare_dn(scene: Scene, xy_px: Float) -> Float:
             continue
         # The aperture is seen obliquely.
         entering_dn = source.flux_dn * cosine
+        if entering_dn < _FAINTEST_DN * camera.width_px * camera.height_px:
+            continue
         flare += entering_dn * float(values["scatter"]) * _scattered(values, rays @ source.direction) * pixel_sr
         flare += entering_dn * _ghosts(values, camera, source.direction, xy_px)
         flare += entering_dn * _streak(values, camera, source.direction, xy_px)
     return flare
+
+
+def _rays(camera: Camera, xy_px: Float) -> Float:
+    """Return the directions of pixels, (..., 3) unit vectors."""
+    rays = camera.unproject(xy_px.reshape(-1, 2)).reshape(*xy_px.shape[:-1], 3)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
 def _sources(values: Values, scene: Scene) -> list[_Source]:
@@ -164,6 +173,11 @@ def _nodes(camera: Camera) -> Float:
     x = np.linspace(-0.5, camera.width_px - 0.5, _GRID[0])
     y = np.linspace(-0.5, camera.height_px - 0.5, _GRID[1])
     return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _node_rays(camera: Camera) -> Float:
+    return _rays(camera, _nodes(camera))
 
 
 def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:

@@ -152,8 +152,13 @@ def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float
     if crossing is None:
         return sky_radiance_at(values, scene, time, direction_eq), np.full(direction_eq.shape[:-1], ground)
     without_towns = {**values, "town_mag_arcsec2": NO_TOWN_MAG}
-    sky = sky_radiance_at(without_towns, scene, time, direction_eq)
-    town = sky_radiance_at(values, scene, time, direction_eq) - sky
+    # The sky itself is smooth: every second node suffices.
+    coarse = direction_eq[::2, ::2] if direction_eq.ndim == 3 else direction_eq
+    sky = sky_radiance_at(without_towns, scene, time, coarse)
+    has_towns = float(values["town_mag_arcsec2"]) < NO_TOWN_MAG
+    town = sky_radiance_at(values, scene, time, coarse) - sky if has_towns else np.zeros_like(sky)
+    if direction_eq.ndim == 3:
+        sky, town = _between_nodes(sky), _between_nodes(town)
     lights = _cloud_lights(without_towns, scene, time)
     if scene.site.height_m >= float(scene.sensor.effects.get("cloud.height_m", CLOUD_DEFAULTS["height_m"])):
         return sky + town, cloud_from_above(crossing, ground, lights)
@@ -161,6 +166,16 @@ def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float
     clouded = cloud_from_below(crossing, direction_eq @ moon.direction_eq, sky, town, lights)
     # The ground is lit by what the cloud leaves.
     return clouded, np.full(direction_eq.shape[:-1], ground)
+
+
+def _between_nodes(nodes: Float) -> Float:
+    """Return values at nodes, (r, c), and linear between them, (2 r - 1, 2 c - 1)."""
+    for axis in (0, 1):
+        nodes = np.moveaxis(nodes, axis, 0)
+        finer = np.empty((2 * len(nodes) - 1, *nodes.shape[1:]))
+        finer[::2], finer[1::2] = nodes, (nodes[1:] + nodes[:-1]) / 2
+        nodes = np.moveaxis(finer, 0, axis)
+    return nodes
 
 
 def _cloud_lights(values: Values, scene: Scene, time: int) -> CloudLights:
