@@ -29,7 +29,8 @@ uniform sampler2D passage;        // transmission of cloud by star (column) and 
 uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends; start
 uniform int   last_time;
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
-uniform float effective_sigma_px;     // and of the star as the pixels record it
+uniform float effective_sigma_px;     // and of the star as the pixels of the target record it
+uniform float image_sigma_px;     // and as those of the image do: behind a lens, resampling widens what is drawn here
 uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
 
@@ -161,7 +162,7 @@ vec2 opening_bounds(Path path, vec2 chord, vec2 ahead, float reach_px) {
 #if ROWS == 2
     vec2 middle_px = first_px + 0.5 * chord + ahead;
     vec3 opens = vec3(opening_at(first_px), opening_at(middle_px), opening_at(last_px));
-    float around = opening_per_px * (reach_px + 0.5 * length(chord) + 2.0 * length(ahead));
+    float around = opening_per_px * ((1.0 + resampling) * reach_px + 0.5 * length(chord) + 2.0 * length(ahead));
     vec2 bounds = vec2(min(min(opens.x, opens.y), opens.z) - around, max(max(opens.x, opens.y), opens.z) + around);
 #else
     vec2 low_px = min(min(first_px, last_px), apex_px) - reach_px, high_px = max(max(first_px, last_px), apex_px) + reach_px;
@@ -222,7 +223,7 @@ Path path_of(int star, int segment) {
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
     float transmission = texelFetch(passage, min(ivec2(star, segment), textureSize(passage, 0) - 1), 0).r;
     float peak_dn = vmag_0_peak_dn * brightness_and_radius.x * duration * (sets - rises) * transmission;
-    if (length(chord) < SHORT_SIGMA * effective_sigma_px)
+    if (length(chord) < SHORT_SIGMA * image_sigma_px)
         two_gaussians(path, chord, ahead, peak_dn, brightness_and_radius.y);
     else
         curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, brightness_and_radius.y);

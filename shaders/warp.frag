@@ -5,15 +5,16 @@
 // A pixel receives what falls into its patch of the undistorted plane: a lens preserves flux.  The signal between pixels is
 // a cubic B-spline plus a small fraction of its second derivative, which together are closest to a Gaussian
 // (tests/gl/test_lens.py).  They widen the signal, so stars are drawn narrower beforehand (distortionpass.py).  Stars are
-// also drawn wider by the area of a pixel on the axis; the coefficient of the second derivatives accounts for the difference
-// between that and the pixel's own patch.  Thus one sample is the mean over a patch, and large patches take several.
+// also drawn wider by the area of a pixel on the axis, or of a part of one; the coefficient of the second derivatives
+// accounts for the difference between that and the pixel's own patch.  Thus one sample is the mean over a patch, and large
+// patches, and those of narrow stars, take several.
 
 // PARTS_ACROSS, PARTS_DOWN: number of samples along the sides of a patch; 0 if `parts` holds it.
 // MOSAIC: 1 to draw the pixels of one colour only.
 
 uniform sampler2D light;          // DN per pixel of the undistorted signal
-uniform float oversampling;       // its pixels per pixel of the image, on the axis
 uniform float pixel_px2;          // variance of a pixel along a side; 0 if it does not integrate
+uniform float drawn_pixel_px;     // side of the pixel, or part of one, by whose variance stars are drawn wider
 #if PARTS_ACROSS > 0
 const ivec2 parts = ivec2(PARTS_ACROSS, PARTS_DOWN);
 #else
@@ -34,7 +35,7 @@ flat in vec2 by_uuvv;
 
 out float light_dn;
 
-const vec2 CURVATURE_PX2 = vec2(0.095, 0.02);   // coefficient of the second derivative: everywhere, and between pixels
+const vec2 CURVATURE_PX2 = vec2(0.0637, 0.005);   // coefficient of the second derivative: everywhere, and between pixels
 
 // Weights of four pixels in a row at a fractional position behind the second of them: value, first and second derivative
 // of a cubic B-spline.
@@ -100,7 +101,7 @@ void main() {
     vec2 uv = (gl_FragCoord.xy - centre_px.xy) * centre_px.z;
     vec4 side_px = slopes_px(uv) * centre_px.z / vec4(parts.xx, parts.yy);
     vec3 squares_px2 = vec3(dot(side_px.xz, side_px.xz), dot(side_px.yw, side_px.yw), dot(side_px.xz, side_px.yw));
-    vec3 half_covariance_px2 = 0.5 * pixel_px2 * (squares_px2 - vec3(oversampling * oversampling, oversampling * oversampling, 0.0));
+    vec3 half_covariance_px2 = 0.5 * pixel_px2 * (squares_px2 - drawn_pixel_px * drawn_pixel_px * vec3(1.0, 1.0, 0.0));
     float sum = 0.0;
     for (int row = 0; row < parts.y; ++row) {
         for (int column = 0; column < parts.x; ++column) {

@@ -52,6 +52,11 @@ _FRAMES: Final = pa.schema(
         ("distortion", pa.list_(pa.float64())),
     ]
 )
+# Of rolling shutters only: a table has these columns if any of its frames has a readout time.
+_ROLLING_STARS: Final = pa.schema([(name, pa.float64()) for name in ("mid_offset_s", "exposed_s", "light_dn")])
+_ROLLING_FRAMES: Final = pa.schema(
+    [("readout_s", pa.float64()), ("readout", pa.string()), ("rates_rad_per_s", pa.list_(pa.float64(), 3))]
+)
 
 Line = dict[str, Any]
 
@@ -88,17 +93,20 @@ def write_parquet(directory: Path) -> tuple[Path, Path]:
 
 
 def _write(truth: Path, frames_path: Path, stars_path: Path) -> None:
+    with truth.open("rb") as lines:
+        is_rolling = any(b'"readout_s":' in line for line in lines)
     with truth.open("rb") as lines, ExitStack() as opened:
         groups = _groups(lines)
         first = next(groups, [])
         settings = _settings_schema(first)
-        frames_schema = pa.schema([*_FRAMES, *settings])
+        frames_schema = pa.schema([*_FRAMES, *(_ROLLING_FRAMES if is_rolling else ()), *settings])
+        stars_schema = pa.schema([*_STARS, *(_ROLLING_STARS if is_rolling else ())])
         frames = opened.enter_context(ParquetWriter(frames_path, frames_schema, compression="zstd"))
-        stars = opened.enter_context(ParquetWriter(stars_path, _STARS, compression="zstd"))
+        stars = opened.enter_context(ParquetWriter(stars_path, stars_schema, compression="zstd"))
         group = first
         while group:
             frames.write_table(_table(frames_schema, [_frame_row(line) for line in group]))
-            stars.write_table(_table(_STARS, [row for line in group for row in _star_rows(line)]))
+            stars.write_table(_table(stars_schema, [row for line in group for row in _star_rows(line)]))
             group = next(groups, [])
 
 
@@ -124,6 +132,7 @@ def _table(schema: pa.Schema, rows: list[Line]) -> pa.Table:
 def _frame_row(line: Line) -> Line:
     camera = line["camera"]
     return {
+        **dict.fromkeys(_ROLLING_FRAMES.names),
         **line,
         **line["site"],
         **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in _TIMES},
@@ -142,6 +151,7 @@ def _star_rows(line: Line) -> Iterator[Line]:
     for star in line["stars"]:
         (start_x, start_y), (end_x, end_y) = (star[name] or (None, None) for name in ("start", "end"))
         yield {
+            **dict.fromkeys(_ROLLING_STARS.names),
             **star,
             "frame": line["frame"],
             "catalogue": line["catalogue"],

@@ -52,11 +52,12 @@ def rolling_light(simulator: Simulator, exposure: Exposure, star: int, samples: 
 
 
 def rolling_light_behind_lens(
-    simulator: Simulator, exposure: Exposure, star: int, margin_px: int = 10, samples: int = 1500, parts: int = 4
+    simulator: Simulator, exposure: Exposure, star: int, margin_px: int = 10, samples: int = 1500, nodes: int = 5
 ) -> tuple[Float, tuple[slice, slice]]:
     """Return the noiseless signal of one star behind a lens around its trail, DN, with the rows and columns.
 
-    Each pixel is sampled at several positions of its patch of the undistorted plane, and is open when its own row is.
+    Each pixel is integrated over its patch of the undistorted plane by Gauss-Legendre quadrature, and is open when its
+    own row is.
     """
     camera, sensor, step = simulator.camera, simulator.sensor, 1e-3
     span_s = exposure.duration_s + exposure.readout_s
@@ -66,7 +67,7 @@ def rolling_light_behind_lens(
     low = np.maximum(np.floor(np.nanmin(path, axis=0)).astype(int) - margin_px, 0)
     high = np.minimum(np.ceil(np.nanmax(path, axis=0)).astype(int) + margin_px + 1, [camera.width_px, camera.height_px])
     columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
-    inside = (np.arange(parts) + 0.5) / parts - 0.5
+    inside, weights = (values / 2 for values in np.polynomial.legendre.leggauss(nodes))
     xy = np.stack(np.meshgrid((columns[:, np.newaxis] + inside).ravel(), (rows[:, np.newaxis] + inside).ravel()), -1)
 
     def undistorted(xy_px: Float) -> Float:
@@ -79,10 +80,10 @@ def rolling_light_behind_lens(
     peak_dn = float(sensor.peak_dn(simulator.stars.camera_mag[star], exposure.duration_s))
     image = np.zeros(xy.shape[:2])
     for centre, fraction in zip(camera.pinhole.project(in_camera), fractions, strict=True):
-        weight = fraction[rows].repeat(parts)[:, np.newaxis] if vertical else fraction[columns].repeat(parts)
+        weight = fraction[rows].repeat(nodes)[:, np.newaxis] if vertical else fraction[columns].repeat(nodes)
         if np.any(weight):
             near = np.exp(-((flat - centre) ** 2).sum(axis=-1) / (2 * sensor.psf_sigma_px**2))
             image += weight * near
     image *= area * peak_dn * span_s / exposure.duration_s / samples
-    summed = image.reshape(len(rows), parts, len(columns), parts).mean(axis=(1, 3))
+    summed = np.einsum("rick,i,k->rc", image.reshape(len(rows), nodes, len(columns), nodes), weights, weights)
     return summed, np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

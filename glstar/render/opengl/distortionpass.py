@@ -21,9 +21,13 @@ from glstar.render.scene import Scene
 __all__ = ["DistortionPass"]
 
 # Variance that the interpolation between pixels of the undistorted signal adds, px^2: warp.frag.
-_INTERPOLATION_PX2: Final = 0.44
-# Smallest sigma of a star in the undistorted signal, px: below it a Gaussian does not stay one.
-_MIN_SIGMA_PX: Final = 1.2
+_INTERPOLATION_PX2: Final = 0.40
+# Smallest sigma of a star in the undistorted signal, px: what interpolation leaves differs from a Gaussian by up to
+# 0.4 % of its peak at 1.2 px and 0.1 % at 1.5 px.
+_MIN_SIGMA_PX: Final = 1.5
+# Side of the part of a pixel by whose variance stars are drawn wider, px, wide point spread functions and those that a
+# widened Gaussian does not describe (Sensor.needs_erf): several samples per pixel make up the rest.
+_DRAWN_PIXEL_PX: Final = (1.0, 0.5)
 # A pixel that integrates takes several samples if its variance in the undistorted signal exceeds that of a pixel on the
 # axis by more than this, px^2; at most this many along each side.
 _MAX_VARIANCE_EXCESS_PX2: Final = 0.05
@@ -98,7 +102,7 @@ class DistortionPass:
         self.openings = LensOpenings(context, camera)
         self._programs: dict[tuple[int, int, bool], moderngl.Program] = {}
         self._groups: list[_PatchGroup] = []
-        self._grouped_for: tuple[float, str, bool] | None = None
+        self._grouped_for: tuple[float, str, float, bool] | None = None
         self._occupancy = linked(context, "develop.vert", "occupancy.frag", BLOCK_PX=_BLOCK_PX)
         self._all_blocks = context.vertex_array(self._occupancy, [])
         self._context = context
@@ -108,7 +112,7 @@ class DistortionPass:
     def oversampling(self, sensor: Sensor) -> float:
         """Return the number of pixels of the undistorted signal per pixel of the image, on the axis.
 
-        It is the largest magnification of the lens, or more for stars narrower than 1.2 px.
+        It is the largest magnification of the lens, or more for stars narrower than 1.5 px.
 
         Parameters
         ----------
@@ -135,7 +139,7 @@ class DistortionPass:
         """
         # A frame needs it several times.
         if self._undistorted is None or self._undistorted[0] is not scene:
-            self._undistorted = scene, self._made_undistorted(scene, self.oversampling(scene.sensor))
+            self._undistorted = scene, self._made_undistorted(scene, scene.sensor)
         return self._undistorted[1]
 
     def undistorted_gaussians(self, scene: Scene) -> list[Scene]:
@@ -156,12 +160,14 @@ class DistortionPass:
         made = []
         for gaussian in gaussian_scenes(scene):
             dx_px, dy_px = gaussian.camera.cx_px - self.camera.cx_px, gaussian.camera.cy_px - self.camera.cy_px
-            pinhole = self._made_undistorted(gaussian, oversampling)
+            pinhole = self._made_undistorted(gaussian, scene.sensor)
             cx_px, cy_px = pinhole.camera.cx_px + oversampling * dx_px, pinhole.camera.cy_px + oversampling * dy_px
             made.append(replace(pinhole, camera=replace(pinhole.camera, cx_px=cx_px, cy_px=cy_px)))
         return made
 
-    def _made_undistorted(self, scene: Scene, oversampling: float) -> Scene:
+    def _made_undistorted(self, scene: Scene, whole: Sensor) -> Scene:
+        """Return a scene as a pinhole sees it; `whole` is the sensor with the whole point spread function."""
+        oversampling, drawn_pixel_px = self.oversampling(whole), _drawn_pixel_px(whole)
         left, top, right, bottom = self._bounds_px
         camera = Camera(
             ceil((right - left) * oversampling) + 2 * _SPLINE_SUPPORT_PX,
@@ -173,7 +179,7 @@ class DistortionPass:
             self.camera.skew_px * oversampling,
         )
         sigma_px = scene.sensor.psf_sigma_px
-        variance_px2 = sigma_px**2 + _pixel_px2(scene.sensor) - _INTERPOLATION_PX2 / oversampling**2
+        variance_px2 = sigma_px**2 + _pixel_px2(whole) * drawn_pixel_px**2 - _INTERPOLATION_PX2 / oversampling**2
         drawn_px = oversampling * np.sqrt(variance_px2)
         sensor = replace(
             scene.sensor,
@@ -185,6 +191,21 @@ class DistortionPass:
         draw_list = replace(draw_list, truncation_radius_px=oversampling * draw_list.truncation_radius_px)
         bodies = None if scene.bodies is None else scene.bodies.magnified(oversampling)
         return replace(scene, camera=camera, sensor=sensor, draw_list=draw_list, bodies=bodies)
+
+    def resampling_px2(self, sensor: Sensor) -> float:
+        """Return the variance that resampling adds to the undistorted signal, px^2 of its target.
+
+        Parameters
+        ----------
+        sensor : Sensor
+
+        Returns
+        -------
+        float
+            Of the interpolation and of the samples of a pixel on the axis.
+        """
+        sampled_px2 = _pixel_px2(sensor) * (1 - _drawn_pixel_px(sensor) ** 2)
+        return _INTERPOLATION_PX2 + sampled_px2 * self.oversampling(sensor) ** 2
 
     def target_for(self, undistorted: Scene, guard_band_px: int) -> SignalTarget:
         """Return the target for the signal of an undistorted scene.
@@ -258,15 +279,17 @@ class DistortionPass:
                 oversampling=oversampling,
                 guard_band_px=guard_band_px,
                 pixel_px2=_pixel_px2(sensor),
+                drawn_pixel_px=_drawn_pixel_px(sensor) * oversampling,
             )
 
     def _group_for(self, sensor: Sensor, *, has_mosaic: bool) -> None:
         """Group the patches by the number of samples that their pixels take."""
-        key = (self.oversampling(sensor), sensor.pixel, has_mosaic)
+        drawn_pixel_px = _drawn_pixel_px(sensor)
+        key = (self.oversampling(sensor), sensor.pixel, drawn_pixel_px, has_mosaic)
         if self._grouped_for == key:
             return
         self._drop_groups()
-        largest_px = np.sqrt(1 + _MAX_VARIANCE_EXCESS_PX2 / (PIXEL_VARIANCE_PX2 * key[0] ** 2))
+        largest_px = np.sqrt(drawn_pixel_px**2 + _MAX_VARIANCE_EXCESS_PX2 / (PIXEL_VARIANCE_PX2 * key[0] ** 2))
         parts = np.ceil(max_pixel_sides_px(self._patches) / largest_px).clip(1, _MAX_PARTS).astype(np.intp)
         if sensor.pixel != "integrated":
             parts[:] = 1
@@ -320,3 +343,8 @@ class DistortionPass:
 def _pixel_px2(sensor: Sensor) -> float:
     """Return the variance of a pixel along a side, px^2: 0 if it does not integrate."""
     return PIXEL_VARIANCE_PX2 if sensor.pixel == "integrated" else 0.0
+
+
+def _drawn_pixel_px(sensor: Sensor) -> float:
+    """Return the side of the part of a pixel by whose variance stars are drawn wider, px."""
+    return _DRAWN_PIXEL_PX[sensor.core.needs_erf]

@@ -1,6 +1,6 @@
 """When the pixels of a target open under a rolling shutter, as `readout.glsl` reads it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import moderngl
@@ -38,6 +38,8 @@ class ReadoutClock:
         Of ROWS 2: bound of the change of the opening time per pixel of the target, a fraction of the span.
     texture : moderngl.Texture or None
         Of ROWS 2: the opening times.
+    resampling_px2 : float
+        Behind a lens: variance that resampling will add to what is drawn, px^2 of the target.
     """
 
     rows: int = 0
@@ -45,9 +47,17 @@ class ReadoutClock:
     opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
     per_px: float = 0.0
     texture: moderngl.Texture | None = None
+    resampling_px2: float = 0.0
 
-    def bind(self, program: moderngl.Program) -> None:
-        """Set those uniforms of readout.glsl that a program has, and use the texture."""
+    def bind(self, program: moderngl.Program, sigma_px: float) -> None:
+        """Set those uniforms of readout.glsl that a program has, and use the texture.
+
+        Parameters
+        ----------
+        program : moderngl.Program
+        sigma_px : float
+            Standard deviation of the stars that it draws, px of the target.
+        """
         if not self.rows:
             return
         uniforms: dict[str, float | tuple[float, ...]] = {"open_time": 1 / self.span}
@@ -56,7 +66,7 @@ class ReadoutClock:
         else:
             self.texture.use(_TEXTURE_UNIT)
             uniforms |= {"openings": _TEXTURE_UNIT, "texel_per_px": 1 / _STEP_PX, "openings_size": self.texture.size}
-            uniforms["opening_per_px"] = self.per_px
+            uniforms |= {"opening_per_px": self.per_px, "resampling": self.resampling_px2 / sigma_px**2}
         set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
 
 
@@ -102,7 +112,7 @@ class LensOpenings:
         self._key: tuple[object, ...] | None = None
         self._clock = GLOBAL_SHUTTER
 
-    def clock(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
+    def clock(self, exposure: Exposure, undistorted: Camera, guard_band_px: int, resampling_px2: float) -> ReadoutClock:
         """Return when the pixels of the undistorted target open.
 
         Parameters
@@ -112,6 +122,8 @@ class LensOpenings:
             The pinhole that draws the target.
         guard_band_px : int
             Width of the target's border around the pinhole's image.
+        resampling_px2 : float
+            Variance that resampling adds to the undistorted signal, px^2 of its target.
 
         Returns
         -------
@@ -119,13 +131,13 @@ class LensOpenings:
             Valid until the next call.
         """
         if exposure.readout_s == 0:
-            return GLOBAL_SHUTTER
+            return ReadoutClock(resampling_px2=resampling_px2)
         key = undistorted, guard_band_px, exposure.duration_s, exposure.readout_s, exposure.readout
         if self._key != key:
             self.release()
             self._clock = self._made(exposure, undistorted, guard_band_px)
             self._key = key
-        return self._clock
+        return replace(self._clock, resampling_px2=resampling_px2)
 
     def _made(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
         camera = self._camera
@@ -142,7 +154,12 @@ class LensOpenings:
         texture.filter = moderngl.LINEAR, moderngl.LINEAR
         texture.repeat_x = texture.repeat_y = False
         gradient = np.hypot(*(np.abs(np.diff(opening, axis=axis)).max() for axis in (0, 1))) / _STEP_PX
-        return ReadoutClock(2, exposure.span_s / exposure.duration_s, per_px=float(gradient), texture=texture)
+        return ReadoutClock(
+            2,
+            exposure.span_s / exposure.duration_s,
+            per_px=float(gradient),
+            texture=texture,
+        )
 
     def _within_limit(self, rays: Float) -> Float:
         """Return directions (x, y, 1), those beyond the limit of the lens replaced by the nearest within it."""

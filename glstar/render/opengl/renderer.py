@@ -341,7 +341,9 @@ class GLRenderer:
         distortion_pass = self._distortion_pass_for(scene)
         undistorted = distortion_pass.undistorted(scene)
         guard_band_px = self._guard_band_px(undistorted)
-        clock = distortion_pass.openings.clock(scene.exposure, undistorted.camera, guard_band_px)
+        clock = distortion_pass.openings.clock(
+            scene.exposure, undistorted.camera, guard_band_px, distortion_pass.resampling_px2(scene.sensor)
+        )
         target = distortion_pass.target_for(undistorted, guard_band_px)
         self._expose(distortion_pass.undistorted_gaussians(scene), target, clock)
         whole, channel = mosaic or (scene, None)

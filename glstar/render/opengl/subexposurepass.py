@@ -152,7 +152,7 @@ class SubExposurePass:
         )
         if clock.rows:
             set_uniforms(program, sub_time=1 / len(trails))
-        clock.bind(program)
+        clock.bind(program, sensor.effective_sigma_px)
         if sensor.needs_erf:
             set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
         else:

@@ -197,7 +197,8 @@ class TrailPass:
         """Return the path table and the draw passes for a scene, after setting the uniforms of all programs."""
         sensor, camera = scene.sensor, scene.camera
         narrow = sensor.needs_erf
-        sigma_px = np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2) if narrow else sensor.effective_sigma_px
+        narrow_sigma_px = float(np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2))
+        sigma_px = narrow_sigma_px if narrow else sensor.effective_sigma_px
         peak = (sensor.psf_sigma_px / sigma_px) ** 2
         set_uniforms(
             self._projection,
@@ -213,10 +214,11 @@ class TrailPass:
             paths.program,
             sigma_px=sigma_px,
             effective_sigma_px=sensor.effective_sigma_px,
+            image_sigma_px=np.hypot(sensor.effective_sigma_px, np.sqrt(clock.resampling_px2)),
             largest_point_px=self._point_size_px,
             vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span,
         )
-        clock.bind(paths.program)
+        clock.bind(paths.program, sigma_px)
         uniforms: dict[str, Any] = {
             "target_px": light.size,
             "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
@@ -226,7 +228,7 @@ class TrailPass:
         draw_passes = self._draw_passes_of(narrow, sensor.colour.mosaic != "none", clock.rows)
         for program, *_ in draw_passes:
             set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
-            clock.bind(program)
+            clock.bind(program, sigma_px)
         return paths, draw_passes
 
     def _draw(
