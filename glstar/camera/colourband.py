@@ -34,11 +34,14 @@ class _Response:
     slope, curvature : float
     photons : float
         Photons/s/cm^2 counted with a response whose peak is 1, over those of the mean of an RGGB cell.
+    wavelength_nm : float
+        Mean wavelength of the light of a star of B - V 0.65 that is counted.
     """
 
     slope: float
     curvature: float
     photons: float = 1.0
+    wavelength_nm: float = 550.0
 
 
 # Synthetic photometry of 108 spectra (Pickles 1998, PASP 110, 863) from 400 to 700 nm, with the colour filters of the
@@ -46,14 +49,14 @@ class _Response:
 # at A0 V.  Residuals, rms (largest): mean 0.007 (0.02), R 0.033 (0.10, K dwarfs), G 0.008 (0.02), B 0.026 (0.08) mag.
 _IMX477: Final[Mapping[str, _Response]] = MappingProxyType(
     {
-        "mean": _Response(0.292, -0.056),
-        "r": _Response(-0.183, -0.014, 2.5 / 8.0),
-        "g": _Response(0.141, -0.016, 9.7 / 8.0),
-        "b": _Response(0.741, -0.061, 9.9 / 8.0),
+        "mean": _Response(0.292, -0.056, 1.0, 522.0),
+        "r": _Response(-0.183, -0.014, 2.5 / 8.0, 584.0),
+        "g": _Response(0.141, -0.016, 9.7 / 8.0, 532.0),
+        "b": _Response(0.741, -0.061, 9.9 / 8.0, 470.0),
     }
 )
-# A sensor without infra-red filter: measured by PiFinder on an IMX462, m = V - 0.8 (B - V).
-_BARE: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(-0.8, 0.0)})
+# A sensor without infra-red filter: measured by PiFinder on an IMX462, m = V - 0.8 (B - V).  Its wavelength is assumed.
+_BARE: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(-0.8, 0.0, 1.0, 650.0)})
 _V: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(0.0, 0.0)})
 
 
@@ -137,6 +140,21 @@ class ColourBand:
         response = self._responses["mean" if channel is None else channel]
         c = np.clip(np.asarray(bv, dtype=np.float64), *_VALID_BV)
         return np.asarray(response.slope * c + response.curvature * c * c)
+
+    def wavelength_nm(self, channel: Channel | None = None) -> float:
+        """Return the mean wavelength of the light that is counted.
+
+        Parameters
+        ----------
+        channel : {"r", "g", "b"} or None
+            A channel of the mosaic; None for the mean of all pixels.
+
+        Returns
+        -------
+        float
+            Of a star of B - V 0.65: stars from A0 to M0 are within 15 nm.  550 nm, that of V, with "custom".
+        """
+        return self._responses["mean" if channel is None else channel].wavelength_nm
 
     def photons(self, channel: Channel) -> float:
         """Return the signal of an A0 star in pixels of one channel over the mean of the mosaic's cells.

@@ -378,7 +378,7 @@ class Config:
             temperature_c=self.air.temperature_c,
             star_brightness=self.star_brightness(),
             bodies=self.sky.bodies,
-            extinction=extinction_of(self.sky, self.air),
+            extinction=extinction_of(self.sky, self.air, (self.sensor() if sensor is None else sensor).colour),
         )
 
     @property

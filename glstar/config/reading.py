@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -10,6 +11,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 
 from glstar.camera.camerafile import camera_from_file
+from glstar.camera.colourband import ColourBand
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.exposure import no_rolling_stack
 from glstar.camera.model import Camera
@@ -338,13 +340,15 @@ def absolute(dotted: str, value: object, folder: Path) -> object:
     return str((folder / value).absolute())
 
 
-def extinction_of(sky: SkySection, air: AirSection) -> Extinction | None:
+def extinction_of(sky: SkySection, air: AirSection, colour: ColourBand | None = None) -> Extinction | None:
     """Return the extinction by the air above the aircraft.
 
     Parameters
     ----------
     sky : SkySection
     air : AirSection
+    colour : ColourBand, optional
+        Of the sensor, for ``sky.extinction_band = "sensor"``.
 
     Returns
     -------
@@ -354,7 +358,10 @@ def extinction_of(sky: SkySection, air: AirSection) -> Extinction | None:
     if sky.extinction == "none":
         return None
     pressure_hpa = air.pressure_hpa if sky.extinction == "pressure" else None
-    return Extinction(air.rayleigh_mag, air.aerosol_mag, air.aerosol_scale_m, air.ozone_mag, pressure_hpa)
+    extinction = Extinction(air.rayleigh_mag, air.aerosol_mag, air.aerosol_scale_m, air.ozone_mag, pressure_hpa)
+    if sky.extinction_band == "eye" or colour is None:
+        return extinction
+    return replace(extinction.at_wavelength(colour.wavelength_nm()), by_channel=True)
 
 
 def _is_lit_naturally(tables: Tables) -> bool:

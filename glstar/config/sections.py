@@ -131,6 +131,8 @@ class SkySection(Section):
         Whether the Sun, the Moon and the planets are drawn.
     extinction : {"none", "standard", "pressure"}
         Extinction by the air above the aircraft: of a standard atmosphere at its height, or by ``air.pressure_hpa``.
+    extinction_band : {"eye", "sensor"}
+        Wavelength of the extinction: 510 nm, or that of the sensor's band, with a mosaic that of each channel.
     horizon : {"flat", "dip"}
         Whether the horizon is the horizontal, or as far below it as the aircraft's height makes it.
     preset : {"natural"} or None
@@ -146,6 +148,7 @@ class SkySection(Section):
     dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
     bodies: bool = Field(default=False, description="true or false")
     extinction: Literal["none", "standard", "pressure"] = "none"
+    extinction_band: Literal["eye", "sensor"] = "eye"
     horizon: Literal["flat", "dip"] = "flat"
     preset: Literal["natural"] | None = None
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.colourband import Channel, ColourBand
+from glstar.render.culling import DrawList
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
@@ -104,6 +105,10 @@ def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
         return None
     cells = [colour.channel_at(column - guard_band_px, row - guard_band_px) for row in (0, 1) for column in (0, 1)]
     tints = _tints(scene.stars, colour)
+    through_air = _transmission_ratio(scene)
+    if through_air is not None:
+        tints = tints.copy()
+        tints[scene.draw_list.index] *= through_air
     return np.ascontiguousarray(tints[:, [_CHANNELS.index(channel) for channel in cells]], dtype=np.float32)
 
 
@@ -123,7 +128,30 @@ def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
     peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
     if sensor.colour.mosaic == "none":
         return peak_dn
-    return np.asarray(peak_dn * _tints(scene.stars, sensor.colour).max(axis=1)[draw_list.index])
+    through_air = _transmission_ratio(scene)
+    if through_air is None:
+        return np.asarray(peak_dn * _tints(scene.stars, sensor.colour).max(axis=1)[draw_list.index])
+    return np.asarray(peak_dn * (_tints(scene.stars, sensor.colour)[draw_list.index] * through_air).max(axis=1))
+
+
+def _extinction_over_mean(scene: Scene) -> dict[Channel, float] | None:
+    """Return the extinction in each channel over that in the mean of the mosaic's cells; None if all have the same."""
+    air, colour, height_m = scene.extinction, scene.sensor.colour, scene.site.height_m
+    if air is None or not air.by_channel or colour.mosaic == "none":
+        return None
+    mean_mag = air.zenith_mag(height_m)
+    if mean_mag == 0:
+        return None
+    return {one: air.at_wavelength(colour.wavelength_nm(one)).zenith_mag(height_m) / mean_mag for one in _CHANNELS}
+
+
+def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
+    """Return the air's transmission in each channel over that in the mean, of the drawn stars, (k, 3)."""
+    over_mean, extinction_mag = _extinction_over_mean(scene), scene.draw_list.extinction_mag
+    if over_mean is None or extinction_mag is None:
+        return None
+    more = np.array([over_mean[channel] - 1 for channel in _CHANNELS])
+    return brightness_ratio(extinction_mag[:, np.newaxis] * more)
 
 
 def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
@@ -139,11 +167,15 @@ def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
     dict of str to Scene
         By channel; their sensors have no mosaic.
     """
-    return {channel: _of_channel(scene, channel) for channel in _CHANNELS}
+    over_mean = _extinction_over_mean(scene)
+    return {
+        channel: _of_channel(scene, channel, 1.0 if over_mean is None else over_mean[channel]) for channel in _CHANNELS
+    }
 
 
-def _of_channel(scene: Scene, channel: Channel) -> Scene:
-    colour, draw_list = scene.sensor.colour, scene.draw_list
+def _of_channel(scene: Scene, channel: Channel, over_mean: float) -> Scene:
+    """Return the scene in one channel, whose extinction is that of the mean times a factor."""
+    colour, draw_list = scene.sensor.colour, _dimmed(scene.draw_list, over_mean)
     stars = in_band(scene.stars, colour, channel)
     peak_dn = scene.sensor.peak_dn(draw_list.observed_mag(stars), scene.exposure.duration_s)
     analytic = isinstance(scene.trails, AnalyticSegments)
@@ -151,7 +183,8 @@ def _of_channel(scene: Scene, channel: Channel) -> Scene:
     radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
     bodies = scene.bodies
     if bodies is not None:
-        bodies = replace(bodies, stars=in_band(bodies.stars, colour, channel))
+        dimmed = _dimmed(bodies.draw_list, over_mean)
+        bodies = replace(bodies, stars=in_band(bodies.stars, colour, channel), draw_list=dimmed)
     effects = {key: value for key, value in scene.sensor.effects.items() if key != "sensor.mosaic"}
     return replace(
         scene,
@@ -160,3 +193,10 @@ def _of_channel(scene: Scene, channel: Channel) -> Scene:
         draw_list=replace(draw_list, truncation_radius_px=radius_px),
         bodies=bodies,
     )
+
+
+def _dimmed(draw_list: DrawList, over_mean: float) -> DrawList:
+    """Return a list with the extinction multiplied by a factor."""
+    if draw_list.extinction_mag is None or over_mean == 1:
+        return draw_list
+    return replace(draw_list, extinction_mag=draw_list.extinction_mag * over_mean)

@@ -1,23 +1,33 @@
 """Extinction: how much light the air above an aircraft absorbs and scatters, by altitude and height.
 
-The models are of the V band.  Green 1992 (International Comet Quarterly 14, 55) after Hayes & Latham 1975 has three
-parts: scattering by the air (Rayleigh), by aerosol, and absorption by ozone above all aircraft.
+Green 1992 (International Comet Quarterly 14, 55) after Hayes & Latham 1975 has three
+parts: scattering by the air (Rayleigh), by aerosol, and absorption by ozone above all aircraft.  His are those of
+510 nm, which the eye sees best at night; each part has its own law of wavelength.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Extinction", "air_mass"]
+__all__ = ["EYE_NM", "Extinction", "air_mass"]
 
 Float = NDArray[np.float64]
 
 # Height in which the pressure falls to 1/e, m, and the pressure at sea level, hPa: Green 1992.
 _PRESSURE_SCALE_M: Final = 7996.0
 _SEA_LEVEL_HPA: Final = 1013.25
+
+# Wavelength of Green's parts, nm.
+EYE_NM: Final = 510.0
+# Power of the aerosol's extinction over the wavelength: Hayes & Latham 1975.
+_AEROSOL_POWER: Final = -1.3
+# Absorption of ozone's Chappuis band by wavelength, 1e-21 cm^2 at 243 K: Serdyuchenko et al. 2014 (Atmospheric
+# Measurement Techniques 7, 625), rounded to 5 %, which is 0.002 mag.
+_OZONE_NM: Final = (420.0, 440.0, 460.0, 480.0, 500.0, 510.0, 525.0, 550.0, 575.0, 600.0, 625.0, 650.0, 700.0)
+_OZONE: Final = (0.03, 0.13, 0.36, 0.72, 1.24, 1.60, 2.20, 3.40, 4.75, 5.12, 4.05, 2.60, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +48,10 @@ class Extinction:
     pressure_hpa : float or None
         Pressure at the observer, which the air's part is proportional to; None for that of the standard atmosphere at
         the observer's height.
+    wavelength_nm : float
+        Of the three parts.
+    by_channel : bool
+        Whether the channels of a mosaic have the extinction of their own wavelengths.
     """
 
     rayleigh_mag: float = 0.1451
@@ -45,6 +59,35 @@ class Extinction:
     aerosol_scale_m: float = 1500.0
     ozone_mag: float = 0.016
     pressure_hpa: float | None = None
+    wavelength_nm: float = EYE_NM
+    by_channel: bool = False
+
+    def at_wavelength(self, wavelength_nm: float) -> "Extinction":
+        """Return the extinction at another wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            From 420 to 700 nm.
+
+        Returns
+        -------
+        Extinction
+
+        Notes
+        -----
+        Scattering by the air: Bodhaine et al. 1999 (Journal of Atmospheric and Oceanic Technology 16, 1854), eq. (30).
+        Aerosol: wavelength^-1.3.  Ozone: Serdyuchenko et al. 2014.
+        """
+        new, old = wavelength_nm, self.wavelength_nm
+        ozone = np.interp([new, old], _OZONE_NM, _OZONE)
+        return replace(
+            self,
+            rayleigh_mag=self.rayleigh_mag * _rayleigh_optical_depth(new) / _rayleigh_optical_depth(old),
+            aerosol_mag=self.aerosol_mag * (new / old) ** _AEROSOL_POWER,
+            ozone_mag=self.ozone_mag * float(ozone[0] / ozone[1]),
+            wavelength_nm=new,
+        )
 
     def rayleigh_at_mag(self, height_m: float) -> float:
         """Return the part of the air per air mass at a height, mag.
@@ -93,6 +136,13 @@ class Extinction:
         Green 1992, eqs (2) to (4).
         """
         return self.rayleigh_at_mag(height_m) + self.aerosol_at_mag(height_m) + self.ozone_mag
+
+
+def _rayleigh_optical_depth(wavelength_nm: float) -> float:
+    """Return the optical depth of the air above the sea: Bodhaine et al. 1999, eq. (30)."""
+    squared = (wavelength_nm / 1000) ** 2
+    numerator = 1.0455996 - 341.29061 / squared - 0.90230850 * squared
+    return 0.0021520 * numerator / (1 + 0.0027059889 / squared - 85.968563 * squared)
 
 
 def air_mass(sine_apparent_altitude: ArrayLike) -> Float:

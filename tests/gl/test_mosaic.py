@@ -10,9 +10,11 @@ from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
+from glstar.config.reading import extinction_of
 from glstar.errors import ConfigError
 from glstar.render.colourscenes import colours_used, in_band
 from glstar.render.scene import Scene
+from glstar.sky.extinction import Extinction
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
 
 LENS = replace(camera(161, 121), lens=Lens("plumb_bob", (-0.1, 0.0, 0.0, 0.0, 0.0)))
@@ -54,6 +56,32 @@ def test_a_mosaic_is_the_images_of_its_colours_each_in_its_own_pixels(renderer, 
         cells = slice(at // 2, None, 2), slice(at % 2, None, 2)
         expected = ratio(1.1, channel) * white[cells]
         assert np.abs(drawn[cells] - expected).max() < 1e-4 * expected.max()
+
+
+@pytest.mark.parametrize("lens", [camera(161, 121), LENS], ids=["pinhole", "lens"])
+def test_each_colour_of_a_mosaic_has_the_extinction_of_its_wavelength(renderer, lens):
+    air = replace(Extinction().at_wavelength(522.0), by_channel=True)
+    above = star_of_colour(0.65, sensor_with(band="imx477", mosaic="rggb"), lens)
+    mean_mag = air.zenith_mag(above.site.height_m) * 3.0
+    drawn = [
+        light(renderer, replace(above, extinction=one, draw_list=replace(above.draw_list, extinction_mag=mag)))
+        for one, mag in ((None, None), (air, np.array([mean_mag])))
+    ]
+    for at, wavelength_nm in enumerate((584.0, 532.0, 532.0, 470.0)):
+        cells = slice(at // 2, None, 2), slice(at % 2, None, 2)
+        lost_mag = 3.0 * air.at_wavelength(wavelength_nm).zenith_mag(above.site.height_m)
+        expected = drawn[0][cells] * 10 ** (-0.4 * lost_mag)
+        np.testing.assert_allclose(drawn[1][cells], expected, rtol=0, atol=2e-4 * expected.max())
+
+
+def test_the_extinction_of_the_sensors_band_is_a_choice():
+    given = {"sky.extinction": "standard", "sensor.band": "imx477", "sensor.mosaic": "rggb"}
+    eye = Config().override(**given)
+    assert extinction_of(eye.sky, eye.air, eye.sensor().colour) == Extinction()
+    chosen = Config().override(**given, **{"sky.extinction_band": "sensor"})
+    assert extinction_of(chosen.sky, chosen.air, chosen.sensor().colour) == replace(
+        Extinction().at_wavelength(522.0), by_channel=True
+    )
 
 
 @pytest.mark.parametrize(("bv", "magnitude"), [(0.0, 0.0), (0.65, 0.292 * 0.65 - 0.056 * 0.65**2), (1.5, 0.312)])

@@ -77,6 +77,18 @@ def test_the_part_of_the_air_follows_a_given_pressure() -> None:
     np.testing.assert_allclose(low - thin, 0.1451 / 2, rtol=0, atol=1e-9)
 
 
+def test_the_parts_of_the_extinction_follow_the_wavelength() -> None:
+    # The air, mag per air mass, by Bodhaine et al. 1999; its power for aerosol; 0.030 mag of 300 DU of ozone at 550 nm.
+    for wavelength_nm, air_mag in ((462.0, 0.215), (527.0, 0.126), (550.0, 0.105), (575.0, 0.088)):
+        air = Extinction(rayleigh_mag=0.1435).at_wavelength(wavelength_nm)
+        np.testing.assert_allclose(air.rayleigh_mag, air_mag, rtol=0, atol=6e-4)
+        np.testing.assert_allclose(air.aerosol_mag, 0.12 * (wavelength_nm / 510) ** -1.3, rtol=1e-12)
+    np.testing.assert_allclose(Extinction(ozone_mag=0.0145).at_wavelength(550.0).ozone_mag, 0.030, rtol=0, atol=0.002)
+    there = Extinction().at_wavelength(470.0)
+    assert there.zenith_mag(0.0) > Extinction().zenith_mag(0.0) > there.at_wavelength(584.0).zenith_mag(0.0)
+    np.testing.assert_allclose(there.at_wavelength(510.0).zenith_mag(0.0), 0.2811, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("trail", ["analytic", "sprites"])
 def test_stars_are_drawn_fainter_by_the_extinction_in_truth(trail: str) -> None:
     sensor = Sensor(bit_depth=16, reference_peak_dn=20_000.0)

@@ -127,6 +127,7 @@ def _sky(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> 
         ("sky.refraction", "Refraction", config.sky.refraction, True, False),
         ("sky.bodies", "Sun, Moon, planets", config.sky.bodies, True, False),
         ("sky.extinction", "Extinction", config.sky.extinction != "none", "standard", "none"),
+        ("sky.extinction_band", "Extinction of the band", config.sky.extinction_band == "sensor", "sensor", "eye"),
         ("sky.horizon", "Horizon below the horizontal", config.sky.horizon == "dip", "dip", "flat"),
     ):
         _switch(key, label, is_on, on, off, changes)
