@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.rotation import conjugate, quaternion_from_euler
-from glstar.telemetry.samplevalidation import UNIT_TOLERANCE, valid_times
+from glstar.telemetry.samplevalidation import UNIT_TOLERANCE, quaternion_lengths, valid_times
 from glstar.telemetry.source import GimbalSamples
 from glstar.telemetry.tlogclock import VehicleClock
 from glstar.telemetry.tlogfile import COMPONENT, FIELDS_FROM, STAMP, SYSTEM, Packets, Sender
@@ -97,7 +97,7 @@ def _on_own_clock(rows: Float, clock: VehicleClock) -> Float:
 
 def _status(clock_s: Float, values: Float, name: str) -> GimbalSamples:
     q = conjugate(values[:, 1:5])
-    valid = (np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE) & valid_times(clock_s)
+    valid = (np.abs(quaternion_lengths(q) - 1) < UNIT_TOLERANCE) & valid_times(clock_s)
     return GimbalSamples(clock_s[valid], q[valid], yaw_is_earth(values[valid, 0]), name)
 
 

@@ -20,6 +20,7 @@ from glstar.telemetry.samplevalidation import (
     YEAR_2100_S,
     no_position_samples,
     position_samples,
+    quaternion_lengths,
     valid_rates,
 )
 from glstar.telemetry.source import (
@@ -222,6 +223,8 @@ class MappedTableReader(TelemetrySource):
             return self._plausible(self._utc_column, self._name(wanted.utc))
         time_s = table.numbers(name) * _UNITS_S[wanted.time_unit]
         if wanted.time_epoch == "start":
+            odd = np.isfinite(time_s) & (np.abs(time_s) > YEAR_2100_S)
+            self._reject(odd, name, "is no time since a start; check time_unit and time_epoch")
             return time_s
         if wanted.time_epoch != "unix":
             week = self._name(wanted.gps_week)
@@ -261,7 +264,7 @@ class MappedTableReader(TelemetrySource):
             squared = 1 - (q**2).sum(axis=-1)
             self._reject(squared < -_UNIT_TOLERANCE, wanted.quaternion_xyz[0], "begins a quaternion longer than 1")
             q = np.column_stack([np.sqrt(np.clip(squared, 0, None)), q])
-        norm = np.linalg.norm(q, axis=-1)
+        norm = quaternion_lengths(q)
         # Many programs write zeros while there is no attitude.
         valid: Mask = np.asarray(np.isfinite(norm) & (norm > 0))
         first = (wanted.quaternion or wanted.quaternion_xyz)[0]

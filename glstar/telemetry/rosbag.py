@@ -37,6 +37,7 @@ from glstar.telemetry.samplevalidation import (
     YEAR_2100_S,
     no_position_samples,
     position_samples,
+    quaternion_lengths,
     valid_rare_times,
     valid_rates,
 )
@@ -185,7 +186,7 @@ class _Topic:
     @property
     def has_attitude(self) -> bool:
         q = np.array(self.orientations).reshape(-1, 4)
-        return bool((np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE).any())
+        return bool((np.abs(quaternion_lengths(q) - 1) < UNIT_TOLERANCE).any())
 
 
 class BagReader(TelemetrySource):
@@ -310,7 +311,7 @@ class BagReader(TelemetrySource):
         topic = self._topics[name]
         world, body = self._frames(topic)
         clock_s, q = np.array(topic.stamps_s), np.array(topic.orientations)
-        norm = np.linalg.norm(q, axis=-1)
+        norm = quaternion_lengths(q)
         valid = (np.abs(norm - 1) < UNIT_TOLERANCE) & valid_rare_times(clock_s)
         q_body_ned = q_body_ned_of(q[valid] / norm[valid, np.newaxis], world, body, "body_to_world")
         notes = [f"orientations of {name} are taken from {body} to {world} (--columns world=...,body=...)"]

@@ -13,6 +13,7 @@ __all__ = [
     "is_zero_position",
     "no_position_samples",
     "position_samples",
+    "quaternion_lengths",
     "spikes",
     "valid_rare_times",
     "valid_rates",
@@ -140,6 +141,22 @@ def is_zero_position(latitude_deg: Float, longitude_deg: Float) -> Mask:
     with np.errstate(invalid="ignore"):
         mask: Mask = (np.abs(latitude_deg) <= _ZERO_POSITION_DEG) & (np.abs(longitude_deg) <= _ZERO_POSITION_DEG)
     return mask
+
+
+def quaternion_lengths(q: Float) -> Float:
+    """Return the lengths of quaternions, among them damaged ones.
+
+    Parameters
+    ----------
+    q : (..., 4) float64
+
+    Returns
+    -------
+    (...) float64
+        Infinite where the square of a component has no float64.
+    """
+    with np.errstate(over="ignore"):
+        return np.asarray(np.linalg.norm(q, axis=-1))
 
 
 def no_position_samples(source: str) -> PositionSamples:

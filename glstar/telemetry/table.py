@@ -34,7 +34,7 @@ from glstar.rotation import quaternion_from_euler
 from glstar.sky.timescale import parse_utc
 from glstar.system.nearmiss import nearest_word
 from glstar.telemetry.rows import ROWS_AT_ONCE, rows
-from glstar.telemetry.samplevalidation import is_zero_position, valid_rates
+from glstar.telemetry.samplevalidation import is_zero_position, quaternion_lengths, valid_rates
 from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
@@ -311,7 +311,7 @@ class _Columns:
                 self._reject(name, np.isinf(angle), "is no angle")
             return quaternion_from_euler(*map(np.deg2rad, euler_deg))
         q = np.stack([self._number(name) for name in _QUATERNION], axis=-1)
-        odd = np.abs(np.linalg.norm(q, axis=-1) - 1) > _UNIT_TOLERANCE
+        odd = np.abs(quaternion_lengths(q) - 1) > _UNIT_TOLERANCE
         self._reject("qw", odd, "begins a quaternion that is not of unit length")
         return q
 

@@ -37,6 +37,19 @@ def is_packed(head: bytes) -> bool:
     return head.startswith(_GZIP) or (head.startswith(_ZIP) and not is_office_file(head) and _KMZ not in head[:200])
 
 
+# What gzip and zipfile raise on damaged files; damaged names and directories of an archive end in the last two.
+_DAMAGED: Final = (
+    EOFError,
+    zlib.error,
+    gzip.BadGzipFile,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    IndexError,
+    UnicodeDecodeError,
+)
+
+
 def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
     """Unpack the log of a gzip file or a zip archive into a temporary directory.
 
@@ -67,7 +80,7 @@ def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
                 _copy(name, packed, path, 0)
             return folder, path
         return folder, _unzipped(name, Path(folder.name))
-    except (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+    except _DAMAGED as error:
         folder.cleanup()
         raise LogFormatError(name, f"cannot be unpacked: {error}") from error
     except BaseException:

@@ -13,6 +13,7 @@ every UTC that is read is that of one of the pieces.
 """
 
 import argparse
+import gzip
 import io
 import random
 import signal
@@ -22,6 +23,7 @@ import tempfile
 import time
 import traceback
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -29,6 +31,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from pymavlink.dialects.v20 import common
 
 from glstar.errors import LogFormatError
@@ -36,6 +39,8 @@ from glstar.sky.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import open_flight, open_source
 from tests.support import joinedlogs
+from tests.telemetry import test_mappedtable as mapped
+from tests.telemetry import test_rosbag as rosbag
 from tests.telemetry import test_tlog as tlog
 from tests.telemetry import test_ulog as ulog
 
@@ -72,7 +77,7 @@ class Seed:
 def seeds() -> list[Seed]:
     """Return a small log of every format."""
     found = [_table(), _table(rates=True), _dataflash(), _tlog(), _ulog(), _mavlogdump(), _ulog2csv()]
-    for extra in (_dataflash_text, _dataflash_dump):
+    for extra in (_dataflash_text, _dataflash_dump, _tables_of_others, _bags, _packed):
         found += extra()
     for path in sorted(LOGS.glob("*")):
         data = path.read_bytes()
@@ -218,9 +223,58 @@ def _dataflash_dump() -> list[Seed]:
     return [Seed("mavlogdump of DataFlash", named, lines, ("auto", "ATT"), text=True)]
 
 
+def _tables_of_others() -> list[Seed]:
+    """Return tables that are read by a map of columns: AirData's CSV, Parquet and Excel."""
+    table = mapped.euler_table(roll=" roll(degrees)", pitch=" pitch(degrees)", yaw=" compass_heading(degrees)")
+    table["altitude_above_seaLevel(feet)"] = table.pop("height") / 0.3048
+    table.insert(0, "datetime(utc)", mapped.utc_texts(" ", 3))
+    table.insert(0, "time(millisecond)", np.round(mapped.TIMES_S * 1e3).astype(int))
+    own = pd.DataFrame({"utc_s": mapped.START_S + mapped.TIMES_S}).join(
+        mapped.euler_table(roll="roll_deg", pitch="pitch_deg", yaw="yaw_deg").rename(
+            columns={"latitude": "latitude_deg", "longitude": "longitude_deg", "height": "height_m"}
+        )
+    )
+    parquet, excel = io.BytesIO(), io.BytesIO()
+    own.to_parquet(parquet)
+    own.head(60).to_excel(excel, index=False)
+    return [
+        Seed("AirData", {"airdata.csv": table.head(60).to_csv(index=False).encode()}, lines, text=True),
+        Seed("Parquet", {"flight.parquet": parquet.getvalue()}, chunks),
+        Seed("Excel", {"flight.xlsx": excel.getvalue()}, chunks),
+    ]
+
+
+def _bags() -> list[Seed]:
+    """Return bags of ROS 1 and ROS 2, each one file."""
+    with tempfile.TemporaryDirectory() as name:
+        rosbag.written(Path(name) / "flight.bag", "bag")
+        found = [Seed("ROS 1 bag", {"flight.bag": (Path(name) / "flight.bag").read_bytes()}, chunks)]
+        for kind in ("db3", "mcap"):
+            written = next(rosbag.written(Path(name) / kind, kind).glob(f"*.{kind}"))
+            found.append(Seed(f"ROS 2 {kind}", {f"flight.{kind}": written.read_bytes()}, chunks))
+    return found
+
+
+def _packed() -> list[Seed]:
+    """Return a table in gzip and in a zip archive."""
+    name, content = next(iter(_table().files.items()))
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr(name, content)
+    return [
+        Seed("gzip", {f"{name}.gz": gzip.compress(content, mtime=0)}, chunks),
+        Seed("zip", {"flight.zip": archive.getvalue()}, chunks),
+    ]
+
+
 # --- records --------------------------------------------------------------------------------------------------------
 def lines(data: bytes) -> list[bytes]:
     return data.splitlines(keepends=True)
+
+
+def chunks(data: bytes) -> list[bytes]:
+    """Return pieces of 64 bytes, of formats whose records need their library."""
+    return [data[at : at + 64] for at in range(0, len(data), 64)]
 
 
 def heads(data: bytes) -> list[bytes]:
@@ -412,7 +466,7 @@ def attempt(path: Path, seed: Seed, attitude: str, chance: random.Random) -> str
         assert abs(place.latitude_rad) <= np.pi / 2
         assert np.isfinite(place.height_m)
         assert np.isfinite(track.utc_s).all()
-        if not seed.text:
+        if not seed.text and seed.name not in {"Parquet", "Excel"}:  # a table's times are the user's
             assert track.last_s - track.first_s < 61 * 86400
         return "a flight"
 

@@ -337,6 +337,24 @@ def test_an_archive_without_exactly_one_log_is_refused(
     assert str(caught.value).startswith(f"{tmp_path / 'logs.zip'}: ")
 
 
+def test_an_archive_with_a_damaged_name_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "flight.zip", "w") as archive:
+        archive.writestr("flüge.csv", "utc,roll_deg\n")
+    # The name in the directory of the archive: its UTF-8 is cut in two.
+    content = (tmp_path / "flight.zip").read_bytes()
+    at = content.rindex("ü".encode())
+    (tmp_path / "flight.zip").write_bytes(content[:at] + b"\xff" + content[at + 1 :])
+    with pytest.raises(LogFormatError, match="cannot be unpacked"):
+        open_flight(tmp_path / "flight.zip")
+
+
+def test_a_time_that_no_flight_reaches_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_text("t,roll,pitch,yaw\n0,1,2,3\n1e305,1,2,3\n", encoding="utf-8")
+    with pytest.raises(LogFormatError, match=r"line 3.*is no time since a start"):
+        open_flight(path, columns="time=t,time_epoch=start,roll=roll,pitch=pitch,yaw=yaw")
+
+
 def test_a_damaged_gzip_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "flight.csv.gz").write_bytes(gzip.compress(b"utc,roll_deg" * 100)[:-30])
 
