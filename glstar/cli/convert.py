@@ -12,7 +12,7 @@ from glstar.errors import ConfigError, ExportError
 
 __all__ = ["convert"]
 
-_BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet"}
+_BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".srt": "srt"}
 _LEAST_SNR = 5.0
 _SHARD_FRAMES = 1000
 
@@ -30,18 +30,22 @@ def convert(
         ),
     ],
     to: Annotated[
-        Literal["mcap", "ros2", "csv", "png", "jpeg", "coco", "yolo", "webdataset"] | None,
+        Literal["mcap", "ros2", "csv", "srt", "png", "jpeg", "coco", "yolo", "webdataset"] | None,
         typer.Option(
             help="MCAP file or directory of a ROS 2 bag (Image, CameraInfo, Imu, NavSatFix, TF), the truth as CSV"
-            " tables, images with EXIF (UTC, exposure, position), labels of trails as COCO or YOLO, or tar files for"
+            " tables or as subtitles of the video (SubRip), images with EXIF (UTC, exposure, position), labels of"
+            " trails as COCO or YOLO, or tar files for"
             " WebDataset.",
-            show_default="by the suffix of the output: .mcap or .csv",
+            show_default="by the suffix of the output: .mcap, .csv or .srt",
         ),
     ] = None,
     min_snr: Annotated[
         float, typer.Option(help="Smallest signal-to-noise ratio of a star with a label (coco, yolo).", min=0.0)
     ] = _LEAST_SNR,
     shard_frames: Annotated[int, typer.Option(help="Frames of a tar file (webdataset).", min=1)] = _SHARD_FRAMES,
+    video_fps: Annotated[
+        float, typer.Option(help="Frame rate of the video that subtitles belong to, 1/s (srt).", min=0.1, max=240)
+    ] = 10.0,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, its frames to images with EXIF, or for learning.
@@ -52,7 +56,7 @@ def convert(
     if kind == "parquet":
         raise ConfigError("glstar export --parquet writes the truth as Parquet tables into the export")
     if kind is None:
-        kinds = "mcap, ros2, csv, png, jpeg, coco, yolo or webdataset"
+        kinds = "mcap, ros2, csv, srt, png, jpeg, coco, yolo or webdataset"
         raise ConfigError(f"{output}: say with --to whether {kinds} is meant")
     if not export.is_dir():
         raise ExportError(export, "is no directory of an export")
@@ -60,6 +64,8 @@ def convert(
         raise ConfigError(f"{output}: only --to webdataset writes to an object store")
     if kind in {"coco", "yolo", "webdataset"}:
         written = _written_to_learn(export, output, kind, min_snr, shard_frames)
+    elif kind == "srt":
+        written = _subtitles(export, Path(output), video_fps)
     else:
         written = tuple(map(str, _written(export, Path(output), kind)))
     if as_json:
@@ -92,6 +98,15 @@ def _written_to_learn(export: Path, output: str, kind: str, min_snr: float, shar
         with opened_target(output) as target:
             names = write_shards(source, target, shard_frames=shard_frames)
         return tuple(f"{output.rstrip('/')}/{name}" for split in names.values() for name in split)
+
+
+def _subtitles(export: Path, output: Path, frames_per_s: float) -> tuple[str, ...]:
+    from glstar.export.subtitles import write_subtitles  # noqa: PLC0415 - only when needed
+
+    if output.suffix.lower() != ".srt":
+        raise ConfigError(f"{output}: a file of subtitles is named .srt")
+    write_subtitles(export, output, frames_per_s=frames_per_s)
+    return (str(output),)
 
 
 def _written(export: Path, output: Path, kind: str) -> tuple[Path, ...]:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -188,7 +189,7 @@ def test_exif_has_utc_exposure_and_position(export: Path, tmp_path: Path, kind: 
     ("output", "options", "message"),
     [
         ("there.mcap", [], "exists already"),
-        ("frames.zip", [], "say with --to whether mcap, ros2, csv, png or jpeg is meant"),
+        ("frames.zip", [], "say with --to whether mcap, ros2, csv, srt, png, jpeg, coco, yolo or webdataset is meant"),
         ("frames.parquet", [], "glstar export --parquet writes the truth as Parquet"),
         ("frames.bag", ["--to", "mcap"], "an MCAP file is named .mcap"),
         ("frames.mcap", ["--to", "ros2"], "--to ros2 writes a directory"),
@@ -232,3 +233,28 @@ def test_no_image_is_read_by_its_path_which_opencv_cannot_open_on_windows(
     made = RUNNER.invoke(app, ["demo", "-o", str(tmp_path / "Übung-夜")])
 
     assert made.exit_code == 0, made.output
+
+
+def test_subtitles_have_the_time_and_the_axis_of_each_frame(export: Path, tmp_path: Path) -> None:
+    convert(export, tmp_path / "flight.srt", "--video-fps", "4")
+    entries = (tmp_path / "flight.srt").read_text(encoding="utf-8").strip().split("\n\n")
+    assert len(entries) == 3
+    for number, (entry, frame) in enumerate(zip(entries, truth(export), strict=True)):
+        index, times, first, second, _ = entry.split("\n")
+        assert int(index) == number + 1
+        assert times == f"00:00:00,{250 * number:03d} --> 00:00:00,{250 * number + 250:03d}".replace(",1000", ",000")
+        assert frame["utc_mid"] in first
+        azimuth, altitude = (float(x) for x in re.findall(r"(?:azimuth|altitude) (-?[0-9.]+)", second))
+        # The axis in the horizontal frame, by SciPy: quaternions of glstar are (w, x, y, z), NED to body.
+        w, x, y, z = frame["q_body_ned"]
+        C_body_ned = Rotation.from_quat([x, y, z, w]).as_matrix()
+        north, east, down = (np.array(frame["C_camera_body"]) @ C_body_ned)[2]
+        assert azimuth == pytest.approx(np.rad2deg(np.arctan2(east, north)) % 360, abs=0.006)
+        assert altitude == pytest.approx(np.rad2deg(np.arcsin(-down)), abs=0.006)
+
+
+def test_subtitles_need_their_suffix(export: Path, tmp_path: Path) -> None:
+    result = RUNNER.invoke(app, ["convert", str(export), "-o", str(tmp_path / "flight.txt"), "--to", "srt"])
+    assert result.exit_code == 1
+    assert "named .srt" in result.output
+    assert not list(tmp_path.iterdir())

@@ -26,6 +26,7 @@ MEANINGS: Final = {
     "--f-number": "focal length over aperture",
     "--force": "replace what exists",
     "--format": "format of the files",
+    "--video-fps": "frame rate of a video, 1/s",
     "--gain": "analogue gain of the sensor",
     "--headless": "no window",
     "--interpolation": "attitude between samples: slerp, spline or gyro",
