@@ -31,7 +31,7 @@ from glstar.cli.windowoptions import (
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.export.latestframe import LatestFrameWriter
-from glstar.link import Endpoint, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
+from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.simulatorstate import SIMULATOR_NAMES
 
 if TYPE_CHECKING:
@@ -87,7 +87,14 @@ Inject = Annotated[
     bool,
     typer.Option(
         "--inject",
-        help="Send the positions of --answers to the autopilot, as EXTERNAL_POSITION_ESTIMATE.",
+        help="Send the positions of --answers to the autopilot.",
+    ),
+]
+InjectAs = Annotated[
+    InjectedMessage | None,
+    typer.Option(
+        help="The message of --inject: EXTERNAL_POSITION_ESTIMATE (43003), GPS_INPUT or GLOBAL_POSITION_SENSOR.",
+        show_default="external_position",
     ),
 ]
 InjectHost = Annotated[
@@ -145,11 +152,18 @@ class _Injection:
 
     @classmethod
     def of(
-        cls, endpoint: Endpoint, inject: bool, host: str | None, answers: Path | None, *, exports: bool
+        cls,
+        endpoint: Endpoint,
+        inject: bool,
+        host: str | None,
+        answers: Path | None,
+        message: InjectedMessage | None,
+        *,
+        exports: bool,
     ) -> Self | None:
         """Return the injection; None if it is not asked for."""
         if not inject:
-            for name, value in (("--inject-host", host), ("--answers", answers)):
+            for name, value in (("--inject-host", host), ("--inject-as", message), ("--answers", answers)):
                 if value is not None:
                     raise typer.BadParameter("belongs to --inject, without which nothing is sent", param_hint=name)
             return None
@@ -157,7 +171,7 @@ class _Injection:
             raise typer.BadParameter("answers are for frames: add --export or --latest-frame", param_hint="--inject")
         if answers is None:
             raise typer.BadParameter("says no source of answers: add --answers FILE, or -", param_hint="--inject")
-        return cls(answers, Injector(endpoint, host))
+        return cls(answers, Injector(endpoint, host, message or "external_position"))
 
 
 # These options apply to logs only.
@@ -178,6 +192,7 @@ def live(
     utc_now: UtcNow = False,
     truth: TruthOf = "estimator",
     inject: Inject = False,
+    inject_as: InjectAs = None,
     inject_host: InjectHost = None,
     answers: Answers = None,
     format_: Format = None,
@@ -204,7 +219,7 @@ def live(
     size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
-    injection = _Injection.of(endpoint, inject, inject_host, answers, exports=frames is not None)
+    injection = _Injection.of(endpoint, inject, inject_host, answers, inject_as, exports=frames is not None)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
         injector = None if injection is None else injection.injector

@@ -31,7 +31,7 @@ module                holds
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.history import Estimate
-from glstar.link.injection import Injector, PositionFix
+from glstar.link.injection import InjectedMessage, Injector, PositionFix
 from glstar.link.messages import carried_rate_hz
 from glstar.link.recorder import Recorder
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
@@ -43,6 +43,7 @@ __all__ = [
     "Endpoint",
     "Estimate",
     "Framer",
+    "InjectedMessage",
     "Injector",
     "LatestAttitude",
     "Link",

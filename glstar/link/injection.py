@@ -1,14 +1,24 @@
 """Position fixes that are sent to an autopilot, only if the user enables it.
 
-A fix is sent as MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) in a COMMAND_INT: latitude and longitude, the time since
-the instant that it is for, and its standard deviation.  The autopilot subtracts this delay from the time of arrival.
+======================  =============================================================================================
+message                 has, besides latitude and longitude
+======================  =============================================================================================
+external_position       MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) in a COMMAND_INT: the time since the instant that
+                        the fix is for, and its standard deviation
+gps_input               GPS_INPUT (232): GPS time of that instant, and its standard deviation; height, velocity and
+                        dilution are marked as to be ignored
+global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, the time since that instant, and its
+                        standard deviation
+======================  =============================================================================================
+
+The autopilot subtracts the delay from the time of arrival.  Heights are unknown.
 """
 
 from collections import deque
 from dataclasses import dataclass
 from ipaddress import ip_address
 from math import nan
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -16,11 +26,24 @@ from glstar.errors import ConfigError
 from glstar.link.endpoint import Endpoint
 from glstar.link.messages import EXTERNAL_POSITION_ESTIMATE, dialect
 from glstar.link.receiver import Receiver
+from glstar.sky.timescale import tai_minus_utc_s
 
-__all__ = ["Injector", "PositionFix"]
+__all__ = ["InjectedMessage", "Injector", "PositionFix"]
 
 # System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER, as for requests.
 _SYSTEM, _COMPONENT = 255, 191
+# How a fix is sent.
+InjectedMessage = Literal["external_position", "gps_input", "global_position_sensor"]
+
+# 1980-01-06, unix seconds; GPS time is 19 s behind TAI.
+_GPS_EPOCH_S: Final = 315964800.0
+_TAI_MINUS_GPS_S: Final = 19.0
+_WEEK_S: Final = 604800.0
+_FIX_3D: Final = 3
+# Number of satellites that is not known, as in GPS_RAW_INT.
+_UNKNOWN: Final = 255
+# Value of a dilution that is not known.
+_NO_DILUTION: Final = 65535.0
 # The sender's time wraps around, s: float32 has a resolution of 0.24 ms below it.
 _WRAP_S: Final = 3600.0
 
@@ -54,6 +77,8 @@ class Injector:
         The link.
     host : str, optional
         Its host or serial port, named once more if it is not this computer.
+    message : {"external_position", "gps_input", "global_position_sensor"}
+        How a fix is sent.
 
     Attributes
     ----------
@@ -66,7 +91,9 @@ class Injector:
         If the link leaves this computer and its host is not named, or another one is.
     """
 
-    def __init__(self, endpoint: Endpoint, host: str | None = None) -> None:
+    def __init__(
+        self, endpoint: Endpoint, host: str | None = None, message: InjectedMessage = "external_position"
+    ) -> None:
         other = endpoint.device if endpoint.kind == "serial" else endpoint.host
         if host is None and not (endpoint.kind != "serial" and _is_loopback(endpoint.host)):
             raise ConfigError(
@@ -76,6 +103,11 @@ class Injector:
         if host is not None and host != other:
             raise ConfigError(f"--inject-host {host} is not the host of {endpoint.text}, which is {other}")
         self.sent = 0
+        self._make = {
+            "external_position": self._external_position,
+            "gps_input": self._gps_input,
+            "global_position_sensor": self._global_position_sensor,
+        }[message]
         self._fixes: deque[PositionFix] = deque()
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
@@ -108,29 +140,84 @@ class Injector:
         packets = []
         while self._fixes:
             fix = self._fixes.popleft()
-            delay_s = max(now_s + utc_minus_host_s - fix.utc_s, 0.0)
-            packets.append(self._packed(fix, receiver.chosen, now_s, delay_s))
+            message = self._make(fix, receiver.chosen, now_s, now_s + utc_minus_host_s)
+            packets.append(bytes(message.pack(self._link)))
+            self._link.seq = (self._link.seq + 1) % 256
         self.sent += len(packets)
         return packets
 
-    def _packed(self, fix: PositionFix, target: tuple[int, int], now_s: float, delay_s: float) -> bytes:
-        degrees = (round(float(np.rad2deg(angle)) * 1e7) for angle in (fix.latitude_rad, fix.longitude_rad))
-        message = self._mavlink.MAVLink_command_int_message(
+    def _external_position(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:
+        return self._mavlink.MAVLink_command_int_message(
             *target,
             self._mavlink.MAV_FRAME_GLOBAL,
             EXTERNAL_POSITION_ESTIMATE,
             0,
             0,
             now_s % _WRAP_S,
-            delay_s,
+            max(utc_s - fix.utc_s, 0.0),
             nan if fix.sigma_m is None else fix.sigma_m,
             0.0,
-            *degrees,
+            *_degrees_e7(fix),
             nan,
         )
-        packed = bytes(message.pack(self._link))
-        self._link.seq = (self._link.seq + 1) % 256
-        return packed
+
+    def _gps_input(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has no target
+        """Return the fix as of a GPS receiver, whose time is that of the instant of the fix."""
+        mavlink = self._mavlink
+        week, week_s = divmod(fix.utc_s + tai_minus_utc_s(fix.utc_s) - _TAI_MINUS_GPS_S - _GPS_EPOCH_S, _WEEK_S)
+        ignored = (
+            mavlink.GPS_INPUT_IGNORE_FLAG_ALT
+            | mavlink.GPS_INPUT_IGNORE_FLAG_HDOP
+            | mavlink.GPS_INPUT_IGNORE_FLAG_VDOP
+            | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_HORIZ
+            | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT
+            | mavlink.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
+            | mavlink.GPS_INPUT_IGNORE_FLAG_VERTICAL_ACCURACY
+        )
+        if fix.sigma_m is None:
+            ignored |= mavlink.GPS_INPUT_IGNORE_FLAG_HORIZONTAL_ACCURACY
+        return mavlink.MAVLink_gps_input_message(
+            round(fix.utc_s * 1e6),
+            0,
+            ignored,
+            # Of the last half millisecond of a week no more than its end.
+            min(round(week_s * 1e3), round(_WEEK_S * 1e3) - 1),
+            int(week),
+            _FIX_3D,
+            *_degrees_e7(fix),
+            0.0,
+            _NO_DILUTION,
+            _NO_DILUTION,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            fix.sigma_m or 0.0,
+            0.0,
+            _UNKNOWN,
+        )
+
+    def _global_position_sensor(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has UTC
+        mavlink = self._mavlink
+        return mavlink.MAVLink_global_position_sensor_message(
+            *target,
+            0,
+            round(utc_s * 1e6),
+            round(max(utc_s - fix.utc_s, 0.0) * 1e6),
+            mavlink.GLOBAL_POSITION_SRC_UNKNOWN,
+            0,
+            *_degrees_e7(fix),
+            nan,
+            nan,
+            nan if fix.sigma_m is None else fix.sigma_m,
+            nan,
+        )
+
+
+def _degrees_e7(fix: PositionFix) -> tuple[int, int]:
+    """Return latitude and longitude in 1e-7 deg."""
+    latitude, longitude = (round(float(np.rad2deg(angle)) * 1e7) for angle in (fix.latitude_rad, fix.longitude_rad))
+    return latitude, longitude
 
 
 def _is_loopback(host: str) -> bool:

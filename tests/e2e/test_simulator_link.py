@@ -133,6 +133,33 @@ def test_injected_answers_arrive_with_their_delay_and_accuracy(tmp_path: Path) -
     assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", "COMMAND_INT"}
 
 
+@pytest.mark.parametrize("message", ["gps_input", "global_position_sensor"])
+def test_answers_are_injected_as_another_message(tmp_path: Path, message: str) -> None:
+    port, frames, answers, config = free_port(), tmp_path / "frames", tmp_path / "answers", tmp_path / "small.toml"
+    config.write_text(SMALL)
+    words = f"live udpin:127.0.0.1:{port} --truth sim_state --every 0.3 --exposure 0.2 --duration 60 -c {config}"
+    more = ["--export", str(frames), "--inject", "--inject-as", message, "--answers", str(answers)]
+    over = threading.Event()
+    thread = threading.Thread(target=solver, args=(frames, answers, over))
+    thread.start()
+    with simulated(port) as autopilot:
+
+        def fixes() -> list[Any]:
+            return [one for one in autopilot.received if one.get_type() == message.upper()]
+
+        with interrupted_when(lambda: len(fixes()) >= 2):
+            result = CliRunner().invoke(app, [*words.split(), *more])
+    over.set()
+    thread.join()
+    assert result.exit_code == 0, result.output
+    for fix in fixes():
+        assert (fix.lat, fix.lon) == (round((TRUE_DEG[0] + 0.0009) * 1e7), round(TRUE_DEG[1] * 1e7))
+        sigma_m = fix.horiz_accuracy if message == "gps_input" else fix.eph
+        assert sigma_m == pytest.approx(2000.0, rel=0, abs=0.1)
+    kinds = {one.get_type() for one in autopilot.received}
+    assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", message.upper()}
+
+
 def test_an_answer_that_cannot_be_sent_is_reported(tmp_path: Path) -> None:
     source, messages = tmp_path / "answers", list[str]()
     exposure = Exposure(1e9, 0.5)
@@ -157,6 +184,7 @@ def test_an_answer_that_cannot_be_sent_is_reported(tmp_path: Path) -> None:
         (["--inject", "--answers", "a"], "--export or --latest-frame"),
         (["--inject", "--export", "frames"], "add --answers"),
         (["--answers", "a", "--export", "frames"], "belongs to --inject"),
+        (["--inject-as", "gps_input", "--export", "frames"], "belongs to --inject"),
     ],
 )
 def test_incomplete_flags_of_injection_are_usage_errors(flags: list[str], words: str) -> None:

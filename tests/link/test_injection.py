@@ -1,5 +1,6 @@
 """Positions that are sent to an autopilot, and where they are not."""
 
+from datetime import UTC, datetime
 from math import isnan
 from typing import Any
 
@@ -40,6 +41,42 @@ def test_a_position_has_its_delay_and_its_accuracy() -> None:
     assert (command.get_srcSystem(), command.get_srcComponent()) == (255, 191)
     assert injector.sent == 1
     assert sent(injector, 11.0) == []  # once only
+
+
+def test_a_position_as_of_a_gps_receiver_has_the_gps_time_of_its_instant() -> None:
+    injector = Injector(HERE, message="gps_input")
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    known, vague = sent(injector, 10.0)
+
+    assert known.get_type() == "GPS_INPUT"
+    assert (known.lat, known.lon, known.fix_type) == (-349300000, 1386000000, 3)
+    assert known.time_usec == round((UTC_S + 9.25) * 1e6)
+    # 2024-03-10 11:00 UTC is a Sunday: the GPS week 2305 begins at its midnight, and GPS is 18 s ahead of UTC.
+    assert datetime.fromtimestamp(UTC_S, UTC).isoformat() == "2024-03-10T11:00:00+00:00"
+    assert (known.time_week, known.time_week_ms) == (2305, (11 * 3600 + 18 + 9.25) * 1000)
+    assert known.horiz_accuracy == pytest.approx(1234.5, rel=0, abs=1e-3)
+    accuracy = MAVLINK.GPS_INPUT_IGNORE_FLAG_HORIZONTAL_ACCURACY
+    assert known.ignore_flags == 255 - accuracy
+    assert vague.ignore_flags == 255
+
+
+def test_a_position_of_a_sensor_has_its_delay_and_its_accuracy() -> None:
+    injector = Injector(HERE, message="global_position_sensor")
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    known, vague = sent(injector, 10.0)
+
+    assert known.get_type() == "GLOBAL_POSITION_SENSOR"
+    assert (known.target_system, known.target_component) == (7, 1)
+    assert (known.lat, known.lon) == (-349300000, 1386000000)
+    assert known.time_usec == pytest.approx((UTC_S + 10) * 1e6, rel=0, abs=10)
+    assert known.processing_time == pytest.approx(0.75e6, rel=0, abs=10)
+    assert known.eph == pytest.approx(1234.5, rel=0, abs=1e-3)
+    assert isnan(known.alt)
+    assert isnan(known.alt_ellipsoid)
+    assert isnan(known.epv)
+    assert isnan(vague.eph)
 
 
 def test_a_position_waits_for_the_autopilot_and_its_utc() -> None:
