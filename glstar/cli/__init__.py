@@ -115,6 +115,11 @@ COMMANDS: Final = {
         "score",
         "Score a navigator's answers: attitude, position, identified stars and run time against the truth.",
     ),
+    "answer": _Command(
+        "answer",
+        "answer",
+        "Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.",
+    ),
     "fly": _Command(
         "fly",
         "fly",

@@ -9,6 +9,7 @@ from typing import IO, Final, Self
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import AnswersError
+from glstar.export.framestream import STREAM, AnswerReceiver
 from glstar.link import Injector, PositionFix
 from glstar.score.answers import Answer, parse_answer
 
@@ -25,8 +26,8 @@ class InjectedAnswers:
 
     Parameters
     ----------
-    source : Path
-        A file that the navigator appends JSON lines to, as `glstar.score` reads them; ``-`` is the standard input.
+    source : str or Path
+        ``zmq://HOST:PORT``, where `glstar answer` and other programs send them; or a file that the navigator appends JSON lines to, as `glstar.score` reads them; ``-`` is the standard input.
         Lines that are in the file already are skipped: they are of an earlier run.
     injector : Injector
     exposures : mapping of int or str to Exposure
@@ -37,11 +38,13 @@ class InjectedAnswers:
 
     def __init__(
         self,
-        source: Path,
+        source: str | Path,
         injector: Injector,
         exposures: Mapping[int | str, Exposure],
         report: Callable[[str], None],
     ) -> None:
+        self._receiver = AnswerReceiver(source) if isinstance(source, str) and source.startswith(STREAM) else None
+        source = Path(source)
         self._source, self._injector, self._exposures, self._report = source, injector, exposures, report
         self._ending, self._number = Event(), 0
         self._start = source.stat().st_size if source != STDIN and source.is_file() else 0
@@ -60,12 +63,23 @@ class InjectedAnswers:
 
     def _run(self) -> None:
         try:
-            for line in _stdin_lines() if self._source == STDIN else self._file_lines():
+            for line in self._lines():
                 self._number += 1
                 if line.strip():
                     self._process(line)
         except (OSError, ValueError) as error:
             self._report(f"answers: {error}")
+
+    def _lines(self) -> Iterator[str]:
+        if self._receiver is not None:
+            return self._received(self._receiver)
+        return _stdin_lines() if self._source == STDIN else self._file_lines()
+
+    def _received(self, receiver: AnswerReceiver) -> Iterator[str]:
+        """Yield the lines that arrive, and close the receiver at the end."""
+        while not self._ending.is_set():
+            yield from receiver.lines(_POLL_S)
+        receiver.close()
 
     def _file_lines(self) -> Iterator[str]:
         """Yield the complete lines of the file as they are appended."""

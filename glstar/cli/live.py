@@ -30,6 +30,7 @@ from glstar.cli.windowoptions import (
 )
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
+from glstar.export.framestream import STREAM, FrameStream
 from glstar.export.latestframe import LatestFrameWriter
 from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.simulatorstate import SIMULATOR_NAMES
@@ -53,10 +54,11 @@ ExportTo = Annotated[
 LatestFrame = Annotated[
     str | None,
     typer.Option(
-        help="Pass the latest frame to another process: shm:NAME, or a file; one writer for each name.",
+        help="Pass the frames to another process: shm:NAME, a file, or zmq://HOST:PORT; one writer for each name.",
         show_default=False,
     ),
 ]
+WithTruth = Annotated[bool, typer.Option("--with-truth", help="Send the truth with the frames of zmq://, too.")]
 Record = Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)]
 ExposureLength = Annotated[
     float | None, typer.Option(help="Duration of each exposure, s.", show_default="0.5, or the config's")
@@ -105,9 +107,11 @@ InjectHost = Annotated[
     ),
 ]
 Answers = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
-        help="For --inject: a file that a solver appends its answers to, as JSON lines; - is the standard input."
+        help="For --inject: a file that a solver appends its answers to, as JSON lines; - is the standard input;"
+        " zmq://HOST:PORT receives them of glstar answer and of other programs.",
+        show_default=False,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
@@ -133,21 +137,24 @@ class _ExportOptions:
 
     directory: Path | None
     latest_frame: str | None
+    with_truth: bool
     image_format: Any
     seed: int
     force: bool
 
     @classmethod
-    def of(cls, directory: Path | None, latest_frame: str | None, *others: Any) -> Self | None:
+    def of(cls, directory: Path | None, latest_frame: str | None, with_truth: bool, *others: Any) -> Self | None:
         """Return the options; None if no frames are asked for."""
-        return None if directory is None and latest_frame is None else cls(directory, latest_frame, *others)
+        if with_truth and not (latest_frame or "").startswith(STREAM):
+            raise typer.BadParameter("belongs to --latest-frame zmq://...", param_hint="--with-truth")
+        return None if directory is None and latest_frame is None else cls(directory, latest_frame, with_truth, *others)
 
 
 @dataclass(frozen=True, slots=True)
 class _Injection:
     """Answers that are sent to the autopilot."""
 
-    answers: Path
+    answers: str
     injector: Injector
 
     @classmethod
@@ -156,7 +163,7 @@ class _Injection:
         endpoint: Endpoint,
         inject: bool,
         host: str | None,
-        answers: Path | None,
+        answers: str | None,
         message: InjectedMessage | None,
         *,
         exports: bool,
@@ -182,6 +189,7 @@ def live(
     *,
     export: ExportTo = None,
     latest_frame: LatestFrame = None,
+    with_truth: WithTruth = False,
     record: Record = None,
     exposure: ExposureLength = None,
     every: Interval = None,
@@ -214,7 +222,7 @@ def live(
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless)
-    frames = _ExportOptions.of(export, latest_frame, format_, seed, force)
+    frames = _ExportOptions.of(export, latest_frame, with_truth, format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
     size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
@@ -316,8 +324,10 @@ def _export(
 
     with ExitStack() as stack:
         renderer = stack.enter_context(GLRenderer.headless())
-        latest = None
-        if frames.latest_frame is not None:
+        latest = stream = None
+        if frames.latest_frame is not None and frames.latest_frame.startswith(STREAM):
+            stream = stack.enter_context(FrameStream(frames.latest_frame, with_truth=frames.with_truth))
+        elif frames.latest_frame is not None:
             camera = settings.camera()
             pixels = camera.width_px * camera.height_px
             latest = stack.enter_context(LatestFrameWriter(frames.latest_frame, pixels))
@@ -326,6 +336,7 @@ def _export(
             link,
             directory=frames.directory,
             latest=latest,
+            stream=stream,
             image_format=frames.image_format,
             seed=frames.seed,
             command=shlex.join(["glstar", *sys.argv[1:]]),

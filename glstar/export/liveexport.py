@@ -19,6 +19,7 @@ from glstar.errors import ExportError
 from glstar.export.directorylock import directory_lock
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.frames import FlightFrames
+from glstar.export.framestream import FrameStream
 from glstar.export.framewriter import FrameWriter
 from glstar.export.images import ImageFormat, fit_format
 from glstar.export.latestframe import LatestFrameWriter
@@ -31,7 +32,7 @@ from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.task import EncodedFrame, FrameTask
 from glstar.export.truthfile import TruthFile
 from glstar.flight import Flight, Gap
-from glstar.link import LatestAttitude, Link
+from glstar.link import Estimate, LatestAttitude, Link
 from glstar.render.scene import Renderer
 from glstar.render.simulator import Simulator
 from glstar.render.viewingconditions import conditions_report
@@ -94,6 +95,8 @@ class LiveExport:
         The output directory; nothing is written if None.
     latest : LatestFrameWriter, optional
         Receives each frame; the caller closes it.
+    stream : FrameStream, optional
+        Receives each frame with what the aircraft knows; the caller closes it.
     image_format : {"png", "png16", "tiff", "fits", "jpeg"}, optional
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     seed : int
@@ -114,12 +117,15 @@ class LiveExport:
         *,
         directory: Path | None = None,
         latest: LatestFrameWriter | None = None,
+        stream: FrameStream | None = None,
         image_format: ImageFormat | None = None,
         seed: int = 0,
         command: str = "glstar live",
     ) -> None:
         self._config, self._link = config, link
         self._directory, self._latest, self._seed, self._command = directory, latest, seed, command
+        self._stream = stream
+        self._writes_nav = directory is not None and link.truth == "sim_state"
         self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
         self._nav: LiveNavigator | None = None
         self._simulator: Simulator | None = None
@@ -170,7 +176,7 @@ class LiveExport:
         until_s = inf if duration_s is None else time.monotonic() + duration_s
         with ExitStack() as locked:
             directory = self._directory
-            if directory is not None and self._link.truth == "sim_state":
+            if self._writes_nav or self._stream is not None:
                 self._nav = locked.enter_context(closing(LiveNavigator(self._config, directory, duration_s)))
             truth = None
             with ExitStack() as writing:
@@ -185,7 +191,7 @@ class LiveExport:
             if directory is not None and truth is not None:
                 self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
                 self._write_manifest(directory, renderer)
-                if self._nav is not None:
+                if self._nav is not None and self._writes_nav:
                     self._nav.finish(truth.numbers)
                 truth.finish(truth.numbers)
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
@@ -271,7 +277,7 @@ class LiveExport:
         """Return the frame that ends at the latest attitude; None if the flight is shorter than the exposure."""
         section = self._config.exposure
         flight, estimate = self._link.flight_and_estimate(section.span_s + _CONTEXT_S)
-        if flight is None or (estimate is None and self._nav is not None):
+        if flight is None or (estimate is None and self._nav is not None and self._link.truth == "sim_state"):
             return None
         track = flight.attitude
         start_s = track.last_s - section.span_s
@@ -289,19 +295,28 @@ class LiveExport:
         self._simulator = self._simulator_of(flight)
         planned = PlannedFrame(number, section.starting_at(start_s))
 
+        task = self._task(planned)
+        image = task.image_path(number)
+        record: dict[str, Any] = {}
+        if self._nav is not None:
+            # Without a simulator's state the flight itself is what the autopilot estimates.
+            known = estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
+            file, shown = image.relative_to(task.directory).as_posix(), self._simulator.flight
+            record = self._nav.record(known, planned.exposure, number=number, file=file, flight=shown)
+
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
             if self._latest is not None:
                 self._latest.write(pixels, truth)
+            if self._stream is not None:
+                self._stream.write(pixels, record, truth)
             self._latency_s.append(time.monotonic() - latest.arrival_s)
 
-        task = self._task(planned)
-        self.exposures |= dict.fromkeys((number, task.image_path(number).name), planned.exposure)
+        self.exposures |= dict.fromkeys((number, image.name), planned.exposure)
         while len(self.exposures) > _MOST_EXPOSURES:
             del self.exposures[next(iter(self.exposures))]
         frame = task.draw(renderer, number, on_pixels=publish)
-        if self._nav is not None and estimate is not None:
-            shown = self._simulator.flight
-            self._nav.write(estimate, planned.exposure, number=number, image=task.image_path(number), flight=shown)
+        if self._nav is not None and self._writes_nav:
+            self._nav.write(record)
         return frame
 
     def _simulator_of(self, flight: Flight) -> Simulator:

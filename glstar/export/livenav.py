@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 import orjson
@@ -32,8 +32,8 @@ class LiveNavigator:
     Parameters
     ----------
     config : Config
-    directory : Path
-        Of the export.
+    directory : Path or None
+        Of the export; None if records are not written.
     duration_s : float, optional
         Duration of the export, s.
 
@@ -43,7 +43,7 @@ class LiveNavigator:
         If ``[navigator]`` names a message of a log.
     """
 
-    def __init__(self, config: Config, directory: Path, duration_s: float | None = None) -> None:
+    def __init__(self, config: Config, directory: Path | None, duration_s: float | None = None) -> None:
         self._section = config.navigator
         if self._section.attitude != "model":
             raise ConfigError(
@@ -53,13 +53,15 @@ class LiveNavigator:
             )
         self._camera, self._C_camera_body = config.camera(), config.mount().C_camera_body
         self._time_offset_s = config.flight.time_offset_s
-        self._directory, self._partial = directory, directory / f"{NAV}.partial"
+        self._directory = directory
         self._errors_s = _ERRORS_S if duration_s is None else duration_s
         self._errors: AttitudeErrors | None = None
         self._file: BinaryIO | None = None
 
-    def write(self, estimate: Estimate, exposure: Exposure, *, number: int, image: Path, flight: Flight) -> None:
-        """Append the record of a frame.
+    def record(
+        self, estimate: Estimate, exposure: Exposure, *, number: int, file: str, flight: Flight
+    ) -> dict[str, Any]:
+        """Return the record of a frame.
 
         Parameters
         ----------
@@ -68,10 +70,15 @@ class LiveNavigator:
         exposure : Exposure
         number : int
             The frame's number.
-        image : Path
-            Its image, in the directory.
+        file : str
+            Its image, relative to the directory.
         flight : Flight
             The flight that the frame shows.
+
+        Returns
+        -------
+        dict
+            As of `Navigator.record`.
         """
         track = estimate.attitude
         if self._errors is None:
@@ -86,11 +93,25 @@ class LiveNavigator:
             estimate.position if self._section.gps == "known" else None,
             None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
         )
-        record = navigator.record(exposure, number=number, file=image.relative_to(self._directory).as_posix())
+        return navigator.record(exposure, number=number, file=file)
+
+    def write(self, record: dict[str, Any]) -> None:
+        """Append a record to the file.
+
+        Parameters
+        ----------
+        record : dict
+            From `record`.
+        """
         if self._file is None:
             self._file = self._partial.open("wb")
         self._file.write(orjson.dumps(record, option=orjson.OPT_APPEND_NEWLINE))
         self._file.flush()
+
+    @property
+    def _partial(self) -> Path:
+        assert self._directory is not None
+        return self._directory / f"{NAV}.partial"
 
     def close(self) -> None:
         """Close the file without completing it."""
@@ -113,4 +134,4 @@ class LiveNavigator:
         written = set(numbers.tolist())
         kept = [line for line in lines if line.endswith(b"\n") and orjson.loads(line)["frame"] in written]
         self._partial.write_bytes(b"".join(kept))
-        publish(self._partial, self._directory / NAV)
+        publish(self._partial, self._partial.with_name(NAV))
