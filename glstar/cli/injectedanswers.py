@@ -27,8 +27,9 @@ class InjectedAnswers:
     Parameters
     ----------
     source : str or Path
-        ``zmq://HOST:PORT``, where `glstar answer` and other programs send them; or a file that the navigator appends JSON lines to, as `glstar.score` reads them; ``-`` is the standard input.
-        Lines that are in the file already are skipped: they are of an earlier run.
+        ``zmq://HOST:PORT``, where `glstar answer` and other programs send them; or a file that the navigator appends
+        JSON lines to, as `glstar.score` reads them; ``-`` is the standard input.  Lines that are in the file already
+        are skipped: they are of an earlier run.
     injector : Injector
     exposures : mapping of int or str to Exposure
         Of the frames that were drawn, by number and by file name.
