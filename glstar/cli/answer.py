@@ -32,6 +32,7 @@ def answer(
         Literal["start", "middle", "end"], typer.Option(help="Which instant of the exposure it is for.")
     ] = "middle",
     timeout: Annotated[float, typer.Option(help="How long to wait for glstar live, s.", min=0.1, max=600)] = 5.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.
 
@@ -40,15 +41,24 @@ def answer(
     if frame is None:
         if any(value is not None for value in (lat, lon, sigma_km)):
             raise typer.BadParameter("a position needs the number of its frame", param_hint="--frame")
+        sent = 0
         for number, line in enumerate(sys.stdin, 1):
             if line.strip():
                 parse_answer(Path("-"), number, line)  # an invalid one is refused here
                 send_answers(where, [line.strip()], timeout)
-        return
-    if lat is None or lon is None:
-        raise typer.BadParameter("an answer has a latitude and a longitude", param_hint="--lat, --lon")
+                sent += 1
+    else:
+        if lat is None or lon is None:
+            raise typer.BadParameter("an answer has a latitude and a longitude", param_hint="--lat, --lon")
+        send_answers(where, [_line(frame, lat, lon, sigma_km, instant)], timeout)
+        sent = 1
+    typer.echo(json.dumps({"sent": sent}) if as_json else f"{sent} answers sent to {where}")
+
+
+def _line(frame: int, lat: float, lon: float, sigma_km: float | None, instant: str) -> str:
+    """Return an answer as a JSON line."""
     given: dict[str, object] = {"frame": frame, "latitude_deg": lat, "longitude_deg": lon, "instant": instant}
     if sigma_km is not None:
         given |= {"ellipse_major_km": sigma_km, "ellipse_minor_km": sigma_km, "ellipse_azimuth_deg": 0.0}
         given["ellipse_confidence"] = _ONE_SIGMA
-    send_answers(where, [json.dumps(given)], timeout)
+    return json.dumps(given)

@@ -12,7 +12,7 @@ utc              UTC of the start, the middle and the end of the exposure, by th
 shape, dtype     height and width; ``"uint8"`` or ``"uint16"``
 nav              what the aircraft knows, a line of ``nav.jsonl``
 sent_unix_s      when it was sent, by the computer's clock, seconds since 1970
-truth            the line of ``truth.jsonl``; only if it is asked for
+truth            the line of ``truth.jsonl``; only with ``--with-truth``
 ===============  =======================================================================================
 
 A subscriber that is slower than the frames misses some.

@@ -121,7 +121,7 @@ def test_the_command_line_has_these_commands() -> None:
     names = [" ".join(path) for path, _ in ALL_COMMANDS]
 
     assert sorted(names) == [
-        *("bench", "calibrate", "camera", "camera charuco", "camera chessboard", "camera presets"),
+        *("answer", "bench", "calibrate", "camera", "camera charuco", "camera chessboard", "camera presets"),
         *("camera rectify", "camera show", "catalogue", "catalogue build", "catalogue info", "compare"),
         *("config", "convert", "demo", "doctor", "export", "fly", "info", "live", "manual", "replay-link"),
         *("score", "sky", "view"),
