@@ -15,7 +15,7 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = (
     *("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs"),
-    *("distributed", "openpyxl", "pyarrow", "rosbags"),
+    *("distributed", "openpyxl", "pyarrow", "rosbags", "zmq"),
 )
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
@@ -73,6 +73,7 @@ IMPORTED_IN = {
     "orjson": ["export", "render", "score"],
     "openpyxl": ["telemetry"],
     "rosbags": ["export", "telemetry"],
+    "zmq": ["export"],
     "pyarrow": ["export", "telemetry"],
     "zlib_ng": ["export", "system"],
     "sqlite3": ["sky"],
@@ -242,7 +243,7 @@ def test_what_is_imported_is_declared() -> None:
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
-        *("distributed", "fsspec", "openpyxl", "orjson", "pyarrow", "rosbags", "tomli_w", "zlib_ng"),
+        *("distributed", "fsspec", "openpyxl", "orjson", "pyarrow", "rosbags", "tomli_w", "zlib_ng", "zmq"),
     }
     strangers = {
         (source.name, name)
