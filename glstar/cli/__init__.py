@@ -97,7 +97,7 @@ COMMANDS: Final = {
     "convert": _Command(
         "convert",
         "convert",
-        "Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, or its frames to images with EXIF.",
+        "Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, its frames to images with EXIF, or for learning.",
     ),
     "view": _Command("view", "view", "Replay a flight in a window, as the camera would have recorded it."),
     "live": _Command(
