@@ -10,7 +10,7 @@ from scipy import stats
 from glstar.calibrate.misfit import Measurement
 from glstar.statistics import robust_std
 
-__all__ = ["BrightnessTerms", "fit_brightness_terms"]
+__all__ = ["BrightnessTerms", "fit_brightness_terms", "robust_fit"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -95,7 +95,7 @@ def fit_brightness_terms(
 
     def fitted(names: list[str], *more: Float) -> tuple[Float, Float, float]:
         design = np.column_stack([np.ones_like(off), *(columns[name] for name in names), *more])
-        return _robust(design[used], off[used], noise_mag[used])
+        return robust_fit(design[used], off[used], noise_mag[used])
 
     while True:
         p, error, scatter = fitted(names)
@@ -117,8 +117,24 @@ def fit_brightness_terms(
     )  # fmt: skip
 
 
-def _robust(design: Float, values: Float, noise: Float) -> tuple[Float, Float, float]:
-    """Return the parameters, their standard errors and the scatter about the fit."""
+def robust_fit(design: Float, values: Float, noise: Float) -> tuple[Float, Float, float]:
+    """Return the parameters of a weighted least-squares fit with Huber's weights.
+
+    Parameters
+    ----------
+    design : (n, m) float64
+    values, noise : (n,) float64
+        Magnitudes, and their standard errors besides the scatter.
+
+    Returns
+    -------
+    (m,) float64
+        Parameters.
+    (m,) float64
+        Their standard errors.
+    float
+        Robust standard deviation about the fit.
+    """
     scatter = 0.15
     p: Float = np.zeros(design.shape[1])
     weight: Float = np.ones(len(values))

@@ -53,6 +53,10 @@ class Calibration:
         Remarks for the user.
     misfit : Misfit
         Effects in the photograph that the sensor model lacks.
+    extinction_mag : (n,) float64 or None
+        What the air took from each star, if the reference brightness is above the air.
+    air : dict or None
+        The extinction that was taken out, for JSON; None if the reference brightness has the air in it.
     """
 
     image: Photograph
@@ -65,11 +69,19 @@ class Calibration:
     method: str
     notes: tuple[str, ...]
     misfit: Misfit
+    extinction_mag: Float | None = None
+    air: dict[str, Any] | None = None
+
+    @property
+    def fitted_peak_dn(self) -> Float:
+        """Amplitude of each star by the fit, (n,) float64, DN."""
+        lost_mag = 0.0 if self.extinction_mag is None else self.extinction_mag
+        return self.brightness.peak_dn(self.stars.vmag + lost_mag)
 
     @property
     def off_mag(self) -> Float:
         """Measured minus fitted brightness of each star, (n,) float64, magnitudes; positive for faint stars."""
-        ratio = np.maximum(self.stars.peak_dn, 1e-3) / self.brightness.peak_dn(self.stars.vmag)
+        ratio = np.maximum(self.stars.peak_dn, 1e-3) / self.fitted_peak_dn
         return np.asarray(-2.5 * np.log10(ratio))
 
     @property
@@ -96,6 +108,7 @@ class Calibration:
         head = [
             f"Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
             f" ({self.method}), {int(self.brightness.used.sum())} used.",
+            *([] if self.air else ["reference_peak_dn has the extinction of that night in it: it is below the air."]),
             *(f"{note}." for note in self.notes),
         ]
         return calibration_toml(head, self.sensor, self.matches, sensor_error=self.sensor_standard_error)
@@ -137,6 +150,7 @@ class Calibration:
                 "pixels": sky.pixels,
                 "share_at_zero": sky.clipped_fraction,
             },
+            "extinction": self.air or {"reference_is": "below the air"},
             "misfit": self.misfit.to_json(),
             "notes": list(self.notes),
         }
@@ -152,7 +166,7 @@ class Calibration:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_STAR_COLUMNS)
-        stars, fitted = self.stars, self.brightness.peak_dn(self.stars.vmag)
+        stars, fitted = self.stars, self.fitted_peak_dn
         for k in range(len(stars)):
             (x, y), (dx, dy) = stars.xy_px[k], stars.residual_px[k]
             numbers = (

@@ -107,6 +107,13 @@ Twin = Annotated[
         help="Measure all that the image shows (sky, noise, shape, colour, vignetting), simulate it, and compare.",
     ),
 ]
+ExtinctionTaken = Annotated[
+    str,
+    typer.Option(
+        "--extinction",
+        help="Brightness above the air: 'fit' the extinction to the stars, or mag per air mass, such as 0.28.",
+    ),
+]
 CameraOut = Annotated[
     Path | None,
     typer.Option(help="Also write the camera as a file for [camera] file, ROS and OpenCV.", show_default="none"),
@@ -137,6 +144,7 @@ def calibrate(
     geometry_only: GeometryOnly = False,
     shape: Shape = False,
     twin: Twin = False,
+    extinction: ExtinctionTaken = "none",
     camera_out: CameraOut = None,
     darks: Darks = None,
     flats: Flats = None,
@@ -169,6 +177,7 @@ def calibrate(
         geometry_only=geometry_only,
         shape=shape,
         twin=twin,
+        extinction=extinction,
     )
     _run(images or [], options, output, camera_out, as_json=as_json)
 
@@ -223,6 +232,8 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
         raise ConfigError("--twin needs the sensor, and --geometry-only leaves it out; give one of them")
     if options.twin and options.shape:
         raise ConfigError("--twin measures the shape of the stars too: leave --shape out")
+    if options.extinction != "none":
+        _require_extinction(options, images)
     if len(images) == 1:
         if options.fit_lens:
             raise ConfigError("--fit-lens needs several images: the lens of a single one is always fitted, see --lens")
@@ -237,3 +248,20 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
         raise ConfigError("--labels belong to one image: leave them out, or calibrate the images one by one")
     if options.criterion == "paper":
         raise ConfigError("--criterion paper, eq. (38), takes one image; several use the median of all their stars")
+
+
+def _require_extinction(options: CalibrateOptions, images: list[Path]) -> None:
+    """Refuse an extinction that is no choice, or contradicts other options."""
+    if options.extinction != "fit":
+        try:
+            known = 0 <= float(options.extinction) <= 10
+        except ValueError:
+            known = False
+        if not known:
+            raise ConfigError(
+                f"--extinction is none, fit or a magnitude per air mass from 0 to 10, not {options.extinction!r}"
+            )
+    if len(images) > 1:
+        raise ConfigError("--extinction takes one image: calibrate the widest one with it")
+    if options.twin or options.geometry_only:
+        raise ConfigError("--extinction belongs to the brightness of the stars: leave --twin and --geometry-only out")

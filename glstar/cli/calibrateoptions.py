@@ -26,3 +26,4 @@ class CalibrateOptions:
     geometry_only: bool
     shape: bool
     twin: bool = False
+    extinction: str = "none"

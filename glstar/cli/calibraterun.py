@@ -22,6 +22,7 @@ from glstar.calibrate import (
     Photograph,
     PlateSolution,
     SharedLensFit,
+    above_air,
     calibrate,
     calibrate_geometry,
     combine,
@@ -183,9 +184,12 @@ def _calibrated(
             exposure_s=part.exposure_s,
             criterion=cast("Criterion", options.criterion),
         )
+        if options.extinction != "none":
+            given_mag = None if options.extinction == "fit" else float(options.extinction)
+            calibrated = above_air(calibrated, given_mag)
         return with_point_spread(calibrated) if options.shape else calibrated
     except CalibrationError as error:
-        if not single:
+        if not single or options.extinction != "none":
             raise
         return replace(geometry, notes=(f"camera and attitude only, no sensor: {error}", *geometry.notes))
 
