@@ -113,7 +113,7 @@ def above_air(calibration: Calibration, zenith_mag: float | None = None) -> Cali
         error_mag=error_mag,
     )
     sensor = replace(calibration.sensor, reference_peak_dn=fit.reference_peak_dn)
-    # What else the sensor lacks is measured again, because a gradient of the air looks like vignetting.
+    # What else the sensor lacks is measured again, because the air dims one side of the image, as vignetting does.
     dimmed = replace(calibration.stars, vmag=calibration.stars.vmag + k * mass)
     misfit = measure_misfit(calibration.image, calibration.detected, calibration.matches, sensor, fit, dimmed)
     before = calibration.misfit.notes(calibration.sensor, linear=fit.linear)
