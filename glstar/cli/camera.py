@@ -17,6 +17,7 @@ from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_wa
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_presets
 from glstar.camera.sensorpresets import SensorPreset, sensor_mode, sensor_presets
+from glstar.cli.completion import sensor_names
 from glstar.cli.progress import progress_bar
 from glstar.cli.verbosity import with_verbosity
 from glstar.errors import CalibrationError
@@ -109,7 +110,11 @@ def show(
 def presets(
     sensor: Annotated[
         str | None,
-        typer.Argument(help="A sensor: its modes, and its numbers with the source of each.", show_default="all"),
+        typer.Argument(
+            help="A sensor: its modes, and its numbers with the source of each.",
+            show_default="all",
+            autocompletion=sensor_names,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

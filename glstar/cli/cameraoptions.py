@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
+from glstar.cli.completion import camera_names
 from glstar.config.sections import is_file_name
 
 __all__ = ["AnalogueGain", "CameraName", "FNumber", "LensMm", "camera_settings"]
@@ -15,6 +16,7 @@ CameraName = Annotated[
         "--camera",
         help="A preset of glstar camera presets, the mode of a sensor such as imx477:2028x1520, or a calibration file.",
         show_default="the config's",
+        autocompletion=camera_names,
     ),
 ]
 LensMm = Annotated[

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from glstar.cli.cameraoptions import AnalogueGain, CameraName, FNumber, LensMm, camera_settings
+from glstar.cli.completion import column_maps
 from glstar.cli.verbosity import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flightsections import SYNTHETIC
@@ -99,6 +100,7 @@ Columns = Annotated[
         help="What the columns of a table mean: a map by name (euroc, tum, airdata, dji, csvview, xplane, betaflight,"
         " inav), a .toml file, or key=column,key=column; see glstar manual logs.",
         show_default="by its header",
+        autocompletion=column_maps,
     ),
 ]
 Format = Annotated[

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
+from glstar.cli.completion import manual_topics
 from glstar.errors import ConfigError
 from glstar.system.nearmiss import did_you_mean
 from glstar.system.resources import manual_pages
@@ -20,7 +21,10 @@ _MAX_COLUMNS = 120
 
 def manual(
     topic: Annotated[
-        str, typer.Argument(metavar="[TOPIC]", help="The page to print; without it, the list of pages.")
+        str,
+        typer.Argument(
+            metavar="[TOPIC]", help="The page to print; without it, the list of pages.", autocompletion=manual_topics
+        ),
     ] = "",
 ) -> None:
     """Print a page of the manual.
