@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import asin, degrees, isfinite, nan, pi, radians, sqrt
+from math import asin, degrees, isfinite, log10, nan, pi, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.limitingmagnitude import limiting_mag, noise_equivalent_area_px2
 from glstar.errors import RenderError
+from glstar.render.clouds import cloud_sheet
+from glstar.render.effects.cloudtexture import axis_transmission, frame_transmission
 from glstar.render.effects.naturalsky import natural_sky_dn
 from glstar.render.scene import Scene
 from glstar.render.trailpeaks import trail_peaks
@@ -150,22 +152,27 @@ class LimitingMagnitude:
         Of a star that does not move on the image; NaN if there is none.
     trail_mag : float
         Of a star with the trail of this exposure; NaN if there is none.
+    cloud_transmission : float or None
+        The mean over the sky of the image; None without cloud, and without sky.
     """
 
     at_rest_mag: float
     trail_mag: float
+    cloud_transmission: float | None = None
 
     @property
     def text(self) -> str:
-        """Both in one line."""
+        """All in one line."""
         if not isfinite(self.at_rest_mag):
             return "no star: the sky saturates"
         trail = f", {self.trail_mag:.1f} as a trail" if isfinite(self.trail_mag) else ""
-        return f"limit V {self.at_rest_mag:.1f} at rest{trail}"
+        passed = self.cloud_transmission
+        cloud = "" if passed is None else f", cloud transmits {100 * passed:.0f} % on average"
+        return f"limit V {self.at_rest_mag:.1f} at rest{trail}{cloud}"
 
 
 def conditions_report(scene: Scene) -> str:
-    """Return the light, the Sun, the Moon and the limiting magnitude of an exposure in one line.
+    """Return the light, the Sun, the Moon, the limiting magnitude and the cloud of an exposure in one line.
 
     Parameters
     ----------
@@ -197,7 +204,7 @@ def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     Returns
     -------
     LimitingMagnitude
-        With the sky in the direction of the optical axis, the extinction there, and the length of a trail there.
+        With the sky in the direction of the optical axis, extinction and cloud there, and the length of a trail there.
     """
     zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
     sine = float(axis @ zenith)
@@ -210,7 +217,11 @@ def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     at_rest_mag = limiting_mag(sensor, duration_s, rest_px2, sky_dn=sky_dn)
     trail_px2 = nan if is_ground else _trail_area_px2(scene, axis, rest_px2)
     trail_mag = limiting_mag(sensor, duration_s, trail_px2, sky_dn=sky_dn) if isfinite(trail_px2) else nan
-    return LimitingMagnitude(at_rest_mag - extinction_mag, trail_mag - extinction_mag)
+    cloud = 1.0 if is_ground else axis_transmission(scene)
+    lost_mag = extinction_mag - 2.5 * log10(max(cloud, 1e-30))
+    has_cloud = cloud_sheet(sensor, scene.motion) is not None
+    mean = frame_transmission(scene) if has_cloud else None
+    return LimitingMagnitude(at_rest_mag - lost_mag, trail_mag - lost_mag, mean)
 
 
 def _trail_area_px2(scene: Scene, direction_eq: Float, rest_px2: float) -> float:

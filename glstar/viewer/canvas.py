@@ -125,6 +125,7 @@ class Canvas:
         if self.camera.lens is not None:
             # With distortion the edges of the region are no planes in space, but they are straight on the image.
             inside[:, :4] = inside_region(self.camera.project(vector), self.region)
+        inside[: len(refracted[0]), -1] -= self.scene.sine_horizon
         # Curves among apparent directions do not end at the horizon: one of them is the horizon.
         inside[len(refracted[0]) :, -1] = 1.0
 

@@ -26,7 +26,7 @@ from glstar.sky.horizon import MAX_REFRACTION_RAD, ned_to_azimuth_altitude_rad
 from glstar.viewer.canvas import GAP_SCREEN_PX, Canvas, unit_by_larger_component
 from glstar.viewer.curves import Curves, ImageRegion
 from glstar.viewer.shapes import Mark, Shapes
-from glstar.viewer.skycurves import COMPASS_POINTS, ConstellationFigures, Grids
+from glstar.viewer.skycurves import COMPASS_POINTS, ConstellationFigures, Grids, compass_ned, horizon_curve
 
 __all__ = ["DrawingInputs", "Overlay", "OverlaySpec", "Overlays", "Rgba"]
 
@@ -137,10 +137,10 @@ def _draw_equatorial_labels(canvas: Canvas, inputs: DrawingInputs) -> None:
     _draw_edge_labels(canvas, inputs.grids.equatorial_labels)
 
 
-def _draw_compass(canvas: Canvas, inputs: DrawingInputs) -> None:
+def _draw_compass(canvas: Canvas, _: DrawingInputs) -> None:
     """Draw the compass points below the horizon."""
     down = canvas.C_camera_ned[:, 2]
-    points = inputs.grids.compass_ned @ canvas.C_camera_ned.T
+    points = compass_ned(canvas.scene.sine_horizon) @ canvas.C_camera_ned.T
     xy = canvas.camera.project(points)
     downwards = unit_by_larger_component(canvas.camera.project(points + 1e-3 * down) - xy)
     visible = np.flatnonzero(canvas.region.contains(xy))
@@ -302,7 +302,7 @@ class Overlay(StrEnum):
             (126, 186, 108, 220),
             180,
             thickness=1.5,
-            curves=SkyCurves("ned", lambda _, inputs: inputs.grids.horizon),
+            curves=SkyCurves("ned", lambda s, _: horizon_curve(s.camera, s.sine_horizon)),
             draw=_draw_compass,
         ),
     )

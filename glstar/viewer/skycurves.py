@@ -1,5 +1,7 @@
 """Curves on the sky that depend only on the camera and the epoch: grids, the horizon, constellations."""
 
+from functools import lru_cache
+from math import asin, tan
 from typing import Final
 
 import numpy as np
@@ -12,7 +14,7 @@ from glstar.sky.constellations import constellations
 from glstar.sky.horizon import ned_direction
 from glstar.viewer.curves import REFRACTION_CURVATURE, Curves, great_circle, max_step_rad, parallel
 
-__all__ = ["COMPASS_POINTS", "ConstellationFigures", "Grids"]
+__all__ = ["COMPASS_POINTS", "ConstellationFigures", "Grids", "compass_ned", "horizon_curve"]
 
 Float = NDArray[np.float64]
 
@@ -32,7 +34,7 @@ _FIGURE_VMAG_LIMIT: Final = 7.0
 
 
 class Grids:
-    """The grids, the horizon and the compass points for a camera, sampled as finely as its image needs.
+    """The grids for a camera, sampled as finely as its image needs.
 
     Parameters
     ----------
@@ -40,12 +42,10 @@ class Grids:
 
     Attributes
     ----------
-    altaz, horizon : Curves
+    altaz : Curves
         In apparent directions north, east, down.
     equatorial : Curves
         In geocentric apparent directions.
-    compass_ned : (16, 3) float64
-        Directions of the compass points, north, east, down.
     altaz_labels, equatorial_labels : tuple of str
         One label for each curve.
     """
@@ -74,13 +74,44 @@ class Grids:
             equatorial.append(great_circle(ends, refracted_step_rad))
 
         self.altaz, self.equatorial = Curves.of(altaz), Curves.of(equatorial)
-        self.horizon = Curves.of([_ned(parallel(0.0, step_rad))])
-        self.compass_ned = ned_direction(np.arange(len(COMPASS_POINTS)) * (2 * np.pi / len(COMPASS_POINTS)), 0.0)
         self.altaz_labels = (*(f"alt {h}°" for h in altitudes), *(f"az {az}°" for az in azimuths))
         self.equatorial_labels = (
             *(f"{dec:+d}°" if dec else "0°" for dec in declinations),
             *map(_hours, meridians),
         )
+
+
+# A still aircraft keeps its horizon; one that climbs needs another for every frame.
+@lru_cache(maxsize=4)
+def horizon_curve(camera: Camera, sine_horizon: float) -> Curves:
+    """Return the apparent horizon.
+
+    Parameters
+    ----------
+    camera : Camera
+        The curve is sampled as finely as its image needs.
+    sine_horizon : float
+        Sine of the apparent altitude of the horizon.
+
+    Returns
+    -------
+    Curves
+        In apparent directions north, east, down.
+    """
+    altitude_rad = asin(sine_horizon)
+    return Curves.of([_ned(parallel(altitude_rad, max_step_rad(camera, abs(tan(altitude_rad)))))])
+
+
+def compass_ned(sine_horizon: float) -> Float:
+    """Return the directions of the compass points on the horizon, (16, 3) float64 north, east, down.
+
+    Parameters
+    ----------
+    sine_horizon : float
+        Sine of the apparent altitude of the horizon.
+    """
+    azimuth_rad = np.arange(len(COMPASS_POINTS)) * (2 * np.pi / len(COMPASS_POINTS))
+    return ned_direction(azimuth_rad, asin(sine_horizon))
 
 
 def _ned(by_azimuth: Float) -> Float:

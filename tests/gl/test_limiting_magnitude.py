@@ -1,5 +1,6 @@
 """The limiting magnitude of scenes against rendered frames: many noise seeds and a matched filter."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
+from glstar.render.clouds import cloud_sheet, sheet_crossing
+from glstar.render.effects.cloudtexture import transmission_at
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
-from glstar.render.viewingconditions import LimitingMagnitude, limiting_magnitude
+from glstar.render.viewingconditions import LimitingMagnitude, conditions_report, limiting_magnitude
 from glstar.sky.extinction import Extinction
-from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 
 EXPOSURE = Exposure(NIGHT_UTC_S + 4.0, 0.5)
 LENS = camera(100, 80, 300.0)
@@ -82,6 +85,31 @@ def test_extinction_costs_its_magnitudes_and_town_light_costs_more() -> None:
     ]
     dark, town = (limiting_magnitude(scene_of(sensor, 5.0, 0.0)).at_rest_mag for sensor in lit)
     assert dark - town > 0.5
+
+
+def test_cloud_costs_the_magnitudes_that_it_takes_on_the_axis_and_is_reported() -> None:
+    clear, clouded = (
+        scene_of(Config().override(**{"cloud.coverage": coverage, "cloud.edge": 0.2}).sensor(), 5.0, 0.0)
+        for coverage in (0.0, 1.0)
+    )
+    sheet = cloud_sheet(clouded.sensor, clouded.motion)
+    crossing = sheet_crossing(
+        sheet,
+        clouded.shutter.boresight_eq[1] @ clouded.shutter.zenith_eq[1],
+        clouded.shutter.boresight_eq[1],
+        clouded.shutter.zenith_eq[1],
+        (ADELAIDE.latitude_rad, ADELAIDE.longitude_rad, ADELAIDE.height_m),
+        EXPOSURE.mid_utc_s,
+    )
+    lost_mag = -2.5 * np.log10(float(crossing.transmission))
+    assert lost_mag > 0.3
+    assert limiting_magnitude(clear).at_rest_mag - limiting_magnitude(clouded).at_rest_mag == pytest.approx(
+        lost_mag, rel=0, abs=1e-9
+    )
+    assert "cloud" not in conditions_report(clear)
+    percent = int(re.search(r"cloud transmits (\d+) % on average", conditions_report(clouded))[1])
+    xy_px = np.stack(np.meshgrid(np.linspace(0, LENS.width_px, 60), np.linspace(0, LENS.height_px, 60)), axis=-1)
+    assert percent == pytest.approx(100 * transmission_at(clouded, xy_px).mean(), rel=0, abs=3)
 
 
 def test_a_saturated_sky_and_a_camera_at_the_ground_have_no_limit() -> None:

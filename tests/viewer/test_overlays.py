@@ -230,6 +230,32 @@ def test_the_compass_points_are_on_the_horizon_as_projected_by_opencv():
         assert found[text] == pytest.approx(xy, abs=0.01)
 
 
+@pytest.mark.parametrize("height_m", [0.0, 3000.0, 12000.0])
+def test_from_a_height_the_horizon_is_as_low_as_the_dip(height_m):
+    """The line, the compass points and the ends of the equatorial grid are at the altitude to which stars are drawn."""
+    simulator = sky_over_adelaide(LENS, mount=NOSE, vmag_limit=3.0, pitch_rad=0.1)
+    track = simulator.flight.position
+    high = replace(track, height_m=np.full_like(track.height_m, height_m))
+    simulator = replace(
+        simulator, flight=replace(simulator.flight, position=high), sky=replace(simulator.sky, dip=True)
+    )
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 2, 0.05))
+    # acos(R / (R + h)) with light bent by a seventh of the Earth's curvature.
+    dip_rad = np.arccos(6371.0088e3 / (6371.0088e3 + height_m)) * np.sqrt(6 / 7)
+    up = scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1]
+    # Chords are within 0.2 px of their curves.
+    chord_rad = 0.2 / LENS.fx_px
+
+    shapes = shapes_of(scene, Overlay.HORIZON, Overlay.EQUATORIAL_GRID)
+    line = rays(along(polylines(shapes, Overlay.HORIZON)[:1]))
+    np.testing.assert_allclose(np.arcsin(line @ up), -dip_rad, rtol=0, atol=chord_rad)
+    grid = np.concatenate([rays(xy) for xy in polylines(shapes, Overlay.EQUATORIAL_GRID)])
+    assert np.arcsin(grid @ up).min() == pytest.approx(-dip_rad, rel=0, abs=chord_rad)
+    for text, xy in labels_of(shapes, Overlay.HORIZON).items():
+        assert len(text) <= 3
+        assert np.arcsin(rays(np.array([xy]))[0] @ up) == pytest.approx(-dip_rad, rel=0, abs=1e-5)
+
+
 def test_at_the_pole_the_horizon_is_still_drawn():
     """At a pole of the Earth azimuth is undefined, but circles of altitude are not."""
     flight = ScriptedFlight.steady(Site(np.pi / 2, 0.0), NIGHT_UTC_S, duration_s=10.0, pitch_rad=0.2).flight()

@@ -11,7 +11,7 @@ from glstar.render.clouds import cloud_sheet, sheet_crossing
 from glstar.render.scene import Scene
 from glstar.sky.cloudsheet import SheetCrossing
 
-__all__ = ["crossing_at", "frame_transmission", "transmission_at"]
+__all__ = ["axis_transmission", "crossing_at", "frame_transmission", "transmission_at"]
 
 Float = NDArray[np.float64]
 
@@ -93,6 +93,21 @@ def frame_transmission(scene: Scene) -> float | None:
     rays = _rays(scene.camera)
     is_sky = rays @ scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1] >= scene.sine_horizon
     return round(float(_transmission(scene, rays)[is_sky].mean()), 6) if is_sky.any() else None
+
+
+def axis_transmission(scene: Scene) -> float:
+    """Return the transmission of cloud on the optical axis in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        1 without cloud, below the horizon, and for a sheet below the aircraft.
+    """
+    return float(_transmission(scene, np.array([[0.0, 0.0, 1.0]]))[0])
 
 
 @lru_cache(maxsize=4)
