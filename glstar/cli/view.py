@@ -23,25 +23,34 @@ from glstar.cli.windowoptions import (
 
 __all__ = ["view"]
 
+At = Annotated[float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")]
+Sliding = Annotated[bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")]
+Images = Annotated[Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)]
+Play = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
+Answers = Annotated[
+    Path | None,
+    typer.Option(help="Answers of a navigator to draw (CSV or JSON lines); needs --answers-to.", show_default=False),
+]
+AnswersTo = Annotated[
+    Path | None,
+    typer.Option(help="The export of this flight that --answers are for, with its truth.", show_default=False),
+]
+
 
 @with_flight_flags()
 def view(
     flight: Flight = None,
     *,
     flags: FlightFlags,
-    at: Annotated[
-        float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")
-    ] = None,
-    sliding: Annotated[
-        bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")
-    ] = False,
+    at: At = None,
+    sliding: Sliding = False,
     show: Show = None,
-    images: Annotated[
-        Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)
-    ] = None,
+    images: Images = None,
+    answers: Answers = None,
+    answers_to: AnswersTo = None,
     size: Size = None,
     screenshot: Screenshot = None,
-    play: Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)] = None,
+    play: Play = None,
     stats: Stats = None,
     leave: Annotated[bool, typer.Option("--exit", help="Exit afterwards.")] = False,
     headless: Headless = False,
@@ -60,7 +69,9 @@ def view(
         )
     if stats is not None and play is None:
         raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
+    _require_both(answers, answers_to)
     require_window_libraries()
+    from glstar.cli.placedanswers import placed_answers  # noqa: PLC0415
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
     from glstar.viewer.playhead import Mode  # noqa: PLC0415
 
@@ -74,6 +85,8 @@ def view(
             is_scripted = script != Script(asks=True)
             if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
                 viewer.open(flights_of(settings, None if flight is None else [flight])[0])
+            if answers is not None and answers_to is not None:
+                viewer.session.navigator.answers = placed_answers(answers, answers_to)
             if images is not None:
                 viewer.session.comparison.open(images)
             report = viewer.play(script) if is_scripted else {}
@@ -85,3 +98,12 @@ def view(
                 memory.size = surface.window_size
     finally:
         surface.close()
+
+
+def _require_both(answers: Path | None, answers_to: Path | None) -> None:
+    """Refuse answers without their frames, and frames without answers."""
+    if (answers is None) != (answers_to is None):
+        raise typer.BadParameter(
+            "--answers FILE and --answers-to EXPORT belong together: an answer names a frame of an export",
+            param_hint="--answers" if answers_to is None else "--answers-to",
+        )

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import asin, hypot
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.rotation import turn_from_matrix
+from glstar.camera.attitudeerror import AttitudeError
 from glstar.score.answers import Answer, ObservedStars
 from glstar.score.frametruth import FrameTruth
-from glstar.sky.geodesy import geocentric_m, north_east_down_m
+from glstar.sky.geodesy import surface_offset_km
 from glstar.sky.site import Site
 
 __all__ = ["AttitudeError", "FrameScore", "Limits", "Outcome", "PositionError", "StarScore", "score_frame"]
@@ -46,35 +46,6 @@ class Limits:
     boresight_rad: float = float(np.deg2rad(1.0))
     position_km: float = 200.0
     star_px: float = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class AttitudeError:
-    """The error of an attitude: the rotation from the true camera frame to the answered one.
-
-    Attributes
-    ----------
-    right_rad, down_rad : float
-        Error of the answered optical axis to the right and down in the image, rad.
-    roll_rad : float
-        Rotation about the optical axis, rad.
-    """
-
-    right_rad: float
-    down_rad: float
-    roll_rad: float
-
-    @property
-    def boresight_rad(self) -> float:
-        """Angle between the two optical axes, rad."""
-        return hypot(self.right_rad, self.down_rad)
-
-    @classmethod
-    def between(cls, C_camera_icrs: Float, C_answered_icrs: Float) -> "AttitudeError":
-        """Return the error of a rotation from ICRS to the camera."""
-        turn = turn_from_matrix(C_answered_icrs @ C_camera_icrs.T)
-        # The optical axis turns about the image's right axis downwards, about its down axis to the left.
-        return cls(float(turn[1]), float(-turn[0]), float(turn[2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,17 +153,11 @@ def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> Fra
 
 
 def _position_error(truth: FrameTruth, answer: Answer) -> PositionError | None:
-    """Return the error of a position on the WGS84 ellipsoid: the chord's length as an arc, in the chord's direction."""
+    """Return the error of a position."""
     if answer.latitude_rad is None or answer.longitude_rad is None:
         return None
     true_site = Site(truth.latitude_rad, truth.longitude_rad)
-    chord_km = north_east_down_m(true_site, answer.latitude_rad, answer.longitude_rad, 0.0) / 1000
-    north, east = float(chord_km[0]), float(chord_km[1])
-    level_km, length_km = hypot(north, east), float(np.linalg.norm(chord_km))
-    radius_km = float(np.linalg.norm(geocentric_m(truth.latitude_rad, truth.longitude_rad, 0.0))) / 1000
-    arc_km = 2 * radius_km * asin(min(length_km / (2 * radius_km), 1.0))
-    scale = arc_km / level_km if level_km > 0 else 0.0
-    north, east = north * scale, east * scale
+    north, east = surface_offset_km(true_site, answer.latitude_rad, answer.longitude_rad)
     inside = None if answer.ellipse is None else answer.ellipse.contains(north, east)
     return PositionError(north, east, inside)
 

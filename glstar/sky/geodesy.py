@@ -1,5 +1,6 @@
 """Positions on the WGS84 ellipsoid in metres: geocentric, and in the local frame of a site."""
 
+from math import asin, hypot
 from typing import Final
 
 import erfa
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.sky.horizon import C_ned_eq
 from glstar.sky.site import Site
 
-__all__ = ["geocentric_m", "north_east_down_m"]
+__all__ = ["geocentric_m", "north_east_down_m", "surface_offset_km"]
 
 Float = NDArray[np.float64]
 
@@ -55,3 +56,28 @@ def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: Arra
         origin.latitude_rad, origin.longitude_rad, origin.height_m
     )
     return np.asarray(chord_m @ C_ned_eq(origin.latitude_rad, origin.longitude_rad).T)
+
+
+def surface_offset_km(origin: Site, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
+    """Return how far a place is from a site on the WGS84 ellipsoid.
+
+    Parameters
+    ----------
+    origin : Site
+        Its height does not matter.
+    latitude_rad, longitude_rad : float
+        The place, WGS84, rad.
+
+    Returns
+    -------
+    north_km, east_km : float
+        The chord's length as an arc, in the direction of the chord.
+    """
+    ground = Site(origin.latitude_rad, origin.longitude_rad)
+    chord_km = north_east_down_m(ground, latitude_rad, longitude_rad, 0.0) / 1000
+    north, east = float(chord_km[0]), float(chord_km[1])
+    level_km, length_km = hypot(north, east), float(np.linalg.norm(chord_km))
+    radius_km = float(np.linalg.norm(geocentric_m(origin.latitude_rad, origin.longitude_rad, 0.0))) / 1000
+    arc_km = 2 * radius_km * asin(min(length_km / (2 * radius_km), 1.0))
+    scale = arc_km / level_km if level_km > 0 else 0.0
+    return north * scale, east * scale

@@ -197,7 +197,7 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
             simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction, dip=config.sky.horizon == "dip"
         ),
         camera=config.camera(),
-        mount=config.mount(),
+        mount=config.navigator.real_mount(config.mount()),
         sensor=config.sensor(),
         pressure_hpa=config.air.pressure_hpa,
         temperature_c=config.air.temperature_c,

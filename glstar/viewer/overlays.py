@@ -10,7 +10,7 @@ the table of keys in the manual are made from the members.
 
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
 from math import isfinite
@@ -23,7 +23,8 @@ from glstar.render.scene import Scene
 from glstar.render.truth import trail_centroids
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.horizon import MAX_REFRACTION_RAD, ned_to_azimuth_altitude_rad
-from glstar.viewer.canvas import GAP_SCREEN_PX, Canvas, unit_by_larger_component
+from glstar.viewer.belief import Belief
+from glstar.viewer.canvas import GAP_SCREEN_PX, Canvas, ned_to_camera_matrix, unit_by_larger_component
 from glstar.viewer.curves import Curves, ImageRegion
 from glstar.viewer.shapes import Mark, Shapes
 from glstar.viewer.skycurves import COMPASS_POINTS, ConstellationFigures, Grids, compass_ned, horizon_curve
@@ -57,6 +58,8 @@ class DrawingInputs:
         Magnitude limit of centroids.
     pixels : (height, width) uint8 or uint16, or None
         The developed image.
+    beliefs : tuple of Belief
+        Of the navigator.
     """
 
     grids: Grids
@@ -64,6 +67,7 @@ class DrawingInputs:
     name_vmag_limit: float
     centroid_vmag_limit: float
     pixels: NDArray[Any] | None
+    beliefs: tuple[Belief, ...] = ()
 
 
 class SkyCurves(NamedTuple):
@@ -261,6 +265,46 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
     canvas.mark(Mark.RING, canvas.star_xy[1, saturates])
 
 
+def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:
+    """Return the horizon where the estimated attitude has it on the image."""
+    C_camera_ned = ned_to_camera_matrix(scene.shutter[1:2])
+    horizon = inputs.grids.horizon
+    for belief in inputs.beliefs:
+        if belief.C_estimated_ned is not None:
+            return replace(horizon, vector=horizon.vector @ (C_camera_ned.T @ belief.C_estimated_ned).T)
+    return Curves.of([])
+
+
+def _draw_beliefs(canvas: Canvas, inputs: DrawingInputs) -> None:
+    """Draw an arrow from the optical axis to the direction that a navigator estimates for it."""
+    camera = canvas.camera
+    centre = np.array([camera.cx_px, camera.cy_px])
+    for belief in inputs.beliefs:
+        if belief.C_camera_estimated is None:
+            continue
+        axis = belief.C_camera_estimated[:, 2]
+        sideways = np.array([camera.fx_px * axis[0] + camera.skew_px * axis[1], camera.fy_px * axis[1]])
+        at = camera.project(axis) if axis[2] > 0 else np.full(2, np.nan)
+        if canvas.region.contains(at):
+            canvas.mark(Mark.TARGET if belief.C_estimated_ned is not None else Mark.RING, at[np.newaxis])
+        else:
+            # Towards an axis outside of the image, as far as half of the distance to the edge.
+            at = centre + sideways / np.linalg.norm(sideways) * min(camera.width_px, camera.height_px) / 4
+        length_px = np.linalg.norm(at - centre)
+        if length_px > GAP_SCREEN_PX * canvas.screen_px:
+            along = (at - centre) / length_px
+            across = along[::-1] * [-1, 1]
+            barb = min(2 * GAP_SCREEN_PX * canvas.screen_px, length_px)
+            ends = [at - barb * (along + 0.5 * across), at - barb * (along - 0.5 * across)]
+            canvas.strokes(np.array([[centre, at], [ends[0], at], [ends[1], at]]))
+        below = 0.0 if axis[1] >= 0 else 1.0
+        text = f"{belief.name}: {belief.figures}"
+        # Two beliefs at the same place: the second one is written on the other side.
+        for anchor in ((0.0, below), (0.0, 1.0 - below), (1.0, below)):
+            if canvas.label(text, at.tolist(), anchor):
+                break
+
+
 # --- the table ---
 
 
@@ -343,6 +387,19 @@ class Overlay(StrEnum):
         "saturated pixels",
         OverlaySpec("Saturated pixels", "U", 7, (255, 84, 168, 220), 255, draw=_draw_saturated),
     )
+    NAVIGATOR = (
+        "navigator",
+        OverlaySpec(
+            "Estimate and answer",
+            "B",
+            0,
+            (255, 196, 64, 230),
+            255,
+            thickness=1.5,
+            curves=SkyCurves("ned", _estimated_horizon),
+            draw=_draw_beliefs,
+        ),
+    )
 
     @classmethod
     def named(cls) -> "dict[str, Overlay]":
@@ -379,6 +436,7 @@ class Overlays:
         region: ImageRegion | None = None,
         zoom: float = 1.0,
         centroid_vmag_limit: float = 5.0,
+        beliefs: tuple[Belief, ...] = (),
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
@@ -396,17 +454,20 @@ class Overlays:
             Screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on it.
         centroid_vmag_limit : float
             Magnitude limit of centroids.
+        beliefs : tuple of Belief
+            Of the navigator.
 
         Returns
         -------
         Shapes
         """
-        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit)
+        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
             return self._last[3]
         if self._grids is None or self._grids.camera != scene.camera:
             self._grids = Grids(scene.camera)
-        inputs = DrawingInputs(self._grids, self._constellations, name_vmag_limit, centroid_vmag_limit, pixels)
+        limits = name_vmag_limit, centroid_vmag_limit
+        inputs = DrawingInputs(self._grids, self._constellations, *limits, pixels, beliefs)
         canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)
         curves: dict[str, dict[str, Curves]] = {"eq": {}, "ned": {}}

@@ -25,6 +25,7 @@ from glstar.viewer.imageview import ImageView
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.loadedflight import BEFORE_EXPOSURE_S, FlightLoader, LoadedFlight
 from glstar.viewer.missing import SITE_KEYS, MissingFromLink, MissingFromLog, flight_keys
+from glstar.viewer.navigatorview import NavigatorView
 from glstar.viewer.notifications import Notifications
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import PlayHead, no_exposure
@@ -78,6 +79,7 @@ class Session:
     name_vmag_limit : float
         Magnitude limit of star names.
     comparison : ComparisonState
+    navigator : NavigatorView
     export : BackgroundExport or None
         The export that is running.
     video : Video or None
@@ -93,8 +95,7 @@ class Session:
         output: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.renderer = renderer
-        self.config = config
+        self.renderer, self.config = renderer, config
         self.output = Path.cwd() / "glstar-saved" if output is None else output
         self.loaded: LoadedFlight | None = None
         self.live: LiveFlight | None = None
@@ -105,10 +106,10 @@ class Session:
         self.notify = self.notifications.add
         self.view = ImageView()
         self.stretch = Stretch.for_sensor(config.sensor())
-        self.night = False
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
-        self.name_vmag_limit = 3.0
+        self.night, self.name_vmag_limit = False, 3.0
         self.comparison = ComparisonState(clock)
+        self.navigator = NavigatorView()
         self.export: BackgroundExport | None = None
         self.video: Video | None = None
         # Reason why the flight opened last could not be loaded.

@@ -16,6 +16,7 @@ _BEGIN, _END = "| flag | meaning | commands |\n|---|---|---|\n", "\n## Exit stat
 
 # What a flag means in every command that has it.
 MEANINGS: Final = {
+    "--answers": "a navigator's answers: a file, `-`, or (`live`) `zmq://HOST:PORT`",
     "--attitude": "which attitude of the log",
     "--boot": "which boot of the log",
     "--camera": "a preset or a camera file; of `camera show`, a camera in a file",

@@ -1,5 +1,6 @@
 """The panel with the artificial horizon, the state of the aircraft and a map of its ground track."""
 
+from collections.abc import Sequence
 from math import cos, degrees, isnan, sin
 from typing import Final
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from glstar.sky.geodesy import north_east_down_m
 from glstar.sky.site import Site
 from glstar.viewer.aircraftstate import AircraftState, aircraft_state, ground_track_m
+from glstar.viewer.belief import Belief
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.session import Session
 from glstar.viewer.ui.theme import error
@@ -30,6 +32,7 @@ _SKY: Final[tuple[Colour, Colour]] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 
 _GROUND: Final[tuple[Colour, Colour]] = ((0.36, 0.26, 0.16, 1.0), (0.08, 0.0, 0.0, 1.0))
 _LINES: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0, 0.9))
 _AIRCRAFT: Final[tuple[Colour, Colour]] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
+_BELIEF: Final[tuple[Colour, Colour]] = ((1.0, 0.77, 0.25, 0.9), (1.0, 0.0, 0.0, 0.9))
 _TRACK: Final[tuple[Colour, Colour]] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
 _NO_INPUT: Final = int(
     implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.equal
@@ -64,14 +67,15 @@ class FlightPanel:
             imgui.text_disabled("no attitude at this time: a gap of the log")
             return
         state = aircraft_state(loaded.simulator, utc_s)
-        _draw_horizon(state, night=session.night)
-        _draw_numbers(state)
-        if len(loaded.flight.position.utc_s) > 1:
-            self._draw_map(loaded, state, night=session.night)
+        beliefs = session.navigator.beliefs(loaded, session.image.simulator, scene)
+        _draw_horizon(state, beliefs, night=session.night)
+        _draw_numbers(state, beliefs)
+        if len(loaded.flight.position.utc_s) > 1 or any(belief.offset_km is not None for belief in beliefs):
+            self._draw_map(loaded, state, beliefs, night=session.night)
         else:
             imgui.text_disabled("a fixed position: there is no ground track")
 
-    def _draw_map(self, loaded: LoadedFlight, state: AircraftState, *, night: bool) -> None:
+    def _draw_map(self, loaded: LoadedFlight, state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
         """Draw the ground track, the aircraft with its heading, and the azimuth of the camera."""
         if self._track_of is not loaded or self._origin is None or loaded.is_live:
             self._track_of = loaded
@@ -94,11 +98,31 @@ class FlightPanel:
                 )
                 x, y = (np.ascontiguousarray(column) for column in ends.T)
                 implot.plot_line(label, x, y, implot.Spec(line_color=ImVec4(*colour), line_weight=2.0))
+            for belief in beliefs:
+                if belief.offset_km is not None:
+                    _plot_position(belief, 1000 * np.array(belief.offset_km) + [north, east], night=night)
             implot.end_plot()
 
 
-def _draw_horizon(state: AircraftState, *, night: bool) -> None:
-    """Draw an artificial horizon: the ground is on the side of the lower wing, and below the nose that is up."""
+def _plot_position(belief: Belief, north_east_m: Float, *, night: bool) -> None:
+    """Draw a position with its error ellipse on the map."""
+    colour = ImVec4(*_BELIEF[night])
+    spec = implot.Spec(marker=int(implot.Marker_.cross), marker_size=5.0, marker_line_color=colour, line_color=colour)
+    implot.plot_scatter(belief.name, north_east_m[1:].copy(), north_east_m[:1].copy(), spec)
+    if belief.ellipse is not None:
+        major_km, minor_km, azimuth_rad = belief.ellipse
+        angle = np.linspace(0.0, 2 * np.pi, 73)
+        along, across = 1000 * major_km * np.cos(angle), 1000 * minor_km * np.sin(angle)
+        north_m = north_east_m[0] + along * cos(azimuth_rad) - across * sin(azimuth_rad)
+        east_m = north_east_m[1] + along * sin(azimuth_rad) + across * cos(azimuth_rad)
+        implot.plot_line("its ellipse", east_m, north_m, implot.Spec(line_color=colour))
+
+
+def _draw_horizon(state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
+    """Draw an artificial horizon: the ground is on the side of the lower wing, and below the nose that is up.
+
+    The horizon of the aircraft's estimate is a second line.
+    """
     scale = imgui.get_style().font_scale_dpi
     width, height = imgui.get_content_region_avail().x, _HORIZON_PX * scale
     origin, draw_list = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
@@ -106,9 +130,7 @@ def _draw_horizon(state: AircraftState, *, night: bool) -> None:
     corner, far = ImVec2(origin.x, origin.y), ImVec2(origin.x + width, origin.y + height)
     centre = np.array([origin.x + width / 2, origin.y + height / 2])
     px_per_deg = height / 2 / _HALF_PITCH_DEG
-    # Unit vectors on the screen, y down: along the horizon to the right, and towards the ground.
-    along = np.array([cos(state.roll_rad), -sin(state.roll_rad)])
-    down = np.array([sin(state.roll_rad), cos(state.roll_rad)])
+    along, down = _horizon_axes(state.roll_rad)
     on_horizon = centre + down * degrees(state.pitch_rad) * px_per_deg
     extent = 4 * (width + height) + abs(degrees(state.pitch_rad)) * px_per_deg
     draw_list.push_clip_rect(corner, far, True)
@@ -129,10 +151,21 @@ def _draw_horizon(state: AircraftState, *, night: bool) -> None:
         draw_list.add_line(ImVec2(*(rung - half)), ImVec2(*(rung + half)), lines, 1.0)
         if ladder_deg % 20 == 0:
             draw_list.add_text(ImVec2(*(rung + half)), lines, f"{ladder_deg}")
+    for belief in beliefs:
+        if belief.roll_rad is not None and belief.pitch_rad is not None:
+            along, down = _horizon_axes(belief.roll_rad)
+            at = centre + down * degrees(belief.pitch_rad) * px_per_deg
+            ends = ImVec2(*(at - along * extent)), ImVec2(*(at + along * extent))
+            draw_list.add_line(*ends, imgui.get_color_u32(_BELIEF[night]), 2.0)
     _draw_aircraft(draw_list, centre, width, imgui.get_color_u32(_AIRCRAFT[night]))
     heading = f"{degrees(state.yaw_rad) % 360:05.1f}°"
     draw_list.add_text(ImVec2(centre[0] - imgui.calc_text_size(heading).x / 2, origin.y + 2), lines, heading)
     draw_list.pop_clip_rect()
+
+
+def _horizon_axes(roll_rad: float) -> tuple[Float, Float]:
+    """Return unit vectors on the screen, y down: along the horizon to the right, and towards the ground."""
+    return np.array([cos(roll_rad), -sin(roll_rad)]), np.array([sin(roll_rad), cos(roll_rad)])
 
 
 def _draw_aircraft(draw_list: imgui.ImDrawList, centre: Float, width: float, colour: int) -> None:
@@ -144,7 +177,7 @@ def _draw_aircraft(draw_list: imgui.ImDrawList, centre: Float, width: float, col
     draw_list.add_circle_filled(ImVec2(*centre), 3.0, colour)
 
 
-def _draw_numbers(state: AircraftState) -> None:
+def _draw_numbers(state: AircraftState, beliefs: Sequence[Belief]) -> None:
     site = state.site
     rows = [
         ("roll, pitch", f"{degrees(state.roll_rad):+.2f}°  {degrees(state.pitch_rad):+.2f}°"),
@@ -154,6 +187,7 @@ def _draw_numbers(state: AircraftState) -> None:
     ]
     if not isnan(state.ground_speed_m_per_s):
         rows.insert(3, ("speed, climb", f"{state.ground_speed_m_per_s:.1f} m/s  {state.climb_m_per_s:+.1f} m/s"))
+    rows += [(belief.name, belief.figures) for belief in beliefs]
     if imgui.begin_table("##state", 2, int(imgui.TableFlags_.sizing_fixed_fit)):
         for label, value in rows:
             imgui.table_next_column()

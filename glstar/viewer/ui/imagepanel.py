@@ -176,6 +176,7 @@ class ImagePanel:
             pixels=session.image.pixels if Overlay.SATURATED in session.shown_overlays else None,
             region=region,
             zoom=view.zoom,
+            beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
         )
 
         def to_screen(xy_px: ArrayLike) -> Float:

@@ -1,0 +1,160 @@
+"""What the viewer draws of a navigator: its estimate and its answers, against turns that are put in."""
+
+import json
+from math import degrees, hypot, radians, tan
+
+import numpy as np
+import pytest
+from imgui_bundle import imgui
+
+from glstar.cli.placedanswers import placed_answers
+from glstar.errors import AnswersError
+from glstar.rotation import matrix_from_quaternion, multiply, quaternion_from_matrix, quaternion_from_turn
+from glstar.viewer.overlays import Overlay
+from glstar.viewer.shapes import Mark
+from tests.support.windowinput import screen
+from tests.viewer.conftest import write_flight
+from tests.viewer.test_session import exported
+
+# A turn of the answers about the camera's right, down and forward axes, deg, and their offset north, deg.
+TURN_DEG = (0.3, -2.0, 0.5)
+NORTH_DEG = 0.5
+SAME_DEG = 1e-6
+# A camera along the nose, which is 3 deg above the horizon.
+FORWARD = {"mount.yaw_deg": 0.0, "mount.pitch_deg": 0.0, "mount.roll_deg": 0.0}
+
+
+def beliefs(viewer):
+    session = viewer.session
+    return session.navigator.beliefs(session.loaded, session.image.simulator, session.scene)
+
+
+def answers_of(directory, path, **more):
+    """Write answers with a known error for all frames of an export."""
+    rows = []
+    for text in (directory / "truth.jsonl").read_text(encoding="utf-8").splitlines():
+        truth = json.loads(text)
+        true = quaternion_from_matrix(np.array(truth["C_camera_icrs"]))
+        q = multiply(quaternion_from_turn(np.deg2rad(TURN_DEG)), true).tolist()
+        place = {"latitude_deg": truth["site"]["latitude_deg"] + NORTH_DEG, "longitude_deg": 138.6}
+        rows.append({"frame": truth["frame"], **dict(zip(("qw", "qx", "qy", "qz"), q, strict=True)), **place, **more})
+    path.write_text("\n".join(map(json.dumps, rows)) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def answered(small, log, tmp_path):
+    config = small.override(**{"exposure.interval_s": 2.0, "exposure.duration_s": 0.05})
+    directory = exported(config, log, tmp_path / "set")
+    path = answers_of(
+        directory, tmp_path / "answers.jsonl", ellipse_major_km=60, ellipse_minor_km=30, ellipse_azimuth_deg=30
+    )
+    return config, directory, path
+
+
+def test_the_estimate_has_the_errors_of_the_settings(make_viewer, small):
+    viewer = make_viewer(config=small.override(**{"navigator.roll_bias_deg": 1.5, "navigator.pitch_bias_deg": -2.0}))
+
+    [estimate] = beliefs(viewer)
+
+    # The camera points along the body's upward axis, so that roll and pitch move its own axis.
+    assert degrees(estimate.error.boresight_rad) == pytest.approx(hypot(1.5, 2.0), rel=0, abs=SAME_DEG)
+    assert degrees(estimate.error.roll_rad) == pytest.approx(0.0, rel=0, abs=SAME_DEG)
+
+
+def test_an_aircraft_that_knows_the_truth_has_no_estimate(viewer):
+    assert beliefs(viewer) == ()
+
+
+def test_the_error_of_the_mount_stays_when_another_setting_changes(make_viewer, small):
+    viewer = make_viewer(config=small.override(**{"navigator.mount_roll_error_deg": 0.4}))
+    before = viewer.session.loaded.simulator.mount.C_camera_body
+
+    viewer.session.change(**{"air.pressure_hpa": 900.0})
+    viewer.frame(0.0)
+
+    np.testing.assert_array_equal(viewer.session.loaded.simulator.mount.C_camera_body, before)
+    assert degrees(beliefs(viewer)[0].error.boresight_rad) == pytest.approx(0.4, rel=0, abs=SAME_DEG)
+
+
+def test_answers_are_compared_with_the_truth_of_their_own_time(make_viewer, answered):
+    config, directory, path = answered
+    viewer = make_viewer(config=config)
+    session = viewer.session
+    session.navigator.answers = placed_answers(path, directory)
+    session.head.seek(session.head.first_s + 5.5)
+    viewer.frame(0.0)
+
+    [answer] = beliefs(viewer)
+
+    assert answer.name == "answer 2"
+    error, (right, down, roll) = answer.error, (TURN_DEG[1], -TURN_DEG[0], TURN_DEG[2])
+    found = np.rad2deg([error.right_rad, error.down_rad, error.roll_rad])
+    np.testing.assert_allclose(found, [right, down, roll], rtol=0, atol=SAME_DEG)
+    # The radius of curvature in the meridian at 34.68 deg.
+    a_km, e2, phi = 6378.137, 0.00669437999014, radians(34.68)
+    meridian_km = a_km * (1 - e2) / (1 - e2 * np.sin(phi) ** 2) ** 1.5
+    assert answer.offset_km[0] == pytest.approx(meridian_km * radians(NORTH_DEG), rel=1e-3)
+    assert abs(answer.offset_km[1]) < 1e-6
+
+
+def test_an_arrow_leads_to_the_direction_that_the_answer_believes_in(make_viewer, answered):
+    config, directory, path = answered
+    viewer = make_viewer(config=config)
+    session = viewer.session
+    session.navigator.answers = placed_answers(path, directory)
+    viewer.frame(0.0)
+
+    shapes = session.loaded.overlays.shapes(
+        session.scene, {Overlay.NAVIGATOR}, name_vmag_limit=0.0, beliefs=beliefs(viewer)
+    )
+
+    [marks] = shapes.marks
+    camera = session.scene.camera
+    # The axis of the answered frame in the true one.
+    C_estimated = matrix_from_quaternion(quaternion_from_turn(-np.deg2rad(TURN_DEG)))
+    axis = C_estimated[:, 2]
+    expected = [camera.cx_px + camera.fx_px * axis[0] / axis[2], camera.cy_px + camera.fy_px * axis[1] / axis[2]]
+    assert marks.mark is Mark.RING
+    np.testing.assert_allclose(marks.xy_px[0], expected, rtol=0, atol=2e-3)
+    assert hypot(*(marks.xy_px[0] - [camera.cx_px, camera.cy_px])) == pytest.approx(
+        camera.fx_px * tan(radians(hypot(0.3, 2.0))), rel=1e-3
+    )
+    [label] = shapes.labels
+    assert label.text == ("answer 0: 2.02\N{DEGREE SIGN} across, roll +0.50\N{DEGREE SIGN}, 55.5 km",)
+
+
+def test_the_estimated_horizon_is_drawn_where_the_estimate_has_it(make_viewer, small, tmp_path):
+    low = small.override(**{**FORWARD, "navigator.pitch_bias_deg": 1.0})
+    viewer = make_viewer(write_flight(tmp_path / "straight.csv", yaw_rate_deg_per_s=0.0), config=low)
+    session = viewer.session
+
+    def height_px(which):
+        shapes = session.loaded.overlays.shapes(session.scene, {which}, name_vmag_limit=0.0, beliefs=beliefs(viewer))
+        return np.mean([lines.xy_px[:, 1].mean() for lines in shapes.lines if len(lines.xy_px) > 8])
+
+    shift_px = height_px(Overlay.NAVIGATOR) - height_px(Overlay.HORIZON)
+    # The aircraft believes its nose 1 deg higher, and the horizon lower in the image.
+    assert shift_px == pytest.approx(242.0 * (tan(radians(4.0)) - tan(radians(3.0))), rel=0.02)
+
+
+def test_an_answer_for_no_frame_of_the_export_is_refused(answered, tmp_path):
+    _, directory, _ = answered
+    path = tmp_path / "other.jsonl"
+    path.write_text('{"frame": 99}\n', encoding="utf-8")
+    with pytest.raises(AnswersError, match=r"line 1 answers frame 99, which .* does not have"):
+        placed_answers(path, directory)
+
+
+def test_the_flight_panel_shows_the_estimate_and_the_answer(make_viewer, answered):
+    config, directory, path = answered
+    viewer = make_viewer(config=config.override(**{"navigator.roll_bias_deg": 6.0}))
+    viewer.session.navigator.answers = placed_answers(path, directory)
+    imgui.set_window_focus("Flight")
+    for _ in range(4):
+        viewer.frame(0.0)
+    shown = screen(viewer)
+    viewer.session.navigator.answers = ()
+    for _ in range(2):
+        viewer.frame(0.0)
+    assert (shown != screen(viewer)).any()
