@@ -86,6 +86,7 @@ def test_the_keys_of_modes_and_markers_have_their_effect(viewer):
 def test_an_overlay_s_key_shows_and_hides_it(viewer, key):
     session = viewer.session
     session.change(**{"sensor.reference_peak_dn": 2000.0, "exposure.duration_s": 2.0, "mount.pitch_deg": 10.0})
+    session.change(**{"navigator.roll_bias_deg": 2.0})  # an estimate to draw
     session.name_vmag_limit = 4.0
     session.shown_overlays = set()
     viewer.frame(0.0)
