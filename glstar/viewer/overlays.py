@@ -268,7 +268,7 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
 def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:
     """Return the horizon where the estimated attitude has it on the image."""
     C_camera_ned = ned_to_camera_matrix(scene.shutter[1:2])
-    horizon = inputs.grids.horizon
+    horizon = horizon_curve(scene.camera, scene.sine_horizon)
     for belief in inputs.beliefs:
         if belief.C_estimated_ned is not None:
             return replace(horizon, vector=horizon.vector @ (C_camera_ned.T @ belief.C_estimated_ned).T)
