@@ -35,6 +35,8 @@ class DisplayPanel:
 
     def __init__(self) -> None:
         self._counted: dict[str, tuple[NDArray[Any], Histogram]] = {}
+        # The levels shown black and white to which the axis was fitted.
+        self._limits: tuple[float, float] | None = None
 
     def draw(self, session: Session) -> None:
         """Draw the settings of the display.
@@ -60,6 +62,11 @@ class DisplayPanel:
     def _draw_histogram(self, session: Session) -> None:
         """Draw the histograms of the images, with handles for the levels shown black and white."""
         size = ImVec2(-1, _PLOT_HEIGHT_PX * imgui.get_style().font_scale_dpi)
+        limits = session.stretch.black, session.stretch.white
+        if limits != self._limits and not imgui.is_mouse_down(0):
+            # A key has moved black or white, perhaps out of the levels shown; a drag leaves the axis as it is.
+            self._limits = limits
+            implot.set_next_axis_to_fit(int(implot.ImAxis_.x1))
         if not implot.begin_plot("##histogram", size, _PLOT if session.real else _PLOT_OF_ONE):
             return
         implot.setup_axes("DN", "", 0, int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.auto_fit))

@@ -99,7 +99,8 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
 def _heading(title: str, *, is_open: bool = True) -> bool:
     """Draw the heading of a group that can be closed; return whether it is open."""
     flags = imgui.TreeNodeFlags_.default_open if is_open else imgui.TreeNodeFlags_.none
-    return bool(imgui.collapsing_header(title, int(flags)))
+    # Another identity than a control of the same name has, as of "Exposure" and "Sky".
+    return bool(imgui.collapsing_header(f"{title}##heading", int(flags)))
 
 
 def _translucent(colour: int) -> ImVec4:

@@ -14,6 +14,9 @@ from glstar.viewer.ui.theme import accent
 __all__ = ["draw_welcome"]
 
 _WIDTH: Final = 420.0
+# Of the panels on the right of the image, in the initial layout: it needs to stay free, also in a small window.
+_RIGHT_FRACTION: Final = 0.26
+_RIGHT_PX: Final = 300.0
 _FLAGS: Final = int(
     imgui.WindowFlags_.no_decoration
     | imgui.WindowFlags_.no_docking
@@ -39,10 +42,12 @@ def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyActi
     if session.loaded is not None or session.live is not None or session.loader.is_busy or session.status:
         return
     viewport = imgui.get_main_viewport()
-    image = ImVec2(viewport.pos.x + viewport.size.x * 0.37, viewport.pos.y + viewport.size.y * 0.36)
+    scale = imgui.get_style().font_scale_dpi
+    free_px = viewport.size.x - max(_RIGHT_FRACTION * viewport.size.x, _RIGHT_PX * scale)
+    image = ImVec2(viewport.pos.x + free_px / 2, viewport.pos.y + viewport.size.y * 0.36)
     imgui.set_next_window_pos(image, int(imgui.Cond_.always), ImVec2(0.5, 0.5))
     imgui.begin("##welcome", None, _FLAGS)
-    width = _WIDTH * imgui.get_style().font_scale_dpi
+    width = min(_WIDTH * scale, free_px - 4 * imgui.get_style().window_padding.x)
     imgui.text_colored(accent(), "glstar")
     imgui.text("What a camera fixed to an aircraft records of the night sky.")
     imgui.separator_text("Open")
