@@ -70,6 +70,9 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the
     first or the last one.
     """
+    if not len(direction_eq):
+        none = np.zeros(0)
+        return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none)
     search = _RowTimes(scene, direction_eq)
     opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
     middle_s = (opens_s + closes_s) / 2
@@ -97,6 +100,8 @@ def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float
     exposed_s : (k,) float64
         How long each star is recorded, s.
     """
+    if not len(direction_eq):
+        return np.zeros((count, 0, 3)), np.zeros(0)
     search = _RowTimes(scene, direction_eq)
     opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
     fractions = (np.arange(count) + 0.5) / count

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
+from glstar.render.rowtimes import recorded_times
 from glstar.render.scene import Frame, Scene
 from glstar.render.truth import frame_truth
 from tests.gl.test_analytic_trails import vibrating
@@ -95,3 +96,10 @@ def test_the_truth_of_a_global_shutter_has_no_rows():
     line = truth(turning(20.0).scene(Exposure(NIGHT_UTC_S + 0.4, 0.3)))
     assert "readout_s" not in line
     assert "mid_offset_s" not in line["stars"][0]
+
+
+def test_no_star_has_no_times() -> None:
+    scene = turning(20.0).scene(Exposure(NIGHT_UTC_S + 0.4, 0.1, 200.0, "analytic", 0.087, "down"))
+    found = recorded_times(scene, np.zeros((0, 3)))
+    assert found.positions.shape == (3, 0, 2)
+    assert len(found.exposed_s) == len(found.mid_offset_s) == 0

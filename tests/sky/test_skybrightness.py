@@ -247,3 +247,14 @@ def test_the_electron_model_counts_the_natural_sky() -> None:
     dark_dn = sensor.electrons.dark_e_per_s * 2.0 * sensor.electrons.dn_per_e
     assert expected_dn > 10
     np.testing.assert_allclose(above_dn.mean() - dark_dn, expected_dn, rtol=0.03)
+
+
+def test_space_light_replaces_its_share_of_the_dark_sky() -> None:
+    def mag(**keys: bool) -> float:
+        simulator = scene_with(natural(**keys), "2024-07-05T12:00:00Z", pitch_deg=80.0, heading_deg=180.0)
+        scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 0.5))
+        return float(NATURAL_SKY.truth(NATURAL_SKY.values(scene.sensor), scene)["sky_mag_arcsec2"])
+
+    dark, zodiacal, both = mag(), mag(zodiacal_light=True), mag(zodiacal_light=True, galaxy=True)
+    assert 21.0 < both < zodiacal < dark + 0.1
+    assert abs(zodiacal - dark) < 0.3

@@ -1,6 +1,7 @@
 """Brightness of the sky by direction, and the ground below the horizon."""
 
 from collections.abc import Hashable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -17,7 +18,15 @@ from glstar.render.scene import Scene
 from glstar.sky.bodies import Body, observed_bodies
 from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
 from glstar.sky.extinction import Extinction, air_mass
+from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
 from glstar.sky.skybrightness import SkyLights, SkyState, SkyView, sky_radiance
+from glstar.sky.spacelight import (
+    S10_MAG_ARCSEC2,
+    STARLIGHT_IN_DARK_SKY_S10,
+    ZODIACAL_IN_DARK_SKY_S10,
+    beyond_the_air_s10,
+    diffuse_transmission,
+)
 
 __all__ = ["NATURAL_SKY", "natural_sky_dn", "sky_radiance_at"]
 
@@ -37,6 +46,10 @@ _AZIMUTHS: Final = 24
 NO_TOWN_MAG: Final = 30.0
 _ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
 _DEFAULT: Final = SkyLights()
+# The airglow is at least this fraction of the dark sky at the zenith.
+_LEAST_AIRGLOW: Final = 0.3
+# Magnitudes down to which the catalogues have all stars.
+_COMPLETE_MAG: Final = {"bsc5": 6.5, "hipparcos": 7.5, "gaia": 10.0, "tycho2": 11.0}
 
 
 def _is_active(values: Values) -> bool:
@@ -84,7 +97,34 @@ def sky_radiance_at(values: Values, scene: Scene, time: int, direction_eq: Float
         moon_separation_rad=erfa.sepp(direction_eq, moon.direction_eq),
         sun_separation_rad=erfa.sepp(direction_eq, sun.direction_eq),
     )
-    return sky_radiance(view, _lights(values), _state(scene))
+    lights, state = _lights(values), _state(scene)
+    if not values["zodiacal_light"] and not values["galaxy"]:
+        return sky_radiance(view, lights, state)
+    zenith_mag = state.extinction.zenith_mag(state.height_m)
+    beyond = beyond_the_air_s10(
+        direction_eq @ scene.stars.C_eq_icrs,
+        sun.direction_eq @ scene.stars.C_eq_icrs,
+        zodiacal=bool(values["zodiacal_light"]),
+        galaxy=bool(values["galaxy"]),
+        drawn_mag=_drawn_mag(scene),
+    )
+    arriving = beyond * diffuse_transmission(zenith_mag, air_mass(sine)) * brightness_ratio(S10_MAG_ARCSEC2)
+    return sky_radiance(view, _without_space(values, lights, zenith_mag), state) + arriving
+
+
+def _without_space(values: Values, lights: SkyLights, zenith_mag: float) -> SkyLights:
+    """Return the lights with the dark sky less its usual zodiacal light and starlight, which are drawn by direction."""
+    usual_s10 = ZODIACAL_IN_DARK_SKY_S10 if values["zodiacal_light"] else 0.0
+    usual_s10 += STARLIGHT_IN_DARK_SKY_S10 if values["galaxy"] else 0.0
+    usual = usual_s10 * float(diffuse_transmission(zenith_mag, 1.0) * brightness_ratio(S10_MAG_ARCSEC2))
+    whole = float(brightness_ratio(lights.zenith_mag_arcsec2))
+    return replace(lights, zenith_mag_arcsec2=float(magnitude_difference(max(whole - usual, _LEAST_AIRGLOW * whole))))
+
+
+def _drawn_mag(scene: Scene) -> float:
+    """Return the magnitude down to which the scene has all stars."""
+    faintest = float(scene.stars.vmag.max(initial=-np.inf))
+    return min(faintest, _COMPLETE_MAG.get(scene.stars.catalogue, np.inf))
 
 
 def _state(scene: Scene) -> SkyState:
@@ -242,6 +282,7 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
         scene.shutter.C_camera_eq.tobytes(),
         scene.extinction,
         scene.sine_horizon,
+        _drawn_mag(scene) if values["galaxy"] else None,
         float(scene.sensor.flux_of_magnitude_dn(0.0, 1.0)),
     )
 
@@ -279,6 +320,8 @@ NATURAL_SKY = Effect(
         ),
         Key("moonlight", default=True, allowed="true or false", control=Control("Moonlight")),
         Key("twilight", default=True, allowed="true or false", control=Control("Twilight")),
+        Key("zodiacal_light", default=False, allowed="true or false", control=Control("Zodiacal light")),
+        Key("galaxy", default=False, allowed="true or false", control=Control("Galaxy")),
         Key(
             "town_mag_arcsec2",
             default=_DEFAULT.town_mag_arcsec2,
