@@ -13,6 +13,7 @@ from rich.table import Table
 from glstar import __version__
 from glstar.errors import GlstarError
 from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.cataloguenames import NAMES
 from glstar.system.installation import library_versions, missing_library
 
 __all__ = ["doctor", "machine_lines"]
@@ -36,7 +37,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
         "opengl": opengl,
         "egl_devices": devices,
         "libraries": libraries,
-        "catalogues": {name: _catalogue(name) for name in ("bsc5", "hipparcos")},
+        "catalogues": {name: _catalogue(name) for name in NAMES},
         "amiss": amiss,
     }
     if as_json:

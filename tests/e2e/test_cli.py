@@ -377,6 +377,7 @@ def test_doctor_reports_the_renderer_of_this_machine() -> None:
     assert facts["opengl"]["version"]
     assert all(facts["libraries"].values())
     assert facts["catalogues"]["bsc5"].startswith("9096 stars")
+    assert set(facts["catalogues"]) == {"bsc5", "hipparcos", "tycho2", "gaia"}
     for device in facts["egl_devices"]:
         assert device["vendor"]
     software = any(word in facts["opengl"]["renderer"].lower() for word in ("llvmpipe", "softpipe"))
