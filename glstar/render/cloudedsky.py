@@ -96,20 +96,23 @@ class CloudedSky:
         draw_list : DrawList
         bodies : BodySources or None
         """
-        of_stars = self.passage(stars, draw_list) if len(draw_list) else None
-        of_bodies = None
-        if bodies is not None and len(bodies.draw_list):
-            of_bodies = self.passage(bodies.stars, bodies.draw_list)
-        passages = [one for one in (of_stars, of_bodies) if one is not None]
-        if not passages:
+        directions = stars.direction_eq[draw_list.index]
+        if bodies is not None:
+            directions = np.concatenate([directions, bodies.stars.direction_eq[bodies.draw_list.index]])
+        if not len(directions):
             return trails, draw_list, bodies
-        changes = np.max([_largest_changes(one, trails.time_fraction) for one in passages], axis=0)
-        parts = np.ceil(changes / _LARGEST_CHANGE).clip(1, _MAX_PARTS).astype(np.intp)
+        passage = cloud_passage(self.sheet, self.motion, self.exposure, directions)
+        parts = (
+            np.ceil(_largest_changes(passage, trails.time_fraction) / _LARGEST_CHANGE)
+            .clip(1, _MAX_PARTS)
+            .astype(np.intp)
+        )
         trails = trails if parts.max() == 1 else _divided(trails, parts)
-        if of_stars is not None:
-            draw_list = _with_passage(draw_list, of_stars, trails.time_fraction)
-        if bodies is not None and of_bodies is not None:
-            bodies = replace(bodies, draw_list=_with_passage(bodies.draw_list, of_bodies, trails.time_fraction))
+        first, last = (CloudPassage(part) for part in np.split(passage.transmission, [len(draw_list)], axis=1))
+        if len(draw_list):
+            draw_list = _with_passage(draw_list, first, trails.time_fraction)
+        if bodies is not None and len(bodies.draw_list):
+            bodies = replace(bodies, draw_list=_with_passage(bodies.draw_list, last, trails.time_fraction))
         return trails, draw_list, bodies
 
 

@@ -12,8 +12,8 @@ from glstar.camera.model import Camera
 from glstar.render.clouds import cloud_sheet, horizontal_axes
 from glstar.render.effects.cloudtexture import crossing_at
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
+from glstar.render.effects.lightsources import bodies_of
 from glstar.render.scene import Scene
-from glstar.sky.bodies import Body, observed_bodies
 from glstar.sky.magnitudes import brightness_ratio
 
 __all__ = ["FLARE", "flare_dn"]
@@ -33,6 +33,8 @@ _GHOST_REACH: Final = 1.5
 _GHOST_EDGE: Final = 0.15
 # Half width at half maximum of a streak across its direction and along it, over the height of the image.
 _STREAK_ACROSS, _STREAK_ALONG = 0.012, 0.15
+# Farther across than this, in standard deviations, it has less than 1e-14 of its light.
+_STREAK_REACH: Final = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +94,7 @@ def _sources(values: Values, scene: Scene) -> list[_Source]:
     """Return the bodies above the horizon, and the lamp."""
     found: list[_Source] = []
     mag_0_dn = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
-    for body in _bodies(scene):
+    for body in bodies_of(scene, _SOURCES):
         in_camera = scene.shutter[1:2].to_camera(body.direction_eq[np.newaxis])[0, 0]
         if np.isnan(in_camera).any():
             continue
@@ -113,13 +115,6 @@ def _sources(values: Values, scene: Scene) -> list[_Source]:
         direction = scene.shutter.C_camera_eq[1] @ (np.cos(altitude) * level + np.sin(altitude) * zenith)
         found.append(_Source(direction, mag_0_dn * float(brightness_ratio(lamp_mag))))
     return found
-
-
-@lru_cache(maxsize=4)
-def _bodies(scene: Scene) -> tuple[Body, ...]:
-    if scene.observing_sky is None:
-        return ()
-    return observed_bodies(scene.observing_sky, scene.exposure.mid_utc_s, scene.site, _SOURCES)
 
 
 def _scattered(values: Values, cosine: Float) -> Float:
@@ -147,10 +142,13 @@ def _ghosts(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
     for _ in range(count):
         place, size = chance.uniform(-1.2, 0.8), chance.uniform(0.3, 1.0)
         radius_px = size * float(values["ghost_size"]) * camera.height_px / 2
-        distance = np.linalg.norm(xy_px - (axis_px + place * offset_px), axis=-1) / radius_px
+        x, y = axis_px + place * offset_px
+        square = (xy_px[..., 0] - x) ** 2 + (xy_px[..., 1] - y) ** 2
+        near = square < ((1 + _GHOST_EDGE / 2) * radius_px) ** 2
+        distance = np.sqrt(square[near]) / radius_px
         # A disc whose edge is a straight line has the flux pi r^2 (1 + edge^2 / 12).
         disc = np.clip((1 - distance) / _GHOST_EDGE + 0.5, 0.0, 1.0)
-        light += fraction * disc / (np.pi * radius_px**2 * (1 + _GHOST_EDGE**2 / 12))
+        light[near] += fraction * disc / (np.pi * radius_px**2 * (1 + _GHOST_EDGE**2 / 12))
     return light
 
 
@@ -159,12 +157,16 @@ def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
     fraction, angle = float(values["streak_fraction"]), np.deg2rad(float(values["streak_deg"]))
     if fraction == 0:
         return np.zeros(xy_px.shape[:-1])
-    offset = xy_px - _source_px(camera, direction)
-    along = (offset[..., 0] * np.cos(angle) + offset[..., 1] * np.sin(angle)) / (_STREAK_ALONG * camera.height_px)
+    x_px, y_px = _source_px(camera, direction)
+    x, y = xy_px[..., 0] - x_px, xy_px[..., 1] - y_px
     sigma_px = _STREAK_ACROSS * camera.height_px / np.sqrt(2 * np.log(2))
-    across = (offset[..., 1] * np.cos(angle) - offset[..., 0] * np.sin(angle)) / sigma_px
+    across = (y * np.cos(angle) - x * np.sin(angle)) / sigma_px
+    near = np.abs(across) < _STREAK_REACH
+    along = (x[near] * np.cos(angle) + y[near] * np.sin(angle)) / (_STREAK_ALONG * camera.height_px)
     lorentzian = 1 / (np.pi * _STREAK_ALONG * camera.height_px * (1 + along * along))
-    return np.asarray(fraction * lorentzian * np.exp(-0.5 * across * across) / (np.sqrt(2 * np.pi) * sigma_px))
+    light = np.zeros(across.shape)
+    light[near] = fraction * lorentzian * np.exp(-0.5 * across[near] ** 2) / (np.sqrt(2 * np.pi) * sigma_px)
+    return light
 
 
 @lru_cache(maxsize=4)

@@ -14,8 +14,9 @@ from glstar.errors import RenderError
 from glstar.render.clouds import CLOUD_DEFAULTS, cloud_sheet
 from glstar.render.effects.cloudtexture import crossing_at
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
+from glstar.render.effects.lightsources import bodies_of
 from glstar.render.scene import Scene
-from glstar.sky.bodies import Body, observed_bodies
+from glstar.sky.bodies import Body
 from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
 from glstar.sky.extinction import Extinction, air_mass
 from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
@@ -138,11 +139,10 @@ def _state(scene: Scene) -> SkyState:
     )
 
 
-@lru_cache(maxsize=4)
 def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
     if scene.observing_sky is None:
         raise RenderError("the brightness of the sky needs a scene of a simulator, which knows where the Sun is")
-    sun, moon = observed_bodies(scene.observing_sky, scene.exposure.mid_utc_s, scene.site, ("Sun", "Moon"))
+    sun, moon = bodies_of(scene, ("Sun", "Moon"))
     return sun, moon
 
 
