@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.examples import perfect_solver
@@ -73,3 +74,20 @@ def test_in_wind_an_orbit_over_the_ground_averages_less_than_one_of_held_bank(tm
     # Weights by heading, or a circle, mend it: to the error of a sum over some 140 headings, 4 s each.
     assert ground["weighted_mean_km"] < 0.3
     assert ground["circle_km"] < 0.3
+
+
+# An AHRS that wanders by 0.2 to 0.3 deg in an orbit, as the paper's does; see assets/manual/experiments.md.
+WANDER = ("perlin_deg = 0.3", "perlin_time_s = 180", "turn_coupling = 0.0009")
+
+
+def test_the_mean_of_an_orbit_with_a_wandering_ahrs_is_as_far_off_as_the_paper_has_it(tmp_path: Path) -> None:
+    """Eight fixed seeds of each direction: the range contains the paper's orbits, the median is of the same size."""
+    seeds = f"navigator.seed = {list(range(8))}"
+    found = scored(tmp_path, 0.0, *WANDER, "[sweep]", 'flight.synthetic.direction = ["left", "right"]', seeds)
+
+    means_km = np.array([run["orbits"][0]["mean_km"] for run in found["runs"]["each"]])
+    assert means_km.shape == (16,)
+    for km, paper_km in zip(np.sort(means_km.reshape(2, 8)), ((1.73, 1.73), (2.54, 3.48)), strict=True):
+        assert km[0] < paper_km[0]
+        assert km[-1] > paper_km[1]
+        assert 1.0 < np.median(km) < 4.0
