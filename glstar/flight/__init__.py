@@ -12,6 +12,7 @@ module                holds
 ``attitude``          `AttitudeTrack` and its gaps
 ``position``          `PositionTrack`
 ``flight``            `Flight`, the two tracks and where they come from
+``events``            `FlightEvents`: flight modes and messages
 ``spline``            `RotationSpline`: a curve through attitudes with continuous rate and angular acceleration
 ``gyroaided``         `gyro_aided`: attitude between samples from integrated gyro rates, and the lag of the gyros
 ``estimatorresets``   `estimator_resets`: turns that the aircraft did not make
@@ -21,6 +22,7 @@ module                holds
 """
 
 from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
+from glstar.flight.events import EventKind, FlightEvents
 from glstar.flight.flight import CameraTriggers, ClockQuality, Flight, GimbalAttitude
 from glstar.flight.position import PositionTrack
 
@@ -30,7 +32,9 @@ __all__ = [
     "AttitudeTrack",
     "CameraTriggers",
     "ClockQuality",
+    "EventKind",
     "Flight",
+    "FlightEvents",
     "Gap",
     "GimbalAttitude",
     "Interpolation",

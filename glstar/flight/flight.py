@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.flight.attitude import AttitudeTrack
+from glstar.flight.events import FlightEvents
 from glstar.flight.position import PositionTrack
 
 __all__ = ["CameraTriggers", "ClockQuality", "Flight", "GimbalAttitude"]
@@ -127,6 +128,8 @@ class Flight:
         When a camera was triggered; None if the log does not say.
     gimbal : GimbalAttitude or None
         What the log states of a gimbal; None if it has none.
+    events : FlightEvents or None
+        Flight modes and messages; None if the log has none.
     own_attitude : AttitudeTrack or None
         The attitude of the aircraft, where `attitude` is that of a gimbal's platform; else None.
     """
@@ -143,6 +146,7 @@ class Flight:
     triggers: CameraTriggers | None = None
     gimbal: GimbalAttitude | None = None
     own_attitude: AttitudeTrack | None = None
+    events: FlightEvents | None = None
 
     @property
     def aircraft_attitude(self) -> AttitudeTrack:
@@ -170,4 +174,5 @@ class Flight:
             triggers=triggers,
             gimbal=None if self.gimbal is None else self.gimbal.shifted(shift_s),
             own_attitude=None if self.own_attitude is None else self.own_attitude.shifted(shift_s),
+            events=None if self.events is None else self.events.shifted(shift_s),
         )

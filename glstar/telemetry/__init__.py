@@ -54,6 +54,7 @@ from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
+    EventSamples,
     GimbalSamples,
     LogFacts,
     PositionSamples,
@@ -83,6 +84,7 @@ __all__ = [
     "ColumnMap",
     "DataFlashDumpReader",
     "DataFlashReader",
+    "EventSamples",
     "FlightOptions",
     "GimbalSamples",
     "GivenTrack",

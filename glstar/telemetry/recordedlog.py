@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight import AttitudeTrack, CameraTriggers, Flight, GimbalAttitude, PositionTrack
+from glstar.flight import AttitudeTrack, CameraTriggers, Flight, FlightEvents, GimbalAttitude, PositionTrack
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
@@ -316,6 +316,9 @@ class RecordedLog:
             notes=(*notes, *options.notes(attitude, self.name)),
             gimbal=_gimbals(
                 [known.over_utc(offset_s[n] - earlier_s) for n in used if (known := used[n].gimbal) is not None]
+            ),
+            events=FlightEvents.joined(
+                e.over_utc(offset_s[n] - earlier_s) for n, one in used.items() for e in one.events
             ),
             triggers=_triggers([used[n].camera_triggers(offset_s[n] - earlier_s, by_log=not earlier_s) for n in used]),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))

@@ -14,6 +14,7 @@ from glstar.flight import (
     CameraTriggers,
     ClockQuality,
     Flight,
+    FlightEvents,
     Interpolation,
     PositionTrack,
 )
@@ -22,6 +23,7 @@ from glstar.sky.timescale import format_utc
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
+    EventSamples,
     GimbalSamples,
     PositionSamples,
     RateSamples,
@@ -135,6 +137,7 @@ class Recording:
         None if the log has none.
     gimbal : GimbalSamples or None
         None if the log has none.
+    events : tuple of EventSamples
     """
 
     name: str
@@ -145,6 +148,7 @@ class Recording:
     boot: int = 1
     triggers: TriggerSamples | None = None
     gimbal: GimbalSamples | None = None
+    events: tuple[EventSamples, ...] = ()
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
@@ -190,6 +194,7 @@ class Recording:
         rates: list[RateSamples] = []
         triggers: list[TriggerSamples] = []
         gimbals: list[GimbalSamples] = []
+        events: list[EventSamples] = []
         for batch in batches:
             match batch:
                 case AttitudeSamples():
@@ -204,6 +209,8 @@ class Recording:
                     triggers.append(batch)
                 case GimbalSamples():
                     gimbals.append(batch)
+                case EventSamples():
+                    events.append(batch)
         return cls(
             name,
             _attitude(attitudes),
@@ -211,8 +218,9 @@ class Recording:
             _clock(clocks),
             _rates(rates),
             boot,
-            _triggers(triggers),
+            TriggerSamples.joined(triggers),
             gimbals[0] if gimbals else None,
+            tuple(events),
         )
 
     def require_two_attitudes(self) -> None:
@@ -286,6 +294,7 @@ class Recording:
             clocks=self.clock_quality if utc_start is None else (),
             triggers=self.camera_triggers(shift_s, by_log=utc_start is None),
             gimbal=None if self.gimbal is None else self.gimbal.over_utc(shift_s),
+            events=FlightEvents.joined(part.over_utc(shift_s) for part in self.events),
         )
 
     def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
@@ -476,12 +485,6 @@ def _rates(batches: list[RateSamples]) -> RateSamples:
     return RateSamples(
         _joined(b.clock_s for b in batches), _joined(b.rate_rad_per_s for b in batches).reshape(-1, 3), _source(batches)
     )
-
-
-def _triggers(batches: list[TriggerSamples]) -> TriggerSamples | None:
-    if not batches:
-        return None
-    return TriggerSamples(_joined(b.clock_s for b in batches), _joined(b.utc_s for b in batches), batches[0].source)
 
 
 def _joined(arrays: Iterable[Float]) -> Float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
-from glstar.flight import GimbalAttitude
+from glstar.flight import EventKind, FlightEvents, GimbalAttitude
 
 __all__ = [
     "EVERYWHERE",
@@ -23,6 +23,7 @@ __all__ = [
     "AttitudeSamples",
     "Boot",
     "ClockSamples",
+    "EventSamples",
     "LogFacts",
     "PositionSamples",
     "RateSamples",
@@ -191,6 +192,23 @@ class TriggerSamples:
     source: str
     boot: int = 1
 
+    @classmethod
+    def joined(cls, batches: Sequence[Self]) -> Self | None:
+        """Return the triggers of several batches; None if there are none.
+
+        Parameters
+        ----------
+        batches : sequence of TriggerSamples
+
+        Returns
+        -------
+        TriggerSamples or None
+        """
+        if not batches:
+            return None
+        clock_s, utc_s = (np.concatenate([getattr(one, name) for one in batches]) for name in ("clock_s", "utc_s"))
+        return cls(clock_s, utc_s, batches[0].source)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GimbalSamples:
@@ -234,7 +252,68 @@ class GimbalSamples:
         )
 
 
-Samples = GimbalSamples | AttitudeSamples | PositionSamples | ClockSamples | RateSamples | TriggerSamples
+@dataclass(frozen=True, slots=True, eq=False)
+class EventSamples:
+    """Recorded flight modes and messages.
+
+    Attributes
+    ----------
+    clock_s : (n,) float64
+        Times by the clock of the source, s; in any order.
+    kinds : tuple of EventKind
+    texts : tuple of str
+    boot : int
+        Number of the boot, and so of its clock; from 1.
+    """
+
+    clock_s: Float
+    kinds: tuple[EventKind, ...]
+    texts: tuple[str, ...]
+    boot: int = 1
+
+    @classmethod
+    def of(cls, kind: EventKind, clock_s: Float, texts: Sequence[str], boot: int = 1) -> Self:
+        """Return events of one kind, without those that repeat the text before.
+
+        Parameters
+        ----------
+        kind : EventKind
+        clock_s : (n,) float64
+            s.
+        texts : sequence of str
+            Of each; those without a printable letter are left out.
+        boot : int
+
+        Returns
+        -------
+        EventSamples
+        """
+        printable = ["".join(filter(str.isprintable, text)).strip() for text in texts]
+        kept = [
+            k
+            for k, text in enumerate(printable)
+            if text and np.isfinite(clock_s[k]) and (kind is not EventKind.MODE or not k or text != printable[k - 1])
+        ]
+        return cls(
+            np.asarray(clock_s, dtype=np.float64)[kept], (kind,) * len(kept), tuple(printable[k] for k in kept), boot
+        )
+
+    def over_utc(self, utc_minus_clock_s: float) -> FlightEvents:
+        """Return the events over UTC.
+
+        Parameters
+        ----------
+        utc_minus_clock_s : float
+            UTC minus the clock of the source, s.
+
+        Returns
+        -------
+        FlightEvents
+        """
+        return FlightEvents(self.clock_s + utc_minus_clock_s, self.kinds, self.texts)
+
+
+Samples = GimbalSamples | AttitudeSamples | PositionSamples | ClockSamples | RateSamples | TriggerSamples | EventSamples
 
 
 @dataclass(frozen=True, slots=True)

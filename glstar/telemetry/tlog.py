@@ -3,7 +3,7 @@
 ====================  ============================================  ================================================
 message               fields                                        used for
 ====================  ============================================  ================================================
-HEARTBEAT             autopilot, type                               which senders are autopilots
+HEARTBEAT             autopilot, type, custom_mode                  which senders are autopilots; flight modes
 ATTITUDE_QUATERNION   time_boot_ms, q1..q4, body to NED             attitude
 ATTITUDE              time_boot_ms, roll, pitch, yaw                attitude, if it is sent more than twice as often
 HIL_STATE_QUATERNION  time_usec, attitude_quaternion, body to NED,  a simulator's own attitude and position, if the
@@ -20,7 +20,7 @@ GIMBAL_DEVICE_...      time_boot_ms, flags, q (..._ATTITUDE_STATUS)  attitude of
 MOUNT_ORIENTATION     time_boot_ms, roll, pitch, yaw (deg)          the same, if there is none of the above
 MOUNT_STATUS          pointing_a, _b, _c (0.01 deg), on arrival     the same, if there is none of the above
 AUTOPILOT_VERSION     flight_sw_version                             the firmware
-STATUSTEXT            text                                          the firmware, of ArduPilot
+STATUSTEXT            text                                          the firmware, of ArduPilot; messages, on arrival
 ====================  ============================================  ================================================
 
 The clock is the autopilot's time since boot.  The arrival times of packets are those of the ground station, whose clock
@@ -39,8 +39,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.flight import EventKind
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.timescale import format_utc
+from glstar.telemetry.flightmodes import ardupilot_mode, px4_mode
 from glstar.telemetry.gimbals import gimbal_of_packets
 from glstar.telemetry.samplevalidation import (
     UNIT_TOLERANCE,
@@ -56,6 +58,7 @@ from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
     ClockSamples,
+    EventSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
@@ -158,6 +161,7 @@ class TelemetryLogReader(TelemetrySource):
             if boot is boots[0]:
                 yield replace(self._utc(sender, clock, boots), boot=boot.number)
         for boot in boots:
+            yield from _events(self._packets, sender, clock, boot.number)
             yield from _rates(self._packets, sender, clock, boot.number)
             yield from _triggers(self._packets, sender, clock, boot.number)
             yield from gimbal_of_packets(self._packets, sender, clock, boot.number)
@@ -336,6 +340,22 @@ def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) 
             clock_s = np.where(is_utc, np.nan, clock.read_us(rows))
             yield TriggerSamples(clock_s, np.where(is_utc, time_s, np.nan), name, boot)
             return
+
+
+def _events(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[EventSamples]:
+    """Yield flight modes and messages of a boot, timed by their arrival."""
+    modes = packets.custom_modes(sender)
+    modes = modes[clock.boot_of(modes) == boot] if len(modes) else modes
+    vehicle = _vehicle_of(packets, sender)
+    if len(modes) and vehicle is not None:
+        numbers = modes[:, FIELDS_FROM].astype(np.int64).tolist()
+        is_px4 = vehicle.startswith("PX4")
+        names = [px4_mode(number) if is_px4 else ardupilot_mode(vehicle, number) for number in numbers]
+        yield EventSamples.of(EventKind.MODE, clock.on_arrival(modes), names, boot)
+    rows, texts = packets.status_texts(sender)
+    if len(rows):
+        here = np.flatnonzero(clock.boot_of(rows) == boot)
+        yield EventSamples.of(EventKind.MESSAGE, clock.on_arrival(rows[here]), [texts[k] for k in here], boot)
 
 
 def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> PositionSamples:

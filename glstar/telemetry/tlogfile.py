@@ -9,7 +9,7 @@ import re
 import struct
 from abc import abstractmethod
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -70,6 +70,8 @@ MESSAGES: Final = {
 }
 _NUMBERS: Final = {name: number for number, (name, _) in MESSAGES.items()}
 
+# Messages that are needed more than once, and are decoded once.
+_KEPT: Final = {"HEARTBEAT", "STATUSTEXT"}
 # Messages that only ArduPilot's dialect has.
 _OF_ARDUPILOT: Final = {"CAMERA_FEEDBACK", "MOUNT_STATUS"}
 # Messages with attitude.  The last one is a simulator's own state, used if a system sends neither of the others.
@@ -121,6 +123,14 @@ class Packets(Protocol):
     @abstractmethod
     def texts(self, sender: Sender) -> list[str]:
         """Return the status texts of a sender, in the order of the file."""
+
+    def status_texts(self, sender: Sender) -> tuple[Float, list[str]]:  # noqa: ARG002 - of a log without texts
+        """Return when status texts of a sender arrived, (n, `FIELDS_FROM`), and the texts."""
+        return np.empty((0, FIELDS_FROM)), []
+
+    def custom_modes(self, sender: Sender) -> Float:  # noqa: ARG002 - of a log without modes
+        """Return when heartbeats of a sender arrived, with custom_mode, (n, `FIELDS_FROM` + 1)."""
+        return np.empty((0, FIELDS_FROM + 1))
 
     def amount(self, name: str) -> int:
         """Return the number of packets of a message, of all senders, perhaps with damaged ones."""
@@ -255,6 +265,7 @@ class LogPackets(Packets):
         self._path = path
         self._found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._decoded: dict[str, Float] = {}
+        self._kept: dict[str, list[tuple[int, int, Any]]] = {}
         self.count = self.whole_bytes = packet_bytes = 0
         with Path(path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
             for at, stop in _packets(raw):
@@ -285,8 +296,32 @@ class LogPackets(Packets):
         """Return the status texts of a sender, in the order of the file."""
         return [message.text for *_, message in self._messages("STATUSTEXT") if _sender(message) == sender]
 
-    def _messages(self, name: str) -> Iterator[tuple[int, int, Any]]:
-        """Yield file position, arrival time and decoded message of each packet of a message."""
+    def status_texts(self, sender: Sender) -> tuple[Float, list[str]]:
+        """Return when status texts of a sender arrived, (n, `FIELDS_FROM`), and the texts."""
+        found = list(self._sent("STATUSTEXT", "text", sender))
+        rows = np.array([where for *where, _ in found], dtype=np.float64).reshape(-1, FIELDS_FROM)
+        return rows, [text for *_, text in found]
+
+    def custom_modes(self, sender: Sender) -> Float:
+        """Return when heartbeats of a sender arrived, with custom_mode, (n, `FIELDS_FROM` + 1)."""
+        rows = list(self._sent("HEARTBEAT", "custom_mode", sender))
+        return np.array(rows, dtype=np.float64).reshape(-1, FIELDS_FROM + 1)
+
+    def _sent(self, name: str, field: str, sender: Sender) -> Iterator[tuple[Any, ...]]:
+        """Yield position, arrival time, system, component and one field of each packet of a sender."""
+        for at, stamp_us, message in self._messages(name):
+            if _sender(message) == sender:
+                yield at, stamp_us * 1e-6, *sender, getattr(message, field)
+
+    def _messages(self, name: str) -> Iterable[tuple[int, int, Any]]:
+        """Return file position, arrival time and decoded message of each packet of a message."""
+        if name not in _KEPT:
+            return self._decode(name)
+        if name not in self._kept:
+            self._kept[name] = list(self._decode(name))
+        return self._kept[name]
+
+    def _decode(self, name: str) -> Iterator[tuple[int, int, Any]]:
         found = self._found.get(_NUMBERS[name])
         if not found:
             return

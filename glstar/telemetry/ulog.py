@@ -15,7 +15,8 @@ camera_capture, camera_trigger           timestamp, timestamp_utc               
 gimbal_device_attitude_status            q[0..3], device_flags                           attitude of a gimbal
 mount_orientation                        attitude_euler_angle[0..2] (rad)                the same, if there is none of
                                                                                          the above
-vehicle_status                           system_type                                     the vehicle
+vehicle_status                           system_type; nav_state                          the vehicle; flight modes
+logged messages                                                                          messages on the timeline
 =======================================  ==============================================  =============================
 
 Other topics with a quaternion are read if named: ``"vehicle_attitude_groundtruth"`` of a simulator,
@@ -34,8 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.flight import EventKind
 from glstar.rotation import conjugate
 from glstar.telemetry.boots import find_boots
+from glstar.telemetry.flightmodes import px4_navigation_state
 from glstar.telemetry.gimbals import gimbal_of_topics
 from glstar.telemetry.samplevalidation import (
     UNIT_TOLERANCE,
@@ -51,6 +54,7 @@ from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
     ClockSamples,
+    EventSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
@@ -146,6 +150,7 @@ class ULogReader(TelemetrySource):
         if not flew:
             raise refusals[0] if refusals else self._no_attitude(self._logs[0])
         for number, log in flew:
+            yield from (replace(events, boot=number) for events in _events(log))
             yield from (replace(rates, boot=number) for rates in _rates(log))
             yield from (replace(triggers, boot=number) for triggers in _triggers(log))
             yield from (replace(gimbal, boot=number) for gimbal in gimbal_of_topics(log))
@@ -404,6 +409,21 @@ def _triggers(log: Topics) -> Iterator[TriggerSamples]:
             if valid.any():
                 yield TriggerSamples(clock_s[valid], utc_s[valid], name)
                 return
+
+
+def _events(log: Topics) -> Iterator[EventSamples]:
+    """Yield flight modes and messages."""
+    for _, topic in log[_STATUS]:
+        if "nav_state" in topic:
+            clock_s, state = topic["timestamp"] * 1e-6, topic["nav_state"]
+            valid = valid_rare_times(clock_s) & np.isfinite(state)
+            names = [px4_navigation_state(int(one)) for one in state[valid].tolist()]
+            yield EventSamples.of(EventKind.MODE, clock_s[valid], names)
+            break
+    if messages := log.messages():
+        clock_s = np.array([time_s for time_s, _ in messages])
+        clock_s = np.where(valid_rare_times(clock_s), clock_s, np.nan)
+        yield EventSamples.of(EventKind.MESSAGE, clock_s, [text for _, text in messages])
 
 
 def _rates(log: Topics) -> Iterator[RateSamples]:

@@ -76,6 +76,10 @@ class Topics(Protocol):
     def extent(self) -> str:
         """Return how much of the file could be read, for messages; empty if all of it."""
 
+    def messages(self) -> list[tuple[float, str]]:
+        """Return the logged messages: time since boot, s, and text."""
+        return []
+
     @abstractmethod
     def stamps(self, name: str) -> list[tuple[Integer, Float]]:
         """Return file positions and times, s since boot, of the samples of each instance of a topic."""
@@ -157,6 +161,10 @@ class LogTopics(Topics):
             found.append((at, np.ascontiguousarray(bodies).view("<u8")[:, 0] * 1e-6))
         return found
 
+    def messages(self) -> list[tuple[float, str]]:
+        """Return the logged messages in the order of the file: time since boot, s, and text."""
+        return [(clock_s, text) for _, clock_s, text in self._index.messages]
+
     @property
     def start(self) -> int:
         """Offset of the log in the file, bytes."""
@@ -169,7 +177,8 @@ class LogTopics(Topics):
         for number, starts in self._index.samples.items():
             at = np.array(starts, dtype=np.int64)
             samples[number] = array("Q", at[within(at, spans)].tolist())
-        some._index, some._decoded = replace(self._index, samples=samples), {}  # noqa: SLF001 - of its own class
+        messages = [one for one in self._index.messages if within(np.array([one[0]]), spans)[0]]
+        some._index, some._decoded = replace(self._index, samples=samples, messages=messages), {}  # noqa: SLF001 - of its own class
         return some
 
     def extent(self) -> str:
@@ -232,6 +241,8 @@ _SIZES: Final = {
 }
 _FLAG, _FORMAT, _SUBSCRIBE, _SAMPLE, _INFORMATION = b"BFADI"
 _DEFINING = frozenset(b"BFAI")
+# Texts: level, tag of the one kind, and time since boot, us; the text follows.
+_MESSAGES: Final = {ord("L"): struct.Struct("<BQ"), ord("C"): struct.Struct("<BHQ")}
 # The letter of a message, after two bytes with its size.
 _LETTER = re.compile(rb"[BFIMPQARDLCSO]")
 # After damage the next message is searched in pieces of this size; pieces of zeros are skipped, as in a file whose end
@@ -258,6 +269,8 @@ class _Index:
     # Offsets of the samples, by number.
     samples: dict[int, "array[int]"] = field(default_factory=dict)
     about: dict[str, str | int] = field(default_factory=dict)
+    # Offset, time since boot, s, and text of each logged message.
+    messages: list[tuple[int, float, str]] = field(default_factory=list)
     unknown: bool = False
     whole_bytes: int = _FILE_HEAD_BYTES
     unread_bytes: int = 0
@@ -297,7 +310,12 @@ def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
             samples[number].append(at)
         elif (end_of_message := _stop(raw, at, end)) is not None:
             stop, kind = end_of_message, raw[at + 2]
-            if kind in _DEFINING:
+            if kind in _MESSAGES:
+                body = raw[at + _HEAD.size : stop]
+                clock_us = _MESSAGES[kind].unpack_from(body)[-1]
+                text = body[_MESSAGES[kind].size :].decode(errors="replace")
+                found.messages.append((at, clock_us * 1e-6, text))
+            elif kind in _DEFINING:
                 _define(found, raw[at:stop], kind)
                 found.unknown |= kind == _FLAG and at == start + _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
         else:

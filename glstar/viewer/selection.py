@@ -15,7 +15,7 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.viewer.objectplace import ObjectPlace, object_place, time_in_image_s
 from glstar.viewer.skysearch import ObjectKind, SkyObject, SkySearch, object_direction_eq
 
-__all__ = ["CutOut", "Selection", "star_cut_out"]
+__all__ = ["CutOut", "Selection", "star_cut_out", "star_signal_to_noise"]
 
 Float = NDArray[np.float64]
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
@@ -161,6 +161,29 @@ class Selection:
             stars = [star for star in json.loads(line)["stars"] if star["star_id"] == found.star_id]
             self._truth = inputs, stars[0] if stars else None
         return self._truth[1]
+
+
+def star_signal_to_noise(scene: Scene, star_id: int) -> float:
+    """Return the expected signal-to-noise ratio of a star in an exposure, as truth has it.
+
+    Parameters
+    ----------
+    scene : Scene
+    star_id : int
+        In the catalogue.
+
+    Returns
+    -------
+    float
+        NaN if its flux does not touch the image.
+    """
+    index = np.flatnonzero(scene.stars.star_id[scene.visible] == star_id)
+    if not index.size:
+        return float("nan")
+    dark = np.broadcast_to(np.uint8(0), (scene.camera.height_px, scene.camera.width_px))
+    line = frame_truth(scene.with_visible(index), Frame(dark, scene.exposure, seed=0), number=0, file="")
+    found = [star["snr"] for star in json.loads(line)["stars"] if star["star_id"] == star_id and "snr" in star]
+    return float(found[0]) if found else float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,8 @@ from glstar.sky.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
 from glstar.viewer.playhead import Mode, PlayHead
-from glstar.viewer.ui.timeline import PlaybackControls, Timeline
+from glstar.viewer.ui.playbackcontrols import PlaybackControls
+from glstar.viewer.ui.timeline import Timeline
 
 WIDTH, HEIGHT = 1000, 360
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)

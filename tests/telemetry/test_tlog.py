@@ -538,7 +538,8 @@ def test_damaged_logs_are_read_or_refused_without_output(
 def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, turn: Log) -> None:
     with TelemetryLogReader(turn.save(path)) as source:
         assert isinstance(source, TelemetrySource)
-        assert len(list(source.samples())) == 3
+        # Attitude, position, UTC, and the flight mode of the heartbeats.
+        assert len(list(source.samples())) == 4
     source.close()
     path.unlink()
 

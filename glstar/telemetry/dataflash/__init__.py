@@ -9,6 +9,7 @@ module                holds
 ``estimator``         which estimator was in use, and remarks on differences between estimators
 ``gps``               UTC and position
 ``gyrorecords``       gyro rates
+``eventrecords``      flight modes and messages
 ``restarts``          boots
 ====================  ==================================================================================================
 
@@ -23,6 +24,7 @@ POS         Lat, Lng, Alt                                       position
 GPS         GWk, GMS (week, ms), Status, Lat, Lng, Alt, I, U    UTC; position, if there is no POS
 GPA         SMS, boot time of a GPS sample, ms                  UTC without the logging delay
 IMU, GYR    GyrX, GyrY, GyrZ                                    gyro rates
+MODE, MSG   ModeNum, Message                                    flight modes and messages on the timeline
 ==========  ==================================================  =========================================
 
 XKQ is the attitude of the autopilot's board, ATT that of the aircraft: they differ by AHRS_TRIM.  AHR2 is the backup

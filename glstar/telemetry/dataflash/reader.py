@@ -14,6 +14,7 @@ import numpy as np
 from glstar.errors import LogFormatError
 from glstar.telemetry.dataflash.estimates import AttitudeEstimate, estimates
 from glstar.telemetry.dataflash.estimator import active_estimator, estimator_notes, preferred_messages
+from glstar.telemetry.dataflash.eventrecords import event_records
 from glstar.telemetry.dataflash.gimbalrecords import gimbal_of_records
 from glstar.telemetry.dataflash.gps import positions, utc
 from glstar.telemetry.dataflash.gyrorecords import turn_rates
@@ -188,6 +189,7 @@ class DataFlashReader(TelemetrySource):
             yield triggers
         if (gimbal := gimbal_of_records(log)) is not None:
             yield gimbal
+        yield from event_records(log, _facts(log).vehicle)
 
     def _requested(self, log: Records) -> AttitudeSamples:
         if self._attitude.lower() == "auto":

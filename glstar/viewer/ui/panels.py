@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from typing import Final
 
+import numpy as np
 from imgui_bundle import ImVec2, imgui
+from numpy.typing import NDArray
 
 from glstar.viewer.actions import is_on
 from glstar.viewer.flightlines import FlightLines
@@ -13,14 +15,18 @@ from glstar.viewer.playhead import PlayHead
 from glstar.viewer.saving import save_comparison
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
+from glstar.viewer.skysamples import SkySamples
+from glstar.viewer.skysearch import ObjectKind
+from glstar.viewer.timelinecurves import TimelineCurve
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.displaypanel import DisplayPanel
 from glstar.viewer.ui.flightpanel import FlightPanel
 from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.linkpanel import draw_link
 from glstar.viewer.ui.objectpanel import draw_object
+from glstar.viewer.ui.playbackcontrols import PlaybackControls
 from glstar.viewer.ui.settingspanel import draw_settings
-from glstar.viewer.ui.timeline import PlaybackControls, Timeline
+from glstar.viewer.ui.timeline import Timeline
 
 __all__ = ["OBJECT", "Panels"]
 
@@ -79,6 +85,7 @@ class Panels:
         self._timeline: Timeline | None = None
         self._timeline_of: PlayHead | None = None
         self._lines: FlightLines | None = None
+        self._image_times: tuple[object, NDArray[np.float64]] = None, np.empty(0)
         self._compare = ComparisonPanel(session.comparison)
         self._display_settings, self._flight = DisplayPanel(), FlightPanel()
         # The panels that share the right side, in the order of their tabs.
@@ -152,6 +159,7 @@ class Panels:
             self._timeline_of = loaded.head
         else:
             self._timeline.show(loaded.lines)
+            self._timeline.show_flight(loaded.flight)
         self._lines = loaded.lines
 
     def _draw_link(self) -> None:
@@ -186,7 +194,29 @@ class Panels:
         if self._playback.error is not None:
             session.notify(self._playback.error, is_error=True)
             self._playback.error = None
-        self._timeline.draw(session.head, night=session.night)
+        self._timeline.draw(
+            session.head, night=session.night, samples=self._samples(self._timeline), images_s=self._images_s()
+        )
+
+    def _samples(self, timeline: Timeline) -> SkySamples | None:
+        """Return the samples that the chosen curves need; they are computed for logs only."""
+        loaded, found = self._session.loaded, self._selection.selected
+        if loaded is None or loaded.is_live or not any(curve.is_sampled for curve in timeline.curves):
+            return None
+        wants_star = TimelineCurve.SNR in timeline.curves and found is not None and found.kind is ObjectKind.STAR
+        star_id = found.star_id if wants_star and found is not None else None
+        return self._session.sampler.of(loaded.simulator, loaded.head.exposure_section, star_id)
+
+    def _images_s(self) -> NDArray[np.float64]:
+        """Return when the real images were taken, s from the flight's first attitude."""
+        comparison, head = self._session.comparison, self._session.head
+        if comparison.images is None or head is None:
+            return np.empty(0)
+        wanted = (id(comparison.images), comparison.ahead_s, head.origin_s)
+        if self._image_times[0] != wanted:
+            times_s = [comparison.log_utc_s(image) - head.origin_s for image in comparison.images]
+            self._image_times = wanted, np.array(times_s)
+        return self._image_times[1]
 
     def _draw_overlay_switches(self) -> None:
         imgui.separator_text("Overlays")

@@ -1,4 +1,4 @@
-"""The timeline of a flight and its playback controls, drawn with imgui and implot."""
+"""The timeline of a flight, drawn with imgui and implot."""
 
 from dataclasses import dataclass
 from math import inf
@@ -9,30 +9,33 @@ from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
 from glstar.config import ExposureSection
-from glstar.errors import ConfigError
 from glstar.flight import Flight
-from glstar.sky.timescale import format_utc
 from glstar.viewer.daylight import light_intervals
 from glstar.viewer.flightlines import ANGLES, FlightLines
-from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
+from glstar.viewer.playhead import Mode, PlayHead
+from glstar.viewer.skysamples import SkySamples
 from glstar.viewer.timeaxis import TimeAxis
+from glstar.viewer.timelinecurves import TimelineCurve, motion_traces
 from glstar.viewer.trace import Trace
+from glstar.viewer.ui.timelineevents import TimelineEvents
 from glstar.viewer.ui.timelinestyle import BOX, DAY_PALETTE, NIGHT_PALETTE, Bands, Palette
 
-__all__ = ["PlaybackControls", "Timeline"]
+__all__ = ["Timeline"]
 
 Float = NDArray[np.float64]
 
 # Smallest interval of exposures that are drawn separately, px.
 _MIN_INTERVAL_PX: Final = 4
-# Height below which the panel shows the angles only, px.
-_LOW_PX: Final = 170
+# Smallest height of a plot, px: in a low panel only the first plots are shown.
+_LEAST_PX: Final = 60
+_NO_TIMES: Final = np.empty(0)
+# The plots leave room for the widest name of a line, so that their times are aligned.
+_WIDEST_NAME: Final = max((name for curve in TimelineCurve for name in curve.spec.names), key=len)
+_HIDDEN_OPACITY: Final = 0.4
 _SMALL_PX: Final = (100.0, 40.0)
 _PADDING_PX: Final = (6.0, 4.0)
 # Margin above and below the lines, as a fraction of their height.
 _MARGIN: Final = (0.0, 0.05)
-# Width of the time field and the text beside it, px.
-_TIME_PX: Final = 600
 # Zoom factor of a notch of the mouse wheel.
 _WHEEL: Final = 1.25
 
@@ -40,7 +43,6 @@ _WHEEL: Final = 1.25
 _LIVE_S: Final = 60.0
 # Day and twilight of a live flight are computed this far ahead, s.
 _LIGHT_AHEAD_S: Final = 600.0
-_SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
 
 # Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
 _MIN_SIZE, _PADDING, _FIT_PADDING = (
@@ -48,7 +50,11 @@ _MIN_SIZE, _PADDING, _FIT_PADDING = (
     for which in (implot.StyleVar_.plot_min_size, implot.StyleVar_.plot_padding, implot.StyleVar_.fit_padding)
 )
 _PLOT: Final = int(
-    implot.Flags_.no_title | implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select
+    implot.Flags_.no_title
+    | implot.Flags_.no_legend
+    | implot.Flags_.no_mouse_text
+    | implot.Flags_.no_menus
+    | implot.Flags_.no_box_select
 )
 _X: Final = int(implot.AxisFlags_.no_side_switch | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_menus)
 _X_UNLABELLED: Final = _X | int(implot.AxisFlags_.no_tick_labels)
@@ -56,8 +62,6 @@ _Y: Final = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
 _Y2: Final = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
 _X1_AXIS, _Y1_AXIS, _Y2_AXIS = int(implot.ImAxis_.x1), int(implot.ImAxis_.y1), int(implot.ImAxis_.y2)
 _ALWAYS: Final = int(implot.Cond_.always)
-_EAST, _OUTSIDE = int(implot.Location_.east), int(implot.LegendFlags_.outside)
-_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,7 @@ class _Verticals:
 
 
 class Timeline:
-    """Roll, pitch, yaw and the body's rates over time, with day, twilight, gaps, exposures, markers and play head.
+    """Curves over time, with day, twilight, gaps, exposures, events, markers and play head.
 
     A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, and a double click
     shows the complete flight.
@@ -114,14 +118,23 @@ class Timeline:
         Whether the flight is live.
     utc : bool
         Whether the axis shows the time of day instead of seconds from the first attitude.
+    curves : set of TimelineCurve
+        The plots that are shown.
+    shows_events : bool
+        Whether flight modes, messages, triggers and real images are marked.
     """
 
     def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
         first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
         self.axis = TimeAxis(last_s - first_s, max_span_s=_LIVE_S if grows else inf)
         self.follow, self.utc, self.grows = True, False, grows
+        self.curves = {TimelineCurve.ATTITUDE, TimelineCurve.RATES}
+        self.shows_events = True
+        # Names of lines that the user has hidden.
+        self._hidden: set[str] = set()
         self.show(FlightLines.of(flight.aircraft_attitude, first_s) if lines is None else lines)
-        self._position, self._origin_s = flight.position, first_s
+        self._origin_s = first_s
+        self.show_flight(flight)
         self._light: dict[str, Bands] = {}
         self._lit_until_s = -inf
         self._exposures = Bands.of(np.empty(0), np.empty(0))
@@ -141,7 +154,20 @@ class Timeline:
         self._lines = lines
         self._gaps = Bands.of(*lines.gaps_s.T)
 
-    def draw(self, head: PlayHead, *, night: bool = False) -> None:
+    def show_flight(self, flight: Flight) -> None:
+        """Show positions and events of a newer copy of the same flight.
+
+        Parameters
+        ----------
+        flight : Flight
+        """
+        self._flight, self._position = flight, flight.position
+        self._motion: dict[TimelineCurve, tuple[Trace, ...]] | None = None
+        self._events = TimelineEvents(flight, self._origin_s)
+
+    def draw(
+        self, head: PlayHead, *, night: bool = False, samples: SkySamples | None = None, images_s: Float = _NO_TIMES
+    ) -> None:
         """Draw the timeline into the current imgui window, and move the play head with the mouse.
 
         Parameters
@@ -150,6 +176,10 @@ class Timeline:
             Of the same flight.
         night : bool
             Whether to use shades of red only.
+        samples : SkySamples, optional
+            For the curves that need simulated exposures.
+        images_s : (n,) float64
+            When the real images were taken, s from the flight's first attitude.
         """
         self._draw_controls()
         self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
@@ -159,19 +189,19 @@ class Timeline:
         self._scrubbing = self._scrubbing and imgui.is_mouse_down(0)
         ticks = self.axis.ticks(self._width_px, first_utc_s=head.origin_s if self.utc else None)
         lines = self._verticals(head, NIGHT_PALETTE if night else DAY_PALETTE)
-        height_px = imgui.get_content_region_avail().y
-        low = height_px < _LOW_PX
+        plots = self._plots(samples)
+        each_px = imgui.get_content_region_avail().y / len(plots)
         implot.push_style_var(_MIN_SIZE, _SMALL_PX)
         implot.push_style_var(_PADDING, _PADDING_PX)
         implot.push_style_var(_FIT_PADDING, _MARGIN)
         if implot.begin_aligned_plots("timeline"):
-            # Only the last plot has time labels.
-            if self._begin(
-                "##angles", "deg", height_px if low else 0.5 * height_px, _X if low else _X_UNLABELLED, ticks
-            ):
-                self._draw_plot(self._lines.angles, lines, head)
-            if not low and self._begin("##rates", "deg/s", -1.0, _X, ticks):
-                self._draw_plot(self._lines.rates, lines, head)
+            for number, (curve, drawn) in enumerate(plots):
+                # Only the last plot has time labels.
+                is_last = number == len(plots) - 1
+                height_px, flags = (-1.0, _X) if is_last else (each_px, _X_UNLABELLED)
+                if self._begin(f"##{curve}", curve.spec.unit, height_px, flags, ticks):
+                    marks = self._events if number == 0 and self.shows_events else None
+                    self._draw_plot(curve, drawn, lines, head, marks, images_s)
             implot.end_aligned_plots()
         implot.pop_style_var(3)
 
@@ -182,12 +212,46 @@ class Timeline:
         imgui.same_line()
         if imgui.small_button("whole flight"):
             self.axis.fit()
+        imgui.same_line()
+        if imgui.small_button("curves"):
+            imgui.open_popup("##curves")
+        imgui.set_item_tooltip("choose what is plotted over time")
+        if imgui.begin_popup("##curves"):
+            for curve in TimelineCurve:
+                changed, shown = imgui.checkbox(curve.spec.label, curve in self.curves)
+                imgui.set_item_tooltip(curve.spec.about)
+                if changed and (shown or len(self.curves) > 1):
+                    self.curves ^= {curve}
+            imgui.end_popup()
+        imgui.same_line()
+        _, self.shows_events = imgui.checkbox("events", self.shows_events)
+        imgui.set_item_tooltip("flight modes, messages, triggers of the camera and real images")
+
+    def _plots(self, samples: SkySamples | None) -> "list[tuple[TimelineCurve, list[tuple[Float, Float]]]]":
+        """Return the plots that fit into the panel, and the points of their lines."""
+        most = max(int(imgui.get_content_region_avail().y / _LEAST_PX), 1)
+        chosen = [curve for curve in TimelineCurve if curve in self.curves][:most]
+        return [(curve, self._points(curve, samples)) for curve in chosen]
+
+    def _points(self, curve: TimelineCurve, samples: SkySamples | None) -> list[tuple[Float, Float]]:
+        if curve.is_sampled:
+            return [] if samples is None else samples.lines(curve)
+        if curve is TimelineCurve.ATTITUDE:
+            traces = self._lines.angles
+        elif curve is TimelineCurve.RATES:
+            traces = self._lines.rates
+        else:
+            if self._motion is None:
+                self._motion = motion_traces(self._flight, self._origin_s)
+            traces = self._motion[curve]
+        return [trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)) for trace in traces]
 
     def _begin(
         self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
     ) -> bool:
         """Begin a plot with the common axes; the second y axis, from 0 to 1, is for boxes of full height."""
-        if not implot.begin_plot(title, (-1.0, height_px), _PLOT):
+        names_px = imgui.calc_text_size(_WIDEST_NAME).x + _PADDING_PX[0]
+        if not implot.begin_plot(title, (-names_px, height_px), _PLOT):
             return False
         implot.setup_axis(_X1_AXIS, None, x_flags)
         implot.setup_axis(_Y1_AXIS, unit, _Y)
@@ -195,7 +259,6 @@ class Timeline:
         implot.setup_axis_limits(_X1_AXIS, self.axis.start_s, self.axis.stop_s, _ALWAYS)
         implot.setup_axis_limits(_Y2_AXIS, 0.0, 1.0, _ALWAYS)
         implot.setup_axis_ticks(_X1_AXIS, *ticks)
-        implot.setup_legend(_EAST, _OUTSIDE)
         implot.setup_finish()
         self._width_px = implot.get_plot_size().x
         return True
@@ -224,15 +287,38 @@ class Timeline:
             self._light = {name: Bands.of(*(ends - self._origin_s).T) for name, ends in intervals.items()}
         return self._light
 
-    def _draw_plot(self, traces: tuple[Trace, ...], verticals: _Verticals, head: PlayHead) -> None:
+    def _draw_plot(
+        self,
+        curve: TimelineCurve,
+        points: list[tuple[Float, Float]],
+        verticals: _Verticals,
+        head: PlayHead,
+        events: TimelineEvents | None,
+        images_s: Float,
+    ) -> None:
         implot.set_axes(_X1_AXIS, _Y2_AXIS)
         verticals.draw_behind()
+        if events is not None:
+            events.draw(self.axis, self._width_px, verticals.palette, images_s)
         implot.set_axes(_X1_AXIS, _Y1_AXIS)
-        for name, trace, style in zip(ANGLES, traces, verticals.palette.lines, strict=True):
-            implot.plot_line(name, *trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)), style)
+        for name, (second, value), style in zip(curve.spec.names, points, verticals.palette.lines, strict=False):
+            if second.size and name not in self._hidden:
+                implot.plot_line(name, second, value, style)
         verticals.draw_in_front()
         self._take_mouse(head)
         implot.end_plot()
+        self._draw_names(curve, verticals.palette)
+
+    def _draw_names(self, curve: TimelineCurve, palette: Palette) -> None:
+        """Write the names of the lines beside their plot; a click hides a line."""
+        imgui.same_line(0.0, 0.0)
+        imgui.begin_group()
+        for name, (red, green, blue, _) in zip(curve.spec.names, palette.line_colours, strict=False):
+            imgui.text_colored((red, green, blue, _HIDDEN_OPACITY if name in self._hidden else 1.0), name)
+            imgui.set_item_tooltip("a click hides or shows this line")
+            if imgui.is_item_clicked():
+                self._hidden ^= {name}
+        imgui.end_group()
 
     def _camera_exposures(self, head: PlayHead) -> Bands:
         """Return the exposures in view, as one box if they are too close together to be drawn separately."""
@@ -282,130 +368,8 @@ class Timeline:
         sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
         angles_deg = np.rad2deg(lines.angles_rad[:, sample])
         angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
-        imgui.set_tooltip(f"{second:.3f} s\n{angles}")
-
-
-class PlaybackControls:
-    """The controls of the play head: play, step, direction, speed, loop, mode, marker, and a field for the time.
-
-    Attributes
-    ----------
-    error : str or None
-        Why the time typed last is not valid.
-    """
-
-    def __init__(self) -> None:
-        self.error: str | None = None
-
-    def draw(self, head: PlayHead) -> None:
-        """Draw the controls into the current imgui window, and apply them.
-
-        Parameters
-        ----------
-        head : PlayHead
-        """
-        if _button("|<", "to the start of the flight"):
-            head.first()
-        if _button("<<", "one exposure back"):
-            head.step_exposures(-1)
-        if _button("pause" if head.playing else "play", "play or pause", width_px=60):
-            head.toggle()
-        if _button(">>", "one exposure on"):
-            head.step_exposures(1)
-        if _button(">|", "to the end of the flight"):
-            head.last()
-        if head.grows:
-            _live(head)
-        if _button("reverse", "reverse the direction"):
-            head.reverse()
-        _speeds(head)
-        imgui.same_line()
-        _wrap("loop", beside_px=imgui.get_frame_height())
-        _, head.loop = imgui.checkbox("loop", head.loop)
-        for mode, tooltip in (
-            (Mode.CAMERA, "exposures as the camera records them"),
-            (Mode.SLIDING, "one that ends now"),
-        ):
-            imgui.same_line()
-            _wrap(mode.value, beside_px=imgui.get_frame_height())
-            if imgui.radio_button(mode.value, head.mode is mode):
-                head.mode = mode
-            imgui.set_item_tooltip(tooltip)
-        imgui.same_line()
-        _mark(head)
-        if imgui.get_content_region_avail().x < _TIME_PX:
-            imgui.new_line()
-        self._draw_time(head)
-
-    def _draw_time(self, head: PlayHead) -> None:
-        imgui.set_next_item_width(110)
-        entered, text = imgui.input_text("s", f"{head.second:.3f}", _ENTER)
-        imgui.set_item_tooltip("type 12.5, 1:02.5, +5, -0.1, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
-        if entered:
-            try:
-                head.seek_text(text)
-                self.error = None
-            except ConfigError as error:
-                self.error = str(error)
-        imgui.same_line()
-        number = head.number
-        which = "" if number is None else f"   exposure {number} (0 to {head.count - 1})"
-        imgui.text(f"of {head.length_s:.1f}   {format_utc(head.utc_s)}{which}")
-        if self.error is not None:
-            imgui.text_wrapped(self.error)
-
-
-def _wrap(label: str, *, width_px: float = 0, beside_px: float = 0) -> None:
-    """Continue in the next line if a control with this label or width does not fit."""
-    padding_px = 2 * imgui.get_style().frame_padding.x
-    needed_px = width_px or imgui.calc_text_size(label, hide_text_after_double_hash=True).x + padding_px + beside_px
-    if imgui.get_content_region_avail().x < needed_px:
-        imgui.new_line()
-
-
-def _button(label: str, tooltip: str, *, width_px: float = 0) -> bool:
-    _wrap(label, width_px=width_px)
-    pressed = imgui.button(label, (width_px, 0))
-    imgui.set_item_tooltip(tooltip)
-    imgui.same_line()
-    return pressed
-
-
-def _mark(head: PlayHead) -> None:
-    if head.marker is None:
-        if _button("mark", "add a marker here", width_px=60):
-            head.add_marker()
-    elif _button("unmark", "remove the marker", width_px=60):
-        head.remove_marker()
-
-
-def _live(head: PlayHead) -> None:
-    """Draw the button that returns to the present sky; it is highlighted while that is shown."""
-    if head.live:
-        imgui.push_style_color(int(imgui.Col_.button), imgui.get_style_color_vec4(int(imgui.Col_.button_active)))
-    behind = "LIVE" if head.live else f"{head.last_s - head.utc_s:.0f} s behind: go live"
-    pressed = _button(f"{behind}###live", "the present sky (F)")
-    if head.live:
-        imgui.pop_style_color()
-    if pressed:
-        head.last()
-
-
-def _speeds(head: PlayHead) -> None:
-    _wrap("", width_px=75)
-    imgui.set_next_item_width(75)
-    if imgui.begin_combo("##speed", _times(head.speed)):
-        for speed in _SPEEDS:
-            signed = speed if head.speed > 0 else -speed
-            if imgui.selectable(_times(signed), signed == head.speed)[0]:
-                head.speed = signed
-        imgui.end_combo()
-    imgui.set_item_tooltip("seconds of flight per second")
-
-
-def _times(speed: float) -> str:
-    """Return a speed as text: 1/8x, 1x, -32x."""
-    return f"{speed:g}x" if abs(speed) >= 1 else f"{'-' if speed < 0 else ''}1/{abs(1 / speed):g}x"
+        happened = self._events.near(second, self._width_px, self.axis) if self.shows_events else []
+        imgui.set_tooltip("\n".join([f"{second:.3f} s", angles, *happened]).replace("%", "%%"))
 
 
 def _part(head: PlayHead) -> Bands | None:

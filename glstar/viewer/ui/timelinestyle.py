@@ -20,6 +20,8 @@ BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
 # Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
 _BEHIND: Final = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
 _NO_MARKER: Final = int(implot.Marker_.none)
+_DOWN, _UP, _SQUARE = (int(each) for each in (implot.Marker_.down, implot.Marker_.up, implot.Marker_.square))
+_MARK_PX: Final = 3.0
 
 
 class Palette:
@@ -32,6 +34,8 @@ class Palette:
     gap, part, exposures, shown, missing, marker, head : colour
         Of gaps, the part between the in and out points, exposures, the exposure shown, the same if it touches a gap,
         markers, and the play head.
+    mode, message, trigger, image : colour
+        Of flight modes, messages, triggers of the camera and times of real images.
     light : sequence of four colours
         Of day and of civil, nautical and astronomical twilight.
     """
@@ -46,18 +50,30 @@ class Palette:
         missing: Colour,
         marker: Colour,
         head: Colour,
+        mode: Colour,
+        message: Colour,
+        trigger: Colour,
+        image: Colour,
         light: Sequence[Colour],
     ) -> None:
-        self.lines = [_line(colour, flags=0) for colour in lines]
+        self.lines, self.line_colours = [_line(colour, flags=0) for colour in lines], lines
         self.gap, self.part, self.exposures = _fill(gap), _fill(part), _fill(exposures)
         self.shown, self.missing = _fill(shown), _fill(missing)
         self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
+        self.mode = _line(mode)
+        self.message, self.trigger, self.image = _mark(message, _DOWN), _mark(trigger, _UP), _mark(image, _SQUARE)
         names = (name for name, _ in LIGHT_LEVELS)
         self.light = dict(zip(names, map(_fill, light), strict=False))
 
 
 def _line(colour: Colour, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
     return implot.Spec(line_color=colour, line_weight=weight, marker=_NO_MARKER, flags=flags)
+
+
+def _mark(colour: Colour, marker: int) -> implot.Spec:
+    return implot.Spec(
+        marker=marker, marker_size=_MARK_PX, marker_fill_color=colour, marker_line_color=colour, flags=_BEHIND
+    )
 
 
 def _fill(colour: Colour) -> implot.Spec:
@@ -74,6 +90,10 @@ DAY_PALETTE: Final = Palette(
     missing=(1.0, 0.2, 0.2, 0.60),
     marker=(0.9, 0.5, 1.0, 0.9),
     head=(1.0, 0.85, 0.3, 1.0),
+    mode=(0.85, 0.87, 0.9, 0.45),
+    message=(0.55, 0.85, 0.9, 0.9),
+    trigger=(1.0, 0.6, 0.3, 0.9),
+    image=(0.95, 0.95, 0.95, 0.9),
     light=((1.0, 0.95, 0.65, 0.26), (1.0, 0.65, 0.35, 0.22), (0.45, 0.50, 1.0, 0.20), (0.35, 0.40, 0.9, 0.11)),
 )
 NIGHT_PALETTE: Final = Palette(
@@ -85,6 +105,10 @@ NIGHT_PALETTE: Final = Palette(
     missing=(1.0, 0.0, 0.0, 0.75),
     marker=(0.8, 0.0, 0.0, 0.9),
     head=(1.0, 0.0, 0.0, 1.0),
+    mode=(0.7, 0.0, 0.0, 0.6),
+    message=(0.8, 0.0, 0.0, 0.9),
+    trigger=(1.0, 0.0, 0.0, 0.9),
+    image=(0.6, 0.0, 0.0, 0.9),
     light=tuple((1.0, 0.0, 0.0, opacity) for opacity in (0.26, 0.19, 0.13, 0.07)),
 )
 

@@ -1,0 +1,158 @@
+"""Stars, limiting magnitude and signal-to-noise ratio along a flight, sampled on a thread of its own."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from threading import Event
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.config import ExposureSection
+from glstar.errors import GlstarError
+from glstar.render.simulator import Simulator
+from glstar.render.viewingconditions import limiting_magnitude
+from glstar.viewer.selection import star_signal_to_noise
+from glstar.viewer.timelinecurves import TimelineCurve
+
+__all__ = ["SkySampler", "SkySamples"]
+
+Float = NDArray[np.float64]
+
+# Number of exposures along the flight, and the strides in which they are composed: coarse first.
+_COUNT: Final = 241
+_STRIDES: Final = (16, 8, 4, 2, 1)
+# Pause after each exposure, s, so that the window's thread is not kept waiting.
+_PAUSE_S: Final = 0.002
+
+
+class _Wanted(NamedTuple):
+    """What samples depend on."""
+
+    simulator: Simulator
+    section: ExposureSection
+    star_id: int | None
+
+
+class SkySamples:
+    """Values along a flight, of which more and more are known.
+
+    Attributes
+    ----------
+    wanted : tuple
+        What they were computed for.
+    second : (n,) float64
+        The middle of each exposure, s from the flight's first attitude.
+    values : (4, n) float64
+        Number of stars, limiting magnitude at rest and as a trail, signal-to-noise ratio of the star; NaN where there
+        is no exposure or no star.
+    known : (n,) bool
+        Which exposures have been composed.
+    cancelled : threading.Event
+    """
+
+    def __init__(self, wanted: _Wanted) -> None:
+        self.wanted = wanted
+        self.second = np.full(_COUNT, np.nan)
+        self.values = np.full((4, _COUNT), np.nan)
+        self.known = np.zeros(_COUNT, dtype=np.bool_)
+        self.cancelled = Event()
+
+    def lines(self, curve: TimelineCurve) -> list[tuple[Float, Float]]:
+        """Return the lines of a curve as far as they are known.
+
+        Parameters
+        ----------
+        curve : TimelineCurve
+
+        Returns
+        -------
+        list of (second, value), (m,) float64 each
+        """
+        known = np.flatnonzero(self.known)
+        rows = {TimelineCurve.STARS: (0,), TimelineCurve.LIMIT: (1, 2), TimelineCurve.SNR: (3,)}[curve]
+        return [(self.second[known], self.values[row, known]) for row in rows]
+
+    def compute(self) -> None:
+        """Compose the exposures, coarse first, until all are known or it is cancelled."""
+        simulator, section, star_id = self.wanted
+        attitude = simulator.flight.attitude
+        starts_s = np.linspace(attitude.first_s, max(attitude.last_s - section.span_s, attitude.first_s), _COUNT)
+        for stride in _STRIDES:
+            for k in range(0, _COUNT, stride):
+                if self.known[k]:
+                    continue
+                exposure = section.starting_at(float(starts_s[k]))
+                self.second[k] = exposure.mid_utc_s - attitude.first_s
+                inside = exposure.stop_utc_s <= attitude.last_s
+                if inside and attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s) is None:
+                    self.values[:, k] = self._sampled(simulator, section, float(starts_s[k]), star_id)
+                self.known[k] = True
+                if self.cancelled.wait(_PAUSE_S):
+                    return
+
+    @staticmethod
+    def _sampled(
+        simulator: Simulator, section: ExposureSection, start_s: float, star_id: int | None
+    ) -> tuple[float, float, float, float]:
+        try:
+            scene = simulator.scene(section.starting_at(start_s).first)
+            limit = limiting_magnitude(scene)
+        except GlstarError:
+            return np.nan, np.nan, np.nan, np.nan
+        snr = np.nan if star_id is None else star_signal_to_noise(scene, star_id)
+        return float(scene.visible.size), limit.at_rest_mag, limit.trail_mag, snr
+
+
+class SkySampler:
+    """Computes samples of one flight at a time, and again when its settings or the selected star change."""
+
+    def __init__(self) -> None:
+        self._samples: SkySamples | None = None
+        self._future: Future[None] | None = None
+        self._thread: ThreadPoolExecutor | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether samples are being computed."""
+        return self._future is not None and not self._future.done()
+
+    def of(self, simulator: Simulator, section: ExposureSection, star_id: int | None) -> SkySamples:
+        """Return the samples of a flight, which go on to be computed.
+
+        Parameters
+        ----------
+        simulator : Simulator
+        section : ExposureSection
+        star_id : int or None
+            The star whose signal-to-noise ratio is computed.
+
+        Returns
+        -------
+        SkySamples
+        """
+        wanted = _Wanted(simulator, section, star_id)
+        before = self._samples
+        if before is not None and before.wanted[0] is simulator and before.wanted[1:] == wanted[1:]:
+            return before
+        self._start(SkySamples(wanted))
+        assert self._samples is not None
+        return self._samples
+
+    def wait(self) -> None:
+        """Wait until all samples are known: for scripts."""
+        if self._future is not None:
+            self._future.result()
+
+    def _start(self, samples: SkySamples) -> None:
+        if self._samples is not None:
+            self._samples.cancelled.set()
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-samples")
+        self._samples, self._future = samples, self._thread.submit(samples.compute)
+
+    def close(self) -> None:
+        """Stop, and end the thread."""
+        if self._samples is not None:
+            self._samples.cancelled.set()
+        if self._thread is not None:
+            self._thread.shutdown(wait=True, cancel_futures=True)
