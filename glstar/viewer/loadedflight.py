@@ -18,6 +18,7 @@ from glstar.viewer.liveflight import Buffered
 from glstar.viewer.missing import SITE_KEYS, MissingFromLog, flight_keys
 from glstar.viewer.overlays import Overlays
 from glstar.viewer.playhead import PlayHead
+from glstar.viewer.skysamples import SkySampler
 
 __all__ = ["BEFORE_EXPOSURE_S", "FlightLoader", "LoadedFlight"]
 
@@ -219,6 +220,8 @@ class FlightLoader:
         Where the play head of the next flight is at first, s from its first attitude; None for there.
     typed_site : dict of str to str
         The site typed last, by key of ``[flight]``: the initial contents of the dialog.
+    sampler : SkySampler
+        Computes the curves of the timeline that need simulated exposures.
     """
 
     def __init__(self) -> None:
@@ -228,6 +231,7 @@ class FlightLoader:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
         self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
         self.typed_site: dict[str, str] = {}
+        self.sampler = SkySampler()
         # The UTC typed last for each log.
         self._typed_utc: dict[Path, str] = {}
 
@@ -235,6 +239,11 @@ class FlightLoader:
     def is_busy(self) -> bool:
         """Whether a flight is being loaded."""
         return self._pending is not None
+
+    @property
+    def works(self) -> bool:
+        """Whether a flight is being loaded, or curves are being computed."""
+        return self.is_busy or self.sampler.is_busy
 
     @property
     def is_done(self) -> bool:
@@ -325,4 +334,5 @@ class FlightLoader:
 
     def close(self) -> None:
         """End the thread."""
+        self.sampler.close()
         self._thread.shutdown(wait=True, cancel_futures=True)

@@ -30,7 +30,6 @@ from glstar.viewer.notifications import Notifications
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import PlayHead, no_exposure
 from glstar.viewer.simulatedimage import ImageRequest, SimulatedImage
-from glstar.viewer.skysamples import SkySampler
 from glstar.viewer.stretch import Stretch
 from glstar.viewer.video import Video
 
@@ -86,8 +85,6 @@ class Session:
     video : Video or None
         The video that is being recorded.
     times : FrameTimes
-    sampler : SkySampler
-        Computes the curves of the timeline that need simulated exposures.
     """
 
     def __init__(
@@ -115,7 +112,6 @@ class Session:
         self.navigator = NavigatorView()
         self.export: BackgroundExport | None = None
         self.video: Video | None = None
-        self.sampler = SkySampler()
         # Reason why the flight opened last could not be loaded.
         self._opening_error = ""
         self._missing_site: MissingFromLink | None = None
@@ -263,7 +259,7 @@ class Session:
         """Whether the next frame may differ from this one without any event."""
         playing = self.head is not None and self.head.playing and self.stale_s is None
         blinking = self.comparison.active and self.comparison.mode is ComparisonMode.BLINK
-        works = self.export is not None or self.video is not None or self.loader.is_busy or self.sampler.is_busy
+        works = self.export is not None or self.video is not None or self.loader.works
         return playing or blinking or works or self.comparison.waiting
 
     # --- opening ---
@@ -444,7 +440,6 @@ class Session:
             self.export = None
         if self.video is not None:
             self.video.discard()
-        self.sampler.close()
         self.image.close()
         self.loader.close()
         self.comparison.close()

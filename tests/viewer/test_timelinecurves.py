@@ -112,8 +112,8 @@ def test_a_curve_is_chosen_in_the_window(make_viewer, tmp_path, monkeypatch):
     timeline = viewer.interface._panels._timeline
     assert timeline.curves == {TimelineCurve.RATES, TimelineCurve.STARS}
     assert viewer.session.busy
-    viewer.session.sampler.wait()
-    assert viewer.session.sampler._samples.known.all()
+    viewer.session.loader.sampler.wait()
+    assert viewer.session.loader.sampler._samples.known.all()
     before = screen(viewer).copy()
     _click(viewer, *places[TimelineCurve.STARS.spec.label])
     assert timeline.curves == {TimelineCurve.RATES}

@@ -205,7 +205,7 @@ class Panels:
             return None
         wants_star = TimelineCurve.SNR in timeline.curves and found is not None and found.kind is ObjectKind.STAR
         star_id = found.star_id if wants_star and found is not None else None
-        return self._session.sampler.of(loaded.simulator, loaded.head.exposure_section, star_id)
+        return self._session.loader.sampler.of(loaded.simulator, loaded.head.exposure_section, star_id)
 
     def _images_s(self) -> NDArray[np.float64]:
         """Return when the real images were taken, s from the flight's first attitude."""
