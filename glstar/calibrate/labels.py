@@ -119,7 +119,6 @@ def _by_attitude(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *,
     """Return the solution whose attitude best rotates directions to the rays of pixels (Wahba's problem)."""
     scaled = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
     x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
-    rays = scaled.unproject(np.column_stack([x, xy[:, 1]]))
+    rays = scaled.unit_vectors(np.column_stack([x, xy[:, 1]]))
     valid = np.isfinite(rays).all(axis=1)
-    rays = rays[valid] / np.linalg.norm(rays[valid], axis=1, keepdims=True)
-    return PlateSolution(scaled, fitted_rotation(direction_eq[valid], rays), mirrored)
+    return PlateSolution(scaled, fitted_rotation(direction_eq[valid], rays[valid]), mirrored)

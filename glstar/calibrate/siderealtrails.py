@@ -1,19 +1,15 @@
 """Sidereal trails: the motion of stars over the image of a camera at rest on the ground."""
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.platesolution import PlateSolution
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+from glstar.sky.observed import SIDEREAL_RAD_PER_S
 
 __all__ = ["sidereal_trails"]
 
 Float = NDArray[np.float64]
-
-# Rate of the Earth's rotation against the stars, rad/s.
-_SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
 
 
 def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) -> Float:
@@ -37,7 +33,7 @@ def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) ->
     x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
     rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
     pole = solution.C_camera_eq[:, 2]
-    half = _SIDEREAL_RAD_PER_S * exposure_s / 2
+    half = SIDEREAL_RAD_PER_S * exposure_s / 2
     # Stars move from east to west, against the sense of right ascension.
     before, after = (matrix_from_quaternion(quaternion_from_turn(sign * half * pole)) for sign in (-1.0, 1.0))
     return np.nan_to_num(solution.project(rays @ after.T) - solution.project(rays @ before.T))

@@ -21,6 +21,7 @@ from glstar.render.pointing import Pointing
 from glstar.render.scene import Renderer, Scene
 from glstar.render.trailmodels import SubExposures
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+from glstar.sky.observed import SIDEREAL_RAD_PER_S
 from glstar.sky.site import Site
 
 __all__ = ["Twin", "TwinFigures", "compare_twin", "render_twin"]
@@ -28,7 +29,6 @@ __all__ = ["Twin", "TwinFigures", "compare_twin", "render_twin"]
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-_SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
 # Largest distance of the sub-exposures of a sidereal trail, px.
 _SPACING_PX: Final = 0.25
 # Peaks above this multiple of the sky's noise are compared, and the widths of this number of the brightest stars.
@@ -168,7 +168,7 @@ def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, s
 
 def _turning(C_camera_eq: Float, exposure_s: float, times: int) -> Float:
     """Return the attitude of a camera at rest on the ground at equal intervals of the exposure, (times, 3, 3)."""
-    angles = _SIDEREAL_RAD_PER_S * exposure_s * (np.linspace(-0.5, 0.5, times) if times > 1 else np.zeros(1))
+    angles = SIDEREAL_RAD_PER_S * exposure_s * (np.linspace(-0.5, 0.5, times) if times > 1 else np.zeros(1))
     pole = np.array([0.0, 0.0, 1.0])
     return np.array([C_camera_eq @ matrix_from_quaternion(quaternion_from_turn(-angle * pole)) for angle in angles])
 

@@ -197,6 +197,22 @@ class Camera:
             x, y = np.moveaxis(self.lens.undistort(np.stack([x, y], axis=-1)), -1, 0)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
+    def unit_vectors(self, xy_px: ArrayLike) -> Float:
+        """Return the directions of pixel positions as unit vectors.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) array_like
+            Positions (x, y), px.
+
+        Returns
+        -------
+        (..., 3) float64
+            In the camera frame; NaN as of `unproject`.
+        """
+        rays = self.unproject(xy_px)
+        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
     def contains(self, xy_px: ArrayLike, margin_px: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """Return which positions are on the image, or within a margin around it.
 

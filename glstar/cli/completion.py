@@ -1,74 +1,41 @@
 """Completion of values in the shell: presets, maps of columns, sensors, and pages of the manual."""
 
+from collections.abc import Callable, Iterable
+
 from glstar.system.resources import manual_pages
 
 __all__ = ["camera_names", "column_maps", "manual_topics", "sensor_names"]
 
 
-def camera_names(incomplete: str) -> list[str]:
-    """Return the presets of ``--camera`` that begin with a word.
+def _completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return a function that lists the names that begin with a word; they are read only where the shell asks."""
 
-    Parameters
-    ----------
-    incomplete : str
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
 
-    Returns
-    -------
-    list of str
-        Cameras, and modes of sensors such as ``imx477:2028x1520``.
-    """
+    return complete
+
+
+def _cameras() -> Iterable[str]:
     from glstar.camera.presets import camera_presets  # noqa: PLC0415 - read only where the shell asks
     from glstar.camera.sensorpresets import sensor_presets  # noqa: PLC0415
 
-    modes = [mode.name for preset in sensor_presets().values() for mode in preset.modes]
-    return _matching(incomplete, [*camera_presets(), *modes])
+    return [*camera_presets(), *(mode.name for preset in sensor_presets().values() for mode in preset.modes)]
 
 
-def sensor_names(incomplete: str) -> list[str]:
-    """Return the sensors that begin with a word.
-
-    Parameters
-    ----------
-    incomplete : str
-
-    Returns
-    -------
-    list of str
-    """
+def _sensors() -> Iterable[str]:
     from glstar.camera.sensorpresets import sensor_presets  # noqa: PLC0415
 
-    return _matching(incomplete, list(sensor_presets()))
+    return sensor_presets()
 
 
-def column_maps(incomplete: str) -> list[str]:
-    """Return the maps of ``--columns`` that begin with a word.
-
-    Parameters
-    ----------
-    incomplete : str
-
-    Returns
-    -------
-    list of str
-    """
+def _column_maps() -> Iterable[str]:
     from glstar.telemetry.columnmap import ready_maps  # noqa: PLC0415
 
-    return _matching(incomplete, list(ready_maps()))
+    return ready_maps()
 
 
-def manual_topics(incomplete: str) -> list[str]:
-    """Return the pages of the manual that begin with a word.
-
-    Parameters
-    ----------
-    incomplete : str
-
-    Returns
-    -------
-    list of str
-    """
-    return _matching(incomplete, list(manual_pages()))
-
-
-def _matching(incomplete: str, names: list[str]) -> list[str]:
-    return [name for name in names if name.startswith(incomplete)]
+camera_names = _completion(_cameras)
+sensor_names = _completion(_sensors)
+column_maps = _completion(_column_maps)
+manual_topics = _completion(manual_pages)

@@ -137,8 +137,7 @@ class _SkyOfPixels:
     def _unrefracted(self, xy_px: Float, steps: int) -> Float:
         """Return the geocentric apparent directions whose stars are drawn at pixels, (n, 3); NaN below the horizon."""
         scene, middle = self._scene, self._scene.shutter[1:2]
-        seen = scene.camera.unproject(xy_px)
-        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        seen = scene.camera.unit_vectors(xy_px)
         C = middle.C_camera_eq[0]
         direction: Float = seen @ C
         for _ in range(steps):

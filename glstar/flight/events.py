@@ -1,12 +1,13 @@
 """What a log says about the course of a flight: flight modes and messages of the autopilot."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+
+from glstar.flight.timedrecord import TimedRecord
 
 __all__ = ["EventKind", "FlightEvents"]
 
@@ -19,7 +20,7 @@ class EventKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FlightEvents:
+class FlightEvents(TimedRecord):
     """Flight modes and messages of an autopilot.
 
     Attributes
@@ -32,23 +33,8 @@ class FlightEvents:
         The mode that begins (``"LOITER"``), or the message.
     """
 
-    utc_s: NDArray[np.float64]
     kinds: tuple[EventKind, ...]
     texts: tuple[str, ...]
-
-    def shifted(self, shift_s: float) -> Self:
-        """Return the events with all times shifted.
-
-        Parameters
-        ----------
-        shift_s : float
-            Added to all times, s.
-
-        Returns
-        -------
-        FlightEvents
-        """
-        return replace(self, utc_s=self.utc_s + shift_s)
 
     @classmethod
     def joined(cls, parts: Iterable[Self]) -> Self | None:

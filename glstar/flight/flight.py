@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from glstar.flight.attitude import AttitudeTrack
 from glstar.flight.events import FlightEvents
 from glstar.flight.position import PositionTrack
+from glstar.flight.timedrecord import TimedRecord
 
 __all__ = ["CameraTriggers", "ClockQuality", "Flight", "GimbalAttitude"]
 
@@ -39,7 +40,7 @@ class ClockQuality:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraTriggers:
+class CameraTriggers(TimedRecord):
     """When a camera was triggered, by the log of the aircraft.
 
     Attributes
@@ -50,26 +51,11 @@ class CameraTriggers:
         The message that says so: ``"CAM"``.
     """
 
-    utc_s: NDArray[np.float64]
     source: str
-
-    def shifted(self, shift_s: float) -> Self:
-        """Return the triggers with all times shifted.
-
-        Parameters
-        ----------
-        shift_s : float
-            Added to all times, s.
-
-        Returns
-        -------
-        CameraTriggers
-        """
-        return replace(self, utc_s=self.utc_s + shift_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GimbalAttitude:
+class GimbalAttitude(TimedRecord):
     """The attitude of a gimbal's platform, as a log states it.
 
     Attributes
@@ -84,24 +70,9 @@ class GimbalAttitude:
         The message that says so: ``"GIMBAL_DEVICE_ATTITUDE_STATUS"``.
     """
 
-    utc_s: NDArray[np.float64]
     q_gimbal_reference: NDArray[np.float64]
     is_earth: NDArray[np.bool_]
     source: str
-
-    def shifted(self, shift_s: float) -> Self:
-        """Return the attitude with all times shifted.
-
-        Parameters
-        ----------
-        shift_s : float
-            Added to all times, s.
-
-        Returns
-        -------
-        GimbalAttitude
-        """
-        return replace(self, utc_s=self.utc_s + shift_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -142,9 +142,7 @@ class FrameTruth:
 
     def directions(self, instant: str) -> Float:
         """Return the unit vectors in the camera frame of the stars' pixel positions, (n, 3)."""
-        rays = self.camera.unproject(self.xy_px[instant])
-        unit: Float = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        return unit
+        return self.camera.unit_vectors(self.xy_px[instant])
 
     def _catalogue_directions(self) -> Float:
         """Return ICRS unit vectors of the stars with proper motion to the frame's epoch, (n, 3)."""

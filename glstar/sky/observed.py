@@ -23,12 +23,12 @@ from glstar.sky.horizon import (
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
 
-__all__ = ["ObservedPlaces", "Sky", "sun_altitude_rad"]
+__all__ = ["SIDEREAL_RAD_PER_S", "ObservedPlaces", "Sky", "sun_altitude_rad"]
 
 Float = NDArray[np.float64]
 
 # Rotation rate of the Earth relative to the equinox, rad per second of UT1.
-_SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
+SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +140,7 @@ class Sky:
         times = np.asarray(utc_s, dtype=np.float64)
         first_s = float(times.flat[0])
         earth = self.earth(first_s)
-        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s) + _SIDEREAL_RAD_PER_S * (
+        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s) + SIDEREAL_RAD_PER_S * (
             times - first_s
         )
         if earth.x_pole_rad == earth.y_pole_rad == 0:

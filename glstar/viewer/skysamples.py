@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import GlstarError
 from glstar.render.simulator import Simulator
@@ -85,22 +86,10 @@ class SkySamples:
                 self.second[k] = exposure.mid_utc_s - attitude.first_s
                 inside = exposure.stop_utc_s <= attitude.last_s
                 if inside and attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s) is None:
-                    self.values[:, k] = self._sampled(simulator, section, float(starts_s[k]), star_id)
+                    self.values[:, k] = _sampled(simulator, exposure.first, star_id)
                 self.known[k] = True
                 if self.cancelled.wait(_PAUSE_S):
                     return
-
-    @staticmethod
-    def _sampled(
-        simulator: Simulator, section: ExposureSection, start_s: float, star_id: int | None
-    ) -> tuple[float, float, float, float]:
-        try:
-            scene = simulator.scene(section.starting_at(start_s).first)
-            limit = limiting_magnitude(scene)
-        except GlstarError:
-            return np.nan, np.nan, np.nan, np.nan
-        snr = np.nan if star_id is None else star_signal_to_noise(scene, star_id)
-        return float(scene.visible.size), limit.at_rest_mag, limit.trail_mag, snr
 
 
 class SkySampler:
@@ -156,3 +145,14 @@ class SkySampler:
             self._samples.cancelled.set()
         if self._thread is not None:
             self._thread.shutdown(wait=True, cancel_futures=True)
+
+
+def _sampled(simulator: Simulator, exposure: Exposure, star_id: int | None) -> tuple[float, float, float, float]:
+    """Return number of stars, limiting magnitude at rest and as a trail, signal-to-noise ratio of a star."""
+    try:
+        scene = simulator.scene(exposure)
+        limit = limiting_magnitude(scene)
+    except GlstarError:
+        return np.nan, np.nan, np.nan, np.nan
+    snr = np.nan if star_id is None else star_signal_to_noise(scene, star_id)
+    return float(scene.visible.size), limit.at_rest_mag, limit.trail_mag, snr

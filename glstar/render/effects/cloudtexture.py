@@ -11,7 +11,14 @@ from glstar.render.clouds import cloud_sheet, sheet_crossing
 from glstar.render.scene import Scene
 from glstar.sky.cloudsheet import SheetCrossing
 
-__all__ = ["axis_transmission", "crossing_at", "frame_transmission", "transmission_at"]
+__all__ = [
+    "axis_transmission",
+    "crossing_at",
+    "frame_transmission",
+    "is_below_cloud",
+    "transmission_at",
+    "transmission_towards",
+]
 
 Float = NDArray[np.float64]
 
@@ -59,21 +66,45 @@ def transmission_at(scene: Scene, xy_px: Float) -> Float:
     (...) float64
         1 without cloud, below the horizon, and for a sheet below the aircraft.
     """
-    rays = scene.camera.unproject(xy_px.reshape(-1, 2))
-    return _transmission(scene, rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(xy_px.shape[:-1])
+    rays = scene.camera.unit_vectors(xy_px.reshape(-1, 2))
+    return _transmission(scene, rays).reshape(xy_px.shape[:-1])
 
 
 def _transmission(scene: Scene, rays: Float) -> Float:
     direction = rays @ scene.shutter.C_camera_eq[1]
-    crossing = crossing_at(scene, 1, direction)
     is_sky = direction @ scene.shutter.zenith_eq[1] >= scene.sine_horizon
-    if crossing is None or not _is_above(scene):
-        return np.ones(len(direction))
-    return np.where(is_sky, crossing.transmission, 1.0)
+    return np.where(is_sky, transmission_towards(scene, direction), 1.0)
 
 
-def _is_above(scene: Scene) -> bool:
-    """Return whether the sheet is above the aircraft."""
+def transmission_towards(scene: Scene, direction_eq: Float) -> Float:
+    """Return the transmission in some directions above the horizon, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (n, 3) float64
+        Apparent unit vectors, true equator and equinox, with refraction.
+
+    Returns
+    -------
+    (n,) float64
+        1 without cloud, and for a sheet below the aircraft.
+    """
+    crossing = crossing_at(scene, 1, direction_eq) if is_below_cloud(scene) else None
+    return np.ones(len(direction_eq)) if crossing is None else crossing.transmission
+
+
+def is_below_cloud(scene: Scene) -> bool:
+    """Return whether there is a sheet of cloud above the aircraft.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    bool
+    """
     sheet = cloud_sheet(scene.sensor, scene.motion)
     return sheet is not None and sheet.height_m > scene.site.height_m
 
@@ -116,5 +147,4 @@ def _rays(camera: Camera) -> Float:
     columns, rows = _SAMPLES
     x = (np.arange(columns) + 0.5) / columns * camera.width_px - 0.5
     y = (np.arange(rows) + 0.5) / rows * camera.height_px - 0.5
-    rays = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    return camera.unit_vectors(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.clouds import cloud_sheet, horizontal_axes
-from glstar.render.effects.cloudtexture import crossing_at
+from glstar.render.effects.cloudtexture import transmission_towards
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
 from glstar.render.effects.lightsources import bodies_of
 from glstar.render.scene import Scene
@@ -62,12 +62,15 @@ def flare_dn(scene: Scene, xy_px: Float) -> Float:
     (...) float64
         DN a pixel above the sky; 0 without flare.
     """
-    values = FLARE.values(scene.sensor)
+    if not _is_active(FLARE.values(scene.sensor)):
+        return np.zeros(xy_px.shape[:-1])
+    return _flare_dn(scene, xy_px, scene.camera.unit_vectors(xy_px))
+
+
+def _flare_dn(scene: Scene, xy_px: Float, rays: Float) -> Float:
+    """Return the flare at pixels and their directions, (...) DN."""
+    values, camera = FLARE.values(scene.sensor), scene.camera
     flare = np.zeros(xy_px.shape[:-1])
-    if not _is_active(values):
-        return flare
-    camera = scene.camera
-    rays = _node_rays(camera) if xy_px is _nodes(camera) else _rays(camera, xy_px)
     # Projected solid angles: those of a pinhole's pixels, cos^3, times the cosine of their direction.
     pixel_sr = rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px)
     for source in _sources(values, scene):
@@ -84,12 +87,6 @@ def flare_dn(scene: Scene, xy_px: Float) -> Float:
     return flare
 
 
-def _rays(camera: Camera, xy_px: Float) -> Float:
-    """Return the directions of pixels, (..., 3) unit vectors."""
-    rays = camera.unproject(xy_px.reshape(-1, 2)).reshape(*xy_px.shape[:-1], 3)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-
-
 def _sources(values: Values, scene: Scene) -> list[_Source]:
     """Return the bodies above the horizon, and the lamp."""
     found: list[_Source] = []
@@ -100,11 +97,7 @@ def _sources(values: Values, scene: Scene) -> list[_Source]:
             continue
         extinction = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
         mag = body.vmag + (0.0 if extinction is None else float(extinction))
-        crossing = crossing_at(scene, 1, body.direction_eq[np.newaxis])
-        is_below_cloud = crossing is not None and scene.site.height_m < float(
-            getattr(cloud_sheet(scene.sensor, scene.motion), "height_m", 0.0)
-        )
-        passed = float(crossing.transmission[0]) if crossing is not None and is_below_cloud else 1.0
+        passed = float(transmission_towards(scene, body.direction_eq[np.newaxis])[0])
         found.append(_Source(in_camera / np.linalg.norm(in_camera), mag_0_dn * float(brightness_ratio(mag)) * passed))
     lamp_mag = float(values["lamp_mag"])
     if lamp_mag < _NO_LAMP_MAG:
@@ -179,11 +172,11 @@ def _nodes(camera: Camera) -> Float:
 
 @lru_cache(maxsize=4)
 def _node_rays(camera: Camera) -> Float:
-    return _rays(camera, _nodes(camera))
+    return camera.unit_vectors(_nodes(camera))
 
 
 def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
-    flare = flare_dn(scene, _nodes(scene.camera))
+    flare = _flare_dn(scene, _nodes(scene.camera), _node_rays(scene.camera))
     # Four components: software OpenGL is slow with one that is not its own.
     return np.stack([flare, *([np.zeros_like(flare)] * 3)], axis=-1).astype(np.float32)
 
@@ -203,7 +196,7 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
 
 
 def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
-    flare = flare_dn(scene, _nodes(scene.camera)[::4, ::4])
+    flare = _flare_dn(scene, _nodes(scene.camera)[::4, ::4], _node_rays(scene.camera)[::4, ::4])
     return {"flare_mean_dn": round(float(flare.mean()), 6), "flare_max_dn": round(float(flare.max()), 6)}
 
 

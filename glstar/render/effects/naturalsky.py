@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.errors import RenderError
-from glstar.render.clouds import CLOUD_DEFAULTS, cloud_sheet
-from glstar.render.effects.cloudtexture import crossing_at
+from glstar.render.clouds import cloud_sheet
+from glstar.render.effects.cloudtexture import crossing_at, is_below_cloud
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
 from glstar.render.effects.lightsources import bodies_of
 from glstar.render.scene import Scene
@@ -158,8 +158,7 @@ def _rays(camera: Camera, grid: tuple[int, int]) -> tuple[Float, Float]:
     centres = np.stack(np.meshgrid(x, y), axis=-1)
 
     def unit(offset: tuple[float, float]) -> Float:
-        rays = camera.unproject((centres + np.array(offset)).reshape(-1, 2))
-        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(rows, columns, 3)
+        return camera.unit_vectors(centres + np.array(offset))
 
     along_x = unit((0.5, 0.0)) - unit((-0.5, 0.0))
     along_y = unit((0.0, 0.5)) - unit((0.0, -0.5))
@@ -200,7 +199,7 @@ def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float
     if direction_eq.ndim == 3:
         sky, town = _between_nodes(sky), _between_nodes(town)
     lights = _cloud_lights(without_towns, scene, time)
-    if scene.site.height_m >= float(scene.sensor.effects.get("cloud.height_m", CLOUD_DEFAULTS["height_m"])):
+    if not is_below_cloud(scene):
         return sky + town, cloud_from_above(crossing, ground, lights)
     _, moon = _sun_and_moon(scene)
     clouded = cloud_from_below(crossing, direction_eq @ moon.direction_eq, sky, town, lights)

@@ -72,8 +72,12 @@ def _draw_numbers(
     shown = pixels[first[1] : last[1], first[0] : last[0]]
     bright = session.stretch(shown.astype(np.float32) / np.float32(scene.sensor.saturation_dn)) > _BRIGHT
     colours = [imgui.get_color_u32(which[session.night]) for which in (_ON_DARK, _ON_BRIGHT)]
+    (left, top), (right, bottom) = session.view.to_screen([first, last - 1]) + corner
+    across, down = (
+        np.linspace(left, right, shown.shape[1]).tolist(),
+        np.linspace(top, bottom, shown.shape[0]).tolist(),
+    )
     for (row, column), value in np.ndenumerate(shown):
         text = str(value)
-        size = imgui.calc_text_size(text)
-        x, y = session.view.to_screen([first[0] + column, first[1] + row]) + corner
+        size, x, y = imgui.calc_text_size(text), across[column], down[row]
         draw_list.add_text(ImVec2(x - size.x / 2, y - size.y / 2), colours[bool(bright[row, column])], text)
