@@ -20,6 +20,7 @@ from glstar.cli.exportoptions import (
     Dask,
     DryRun,
     Every,
+    Exif,
     ExposureTime,
     Flights,
     Force,
@@ -85,6 +86,7 @@ def export(
     format_: Format = None,
     light: Noiseless = False,
     masks: Masks = False,
+    exif: Exif = False,
     seed: Seed = 0,
     video: Video = None,
     video_fps: VideoRate = 10.0,
@@ -112,22 +114,20 @@ def export(
 
     summaries.check(verify=verify)
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
-    part = _part_of(shard, force=force)
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**when | {"navigator.attitude": navigator})
-    known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
-    wanted = ExportOptions(start, stop, frames, format_, light, seed, masks)
+    part, known = _part_of(shard, force=force), NavigatorFiles(settings, output, blind)
+    paths = flights_of(settings, flights)
+    wanted = ExportOptions(start, stop, frames, format_, light, seed, masks, known.allows(exif=exif))
     job = _prepare(settings, paths, known.directory, wanted, strict=strict, video=video)
     workers = workers or _default_workers(len(job.numbers), part)
-    if dry_run:
-        _estimate(job, part, workers, as_json=as_json)
-    elif verify:
-        _verify(job, part, workers, as_json=as_json)
+    if dry_run or verify:
+        (_estimate if dry_run else _verify)(job, part, workers, as_json=as_json)
     else:
         known.begin()
         report, took_s = _draw(job, part, workers, dask, force=force)
         if report.complete:
-            video = None if video is None else _write_video(job, video, video_fps)
+            video = video and _write_video(job, video, video_fps)
             known.finish(job, paths)
         tables = summaries.finish(job, output) if report.complete else ()
         _report(job, report, took_s, video, tables, as_json=as_json)

@@ -13,6 +13,7 @@ __all__ = [
     "Dask",
     "DryRun",
     "Every",
+    "Exif",
     "ExposureTime",
     "Flights",
     "Force",
@@ -75,6 +76,7 @@ Masks = Annotated[
         " saturated (.saturated), and with [cloud] and [flare] what cloud transmits (.cloud) and the flare (.flare).",
     ),
 ]
+Exif = Annotated[bool, typer.Option("--exif", help="Write UTC, exposure time and position into each image, as EXIF.")]
 Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]
 Video = Annotated[Path | None, typer.Option(help="Write a video of all frames too: a name.mp4.", show_default=False)]
 VideoRate = Annotated[float, typer.Option(help="Frame rate of the video, 1/s.", min=0.1, max=240)]

@@ -40,6 +40,15 @@ class NavigatorFiles:
         """The directory of the export itself, with the truth."""
         return self._output if self._blind is None else self._blind
 
+    def allows(self, *, exif: bool) -> bool:
+        """Return whether images have EXIF; refuse it in the images of a navigator from whom the truth is hidden."""
+        if exif and self._blind is not None:
+            raise typer.BadParameter(
+                "states the true time and position in each image; nav.jsonl has what the navigator knows",
+                param_hint="--exif",
+            )
+        return exif
+
     def begin(self) -> None:
         """Remove an older ``nav.jsonl`` before frames are drawn; refuse a directory with files of another export."""
         from glstar.export.navfile import refuse_other_files, remove_nav  # noqa: PLC0415 - OpenCV, only when needed

@@ -1,4 +1,4 @@
-"""EXIF of exported images: UTC, exposure time and position, for tools that read photographs."""
+"""EXIF of images: UTC, exposure time and position, for tools that read photographs."""
 
 import struct
 import zlib
@@ -8,22 +8,26 @@ from math import floor
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
-
 from glstar.errors import ExportError
 from glstar.export.diskerrors import explain_disk_errors
-from glstar.export.images import decode
+from glstar.export.images import EXIF_END, decode, tiff
+from glstar.export.processing import encode_jpeg
 from glstar.export.readtruth import count_frames_of_truth, read_truth
 from glstar.sky.timescale import parse_utc
 from glstar.system.durable import write_atomically
 
-__all__ = ["exif_of", "write_photographs"]
+__all__ = ["exif_of", "with_exif", "write_photographs"]
 
 # Types of EXIF values: text, 16-bit and 32-bit numbers, and quotients of two 32-bit numbers.
 _BYTE, _TEXT, _SHORT, _LONG, _RATIONAL = 1, 2, 3, 4, 5
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
+# Private tags in place of these links, which tifffile does not write.
+_STANDS_FOR: Final = {_EXIF_IFD: 65000, _GPS_IFD: 65001}
 _JPEG_QUALITY: Final = 95
 _PNG_HEAD_BYTES: Final = 8 + 25  # signature and IHDR
+# Where a PNG and a JPEG of glstar have the mark of their EXIF.
+_PNG_EXIF: Final = slice(_PNG_HEAD_BYTES + 4, _PNG_HEAD_BYTES + 8)
+_JPEG_EXIF, _APP1 = slice(2, 4), b"\xff\xe1"
 _Tag = tuple[int, int, int, bytes]
 
 
@@ -60,11 +64,41 @@ def write_photographs(directory: Path, output: Path, kind: str) -> int:
                 content = source.read_bytes()
                 if kind == "png" and source.suffix != ".png":
                     raise ExportError(source, "is no PNG; use --to jpeg, or export with --format png")
-                image = _png(content, exif_of(line)) if kind == "png" else _jpeg(content, source, exif_of(line))
+                image = with_exif(content if kind == "png" else _jpeg(content, source), f".{kind}", line)
             except (OSError, ValueError) as error:
                 raise ExportError(source, f"cannot be read ({error})") from error
             write_atomically(output / Path(line["file"]).with_suffix(f".{kind}").name, image)
     return count
+
+
+def with_exif(content: bytes, suffix: str, line: dict[str, Any]) -> bytes:
+    """Return an image file with the EXIF of its frame; pixels stay as they are.
+
+    Parameters
+    ----------
+    content : bytes
+        A PNG, JPEG or TIFF that glstar encoded.
+    suffix : {".png", ".jpg", ".jpeg", ".tiff"}
+        Suffix of the file name.
+    line : dict
+        The frame's truth.
+
+    Returns
+    -------
+    bytes
+        The same file if it has EXIF already.
+    """
+    if content[_PNG_EXIF] == b"eXIf" or content[_JPEG_EXIF] == _APP1 or content.endswith(EXIF_END):
+        return content
+    if suffix == ".png":
+        exif = exif_of(line)
+        chunk = struct.pack(">I", len(exif)) + b"eXIf" + exif
+        chunk += struct.pack(">I", zlib.crc32(b"eXIf" + exif))
+        return content[:_PNG_HEAD_BYTES] + chunk + content[_PNG_HEAD_BYTES:]
+    if suffix == ".tiff":
+        return _tiff_with_exif(content, line)
+    segment = b"Exif\0\0" + exif_of(line)
+    return content[:2] + _APP1 + struct.pack(">H", len(segment) + 2) + segment + content[2:]
 
 
 def exif_of(line: dict[str, Any]) -> bytes:
@@ -80,6 +114,42 @@ def exif_of(line: dict[str, Any]) -> bytes:
     bytes
         Times are the start of the exposure by the camera's clock, in UTC; the height is above the ellipsoid.
     """
+    stamp, shot, place = _tags(line)
+    first = [_text(0x010F, "glstar"), _text(0x0131, "glstar"), _text(0x0132, stamp)]
+    head_bytes = 8
+    exif_at = head_bytes + _size(first) + 2 * 12
+    gps_at = exif_at + _size(shot)
+    first += [(_EXIF_IFD, _LONG, 1, struct.pack("<I", exif_at)), (_GPS_IFD, _LONG, 1, struct.pack("<I", gps_at))]
+    body = _directory(first, head_bytes) + _directory(shot, exif_at) + _directory(place, gps_at)
+    return b"II*\0" + struct.pack("<I", head_bytes) + body
+
+
+def _tiff_with_exif(content: bytes, line: dict[str, Any]) -> bytes:
+    """Return a TIFF with its EXIF after the pixels; links in the first directory lead to it."""
+    stamp, shot, place = _tags(line)
+    pixels = decode(content, ".tiff")
+
+    def gps_at(exif_at: int) -> int:
+        return exif_at + _size(shot)
+
+    def written(exif_at: int) -> bytes:
+        links = {_EXIF_IFD: exif_at, _GPS_IFD: gps_at(exif_at)}
+        whole = tiff(pixels, date_time=stamp, tags=[(_STANDS_FOR[tag], at) for tag, at in links.items()])
+        for tag in links:  # the directory precedes the pixels
+            whole = whole.replace(_entry(_STANDS_FOR[tag]), _entry(tag), 1)
+        return whole
+
+    exif_at = len(written(0))
+    return written(exif_at) + _directory(shot, exif_at) + _directory(place, gps_at(exif_at)) + EXIF_END
+
+
+def _entry(tag: int) -> bytes:
+    """Return the beginning of a TIFF directory's entry of one 32-bit number."""
+    return struct.pack("<HHI", tag, _LONG, 1)
+
+
+def _tags(line: dict[str, Any]) -> tuple[str, list[_Tag], list[_Tag]]:
+    """Return the time as EXIF states it, the tags of the exposure and the tags of the position."""
     start_us = round(parse_utc(line["camera_utc_start"]) * 1e6)
     time = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=start_us)
     site = line["site"]
@@ -107,13 +177,7 @@ def exif_of(line: dict[str, Any]) -> bytes:
         ),
         _text(29, f"{time:%Y:%m:%d}"),
     ]
-    first = [_text(0x010F, "glstar"), _text(0x0131, "glstar"), _text(0x0132, stamp)]
-    head_bytes = 8
-    links_at = head_bytes + _size(first) + 2 * 12
-    exif_at, gps_at = links_at, links_at + _size(shot)
-    first += [(_EXIF_IFD, _LONG, 1, struct.pack("<I", exif_at)), (_GPS_IFD, _LONG, 1, struct.pack("<I", gps_at))]
-    body = _directory(first, head_bytes) + _directory(shot, exif_at) + _directory(place, gps_at)
-    return b"II*\0" + struct.pack("<I", head_bytes) + body
+    return stamp, shot, place
 
 
 def _degrees(angle_deg: float) -> tuple[Fraction, Fraction, Fraction]:
@@ -151,17 +215,10 @@ def _directory(tags: list[_Tag], offset: int) -> bytes:
     return struct.pack("<H", len(tags)) + entries + struct.pack("<I", 0) + values
 
 
-def _png(content: bytes, exif: bytes) -> bytes:
-    """Return a PNG with EXIF in a chunk after its header; pixels stay as they are."""
-    chunk = struct.pack(">I", len(exif)) + b"eXIf" + exif
-    chunk += struct.pack(">I", zlib.crc32(b"eXIf" + exif))
-    return content[:_PNG_HEAD_BYTES] + chunk + content[_PNG_HEAD_BYTES:]
-
-
-def _jpeg(content: bytes, source: Path, exif: bytes) -> bytes:
+def _jpeg(content: bytes, source: Path) -> bytes:
+    if source.suffix == ".jpg":
+        return content
     pixels = decode(content, source.suffix)
     if pixels.dtype.itemsize > 1:
         raise ExportError(source, "has 16 bits, and JPEG has 8; export with --format png")
-    encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-    segment = b"Exif\0\0" + exif
-    return encoded[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + encoded[2:]
+    return encode_jpeg(pixels, _JPEG_QUALITY)

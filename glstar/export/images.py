@@ -3,6 +3,7 @@
 import os
 import struct
 import zlib
+from collections.abc import Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +22,7 @@ from glstar.export.processing import CameraProcessing, encode_colour_png, encode
 from glstar.export.videofile import VideoFile
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
-__all__ = ["SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_format", "tiff", "write_video"]
+__all__ = ["EXIF_END", "SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_format", "tiff", "write_video"]
 
 ImageFormat = Literal["png", "png16", "tiff", "fits", "jpeg"]
 
@@ -32,6 +33,9 @@ _JPEG_END: Final = b"\xff\xd9"
 _TIFF_START: Final = 1024
 # Position of the colour type in a PNG, and its value for red, green and blue.
 _PNG_COLOUR_TYPE, _PNG_RGB = 25, 2
+# The last bytes of a TIFF with EXIF, which lies after its pixels.
+EXIF_END: Final = b"glstar EXIF\0"
+_EXIF_IFD: Final = 0x8769
 _TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
 SUFFIX: Final[dict[ImageFormat, str]] = {
     "png": ".png",
@@ -125,12 +129,16 @@ def _fit_sum(image_format: ImageFormat | None, sensor: Sensor, summed: int) -> I
     return image_format or "png16"
 
 
-def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
-    """Return an array as an uncompressed TIFF.  It has no date, so that equal pixels give equal bytes.
+def tiff(pixels: np.ndarray[Any, Any], *, date_time: str | None = None, tags: Sequence[tuple[int, int]] = ()) -> bytes:
+    """Return an array as an uncompressed TIFF.  Without a date equal pixels give equal bytes.
 
     Parameters
     ----------
     pixels : (height, width) or (height, width, 3) uint16 or float32
+    date_time : str, optional
+        "2024:03:10 11:00:00".
+    tags : sequence of (int, int)
+        Further tags, each with a number of 32 bits.
 
     Returns
     -------
@@ -138,7 +146,10 @@ def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
     """
     target = BytesIO()
     photometric = "rgb" if pixels.ndim == 3 else "minisblack"
-    tifffile.imwrite(target, pixels, photometric=photometric, metadata=None, software="glstar")
+    more = [(tag, "I", 1, number, True) for tag, number in tags]
+    tifffile.imwrite(
+        target, pixels, photometric=photometric, metadata=None, software="glstar", datetime=date_time, extratags=more
+    )
     return target.getvalue()
 
 
@@ -173,7 +184,7 @@ def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
     if not any(start):
         return "begins with zeros"
     if suffix in {SUFFIX["tiff"], SUFFIX["fits"]}:
-        return _damage_of_tiff(start, size) if suffix == SUFFIX["tiff"] else damage_of_fits(start, size)
+        return _damage_of_tiff(start, size, end) if suffix == SUFFIX["tiff"] else damage_of_fits(start, size)
     signature, ending = (_JPEG_START, _JPEG_END) if suffix == SUFFIX["jpeg"] else (PNG_SIGNATURE, _PNG_END)
     kind = "JPEG" if suffix == SUFFIX["jpeg"] else "PNG"
     if not start.startswith(signature):
@@ -182,7 +193,7 @@ def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
     return "" if end.endswith(ending) else f"is cut short or damaged: no {last} at the end of its {size} bytes"
 
 
-def _damage_of_tiff(start: bytes, size: int) -> str:
+def _damage_of_tiff(start: bytes, size: int, file_end: bytes) -> str:
     """Return a message on the damage of a little-endian TIFF with one strip, whose directory precedes its pixels."""
     if not start.startswith(b"II*\0"):
         return "does not begin as a TIFF"
@@ -196,7 +207,9 @@ def _damage_of_tiff(start: bytes, size: int) -> str:
     if not values.keys() >= {_STRIP_OFFSETS, _STRIP_BYTE_COUNTS}:
         return "has a damaged TIFF directory"
     end = values[_STRIP_OFFSETS] + values[_STRIP_BYTE_COUNTS]
-    return "" if size >= end else f"is cut short: {size} of {end} bytes"
+    if size < end:
+        return f"is cut short: {size} of {end} bytes"
+    return "is cut short or damaged: no end of its EXIF" if _EXIF_IFD in values and file_end != EXIF_END else ""
 
 
 def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:

@@ -160,6 +160,7 @@ def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str,
         "format": options.image_format,
         "light": options.noiseless,
         **({"masks": list(masks_of(config, masks=True))} if options.masks else {}),
+        **({"exif": True} if options.exif else {}),
         "seed": options.seed,
     }
 
@@ -377,6 +378,7 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
     arguments += ["--format", options.image_format, "--seed", options.seed]
     arguments += ["--light"] if options.noiseless else []
     arguments += ["--masks"] if options.masks else []
+    arguments += ["--exif"] if options.exif else []
     return shlex.join(str(argument) for argument in arguments)
 
 

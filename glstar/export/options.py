@@ -26,6 +26,8 @@ class ExportOptions:
         The seed from which the noise seed of every frame is derived.
     masks : bool
         Whether to write masks beside each frame: see `glstar.export.masks`.
+    exif : bool
+        Whether images have EXIF with UTC, exposure time and position.
     """
 
     start_s: float = 0.0
@@ -35,3 +37,4 @@ class ExportOptions:
     noiseless: bool = False
     seed: int = 0
     masks: bool = False
+    exif: bool = False

@@ -135,7 +135,9 @@ def _task(
     config: Config, frames: Frames, directory: Path, image_format: ImageFormat, options: ExportOptions
 ) -> FrameTask:
     masks = masks_of(config, masks=options.masks)
-    return FrameTask(frames, directory, image_format, options.noiseless, options.seed, masks=masks)
+    if options.exif and image_format == "fits":
+        raise ConfigError("FITS files state time, exposure and position in their header; leave out --exif")
+    return FrameTask(frames, directory, image_format, options.noiseless, options.seed, masks=masks, exif=options.exif)
 
 
 def _catalogues(config: Config, image_format: ImageFormat) -> dict[str, StarCatalogue]:

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import orjson
 
 from glstar.camera.sensor import Sensor
+from glstar.export.exif import with_exif
 from glstar.export.fitsfile import encode_fits
 from glstar.export.frames import ComposedFrame, Frames
 from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
@@ -69,6 +71,8 @@ class FrameTask:
         The write permission of the run that distributes the task to other processes; None within one process.
     masks : tuple of {"trails", "saturated", "cloud", "flare"}
         The masks to write beside each frame.
+    exif : bool
+        Whether images have EXIF.
     """
 
     frames: Frames
@@ -78,6 +82,7 @@ class FrameTask:
     seed: int
     lease: Lease | None = None
     masks: tuple[MaskKind, ...] = ()
+    exif: bool = False
 
     def begin(self, renderer: Renderer, composed: ComposedFrame) -> None:
         """Begin to draw a composed frame with its own noise; `Renderer.end_read` returns it.
@@ -120,6 +125,8 @@ class FrameTask:
             image = encode_fits(composed.scene, frame, number=number)
         else:
             image = self._encoded(composed.scene.sensor, frame.pixels)
+        if self.exif:
+            image = with_exif(image, SUFFIX[self.image_format], orjson.loads(line))
         return EncodedFrame(
             number=number,
             image=image,

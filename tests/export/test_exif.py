@@ -1,0 +1,105 @@
+"""EXIF of exported images: what other readers find in it, and that nothing else changes."""
+
+import json
+from pathlib import Path
+
+import cv2
+import exifread
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from glstar.cli import app
+from glstar.export.images import decode, find_damage
+from glstar.images.times import read_exif
+from glstar.sky.timescale import parse_utc
+
+RUNNER = CliRunner()
+SMALL = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 151.0\n"
+
+
+def exported(folder: Path, name: str, *options: str, config: str = SMALL) -> list[dict]:
+    """Export two frames of the bundled flight, and return their truth."""
+    (folder / "small.toml").write_text(config)
+    words = ["export", "-o", str(folder / name), "-c", str(folder / "small.toml"), "--frames", "2", "--workers", "1"]
+    result = RUNNER.invoke(app, [*words, "--exposure", "0.2", *options])
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in (folder / name / "truth.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("kind", ["png", "png16", "jpeg", "tiff"])
+def test_exported_images_have_exif_that_others_read(tmp_path: Path, kind: str) -> None:
+    lines = exported(tmp_path, "plain", "--format", kind)
+    assert exported(tmp_path, "exif", "--format", kind, "--exif") == lines
+
+    for line in lines:
+        path = tmp_path / "exif" / line["file"]
+        with Image.open(path) as image:
+            exif = image.getexif()
+            shot, place = exif.get_ifd(0x8769), exif.get_ifd(0x8825)
+        start = line["camera_utc_start"]
+        assert shot[0x9003] == f"{start[:10].replace('-', ':')} {start[11:19]}"
+        assert abs(float(shot[0x829A]) - line["duration_s"]) < 1e-6
+        south = float(place[2][0] + place[2][1] / 60 + place[2][2] / 3600)
+        assert place[1] == "S"
+        assert abs(-south - line["site"]["latitude_deg"]) < 1e-7
+        with path.open("rb") as file:
+            assert "GPS GPSAltitude" in exifread.process_file(file)
+        own = read_exif(path)
+        assert own.utc_s is not None
+        assert abs(own.utc_s - parse_utc(start)) < 1e-5
+
+        without = (tmp_path / "plain" / line["file"]).read_bytes()
+        pixels = decode(path.read_bytes(), path.suffix)
+        np.testing.assert_array_equal(pixels, decode(without, path.suffix))
+        np.testing.assert_array_equal(pixels, cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+        assert not find_damage(path)
+
+
+def test_a_tiff_that_lost_its_exif_is_damaged(tmp_path: Path) -> None:
+    line = exported(tmp_path, "exif", "--format", "tiff", "--exif")[0]
+    path = tmp_path / "exif" / line["file"]
+    path.write_bytes(path.read_bytes()[:-20])
+
+    assert "no end of its EXIF" in find_damage(path)
+
+
+def test_photographs_of_an_export_with_exif_are_its_images(tmp_path: Path) -> None:
+    line = exported(tmp_path, "exif", "--exif")[0]
+
+    result = RUNNER.invoke(app, ["convert", str(tmp_path / "exif"), "-o", str(tmp_path / "copy"), "--to", "png"])
+
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "copy" / line["file"]).read_bytes() == (tmp_path / "exif" / line["file"]).read_bytes()
+
+
+def test_a_colour_photograph_keeps_its_colours(tmp_path: Path) -> None:
+    colour = '[sensor]\nband = "imx477"\nmosaic = "rggb"\nsky_mean_dn = 40.0\n'
+    colour += '[output]\nprocess = "isp"\ndemosaic = "bilinear"\nred_gain = 3.0\nblue_gain = 0.5\n'
+    line = exported(tmp_path, "colour", config=SMALL + colour)[0]
+    original = cv2.imread(str(tmp_path / "colour" / line["file"])).mean(axis=(0, 1))
+
+    result = RUNNER.invoke(app, ["convert", str(tmp_path / "colour"), "-o", str(tmp_path / "copy"), "--to", "jpeg"])
+
+    assert result.exit_code == 0, result.output
+    converted = cv2.imread(str((tmp_path / "copy" / line["file"]).with_suffix(".jpeg"))).mean(axis=(0, 1))
+    assert np.ptp(original) > 10
+    np.testing.assert_allclose(converted, original, rtol=0, atol=2)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--format", "fits", "--exif"], 1, "leave out --exif"),
+        (["--blind", "truth", "--exif"], 2, "states the true time and position"),
+    ],
+)
+def test_exif_that_makes_no_sense_is_refused(tmp_path: Path, options: list[str], code: int, message: str) -> None:
+    options = [str(tmp_path / word) if word == "truth" else word for word in options]
+
+    result = RUNNER.invoke(app, ["export", "-o", str(tmp_path / "out"), *options])
+
+    assert result.exit_code == code
+    assert message in " ".join(result.output.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
