@@ -169,7 +169,7 @@ def _with_flight(
 
     flight = settings.open_flight(paths[0])
     if at == "camera":
-        images, problems = triggered_images(paths[1:], flight), list[str]()
+        images, problems = triggered_images(paths[1:], flight, delay_s=settings.exposure.at_delay_s), list[str]()
     else:
         images, problems = choose_images(paths[1:], table=table)
     if not images:

@@ -27,6 +27,8 @@ class ExposureSection(Section):
         Exposure time, s.
     at : {"camera"} or None
         When exposures begin: when the log says that the camera was triggered; None for a regular interval.
+    at_delay_s : float
+        Time from a trigger of the camera to the opening of its shutter, s.
     interval_s : float
         Time from the start of one exposure to the start of the next, s.
     rate_hz : float
@@ -51,6 +53,7 @@ class ExposureSection(Section):
 
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
     at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
+    at_delay_s: float = Field(default=0.0, allow_inf_nan=False, description="a number of seconds")
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
     trail: Trail = _EXPOSURE.trail

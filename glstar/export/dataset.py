@@ -18,7 +18,7 @@ from glstar.errors import ConfigError, ExportError, FlightTooShortError
 from glstar.export.fingerprint import file_hash
 from glstar.export.frames import ComposedFrame, Shot
 from glstar.export.images import ImageFormat, fit_format
-from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
+from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames, plan_frames
 from glstar.flight import Flight, PositionTrack
 from glstar.render.simulator import Simulator
 from glstar.sky.catalogue import StarCatalogue
@@ -34,6 +34,7 @@ _INTERVAL: Final = "exposure.interval_s"
 _READOUT: Final = "exposure.readout_s"
 _FRAMES: Final = "exposure.frames"
 _GAP: Final = "exposure.gap_s"
+_DELAY: Final = "exposure.at_delay_s"
 # Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
 _SITE_KEYS: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
@@ -48,6 +49,7 @@ class _Times(NamedTuple):
     readout_s: NDArray[np.float64]
     frames: NDArray[np.float64]
     gap_s: NDArray[np.float64]
+    at_delay_s: NDArray[np.float64]
     length_s: NDArray[np.float64]
 
     @property
@@ -57,7 +59,7 @@ class _Times(NamedTuple):
 
     def of(self, exposure: ExposureSection, sample: int) -> ExposureSection:
         """Return a section with the times of one sample."""
-        names = ("duration_s", "interval_s", "readout_s", "gap_s")
+        names = ("duration_s", "interval_s", "readout_s", "gap_s", "at_delay_s")
         update: dict[str, Any] = {name: float(getattr(self, name)[sample]) for name in names}
         return exposure.model_copy(update=update | {"frames": int(self.frames[sample])})
 
@@ -157,7 +159,11 @@ class DataSetFrames:
         nth, start_s = number - int(self._firsts[which]), settings.get(START, self.start_s)
         first_s, index = simulator.flight.attitude.first_s, which // len(self.config.sweep)
         shift_s = first_s - self.flights[index].attitude.first_s
-        return Shot(simulator, exposure.nth(nth, first_s, start_s=start_s), index, which, settings, shift_s)
+        if exposure.at == "camera":
+            shutter = exposure.starting_at(self._triggered[2][which][nth] + shift_s)
+        else:
+            shutter = exposure.nth(nth, first_s, start_s=start_s)
+        return Shot(simulator, shutter, index, which, settings, shift_s)
 
     def compose(self, number: int) -> ComposedFrame:
         """Return the scene of a frame; see `Frames`."""
@@ -180,6 +186,8 @@ class DataSetFrames:
         if self.samples > MOST_FRAMES:
             flights, sweep = len(self.flights), len(self.config.sweep)
             raise _too_many(f"{flights} flights under {sweep:,} samples each are {self.samples:,} samples")
+        if self.config.exposure.at == "camera":
+            return self._triggered[:2]
         firsts = np.zeros(1, dtype=np.int64)
         for salt, flight in enumerate(self.flights):
             try:
@@ -201,11 +209,33 @@ class DataSetFrames:
                 skipped.extend(self._skipped_of(flight, self._times(salt, flight), bounds[:-1], int(bounds[-1])))
         return firsts, tuple(skipped)
 
+    @cached_property
+    def _triggered(self) -> tuple[NDArray[np.int64], tuple[SkippedFrame, ...], list[list[float]]]:
+        """`_planned` of exposures at the triggers of a camera, and when each sample's shutter opens, UTC s."""
+        firsts, skipped, opened_s = [0], list[SkippedFrame](), list[list[float]]()
+        for salt, flight in enumerate(self.flights):
+            times = self._times(salt, flight)
+            for sample in range(len(self.config.sweep)):
+                exposure, start_s = times.of(self.config.exposure, sample), float(times.start_s[sample])
+                try:
+                    plan = plan_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
+                except ConfigError as error:
+                    raise FlightTooShortError(salt, str(error)) from error
+                first_s = flight.attitude.first_s
+                openings_s = {frame.number: frame.exposure.start_utc_s for frame in plan.frames}
+                openings_s |= {frame.number: first_s + frame.start_s for frame in plan.skipped}
+                numbers = {trigger: firsts[-1] + nth for nth, trigger in enumerate(sorted(openings_s))}
+                skipped.extend(replace(frame, number=numbers[frame.number]) for frame in plan.skipped)
+                opened_s.append([openings_s[trigger] for trigger in sorted(openings_s)])
+                firsts.append(firsts[-1] + len(numbers))
+        return np.array(firsts, dtype=np.int64), tuple(skipped), opened_s
+
     def _times(self, salt: int, flight: Flight) -> _Times:
         """Return the start, exposure time and interval of each sample of a flight, and how long it lasts."""
         exposure = self.config.exposure
         usual = {START: self.start_s, _DURATION: exposure.duration_s, _INTERVAL: exposure.interval_s}
         usual |= {_READOUT: exposure.readout_s, _FRAMES: exposure.frames, _GAP: exposure.gap_s}
+        usual |= {_DELAY: exposure.at_delay_s}
         varied = {axis.key for axis in self.config.sweep.axes}
         columns = [
             np.array(self.config.sweep.column(key, salt=salt), dtype=np.float64)
@@ -213,8 +243,7 @@ class DataSetFrames:
             else np.full(len(self.config.sweep), value)
             for key, value in usual.items()
         ]
-        start_s, duration_s, interval_s, readout_s, frames, gap_s = columns
-        return _Times(start_s, duration_s, interval_s, readout_s, frames, gap_s, self._lengths(salt, flight))
+        return _Times._make((*columns, self._lengths(salt, flight)))
 
     def _lengths(self, salt: int, flight: Flight) -> NDArray[np.float64]:
         """Return the time from the first to the last attitude of each sample of a flight, s."""

@@ -108,8 +108,6 @@ def prepare_data_set(
     CatalogueError
         If a star catalogue is unknown.
     """
-    if config.exposure.at == "camera":
-        raise ConfigError("a data set has exposures at a regular interval; leave out --at camera")
     image_format, sensor = fit_format(options.image_format, config.sensor(), summed=largest_sum(config))
     catalogues = _catalogues(config, image_format)
     hashes = tuple((path, file_hash(path)) for path in config.files)

@@ -14,7 +14,7 @@ from glstar.images.times import ImageTime
 __all__ = ["triggered_images"]
 
 
-def triggered_images(paths: Sequence[Path], flight: Flight) -> list[RealImage]:
+def triggered_images(paths: Sequence[Path], flight: Flight, *, delay_s: float = 0.0) -> list[RealImage]:
     """Return images with the times of the camera's triggers: the first by name was taken at the first trigger.
 
     Parameters
@@ -22,6 +22,8 @@ def triggered_images(paths: Sequence[Path], flight: Flight) -> list[RealImage]:
     paths : sequence of Path
         Folders, and image files.
     flight : Flight
+    delay_s : float
+        Time from a trigger to the opening of the shutter, s.
 
     Returns
     -------
@@ -54,7 +56,7 @@ def triggered_images(paths: Sequence[Path], flight: Flight) -> list[RealImage]:
     source = f"{flight.triggers.source} of {flight.name}"
     return [
         # The time of an image is that of the camera's clock.
-        RealImage(path, ImageTime(utc_s + flight.time_offset_s, source, is_start=True))
+        RealImage(path, ImageTime(utc_s + delay_s + flight.time_offset_s, source, is_start=True))
         for path, utc_s in zip(images, times_s, strict=True)
     ]
 

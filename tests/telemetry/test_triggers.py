@@ -1,5 +1,6 @@
 """When a camera was triggered, by every log that says so, and the exposures at these times."""
 
+import json
 import struct
 from pathlib import Path
 
@@ -204,3 +205,41 @@ def test_images_take_the_times_of_the_triggers_in_natural_order(tmp_path: Path) 
     # By the camera's clock, which is 2 s ahead.
     times_s = [image.time.utc_s - 2.0 - ELEVEN_S for image in images]
     np.testing.assert_allclose(times_s, TRIGGERS_S, rtol=0, atol=1e-3)
+
+
+def test_the_shutter_opens_later_than_the_trigger(tmp_path: Path) -> None:
+    flight = open_flight(dataflash(tmp_path / "flight.BIN"))
+    exposure = Config().override(**{"exposure.at": "camera", "exposure.at_delay_s": 0.125}).exposure
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for name in "abcd":
+        cv2.imwrite(str(folder / f"{name}.png"), np.zeros((4, 4), np.uint8))
+
+    plan = plan_frames(flight, exposure, start_s=0.0, stop_s=None, frames=None)
+    images = triggered_images([folder], flight, delay_s=0.125)
+
+    assert flight.triggers is not None
+    opened_s = flight.triggers.utc_s + 0.125
+    np.testing.assert_allclose([f.exposure.start_utc_s for f in plan.frames], opened_s, rtol=0, atol=1e-6)
+    np.testing.assert_allclose([i.time.utc_s for i in images], opened_s, rtol=0, atol=1e-6)
+
+
+def test_a_data_set_has_the_triggers_of_every_sample(tmp_path: Path) -> None:
+    paths = [dataflash(tmp_path / "whole.BIN"), dataflash(tmp_path / "torn.BIN", gap=(3.6, 5.0))]
+    (tmp_path / "set.toml").write_text(
+        "[camera]\nwidth_px = 64\nheight_px = 48\nfx_px = 60.0\nfy_px = 60.0\n[exposure]\nduration_s = 0.2\n"
+        "[sweep]\nexposure.at_delay_s = [0.0, 0.25]\n"
+    )
+    words = ["export", *map(str, paths), "-o", str(tmp_path / "set"), "-c", str(tmp_path / "set.toml")]
+
+    made = CliRunner().invoke(app, [*words, "--at", "camera", "--workers", "1"])
+
+    assert made.exit_code == 0, made.output
+    lines = [json.loads(line) for line in (tmp_path / "set" / "truth.jsonl").read_text().splitlines()]
+    opened = [(line["flight"], line["frame"], round(parse_utc(line["utc_start"]) - ELEVEN_S, 3)) for line in lines]
+    whole = [("whole.BIN", n, t) for n, t in enumerate([*TRIGGERS_S, *(t + 0.25 for t in TRIGGERS_S)])]
+    # The second trigger opens 0.1 s before the gap, the third within it.
+    torn = [("torn.BIN", n, t) for n, t in ((8, 1.25), (11, 7.125), (12, 1.5), (15, 7.375))]
+    assert opened == whole + torn
+    skipped = json.loads((tmp_path / "set" / "manifest.json").read_text())["skipped"]
+    assert [frame["number"] for frame in skipped] == [9, 10, 13, 14]
