@@ -326,7 +326,7 @@ def test_the_key_of_an_error_is_that_of_the_first_validation_error(write: Write)
         ("[exposure]\nduration_ms = 500\n", "exposure.duration_ms: is no key of [exposure] (did you mean duration_s?)"),
         (
             "[exposure]\nqq = 1\n",
-            "exposure.qq: is no key of [exposure] (there are duration_s, at, interval_s, rate_hz, trail,"
+            "exposure.qq: is no key of [exposure] (there are duration_s, at, at_delay_s, interval_s, rate_hz, trail,"
             " path_tolerance_px, faintest_dn, readout_s, readout, frames, gap_s, stack)",
         ),
         ('[exposure]\n"a\\nb" = 1\n', 'exposure."a\\nb": is no key of [exposure]'),
