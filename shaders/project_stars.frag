@@ -2,14 +2,15 @@
 
 // Projection pass: pixel positions of stars at the ends and the middles of the segments of their trails.
 //
-// A column is a star, a row a time.  A texel is the star's position (x, y) in the target, px, its height above the
-// apparent horizon (approximately a sine), and its depth (approximately a cosine of the angle to the boresight), 0 if it
-// is behind the camera.  The row after the last time holds the star's brightness and truncation radius.
+// A column is a star, a row a time.  A texel is the star's position (x, y) in the target, px, 0, and its depth
+// (approximately a cosine of the angle to the boresight), 0 if it is behind the camera.  The row after the last time holds
+// the star's brightness, its truncation radius, and when it rises and sets.
 
 // STARS_PER_ROW: columns of the texture of stars.
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_PER_ROW
-uniform sampler2D chosen;         // of each column: the star's index, its truncation radius, px, and transmission
+// Of each column: the star's index, its truncation radius, px, and transmission; when it rises and sets.
+uniform sampler2D chosen;
 uniform int       last_time;
 
 #include "projection.glsl"
@@ -25,8 +26,7 @@ void main() {
     Observed seen = observed(star.xyz, min(texel.y, last_time));
     bool in_front = seen.in_camera.z > 1e-9;
     vec2 xy_px = target_position_px(seen.in_camera.xy / (in_front ? seen.in_camera.z : 1.0));
-    // No refraction lifts a star above the horizon from 1 deg below it.
-    float height = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE + sine_horizon ? min(seen.height, -1e-6) : seen.height;
-    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, 0.0, 0.0)
-                                    : vec4(xy_px, height, in_front ? seen.in_camera.z : 0.0);
+    vec2 rises_and_sets = texelFetch(chosen, ivec2(texel.x, 1), 0).rg;
+    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, rises_and_sets)
+                                    : vec4(xy_px, 0.0, in_front ? seen.in_camera.z : 0.0);
 }

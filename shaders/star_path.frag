@@ -192,19 +192,25 @@ void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_durati
 }
 #endif
 
+// Elapsed fractions of a segment between which a star is above the horizon, given those at which it rises and sets.  A star
+// that sets before it rises is up until then and afterwards; in a segment in which it does both, throughout.
+vec2 part_above_horizon(vec2 rises_and_sets) {
+    vec2 within = clamp(rises_and_sets, 0.0, 1.0);
+    bool rises_again = rises_and_sets.y < rises_and_sets.x;
+    return rises_again ? vec2(within.y > 0.0 ? 0.0 : within.x, within.x < 1.0 ? 1.0 : within.y) : within;
+}
+
 Path path_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_start = projected(star, first), at_middle = projected(star, first + 1), at_end = projected(star, first + 2);
-    vec2 brightness_and_radius = projected(star, last_time + 1).xy;
+    vec4 of_star = projected(star, last_time + 1);    // brightness, truncation radius, times of rising and setting
     float duration = texelFetch(pointing, ivec2(0, first), 0).w, weight = texelFetch(pointing, ivec2(1, first), 0).w;
+    float begin = texelFetch(pointing, ivec2(2, first), 0).w;
 
-    // The horizon moves by 15" per second: within a segment a star crosses it once, at a nearly constant rate.
-    bool starts_up = at_start.z >= 0.0, ends_up = at_end.z >= 0.0;
-    bool early = starts_up != (at_middle.z >= 0.0);
-    vec2 heights = early ? vec2(at_start.z, at_middle.z) : vec2(at_middle.z, at_end.z);
-    float crossing = starts_up == ends_up ? 0.0 : (early ? 0.0 : 0.5) + 0.5 * heights.x / (heights.x - heights.y);
-    float rises = starts_up ? 0.0 : crossing, sets = ends_up ? 1.0 : crossing;
-    bool hidden = !(starts_up || ends_up) || at_start.w * at_middle.w * at_end.w == 0.0;
+    vec2 within = part_above_horizon((of_star.zw - begin) / duration);
+    float rises = within.x, sets = within.y;
+    bool starts_up = rises == 0.0, ends_up = sets == 1.0;
+    bool hidden = sets <= rises || at_start.w * at_middle.w * at_end.w == 0.0;
 
     Path path = Path(vec4(0.0), vec4(0.0), vec4(vec3(0.0), NOTHING), 0.0, vec2(0.0), vec2(0.0), 0.0
 #if ROWS
@@ -222,14 +228,13 @@ Path path_of(int star, int segment) {
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
     float transmission = texelFetch(passage, min(ivec2(star, segment), textureSize(passage, 0) - 1), 0).r;
-    float peak_dn = vmag_0_peak_dn * brightness_and_radius.x * duration * (sets - rises) * transmission;
+    float peak_dn = vmag_0_peak_dn * of_star.x * duration * (sets - rises) * transmission;
     if (length(chord) < SHORT_SIGMA * image_sigma_px)
-        two_gaussians(path, chord, ahead, peak_dn, brightness_and_radius.y);
+        two_gaussians(path, chord, ahead, peak_dn, of_star.y);
     else
-        curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, brightness_and_radius.y);
+        curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, of_star.y);
 #if ROWS
-    float begin = texelFetch(pointing, ivec2(2, first), 0).w;
-    set_openings(path, chord, ahead, vec2(begin + duration * rises, duration * (sets - rises)), brightness_and_radius.y);
+    set_openings(path, chord, ahead, vec2(begin + duration * rises, duration * (sets - rises)), of_star.y);
 #endif
     return path;
 }

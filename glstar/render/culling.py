@@ -149,7 +149,7 @@ class StarCuller:
         longest_step_px = 0.0
         first = 0
         for block in pointing.blocks(len(candidates), overlap=1):
-            in_camera = block.to_camera(directions)
+            in_camera = _while_seen(block, directions)
             xy = self.camera.project(in_camera)
             # Trails are drawn in the undistorted image plane, where their sampling ripple has to be small.
             undistorted = xy if self.camera.lens is None else pinhole.project(in_camera)
@@ -158,7 +158,7 @@ class StarCuller:
             step_px = np.sqrt(step_x * step_x + step_y * step_y)  # five times as fast as hypot
             trail_px = step_px / time_fraction[first : first + len(step_px), np.newaxis]
             first += len(step_px)
-            hidden = np.isnan(step_px)  # behind the camera or below the horizon
+            hidden = np.isnan(step_px)  # behind the camera or always below the horizon
             if hidden.any():
                 step_px[hidden], trail_px[hidden] = 0.0, np.inf
             slowest_px = np.minimum(slowest_px, trail_px.min(axis=0))
@@ -296,6 +296,19 @@ def _outward_normals(camera: Camera) -> Float:
     outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
     outwards.flags.writeable = False
     return outwards
+
+
+def _while_seen(pointing: Pointing, directions: Float) -> Float:
+    """Return `Pointing.to_camera`, with the directions below the horizon of stars that rise or set.
+
+    Between two times such a star may cross a corner of the image before it sets.
+    """
+    in_camera = pointing.to_camera(directions)
+    if np.isnan(in_camera[[0, -1]]).any():
+        below = np.isnan(in_camera[..., 2])
+        crosses = np.flatnonzero(below.any(axis=0) & ~below.all(axis=0))
+        in_camera[:, crosses] = pointing.to_camera(directions[crosses], below_horizon=True)
+    return in_camera
 
 
 def _largest_rotation_rad(C: Float, C_other: Float) -> float:

@@ -76,10 +76,10 @@ class Pointing:
         zenith, rotation.  Departs from the paper, which also draws stars below the horizon.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
-        sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
+        sine_altitude = self._sine_altitude(direction)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         if not below_horizon and sine_altitude.min(initial=0.0) < self.sine_horizon:  # refraction is positive
-            refraction[self._below_horizon(sine_altitude, refraction)] = np.nan
+            refraction[self._height(sine_altitude, refraction) < 0] = np.nan
         # One matrix product for all times and no second array of its size: every frame waits for this.
         n = len(self)
         rows = np.swapaxes(self.C_camera_eq, 0, 1).reshape(3 * n, 3)
@@ -109,11 +109,33 @@ class Pointing:
         q = refraction_displacement(s, self.refraction_scale)
         return np.asarray((s + q) / np.sqrt(1 + q * (2 * s + q)))
 
-    def _below_horizon(self, sine_altitude: Float, refraction: Float) -> NDArray[np.bool_]:
-        """Return which directions are below the apparent horizon."""
-        lowest = np.sin(LOWEST_ALTITUDE_RAD) + self.sine_horizon
-        below = (sine_altitude < lowest) | (sine_altitude + refraction < self.sine_horizon)
-        return np.asarray(below)
+    def heights(self, direction_eq: ArrayLike) -> Float:
+        """Return how high stars are above the apparent horizon.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+
+        Returns
+        -------
+        (n, m) float64
+            Approximately sines; negative where `to_camera` returns NaN.
+        """
+        sine_altitude = self._sine_altitude(np.asarray(direction_eq, dtype=np.float64))
+        return self._height(sine_altitude, refraction_displacement(sine_altitude, self.refraction_scale))
+
+    def _sine_altitude(self, direction: Float) -> Float:
+        """Return the sines of the altitudes of stars, (n, m), with aberration and without refraction."""
+        aberration = np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
+        return np.asarray(self.zenith_eq @ direction.T + aberration)
+
+    def _height(self, sine_altitude: Float, refraction: Float) -> Float:
+        """Return `heights`, given the sines of altitudes without refraction and the refraction."""
+        height = sine_altitude + refraction - self.sine_horizon
+        # No refraction lifts a star above the horizon from 1 deg below it.
+        above_lowest = sine_altitude - (np.sin(LOWEST_ALTITUDE_RAD) + self.sine_horizon)
+        return np.where(above_lowest < 0, np.minimum(height, above_lowest), height)
 
     def each_to_camera(self, direction_eq: ArrayLike) -> Float:
         """Return the observed direction of each of n stars at one of the n times, as `to_camera` does.
@@ -131,7 +153,7 @@ class Pointing:
         direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
         sine_altitude = np.sum(self.zenith_eq * direction, axis=1)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
-        refraction = np.where(self._below_horizon(sine_altitude, refraction), np.nan, refraction)
+        refraction = np.where(self._height(sine_altitude, refraction) < 0, np.nan, refraction)
         observed = direction + refraction[:, np.newaxis] * self.zenith_eq
         return np.asarray(np.einsum("nij,nj->ni", self.C_camera_eq, observed))
 

@@ -5,6 +5,7 @@ real flight logged at 25 Hz and rounded to 0.01 deg; sigma 0.3 to 8 px; any subp
 border; with a barrel lens in every sixth trial.  The reference is the sum of Gaussians, integrated over pixels, along
 the interpolated attitude with a spacing of at most a third of a sigma.  Behind a lens it is the sum of many
 sub-exposures.
+
 With ``GALLIUM_DRIVER=softpipe`` in the environment, the other software driver of Mesa draws.
 """
 
@@ -16,24 +17,34 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
-from glstar.rotation import euler_from_quaternion, quaternion_from_euler
+from glstar.rotation import (
+    conjugate,
+    euler_from_quaternion,
+    matrix_from_quaternion,
+    multiply,
+    quaternion_from_euler,
+    quaternion_from_matrix,
+)
+from glstar.sky.horizon import refraction_displacement
 from glstar.system.resources import asset
-from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 Float = NDArray[np.float64]
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 200, 150, 967.7425
-OPENS_S = NIGHT_UTC_S + 0.5
+FISHEYE_FOCAL_PX = 300.0
 # A difference is a fraction of the local maximum: of the brightest pixel within this number of sigma and of px.  In the
 # outermost wings, where trails are truncated, it is a fraction of this part of the brightest pixel of all.
 NEARBY_SIGMA, NEARBY_PX = 3.0, 4
@@ -42,6 +53,21 @@ SPACING_SIGMA = 1 / 3
 # Sub-exposures behind a lens.  At 0.8 sigma they are up to 0.7 % of the local maximum off where a path turns back.
 LENS_SPACING_SIGMA = 0.4
 KINDS = ("uniform", "accelerating", "bent", "vibrating", "rough", "logged")
+
+
+class Variant(NamedTuple):
+    """What is the same in all trials of a search: see `VARIANTS`."""
+
+    fisheye: bool = False
+    refraction: bool = False
+    horizon: bool = False
+
+
+VARIANTS = {
+    "fisheye": "draw behind a fisheye, up to 50 deg off its axis",
+    "refraction": "bend the light of the stars, at altitudes of 0.1 to 90 deg",
+    "horizon": "let each star rise or set during its exposure, behind a pinhole",
+}
 
 
 class Trial(NamedTuple):
@@ -53,7 +79,20 @@ class Trial(NamedTuple):
     deg_per_s: float
 
 
-def random_trial(seed: int) -> Trial:
+class _Attitudes(NamedTuple):
+    """Times, s, attitudes NED to body, (n, 4), and how they are interpolated."""
+
+    time_s: Float
+    q_body_ned: Float
+    interpolation: str
+
+    def track(self, C_now_ned: Float) -> AttitudeTrack:
+        """Return the track with the aircraft's north, east and down turned."""
+        q = multiply(self.q_body_ned, conjugate(quaternion_from_matrix(C_now_ned)))
+        return AttitudeTrack.from_samples(self.time_s, q, interpolation=self.interpolation)
+
+
+def random_trial(seed: int, variant: Variant = Variant()) -> Trial:  # noqa: B008 - immutable
     """Return the trial of a seed."""
     random = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
@@ -66,18 +105,69 @@ def random_trial(seed: int) -> Trial:
     sensor = Sensor(
         reference_peak_dn=1e6, reference_exposure_s=duration_s, psf_sigma_px=sigma_px, bit_depth=16, reference_vmag=0.0
     )
-    track = _logged(random) if kind == "logged" else _made(random, kind, deg_per_s)
-    still = sky_over_adelaide(lens, sensor=sensor, vmag_limit=1.0, refraction=False)
-    simulator = replace(still, flight=Flight(track, PositionTrack.fixed(ADELAIDE)))
-    opens_s = track.first_s + random.uniform(0.5, track.last_s - track.first_s - duration_s - 0.5)
-    exposure = Exposure(opens_s, duration_s, trail="analytic")
+    attitudes = _logged(random) if kind == "logged" else _made(random, kind, deg_per_s)
+    first_s, last_s = attitudes.time_s[0], attitudes.time_s[-1]
+    exposure = Exposure(
+        first_s + random.uniform(0.5, last_s - first_s - duration_s - 0.5), duration_s, trail="analytic"
+    )
     # The star is somewhere on the image, or a few pixels beside it, at some time of the exposure.
     xy_px = random.uniform([-10.0, -10.0], [WIDTH_PX + 9.0, HEIGHT_PX + 9.0])
-    simulator = with_stars_at(simulator, [xy_px], [0.0], opens_s + random.uniform(0.0, 1.0) * duration_s)
+    utc_s = exposure.start_utc_s + random.uniform(0.0, 1.0) * duration_s
+    lens = _lens_of(variant, lens, random)
+    still = sky_over_adelaide(lens, sensor=sensor, vmag_limit=1.0, refraction=variant.refraction)
+    simulator = _with_star(still, attitudes, xy_px, utc_s, _altitude_rad(variant, random))
     return Trial(kind, simulator, exposure, deg_per_s)
 
 
-def _made(random: np.random.Generator, kind: str, deg_per_s: float) -> AttitudeTrack:
+def _lens_of(variant: Variant, lens: Camera, random: np.random.Generator) -> Camera:
+    """Return the camera of a variant: behind a fisheye it is a part of a larger image."""
+    if variant.fisheye:
+        cx_px, cy_px = random.uniform([-100.0, -50.0], [WIDTH_PX / 2, HEIGHT_PX / 2])
+        fisheye = Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4))
+        return Camera(WIDTH_PX, HEIGHT_PX, FISHEYE_FOCAL_PX, FISHEYE_FOCAL_PX, cx_px, cy_px, 0.0, fisheye)
+    return replace(lens, lens=None) if variant.horizon else lens
+
+
+def _altitude_rad(variant: Variant, random: np.random.Generator) -> float | None:
+    """Return the apparent altitude of the star; None for that of the attitude, or minus it where that is negative."""
+    if variant.horizon:
+        return 0.0
+    return np.deg2rad(min(10 ** random.uniform(-1.0, 2.0), 90.0)) if variant.refraction else None
+
+
+def _with_star(
+    simulator: Simulator, attitudes: _Attitudes, xy_px: Float, utc_s: float, altitude_rad: float | None
+) -> Simulator:
+    """Return the view of one star of magnitude 0 that is at a pixel at one time, at an apparent altitude."""
+    (ray,) = simulator.camera.unproject(xy_px[np.newaxis])
+    ray /= np.linalg.norm(ray)
+    unturned = attitudes.track(np.eye(3))
+    direction_ned = (simulator.mount.C_camera_body @ matrix_from_quaternion(unturned.at(utc_s))).T @ ray
+    flight = Flight(attitudes.track(_turned_to(direction_ned, altitude_rad)), PositionTrack.fixed(ADELAIDE))
+    pointing = replace(simulator, flight=flight).pointing(np.array([utc_s]))
+    seen_eq, zenith_eq = ray @ pointing.C_camera_eq[0], pointing.zenith_eq[0]
+    # The direction without refraction: its displacement towards the zenith is that of the direction itself.
+    direction = seen_eq
+    for _ in range(30):
+        displacement = refraction_displacement(direction @ zenith_eq, pointing.refraction_scale)
+        along = seen_eq @ zenith_eq * displacement
+        length = along + np.sqrt(along**2 + 1 - displacement**2)
+        direction = length * seen_eq - displacement * zenith_eq
+    star = star_field((direction - pointing.velocity_eq[0])[np.newaxis], np.zeros(1))
+    return replace(simulator, flight=flight, stars=star)
+
+
+def _turned_to(direction_ned: Float, altitude_rad: float | None) -> Float:
+    """Return the rotation of north, east and down that takes a direction to an altitude, or above the horizon."""
+    if altitude_rad is None:
+        return np.diag([1.0, -1.0, -1.0]) if direction_ned[2] > 0 else np.eye(3)
+    level = direction_ned * [1.0, 1.0, 0.0]
+    axis = np.cross(level, [0.0, 0.0, -1.0]) / np.linalg.norm(level)
+    turn_rad = altitude_rad - np.arcsin(-direction_ned[2])
+    return Rotation.from_rotvec(turn_rad * axis).as_matrix()
+
+
+def _made(random: np.random.Generator, kind: str, deg_per_s: float) -> _Attitudes:
     rate_hz = float(random.choice([10.0, 25.0, 50.0, 200.0, 1000.0 if kind == "vibrating" else 400.0]))
     t = np.arange(0.0, 2.5, 1 / rate_hz)
     axis = random.normal(size=3)
@@ -97,10 +187,10 @@ def _made(random: np.random.Generator, kind: str, deg_per_s: float) -> AttitudeT
     C_body_ned = (base * Rotation.from_rotvec(np.deg2rad(turned_deg))).inv()
     q = np.roll(C_body_ned.as_quat(), 1, axis=1)  # SciPy's are (x, y, z, w)
     interpolation = "slerp" if random.random() < 0.5 else "spline"
-    return AttitudeTrack.from_samples(NIGHT_UTC_S + t, q, interpolation=interpolation)
+    return _Attitudes(NIGHT_UTC_S + t, q, interpolation)
 
 
-def _logged(random: np.random.Generator) -> AttitudeTrack:
+def _logged(random: np.random.Generator) -> _Attitudes:
     """Return seconds of the bundled flight as a log at 25 Hz, rounded to 0.01 deg, and up to five times as fast."""
     attitude = Config().open_flight(asset("adelaide.BIN")).attitude
     faster = float(random.choice([1.0, 2.0, 5.0]))
@@ -108,7 +198,7 @@ def _logged(random: np.random.Generator) -> AttitudeTrack:
     t = np.arange(0.0, 2.5, 0.04)
     angles_deg = np.round(np.rad2deg(euler_from_quaternion(attitude.at(start_s + faster * t))), 2)
     q = quaternion_from_euler(*np.deg2rad(angles_deg))
-    return AttitudeTrack.from_samples(NIGHT_UTC_S + t, q, interpolation="slerp" if random.random() < 0.5 else "spline")
+    return _Attitudes(NIGHT_UTC_S + t, q, "slerp" if random.random() < 0.5 else "spline")
 
 
 def brute_force(trial: Trial, border_px: int = 0) -> Float:
@@ -128,16 +218,33 @@ def brute_force(trial: Trial, border_px: int = 0) -> Float:
 
 def _dense_path(simulator: Simulator, exposure: Exposure, spacing_px: float) -> tuple[Float, float]:
     """Return positions in the middles of equal times, (n, 2) px, and the fraction of the exposure of each."""
+    up_from_s, up_until_s = _up_between(simulator, exposure)
     n = 400
     while True:
-        time_s = exposure.start_utc_s + (np.arange(n) + 0.5) / n * exposure.duration_s
+        time_s = up_from_s + (np.arange(n) + 0.5) / n * (up_until_s - up_from_s)
         xy_px = simulator.camera.project(simulator.pointing(time_s).to_camera(simulator.stars.direction_eq))[:, 0]
         inside = simulator.camera.contains(xy_px, 60.0)
         step_px = np.linalg.norm(np.diff(xy_px, axis=0), axis=1)[inside[1:] | inside[:-1]]
         longest_px = np.nanmax(step_px, initial=0.0)
         if longest_px <= spacing_px or n > 2_000_000:
-            return xy_px[np.isfinite(xy_px).all(axis=1)], 1 / n
+            return xy_px[np.isfinite(xy_px).all(axis=1)], (up_until_s - up_from_s) / exposure.duration_s / n
         n = int(n * max(2.0, 1.1 * longest_px / spacing_px))
+
+
+def _up_between(simulator: Simulator, exposure: Exposure) -> tuple[float, float]:
+    """Return between which times of the exposure the star is above the horizon, UTC s."""
+
+    def height(since_s: float) -> float:
+        pointing = simulator.pointing(np.array([exposure.start_utc_s + since_s]))
+        return float(pointing.heights(simulator.stars.direction_eq)[0, 0])
+
+    starts_up, ends_up = height(0.0) >= 0, height(exposure.duration_s) >= 0
+    if starts_up == ends_up:
+        return exposure.start_utc_s, exposure.start_utc_s + exposure.duration_s
+    crosses_s = exposure.start_utc_s + brentq(height, 0.0, exposure.duration_s, xtol=1e-9)
+    if starts_up:
+        return exposure.start_utc_s, crosses_s
+    return crosses_s, exposure.start_utc_s + exposure.duration_s
 
 
 def _pixel_integral(offset_px: Float, sigma_px: float) -> Float:
@@ -146,8 +253,17 @@ def _pixel_integral(offset_px: Float, sigma_px: float) -> Float:
     return np.asarray(sigma_px * np.sqrt(np.pi / 2) * (erf((offset_px + 0.5) / edge) - erf((offset_px - 0.5) / edge)))
 
 
-def worst_pixel(renderer: GLRenderer, trial: Trial) -> tuple[float, int, int]:
-    """Return the largest difference as a fraction of the brightest pixel nearby, and the pixel's column and row."""
+class Worst(NamedTuple):
+    """The largest difference, as a fraction of the brightest pixel nearby, its pixel, and whether the image is lit."""
+
+    fraction: float
+    column: int = 0
+    row: int = 0
+    is_lit: bool = True
+
+
+def worst_pixel(renderer: GLRenderer, trial: Trial) -> Worst:
+    """Return the largest difference of a trial."""
     drawn = renderer.render(trial.simulator.scene(trial.exposure), seed=0, light=True).light_dn
     assert drawn is not None
     # Of a star beside the image, the brightest pixel nearby may be beside it too.
@@ -159,10 +275,10 @@ def worst_pixel(renderer: GLRenderer, trial: Trial) -> tuple[float, int, int]:
     expected = bordered[image] if trial.simulator.camera.lens is None else _summed(renderer, trial)
     nearby = np.maximum(np.maximum(nearby, maximum_filter(expected, nearby_px)), LEAST_FRACTION * bordered.max())
     if bordered.max() < 1.0:  # the star passes far from the image
-        return float(np.abs(drawn - expected).max()), 0, 0
+        return Worst(float(np.abs(drawn - expected).max()), is_lit=False)
     fraction = np.abs(drawn - expected) / nearby
     row, column = np.unravel_index(fraction.argmax(), fraction.shape)
-    return float(fraction[row, column]), int(column), int(row)
+    return Worst(float(fraction[row, column]), int(column), int(row), bool(expected.max() >= 1.0))
 
 
 def _summed(renderer: GLRenderer, trial: Trial) -> Float:
@@ -175,30 +291,36 @@ def _summed(renderer: GLRenderer, trial: Trial) -> Float:
     return summed.astype(np.float64)
 
 
+def _described(trial: Trial, worst: Worst) -> str:
+    lens = "pinhole" if trial.simulator.camera.lens is None else trial.simulator.camera.lens.model
+    return (
+        f"{worst.fraction:.4f} at column {worst.column}, row {worst.row}; {trial.kind}, {trial.deg_per_s:.1f} deg/s,"
+        f" sigma {trial.simulator.sensor.psf_sigma_px:.2f} px, {trial.exposure.duration_s:g} s, {lens}"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=2000, help="number of random trails")
     parser.add_argument("--seed", type=int, default=0, help="the first trail's seed")
     parser.add_argument("--tolerance", type=float, default=0.005, help="largest difference, a fraction")
+    for name, text in VARIANTS.items():
+        parser.add_argument(f"--{name}", action="store_true", help=text)
     asked = parser.parse_args()
-    fractions = []
+    if asked.fisheye and asked.horizon:
+        parser.error("--horizon is compared behind a pinhole: sub-exposures are too coarse at the horizon")
+    variant = Variant(asked.fisheye, asked.refraction, asked.horizon)
+    found = []
     with GLRenderer.headless() as renderer:
         print(renderer.driver)
         for seed in range(asked.seed, asked.seed + asked.trials):
-            trial = random_trial(seed)
-            fraction, column, row = worst_pixel(renderer, trial)
-            fractions.append(fraction)
-            if not fraction <= asked.tolerance:
-                sensor, exposure = trial.simulator.sensor, trial.exposure
-                lens = "pinhole" if trial.simulator.camera.lens is None else "lens"
-                print(
-                    f"seed {seed}: {fraction:.4f} at column {column}, row {row}; {trial.kind},"
-                    f" {trial.deg_per_s:.1f} deg/s, sigma {sensor.psf_sigma_px:.2f} px,"
-                    f" {exposure.duration_s:g} s, {lens}",
-                    flush=True,
-                )
-    worse = sum(not fraction <= asked.tolerance for fraction in fractions)
-    print(f"{asked.trials} trails, {worse} above {asked.tolerance}; largest {max(fractions):.4f}")
+            trial = random_trial(seed, variant)
+            found.append(worst_pixel(renderer, trial))
+            if not found[-1].fraction <= asked.tolerance:
+                print(f"seed {seed}: {_described(trial, found[-1])}", flush=True)
+    worse, lit = sum(not worst.fraction <= asked.tolerance for worst in found), sum(worst.is_lit for worst in found)
+    largest = max(worst.fraction for worst in found)
+    print(f"{asked.trials} trails, {lit} on the image, {worse} above {asked.tolerance}; largest {largest:.4f}")
     sys.exit(1 if worse else 0)
 
 

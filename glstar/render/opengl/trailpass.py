@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.colourscenes import cell_tints
+from glstar.render.horizoncrossing import rise_and_set
 from glstar.render.opengl.passagetexture import PassageTexture
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
@@ -136,7 +137,7 @@ class TrailPass:
             self._draw_passes_of(narrow, mosaic=False, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
-        self._chosen = self._texture((_STARS_PER_CALL, 1), 3)
+        self._chosen = self._texture((_STARS_PER_CALL, 2), 3)
         self._tints = self._texture((_STARS_PER_CALL, 1), 4)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._positions.release)
@@ -171,12 +172,12 @@ class TrailPass:
             self._passage.write_table(np.ones((1, 1), np.float32))
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
-        chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
+        chosen = _texels_of_stars(scene, trails)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
             rows = texels[times]
             self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
-            for begin in range(0, len(chosen), _STARS_PER_CALL):
+            for begin in range(0, chosen.shape[1], _STARS_PER_CALL):
                 stars = slice(begin, begin + _STARS_PER_CALL)
                 if tints is not None:
                     of_columns = tints[drawn.index[stars]]
@@ -184,7 +185,7 @@ class TrailPass:
                 if drawn.passage is not None:
                     segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
                     self._passage.write_table(drawn.passage[stars, segments].T)
-                self._draw(paths, draw_passes, chosen[stars], _near_image(scene, trails, times, stars), light)
+                self._draw(paths, draw_passes, chosen[:, stars], _near_image(scene, trails, times, stars), light)
 
     def _with_uniforms(
         self,
@@ -203,7 +204,6 @@ class TrailPass:
         set_uniforms(
             self._projection,
             refraction_scale=trails.pointing.refraction_scale,
-            sine_horizon=trails.pointing.sine_horizon,
             focal_px=(camera.fx_px, camera.fy_px),
             principal_px=(camera.cx_px, camera.cy_px),
             skew_px=camera.skew_px,
@@ -240,16 +240,16 @@ class TrailPass:
         light: moderngl.Framebuffer,
     ) -> None:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
-        segments, times = len(near), 2 * len(near) + 1
-        self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
+        stars, segments, times = chosen.shape[1], len(near), 2 * len(near) + 1
+        self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, 2))
         for location, texture in enumerate((self._uploaded[-1][1], self._chosen, self._pointing)):
             texture.use(location)
         self._projection["last_time"] = path_table.program["last_time"] = times - 1
         self._context.enable_only(moderngl.NOTHING)
-        positions = self._positions.filled(self._all_positions, len(chosen), times + 1)
+        positions = self._positions.filled(self._all_positions, stars, times + 1)
         positions[0].use(location=0)
         self._passage.texture.use(location=1)
-        paths = path_table.textures.filled(path_table.vertex_array, len(chosen), segments + 1)
+        paths = path_table.textures.filled(path_table.vertex_array, stars, segments + 1)
         for location, texture in enumerate(paths):
             texture.use(location)
         self._tints.use(location=_TINTS_UNIT)
@@ -392,6 +392,15 @@ def _segment_texels(trails: AnalyticSegments) -> NDArray[np.float32]:
     texels[:-1:2, 0, 3] = trails.time_fraction
     texels[:-1:2, 1, 3] = trails.end_weight
     texels[:-1:2, 2, 3] = np.cumsum(trails.time_fraction) - trails.time_fraction
+    return texels
+
+
+def _texels_of_stars(scene: Scene, trails: AnalyticSegments) -> NDArray[np.float32]:
+    """Return what project_stars.frag reads of each visible star, (2, k, 3): see its uniform `chosen`."""
+    drawn = scene.draw_list
+    texels = np.zeros((2, len(drawn), 3), np.float32)
+    texels[0] = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission])
+    texels[1, :, :2] = rise_and_set(trails, scene.stars.direction_eq[drawn.index])
     return texels
 
 
