@@ -5,7 +5,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -30,12 +30,12 @@ from glstar.cli.windowoptions import (
 )
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.export.framestream import STREAM, FrameStream
-from glstar.export.latestframe import LatestFrameWriter
+from glstar.export.framestream import STREAM
 from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.simulatorstate import SIMULATOR_NAMES
 
 if TYPE_CHECKING:
+    from glstar.export.frameoutputs import FrameOutput
     from glstar.export.liveexport import LiveReport
 
 __all__ = ["live"]
@@ -54,7 +54,8 @@ ExportTo = Annotated[
 LatestFrame = Annotated[
     str | None,
     typer.Option(
-        help="Pass the frames to another process: shm:NAME, a file, or zmq://HOST:PORT; one writer for each name.",
+        help="Pass the frames on: shm:NAME, a file, zmq://HOST:PORT, http://HOST:PORT for a browser (MJPEG), or"
+        " video:DEVICE for what reads a camera; one writer for each name.",
         show_default=False,
     ),
 ]
@@ -324,19 +325,12 @@ def _export(
 
     with ExitStack() as stack:
         renderer = stack.enter_context(GLRenderer.headless())
-        latest = stream = None
-        if frames.latest_frame is not None and frames.latest_frame.startswith(STREAM):
-            stream = stack.enter_context(FrameStream(frames.latest_frame, with_truth=frames.with_truth))
-        elif frames.latest_frame is not None:
-            camera = settings.camera()
-            pixels = camera.width_px * camera.height_px
-            latest = stack.enter_context(LatestFrameWriter(frames.latest_frame, pixels))
+        output = None if frames.latest_frame is None else stack.enter_context(closing(_output(settings, frames)))
         job = LiveExport(
             settings,
             link,
             directory=frames.directory,
-            latest=latest,
-            stream=stream,
+            output=output,
             image_format=frames.image_format,
             seed=frames.seed,
             command=shlex.join(["glstar", *sys.argv[1:]]),
@@ -346,6 +340,20 @@ def _export(
         report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
         injected = {} if injection is None else {"injected": injection.injector.sent}
         return {**_export_summary(report), **injected}
+
+
+def _output(settings: Config, frames: _ExportOptions) -> "FrameOutput":
+    """Open the output that receives each frame."""
+    from glstar.export.frameoutputs import open_frame_output  # noqa: PLC0415 - OpenCV
+    from glstar.export.images import fit_format  # noqa: PLC0415
+
+    assert frames.latest_frame is not None
+    summed = settings.exposure.signal_factor
+    _, sensor = fit_format(frames.image_format, settings.sensor(), summed=summed)
+    interval_s, with_truth = settings.exposure.interval_s, frames.with_truth
+    return open_frame_output(
+        frames.latest_frame, settings.camera(), sensor, interval_s=interval_s, summed=summed, with_truth=with_truth
+    )
 
 
 def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:

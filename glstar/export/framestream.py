@@ -64,16 +64,16 @@ class FrameStream:
         self._socket = _bound(where, zmq.PUB, "--latest-frame")
         self._socket.setsockopt(zmq.SNDHWM, _WAITING)
 
-    def write(self, pixels: NDArray[Any], nav: dict[str, Any], truth: bytes) -> None:
+    def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
         """Send a frame to all who are subscribed.
 
         Parameters
         ----------
         pixels : (height, width) uint8 or uint16
-        nav : dict
-            The record of the navigator.
         truth : bytes
             The line of ``truth.jsonl``.
+        nav : dict
+            The record of the navigator.
         """
         header = {
             "schema": FRAME_SCHEMA,

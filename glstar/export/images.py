@@ -18,7 +18,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
 from glstar.export.fitsfile import FITS_START, damage_of_fits, decode_fits
-from glstar.export.processing import CameraProcessing, encode_colour_png, encode_jpeg
+from glstar.export.processing import CameraProcessing, encode_colour_png, encode_jpeg, to_8_bits
 from glstar.export.videofile import VideoFile
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
@@ -326,4 +326,4 @@ def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.u
     if pixels.ndim == 3:  # processed, to the full scale of its type
         pixels, saturation_dn = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), full_scale
     saturation_dn = min(saturation_dn, full_scale)
-    return np.asarray(np.minimum(pixels * (255.0 / saturation_dn) + 0.5, 255), dtype=np.uint8)
+    return to_8_bits(pixels, saturation_dn)

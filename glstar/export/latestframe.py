@@ -120,7 +120,7 @@ class LatestFrameWriter:
         else:
             remove_staged(Path(where))
 
-    def write(self, pixels: np.ndarray[Any, Any], truth: bytes) -> None:
+    def write(self, pixels: np.ndarray[Any, Any], truth: bytes, _nav: dict[str, Any] | None = None) -> None:
         """Pass a frame to the readers.
 
         Parameters

@@ -18,11 +18,11 @@ from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.directorylock import directory_lock
 from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.frameoutputs import FrameOutput
 from glstar.export.frames import FlightFrames
 from glstar.export.framestream import FrameStream
 from glstar.export.framewriter import FrameWriter
 from glstar.export.images import ImageFormat, fit_format
-from glstar.export.latestframe import LatestFrameWriter
 from glstar.export.layout import OURS, output_files
 from glstar.export.lease import revoke_leases
 from glstar.export.links import refuse_links
@@ -93,10 +93,8 @@ class LiveExport:
         estimates.
     directory : Path, optional
         The output directory; nothing is written if None.
-    latest : LatestFrameWriter, optional
+    output : FrameOutput, optional
         Receives each frame; the caller closes it.
-    stream : FrameStream, optional
-        Receives each frame with what the aircraft knows; the caller closes it.
     image_format : {"png", "png16", "tiff", "fits", "jpeg"}, optional
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     seed : int
@@ -116,15 +114,13 @@ class LiveExport:
         link: Link,
         *,
         directory: Path | None = None,
-        latest: LatestFrameWriter | None = None,
-        stream: FrameStream | None = None,
+        output: FrameOutput | None = None,
         image_format: ImageFormat | None = None,
         seed: int = 0,
         command: str = "glstar live",
     ) -> None:
         self._config, self._link = config, link
-        self._directory, self._latest, self._seed, self._command = directory, latest, seed, command
-        self._stream = stream
+        self._directory, self._output, self._seed, self._command = directory, output, seed, command
         self._writes_nav = directory is not None and link.truth == "sim_state"
         self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
         self._nav: LiveNavigator | None = None
@@ -176,7 +172,7 @@ class LiveExport:
         until_s = inf if duration_s is None else time.monotonic() + duration_s
         with ExitStack() as locked:
             directory = self._directory
-            if self._writes_nav or self._stream is not None:
+            if self._writes_nav or isinstance(self._output, FrameStream):
                 self._nav = locked.enter_context(closing(LiveNavigator(self._config, directory, duration_s)))
             truth = None
             with ExitStack() as writing:
@@ -305,10 +301,8 @@ class LiveExport:
             record = self._nav.record(known, planned.exposure, number=number, file=file, flight=shown)
 
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
-            if self._latest is not None:
-                self._latest.write(pixels, truth)
-            if self._stream is not None:
-                self._stream.write(pixels, record, truth)
+            if self._output is not None:
+                self._output.write(pixels, truth, record)
             self._latency_s.append(time.monotonic() - latest.arrival_s)
 
         self.exposures |= dict.fromkeys((number, image.name), planned.exposure)

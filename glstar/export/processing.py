@@ -13,7 +13,7 @@ from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError
 from glstar.render.effects import PROCESSING_DEFAULTS
 
-__all__ = ["CameraProcessing", "encode_colour_png", "encode_jpeg", "process"]
+__all__ = ["CameraProcessing", "encode_colour_png", "encode_jpeg", "process", "shown_as_8_bits", "to_8_bits"]
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Float = NDArray[np.float32]
@@ -156,6 +156,43 @@ def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
     toned = np.interp(linear, np.linspace(0, 1, len(table)), table)
     limited = toned * full_scale + 0.5
     return limited.astype(np.uint16) if sixteen_bits else limited.astype(np.uint8)
+
+
+def shown_as_8_bits(pixels: Pixels, sensor: Sensor, *, summed: int = 1) -> NDArray[np.uint8]:
+    """Return an image for a screen: as ``[output]`` processes it, otherwise with its saturation as white.
+
+    Parameters
+    ----------
+    pixels : (height, width) uint8 or uint16
+        Raw digital numbers.
+    sensor : Sensor
+    summed : int
+        Number of short exposures whose sum it is: `Exposure.signal_factor`.
+
+    Returns
+    -------
+    (height, width) or (height, width, 3) uint8
+        Grey, or red, green and blue.
+    """
+    if CameraProcessing.of(sensor).is_active:
+        return np.asarray(process(pixels, sensor, sixteen_bits=False), dtype=np.uint8)
+    return to_8_bits(pixels, min(sensor.saturation_dn * summed, int(np.iinfo(pixels.dtype).max)))
+
+
+def to_8_bits(pixels: Pixels, white_dn: int) -> NDArray[np.uint8]:
+    """Return an image with 8 bits.
+
+    Parameters
+    ----------
+    pixels : (height, width) uint8 or uint16
+    white_dn : int
+        The digital number that becomes 255.
+
+    Returns
+    -------
+    (height, width) uint8
+    """
+    return np.asarray(np.minimum(pixels * (255.0 / white_dn) + 0.5, 255), dtype=np.uint8)
 
 
 def _without_defects(raw: Float, step: int, steps: CameraProcessing, saturation_dn: int) -> Float:

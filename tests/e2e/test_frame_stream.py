@@ -74,7 +74,7 @@ def test_the_truth_is_sent_only_if_it_is_asked_for(with_truth: bool) -> None:
         socket.connect(f"tcp://127.0.0.1:{port}")
 
         def arrives() -> bool:
-            stream.write(pixels, nav, b'{"secret":1}\n')
+            stream.write(pixels, b'{"secret":1}\n', nav)
             if socket.poll(20):
                 received.append(socket.recv_multipart())
             return bool(received)

@@ -15,7 +15,7 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = (
     *("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs"),
-    *("distributed", "openpyxl", "pyarrow", "rosbags", "zmq"),
+    *("distributed", "openpyxl", "pyarrow", "rosbags", "zmq", "pyvirtualcam"),
 )
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
@@ -73,6 +73,7 @@ IMPORTED_IN = {
     "orjson": ["export", "render", "score"],
     "openpyxl": ["telemetry"],
     "rosbags": ["export", "telemetry"],
+    "pyvirtualcam": ["export"],
     "zmq": ["export"],
     "pyarrow": ["export", "telemetry"],
     "zlib_ng": ["export", "system"],
