@@ -244,7 +244,18 @@ def test_what_is_imported_is_declared() -> None:
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
-        *("distributed", "fsspec", "openpyxl", "orjson", "pyarrow", "rosbags", "tomli_w", "zlib_ng", "zmq"),
+        *(
+            "distributed",
+            "fsspec",
+            "openpyxl",
+            "orjson",
+            "pyarrow",
+            "pyvirtualcam",
+            "rosbags",
+            "tomli_w",
+            "zlib_ng",
+            "zmq",
+        ),
     }
     strangers = {
         (source.name, name)
