@@ -76,6 +76,12 @@ class NavigatorFiles:
         if self._blind is not None:
             publish_blind(job, self._output)
             echo_note(f"for the navigator, without the truth: {self._output}")
+            section = self._settings.navigator
+            if section.errors.is_random and section.seed == type(section)().seed:
+                echo_note(
+                    "glstar: the errors of nav.jsonl are drawn from the default seed, which everybody knows; give"
+                    " navigator.seed a number of your own"
+                )
 
 
 def _is_within(one: Path, other: Path) -> bool:

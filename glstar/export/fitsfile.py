@@ -1,7 +1,7 @@
 """16-bit FITS files with a header on exposure, sensor, site and world coordinates."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import degrees
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ from glstar.export.wcsfit import TanSip, fit_tan_sip
 from glstar.render.scene import Frame, Scene
 from glstar.sky.timescale import format_utc
 
-__all__ = ["FITS_START", "damage_of_fits", "decode_fits", "encode_fits"]
+__all__ = ["FITS_START", "damage_of_fits", "decode_fits", "encode_fits", "without_truth"]
 
 _BLOCK: Final = 2880
 _CARD: Final = 80
@@ -62,7 +62,61 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int) -> bytes:
         ("DATASUM", str(_ones_complement_sum(data)), "checksum of the data"),
         ("CHECKSUM", "0" * 16, "checksum of the whole file"),
     ]
-    header = _header(cards)
+    return _with_checksum(_header([_line(*card) for card in cards]), data)
+
+
+def without_truth(content: bytes, utc: Mapping[str, str]) -> bytes:
+    """Return a FITS file for a navigator: without coordinates, site and seed, and with the times that its clock states.
+
+    Parameters
+    ----------
+    content : bytes
+        From `encode_fits`.
+    utc : mapping of str to str
+        UTC at ``start``, ``middle`` and ``end`` of the exposure, as in ``nav.jsonl``.
+
+    Returns
+    -------
+    bytes
+    """
+    header = _header_of(content)
+    assert header is not None
+    length, _ = header
+    lines = [content[at : at + _CARD].decode("ascii").rstrip() for at in range(0, length, _CARD)]
+    kept = [line for line in lines if line[:8].rstrip() in _KNOWN_TO_NAVIGATORS]
+    stated = [
+        _line(f"DATE-{keyword}", utc[instant].removesuffix("Z"), "UTC by the camera's clock")
+        for keyword, instant in (("OBS", "start"), ("AVG", "middle"), ("END", "end"))
+    ]
+    checksums = [line for line in lines if line.startswith(("DATASUM ", "CHECKSUM="))]
+    blank = [re.sub(r"^CHECKSUM= '.{16}'", f"CHECKSUM= '{'0' * 16}'", line) for line in checksums]
+    return _with_checksum(_header([*kept, *stated, *blank]), content[length:])
+
+
+# Keywords of the file's structure, of the camera's settings and of the exposure's length.
+_KNOWN_TO_NAVIGATORS: Final = frozenset(
+    (
+        *(
+            "SIMPLE",
+            "BITPIX",
+            "NAXIS",
+            "NAXIS1",
+            "NAXIS2",
+            "BZERO",
+            "BSCALE",
+            "EXPTIME",
+            "NCOMBINE",
+            "SUBEXP",
+            "SUBGAP",
+        ),
+        *("IMAGETYP", "ROWORDER", "FRAME", "SWCREATE", "SATURATE", "BUNIT", "GAIN", "DNPERE", "CCD-TEMP", "BLKLEVEL"),
+        "BAYERPAT",
+    )
+)
+
+
+def _with_checksum(header: bytes, data: bytes) -> bytes:
+    """Return a file whose header has its checksum in place of zeros."""
     code = _encoded_checksum(_ones_complement_sum(header + data))
     return header.replace(b"CHECKSUM= '0000000000000000'", f"CHECKSUM= '{code}'".encode()) + data
 
@@ -146,9 +200,8 @@ def _time(utc_s: float) -> str:
     return format_utc(utc_s).removesuffix("Z")
 
 
-def _header(cards: list[Card]) -> bytes:
-    lines = [_line(*card) for card in cards] + ["END"]
-    text = "".join(line.ljust(_CARD) for line in lines)
+def _header(lines: list[str]) -> bytes:
+    text = "".join(line.ljust(_CARD) for line in [*lines, "END"])
     return (text + " " * (-len(text) % _BLOCK)).encode("ascii")
 
 

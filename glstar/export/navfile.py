@@ -12,11 +12,13 @@ import orjson
 from glstar.config import Config
 from glstar.errors import ConfigError, ExportError
 from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.fitsfile import without_truth
+from glstar.export.images import SUFFIX
 from glstar.export.layout import OURS
 from glstar.export.navrecord import Navigator
 from glstar.export.run import Export
 from glstar.flight import AttitudeTrack
-from glstar.system.durable import publish, temporary_path
+from glstar.system.durable import publish, temporary_path, write_atomically
 
 __all__ = ["NAV", "estimates", "publish_blind", "refuse_other_files", "remove_nav", "write_nav"]
 
@@ -117,7 +119,8 @@ def publish_blind(job: Export, output: Path) -> None:
     job : Export
         Its directory has the truth.
     output : Path
-        For the navigator.  Images are hard links where the file system has them, else copies.
+        For the navigator.  Images are hard links where the file system has them, else copies; FITS images are copies
+        without their truth.
 
     Raises
     ------
@@ -126,16 +129,25 @@ def publish_blind(job: Export, output: Path) -> None:
     """
     images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
     refuse_other_files(output, {NAV, *(image.name for image in images)})
-    with explain_disk_errors(output):
+    with explain_disk_errors(output), (job.directory / NAV).open("rb") as records:
         for name in (*images, Path(NAV)):
             target = output / name
             target.parent.mkdir(parents=True, exist_ok=True)
-            fresh = temporary_path(target)
-            try:
-                os.link(job.directory / name, fresh)
-            except OSError:
-                shutil.copyfile(job.directory / name, fresh)
-            fresh.replace(target)
+            if name.suffix == SUFFIX["fits"]:
+                content = (job.directory / name).read_bytes()
+                write_atomically(target, without_truth(content, orjson.loads(records.readline())["utc"]))
+            else:
+                _hand_over(job.directory / name, target)
+
+
+def _hand_over(source: Path, target: Path) -> None:
+    """Put a file in a second directory."""
+    fresh = temporary_path(target)
+    try:
+        os.link(source, fresh)
+    except OSError:
+        shutil.copyfile(source, fresh)
+    fresh.replace(target)
 
 
 def refuse_other_files(output: Path, names: set[str] | None = None) -> None:

@@ -89,6 +89,11 @@ class AttitudeErrorModel:
     perlin_time_s: float = 10.0
     perlin_octaves: int = 4
 
+    @property
+    def is_random(self) -> bool:
+        """Whether the errors are drawn from a seed."""
+        return max(self.bias_sigma_rad, self.drift_sigma_rad, self.perlin_rad) > 0
+
     def drawn(self, first_utc_s: float, last_utc_s: float, rng: np.random.Generator) -> "AttitudeErrors":
         """Return random errors over a flight.
 

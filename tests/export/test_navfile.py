@@ -1,6 +1,7 @@
 """``nav.jsonl``: what an aircraft knows, and nothing of the truth."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from astropy.io import fits
 from scipy.spatial.transform import Rotation
 
+from glstar.export.fitsfile import damage_of_fits
 from glstar.rotation import matrix_from_quaternion, turn_between
 from glstar.sky.timescale import parse_utc
 
@@ -91,6 +94,38 @@ def test_a_record_has_the_listed_keys_and_no_seed_name_or_number_of_the_truth(bl
             assert secret not in text
     for secret in ("7919", "104729", "fly:", "orbit", "seed", "adelaide"):
         assert secret not in text
+
+
+def test_png_images_hold_pixels_only(blind_set: Path) -> None:
+    for path in (blind_set / "seen").glob("*.png"):
+        content, at, kinds = path.read_bytes(), 8, set()
+        while at < len(content):
+            length, kind = int.from_bytes(content[at : at + 4]), content[at + 4 : at + 8]
+            kinds.add(kind)
+            at += 12 + length
+        assert kinds == {b"IHDR", b"IDAT", b"IEND"}
+
+
+def test_fits_images_for_a_navigator_have_no_coordinates_site_or_seed(blind_set: Path) -> None:
+    words = ("-c", "nav.toml", "-o", "seen_fits", "--blind", "hidden_fits", "--format", "fits", "--frames", "2")
+    exported = glstar("export", *words, folder=blind_set)
+    assert exported.returncode == 0, exported.stderr
+
+    nav, truth = (lines_of(blind_set / path) for path in ("seen_fits/nav.jsonl", "hidden_fits/truth.jsonl"))
+    for known, drawn in zip(nav, truth, strict=True):
+        seen, hidden = blind_set / "seen_fits" / known["file"], blind_set / "hidden_fits" / drawn["file"]
+        # A wrong checksum is a warning, hence an error.
+        with fits.open(seen, checksum=True) as one, fits.open(hidden, checksum=True) as other:
+            np.testing.assert_array_equal(one[0].data, other[0].data)
+            assert other[0].header["CTYPE1"].startswith("RA---")
+            keys = set(one[0].header)
+            times = [one[0].header[f"DATE-{name}"] for name in ("OBS", "AVG", "END")]
+        assert not {key for key in keys if re.match("C(TYPE|RPIX|RVAL|D)|AP?_|BP?_|WCS|SITE|SEED|MJD|CLK|SKY", key)}
+        assert times == [utc.removesuffix("Z") for utc in known["utc"].values()]
+        content = seen.read_bytes()
+        assert damage_of_fits(content, len(content)) == ""
+        for secret in (drawn["utc_start"], drawn["utc_mid"], str(drawn["seed"]), repr(drawn["site"]["latitude_deg"])):
+            assert secret.removesuffix("Z").encode() not in content
 
 
 def test_the_residuals_of_the_attitude_are_those_of_the_error_model(blind_set: Path) -> None:
