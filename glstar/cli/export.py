@@ -43,6 +43,7 @@ from glstar.cli.exportoptions import (
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
 from glstar.cli.lightnotes import light_notes
 from glstar.cli.navigatorfiles import NavigatorFiles
+from glstar.cli.outputplace import OutputPlace
 from glstar.cli.progress import progress_bar
 from glstar.cli.summaryfiles import SummaryFiles, needing, with_summary_files
 from glstar.cli.verbosity import echo_detail, echo_note, with_verbosity
@@ -113,10 +114,11 @@ def export(
     from glstar.export.options import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
 
     summaries.check(verify=verify)
+    output.check(video=video, dask=dask, verify=verify, blind=blind, **summaries.asked)
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**when | {"navigator.attitude": navigator})
-    part, known = _part_of(shard, force=force), NavigatorFiles(settings, output, blind)
+    part, known = _part_of(shard, force=force), NavigatorFiles(settings, output.directory, blind)
     paths = flights_of(settings, flights)
     wanted = ExportOptions(start, stop, frames, format_, light, seed, masks, known.allows(exif=exif))
     job = _prepare(settings, paths, known.directory, wanted, strict=strict, video=video)
@@ -125,11 +127,11 @@ def export(
         (_estimate if dry_run else _verify)(job, part, workers, as_json=as_json)
     else:
         known.begin()
-        report, took_s = _draw(job, part, workers, dask, force=force)
+        report, took_s = _draw(job, output, part, workers, dask, force=force)
         if report.complete:
             video = video and _write_video(job, video, video_fps)
             known.finish(job, paths)
-        tables = summaries.finish(job, output) if report.complete else ()
+        tables = summaries.finish(job, output.directory) if report.complete and output.url is None else ()
         _report(job, report, took_s, video, tables, as_json=as_json)
 
 
@@ -230,13 +232,14 @@ def _with_light_notes(job: "Export", on_frame: Callable[[int, int], None]) -> Ca
 
 
 def _draw(
-    job: "Export", shard: "Shard", workers: int, dask: str | None, *, force: bool
+    job: "Export", output: OutputPlace, shard: "Shard", workers: int, dask: str | None, *, force: bool
 ) -> "tuple[ExportReport, float]":
     """Draw and write the missing frames, with a progress bar; return the report and the time taken, s."""
     began_s = time.monotonic()
     try:
         with _executor(job, workers, dask) as executor, progress_bar("frames") as on_frame:
-            report = job.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
+            target = output.target(job)
+            report = target.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
     except KeyboardInterrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None

@@ -5,6 +5,8 @@ from typing import Annotated, Final, Literal
 
 import typer
 
+from glstar.cli.outputplace import OutputPlace
+
 __all__ = [
     "FRAMES_PER_WORKER",
     "MAX_WORKERS",
@@ -39,7 +41,17 @@ FRAMES_PER_WORKER: Final = 100
 # Default limit of worker processes, for each needs memory of its own.
 MAX_WORKERS: Final = 8
 
-Output = Annotated[Path, typer.Option("-o", "--output", help="The output directory.", show_default=False)]
+Output = Annotated[
+    OutputPlace,
+    typer.Option(
+        "-o",
+        "--output",
+        help="The output directory, or s3://BUCKET/PREFIX and other object stores of fsspec.",
+        show_default=False,
+        parser=OutputPlace.parse,
+        metavar="DIRECTORY",
+    ),
+]
 Flights = Annotated[
     list[Path] | None,
     typer.Argument(

@@ -77,6 +77,11 @@ class SummaryFiles:
         if verify and given:
             raise typer.BadParameter(f"only compares; leave out {' and '.join(given)}", param_hint="--verify")
 
+    @property
+    def asked(self) -> dict[str, object]:
+        """The options that ask for files, by name."""
+        return {"parquet": self.parquet, "split": self.split, "card": self.card}
+
     def finish(self, job: "Export", output: "Path") -> "tuple[Path, ...]":
         """Write the files of a complete export.
 

@@ -66,21 +66,73 @@ class ObjectStore:
 
     def put(self, name: str, content: bytes) -> None:
         """Send a file, unless the same one is there."""
-        path, digest = f"{self._prefix.rstrip('/')}/{name}", hashlib.sha256(content).hexdigest().encode()
+        digest = hashlib.sha256(content).hexdigest().encode()
         with self._explained():
-            if self._read(f"{path}.sha256") == digest and self._files.exists(path):
+            if self.read(f"{name}.sha256") == digest and self._files.exists(self._path(name)):
                 return
+            self.send(name, content)
+            self.send(f"{name}.sha256", digest)
+        self.sent += 1
+
+    def send(self, name: str, content: bytes) -> None:
+        """Send a file, in place of one of this name.
+
+        Parameters
+        ----------
+        name : str
+            With forward slashes between folders.
+        content : bytes
+        """
+        path = self._path(name)
+        with self._explained():
             if "file" in self._files.protocol:
                 self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
             self._files.pipe_file(path, content)
-            self._files.pipe_file(f"{path}.sha256", digest)
-        self.sent += 1
 
-    def _read(self, path: str) -> bytes | None:
-        try:
-            return bytes(self._files.cat_file(path))
-        except FileNotFoundError:
-            return None
+    def read(self, name: str) -> bytes | None:
+        """Return a file; None if there is none.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        bytes or None
+        """
+        with self._explained():
+            try:
+                return bytes(self._files.cat_file(self._path(name)))
+            except FileNotFoundError:
+                return None
+
+    def names(self, beginning: str) -> list[str]:
+        """Return the names of the files, outside of folders, that begin with some letters.
+
+        Parameters
+        ----------
+        beginning : str
+
+        Returns
+        -------
+        list of str
+        """
+        with self._explained():
+            found = self._files.glob(self._path(f"{beginning}*"))
+        return [str(path).rpartition("/")[2] for path in found]
+
+    def remove(self, name: str) -> None:
+        """Remove a file.
+
+        Parameters
+        ----------
+        name : str
+        """
+        with self._explained():
+            self._files.rm_file(self._path(name))
+
+    def _path(self, name: str) -> str:
+        return f"{self._prefix.rstrip('/')}/{name}"
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
@@ -89,6 +141,8 @@ class ObjectStore:
         except ImportError as error:
             message = f"needs {error.name or error}: {install_command('storage')}, and the library of the store"
             raise ExportError(self._url, message) from error
+        except ExportError:
+            raise
         except Exception as error:  # each store has errors of its own
             summary = (str(error).splitlines() or [""])[0]
             raise ExportError(self._url, f"cannot be written ({type(error).__name__}: {summary})") from error

@@ -39,7 +39,8 @@ class ExportReport:
 
     Attributes
     ----------
-    directory : Path
+    directory : Path or str
+        The URL of an object store is text.
     drawn, there_already : int
         Frames drawn by this run, and frames that an earlier run had drawn.
     skipped : tuple of SkippedFrame
@@ -50,7 +51,7 @@ class ExportReport:
         Whether Parquet tables of fewer frames were removed.
     """
 
-    directory: Path
+    directory: Path | str
     drawn: int
     there_already: int
     skipped: tuple[SkippedFrame, ...]
