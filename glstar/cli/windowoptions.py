@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from glstar.errors import ContextError
-from glstar.system.installation import missing_library
+from glstar.system.installation import OPENGL_ON_LINUX, missing_library
 
 if TYPE_CHECKING:
     from glstar.viewer.overlays import Overlay
@@ -116,7 +116,11 @@ def require_window_libraries() -> None:
         import_module("glfw")
     except ImportError as error:
         package = {"imgui_bundle": "imgui-bundle", "glfw": "glfw"}.get(error.name or "")
-        reason = f"{error}; 'glstar doctor' shows more" if package is None else missing_library(package)
+        if isinstance(error, ModuleNotFoundError) and package is not None:
+            reason = missing_library(package)
+        else:
+            remedy = OPENGL_ON_LINUX if ".so" in str(error) else "'glstar doctor' shows more"
+            reason = f"{error}; {remedy}"
         raise ContextError(f"the window cannot be opened: {reason}. export, compare and calibrate need none") from error
 
 

@@ -207,6 +207,16 @@ def test_a_missing_window_library_is_one_line(
         windowoptions.require_window_libraries()
 
 
+def test_a_library_of_the_system_that_is_missing_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_x11(name: str) -> None:
+        raise ImportError("libX11.so.6: cannot open shared object file: No such file or directory", name=name)
+
+    monkeypatch.setattr(windowoptions, "import_module", no_x11)
+
+    with pytest.raises(glstar.ContextError, match=r"libX11.so.6: .*; Debian and Ubuntu: sudo apt-get install libgl1"):
+        windowoptions.require_window_libraries()
+
+
 def test_an_export_needs_no_window_library(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
     program = (

@@ -5,6 +5,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from glstar.errors import ContextError
+from glstar.system.installation import OPENGL_ON_LINUX
 
 if TYPE_CHECKING:
     import moderngl
@@ -21,7 +22,7 @@ _REMEDIES = {
         "install the driver of the GPU, or set GLCONTEXT_WIN_LIBGL to the opengl32.dll of Mesa for Windows,"
         " which draws in software"
     ),
-    "linux": "Debian and Ubuntu: sudo apt-get install libgl1 libegl1",
+    "linux": OPENGL_ON_LINUX,
 }
 # What to do on a GPU without OpenGL 3.3, such as that of a Raspberry Pi 5.
 _SOFTWARE = "LIBGL_ALWAYS_SOFTWARE=1 draws with Mesa's software renderer instead"

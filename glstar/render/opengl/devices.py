@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from glstar.errors import ContextError
+from glstar.system.installation import OPENGL_ON_LINUX
 
 __all__ = ["EGLDevice", "egl_devices"]
 
@@ -59,7 +60,7 @@ def egl_devices() -> list[EGLDevice]:
         return []
     name = ctypes.util.find_library("EGL")
     if name is None:
-        raise ContextError("libEGL is not installed. Debian and Ubuntu: sudo apt-get install libgl1 libegl1")
+        raise ContextError(f"libEGL is not installed. {OPENGL_ON_LINUX}")
     egl = ctypes.CDLL(name)
     egl.eglQueryString.restype = ctypes.c_char_p
     egl.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
