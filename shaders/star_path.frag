@@ -86,9 +86,16 @@ vec4 projected(int star, int time) {
     return texelFetch(positions, ivec2(star, time), 0);
 }
 
-// The vector to a star at an elapsed fraction of a segment.
+// The vector to a star at a parameter of a segment's quadratic, 0 to 1.
 vec3 interpolated(vec3 start, vec3 middle, vec3 end, float u) {
     return start + u * (4.0 * middle - 3.0 * start - end + u * 2.0 * (start - 2.0 * middle + end));
+}
+
+// The parameter of `interpolated` at an elapsed fraction of a segment, given the weight of its ends: the series of
+// starpaths.parameter_at.
+float parameter_at(float u, float weight) {
+    float x = 2.0 * u - 1.0, tangent2 = weight - 1.0, angle2 = tangent2 * (1.0 - 0.6666667 * tangent2), x2 = x * x * angle2;
+    return 0.5 + 0.5 * x * (1.0 + x2 * (0.3333333 + 0.1333333 * x2)) / (1.0 + angle2 * (0.3333333 + 0.1333333 * angle2));
 }
 
 // Tail of the unit Gaussian beyond a distance, and its integral from there: Abramowitz & Stegun 26.2.16, to 1e-5.
@@ -221,8 +228,9 @@ Path path_of(int star, int segment) {
         return path;
     vec3 start = vec3(at_start.xy, 1.0) * at_start.w * weight, middle = vec3(at_middle.xy, 1.0) * at_middle.w;
     vec3 end = vec3(at_end.xy, 1.0) * at_end.w * weight;
-    vec3 rising = interpolated(start, middle, end, rises), between = interpolated(start, middle, end, 0.5 * (rises + sets));
-    vec3 setting = interpolated(start, middle, end, sets);
+    vec3 rising = interpolated(start, middle, end, parameter_at(rises, weight));
+    vec3 between = interpolated(start, middle, end, parameter_at(0.5 * (rises + sets), weight));
+    vec3 setting = interpolated(start, middle, end, parameter_at(sets, weight));
     path.start_px = starts_up ? at_start.xy : rising.xy / rising.z;
     path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;

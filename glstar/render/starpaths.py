@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 
-__all__ = ["ConicPaths", "SampledPaths", "end_weights", "times_per_block"]
+__all__ = ["ConicPaths", "SampledPaths", "end_weights", "parameter_at", "times_per_block"]
 
 Float = NDArray[np.float64]
 
@@ -157,8 +157,10 @@ class ConicPaths:
         """The integral of position over the exposure, (2, m) px; in the undistorted image plane."""
         # Boole's rule: the paths are so smooth that it is exact to float64.
         start, middle, end = self._weighted
-        between = 0.75 * middle
-        early, late = (0.375 * near - 0.125 * far for near, far in ((start, end), (end, start)))
+        u = parameter_at(np.full(len(self.weight), 0.25), self.weight)[:, np.newaxis]
+        between = 4 * u * (1 - u) * middle
+        of_near, of_far = (1 - u) * (1 - 2 * u), u * (2 * u - 1)
+        early, late = (of_near * near + of_far * far for near, far in ((start, end), (end, start)))
         early += between
         late += between
         ninetieths = _projected(self.camera.pinhole, early)
@@ -185,7 +187,8 @@ class ConicPaths:
         (n, m, 2) float64
             Positions (x, y), px; NaN behind the camera and below the horizon.
         """
-        return self.camera.project(_quadratic(self._quadratics(), segment, elapsed).transpose(1, 2, 0))
+        parameter = parameter_at(elapsed, self.weight[segment])
+        return self.camera.project(_quadratic(self._quadratics(), segment, parameter).transpose(1, 2, 0))
 
     def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
         """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
@@ -195,11 +198,12 @@ class ConicPaths:
         segment = np.repeat(np.arange(len(self.sample_counts)), self.sample_counts)
         first = np.repeat(np.cumsum(self.sample_counts) - self.sample_counts, self.sample_counts)
         elapsed = (np.arange(len(segment)) - first + 0.5) / self.sample_counts[segment]
+        parameter = parameter_at(elapsed, self.weight[segment])
         time_fraction = self.time_fraction[segment] / self.sample_counts[segment]
         block_size = times_per_block(len(stars))
         for start in range(0, len(segment), block_size):
             block = slice(start, start + block_size)
-            vectors = _quadratic(quadratics, segment[block], elapsed[block])
+            vectors = _quadratic(quadratics, segment[block], parameter[block])
             yield self.camera.project(vectors.transpose(1, 2, 0)), time_fraction[block]
 
     def _weighted_nodes(self, nodes: Float) -> tuple[Float, Float, Float]:
@@ -212,7 +216,7 @@ class ConicPaths:
         return self._weighted_nodes(self.nodes)
 
     def _quadratics(self, stars: NDArray[np.intp] | None = None) -> tuple[Float, Float, Float]:
-        """Return coefficients of 1, u and u^2 of the vectors to some stars, u the elapsed fraction of a segment."""
+        """Return coefficients of 1, u and u^2 of the vectors to some stars, u that of `parameter_at`."""
         if stars is None:
             start, middle, end = self._weighted
         else:
@@ -251,9 +255,34 @@ def end_weights(starts: Float, ends: Float) -> Float:
     return weights
 
 
-def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.intp], elapsed: Float) -> Float:
-    """Evaluate quadratics, (3, n, m), with coefficients (3, s, m) each, at elapsed fractions of segments, both (n,)."""
-    u = elapsed[:, np.newaxis]
+def parameter_at(elapsed: Float, weight: Float) -> Float:
+    """Return the parameters of the quadratics through weighted ends at some times.
+
+    Parameters
+    ----------
+    elapsed : (n,) float64
+        Elapsed fractions of rotations, 0 to 1.
+    weight : (n,) float64
+        Of the ends of each: see `end_weights`.
+
+    Returns
+    -------
+    (n,) float64
+        0 to 1: (1 + tan(x A) / tan(A)) / 2, x = 2 elapsed - 1 and A the angle whose squared tangent is weight - 1.
+
+    Notes
+    -----
+    The angle of a uniform rotation is proportional to time, and the quadratic's parameter to the tangent of half of it:
+    with the one for the other, a path of 16 degrees is up to 0.09 px off at f = 968 px.
+    """
+    tangent = np.sqrt(np.maximum(weight - 1, 1e-12))
+    parameters: Float = 0.5 + 0.5 * np.tan((2 * elapsed - 1) * np.arctan(tangent)) / tangent
+    return parameters
+
+
+def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.intp], parameter: Float) -> Float:
+    """Evaluate quadratics, (3, n, m), with coefficients (3, s, m) each, at parameters in segments, both (n,)."""
+    u = parameter[:, np.newaxis]
     k = segment[:1] if segment[0] == segment[-1] else segment
     start, rate, curvature = (of.take(k, axis=1) for of in coefficients)
     vectors = u * curvature
