@@ -64,22 +64,21 @@ def trail_peaks(
 
     Notes
     -----
-    The point is where the star is slowest while it is on the image; the light of the whole path arrives there, because
-    a vibrating star passes it several times.  The path is a chain of lines, whose light is a Gaussian across and a
-    difference of error functions along.  A star at rest has the area 4 pi sigma^2, and a long trail of length L the
-    area 2 sqrt(pi) sigma L: flux over peak times 2 and times sqrt(2); between them the factor is interpolated.
+    The point is where the star is slowest, relative to what cloud transmits, while it is on the image; the light of the
+    whole path arrives there, because a vibrating star passes it several times.  The path is a chain of lines, whose
+    light is a Gaussian across and a difference of error functions along.  A star at rest has the area 4 pi sigma^2, and
+    a long trail of length L the area 2 sqrt(pi) sigma L: flux over peak times 2 and times sqrt(2); between them the
+    factor is interpolated.
     """
     sigma_px = scene.sensor.core.effective_sigma_px
     chains = [_Chain.of(xy_px, weight) for xy_px, weight in _chains(scene, direction_eq, nodes_px)]
-    points, order = zip(*(_brightest(scene, chain) for chain in chains), strict=True)
+    transmissions = _transmissions(chains, passage)
+    found = (_brightest(scene, chain, transmission) for chain, transmission in zip(chains, transmissions, strict=True))
+    points, order = zip(*found, strict=True)
     point = points[0] if len(chains) == 1 else _least(np.stack(points), np.stack(order))
     peak, mean = np.zeros(len(point)), np.ones(1) if passage is None else passage.mean
-    whole, begin = sum(float(chain.weight.sum()) for chain in chains), 0.0
-    for chain in chains:
-        ends = begin + np.cumsum(chain.weight)
-        transmission = None if passage is None else passage.at((ends - chain.weight / 2) / whole)
+    for chain, transmission in zip(chains, transmissions, strict=True):
         peak += chain.signal_at(point, sigma_px, transmission)
-        begin = ends[-1]
     dimmed = peak / np.maximum(mean, 1e-30)
     concentration = np.minimum(2 * np.pi * sigma_px**2 * dimmed, 1.0)
     factor = np.sqrt(2) + (2 - np.sqrt(2)) * concentration
@@ -95,6 +94,16 @@ def _chains(scene: Scene, direction_eq: Float, nodes_px: Float | None) -> Iterat
     for short in trails.shorts:
         xy_px, weight = _chain(scene, short, direction_eq, None)
         yield xy_px, weight / len(trails.shorts)
+
+
+def _transmissions(chains: list["_Chain"], passage: CloudPassage | None) -> list[Float | None]:
+    """Return what cloud transmits of the stars during each line of each chain, (n, m); None for all."""
+    if passage is None:
+        return [None] * len(chains)
+    ends = np.cumsum(np.concatenate([chain.weight for chain in chains]))
+    middles = (ends - np.concatenate([chain.weight for chain in chains]) / 2) / ends[-1]
+    counts = np.cumsum([len(chain.weight) for chain in chains])[:-1]
+    return [passage.at(times) for times in np.split(middles, counts)]
 
 
 def _least(points: Float, order: Float) -> Float:
@@ -181,10 +190,12 @@ class _Chain:
         return np.asarray(summed / (np.sqrt(2 * np.pi) * sigma_px**2))
 
 
-def _brightest(scene: Scene, chain: _Chain) -> tuple[Float, Float]:
-    """Return where each star is slowest on the image, or its nearest point to the image, (m, 2) px; and how slow."""
+def _brightest(scene: Scene, chain: _Chain, transmission: Float | None) -> tuple[Float, Float]:
+    """Return where each star leaves most light on the image, or its nearest point to it, (m, 2) px; and an order."""
     length_px = chain.length_px
     order = length_px / chain.weight[:, np.newaxis]
+    if transmission is not None:
+        order /= np.maximum(transmission, 1e-9)
     # On the image the slowest part that has light from both sides, and off it the nearest.
     from_start_px = np.cumsum(length_px, axis=0)
     total_px = from_start_px[-1].copy()
