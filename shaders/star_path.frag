@@ -55,6 +55,7 @@ layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OP
 #include "trail_constants.glsl"
 #include "rasterization.glsl"
 #include "two_gaussians.glsl"
+#include "gaussian_tail.glsl"
 #if ROWS
 #include "readout.glsl"
 #endif
@@ -70,7 +71,6 @@ const float MAX_FLUX_STEP = 2e-3, MAX_KINK = 5e-3;
 // Length of the axis of `boundary`: its product with gl_FragCoord fits into 24 bits up to 16384 px from the corner.
 const float AXIS_LENGTH = 512.0;
 const float SQRT_HALF_PI = 1.2533141373155003;
-const float INV_SQRT_2_PI = 0.3989422804014327;
 
 struct Path {
     vec4 chord, shape, flux;
@@ -98,11 +98,9 @@ float parameter_at(float u, float weight) {
     return 0.5 + 0.5 * x * (1.0 + x2 * (0.3333333 + 0.1333333 * x2)) / (1.0 + angle2 * (0.3333333 + 0.1333333 * angle2));
 }
 
-// Tail of the unit Gaussian beyond a distance, and its integral from there: Abramowitz & Stegun 26.2.16, to 1e-5.
+// Tail of the Gaussian of a star beyond a distance, and the integral of tails from there, in standard deviations.
 vec2 gaussian_tail(float distance_px) {
-    float z = distance_px / effective_sigma_px, density = INV_SQRT_2_PI * exp(-0.5 * z * z), t = 1.0 / (1.0 + 0.33267 * z);
-    float tail = density * t * (0.4361836 + t * (-0.1201676 + t * 0.9372980));
-    return vec2(tail, density - z * tail);
+    return unit_gaussian_tail(distance_px / effective_sigma_px);
 }
 
 // Fraction of a path's flux between two bounds along an axis, both at the same distance from the path's ends.

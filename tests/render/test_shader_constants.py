@@ -120,7 +120,8 @@ def test_a_spline_widens_stars_by_as_much_as_they_are_drawn_narrower() -> None:
         ("trail.frag", "HALF_LOG2_E", 1 / (2 * math.log(2))),
         ("two_gaussians.glsl", "LN_2", math.log(2)),
         ("star_path.frag", "SQRT_HALF_PI", math.sqrt(math.pi / 2)),
-        ("star_path.frag", "INV_SQRT_2_PI", 1 / math.sqrt(2 * math.pi)),
+        ("gaussian_tail.glsl", "INV_SQRT_2_PI", 1 / math.sqrt(2 * math.pi)),
+        ("trail_pieces.vert", "HALF_LOG2_E", 1 / (2 * math.log(2))),
     ],
 )
 def test_a_constant_is_what_its_name_says(name: str, constant: str, value: float) -> None:
@@ -140,11 +141,11 @@ def test_erf_is_erf_to_its_seven_digits() -> None:
 
 def test_the_gaussian_tail_has_five_digits() -> None:
     z = np.linspace(0.0, 5.0, 200)
-    density = constants("star_path.frag")["INV_SQRT_2_PI"] * np.exp(-0.5 * z * z)
-    (slope,) = re.findall(r"t = 1\.0 / \(1\.0 \+ ([\d.]+) \* z\)", shader("star_path.frag"))
+    density = constants("gaussian_tail.glsl")["INV_SQRT_2_PI"] * np.exp(-0.5 * z * z)
+    (slope,) = re.findall(r"t = 1\.0 / \(1\.0 \+ ([\d.]+) \* z\)", shader("gaussian_tail.glsl"))
     t = 1 / (1 + float(slope) * z)
 
-    (polynomial,) = re.findall(r"float tail = (density[^;]+);", shader("star_path.frag"))
+    (polynomial,) = re.findall(r"float tail = (density[^;]+);", shader("gaussian_tail.glsl"))
 
     tail = eval(polynomial, {"density": density, "t": t})
 

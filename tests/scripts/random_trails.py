@@ -6,13 +6,19 @@ border; with a barrel lens in every sixth trial.  The reference is the sum of Ga
 the interpolated attitude with a spacing of at most a third of a sigma.  Behind a lens it is the sum of many
 sub-exposures.
 
+With ``--pieces`` every trail is drawn in pieces that can be, whatever it costs.
+
 With ``GALLIUM_DRIVER=softpipe`` in the environment, the other software driver of Mesa draws.
 """
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +33,9 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.opengl import GLRenderer
+from glstar.render.opengl import GLRenderer, trailpass
 from glstar.render.simulator import Simulator
+from glstar.render.trailpieces import PieceCosts, in_pieces
 from glstar.rotation import (
     conjugate,
     euler_from_quaternion,
@@ -68,6 +75,17 @@ VARIANTS = {
     "refraction": "bend the light of the stars, at altitudes of 0.1 to 90 deg",
     "horizon": "let each star rise or set during its exposure, behind a pinhole",
 }
+
+
+# Pieces that cost less than any segment.
+FREE_PIECES = PieceCosts(min_segments=1, pieces_per_segment=np.inf)
+
+
+@contextmanager
+def drawn_in_pieces() -> Iterator[None]:
+    """Draw all trails in pieces that can be, whatever it costs."""
+    with patch.object(trailpass, "in_pieces", partial(in_pieces, costs=FREE_PIECES)):
+        yield
 
 
 class Trial(NamedTuple):
@@ -306,12 +324,13 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=0.005, help="largest difference, a fraction")
     for name, text in VARIANTS.items():
         parser.add_argument(f"--{name}", action="store_true", help=text)
+    parser.add_argument("--pieces", action="store_true", help="draw in pieces whatever can be")
     asked = parser.parse_args()
     if asked.fisheye and asked.horizon:
         parser.error("--horizon is compared behind a pinhole: sub-exposures are too coarse at the horizon")
     variant = Variant(asked.fisheye, asked.refraction, asked.horizon)
     found = []
-    with GLRenderer.headless() as renderer:
+    with GLRenderer.headless() as renderer, drawn_in_pieces() if asked.pieces else nullcontext():
         print(renderer.driver)
         for seed in range(asked.seed, asked.seed + asked.trials):
             trial = random_trial(seed, variant)

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 from glstar.render.colourscenes import cell_tints
 from glstar.render.horizoncrossing import rise_and_set
 from glstar.render.opengl.passagetexture import PassageTexture
+from glstar.render.opengl.piecepass import PiecePass
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
-from glstar.render.opengl.starbuffers import packed_stars
+from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
 from glstar.render.scene import Scene
 from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.render.trailmodels import AnalyticSegments
+from glstar.render.trailpieces import in_pieces
 from glstar.sky.horizon import MAX_REFRACTION_RAD
-from glstar.sky.starfield import StarField
 
 __all__ = ["TrailPass"]
 
@@ -77,10 +78,6 @@ _TINTS_UNIT: Final = 6
 # Limits of one draw call: stars and times are columns and rows of textures, which every driver supports up to 4096.
 _STARS_PER_CALL: Final = 4096
 _SEGMENTS_PER_CALL: Final = 1024
-# Columns of the texture of all stars.
-_STARS_PER_ROW: Final = 1024
-# Star fields that stay uploaded.
-_MOST_FIELDS: Final = 2
 # Segments of stars per draw call, each repeated for the vertices of a quad.
 _PRIMITIVES_PER_CALL: Final = 16384
 _REPETITIONS: Final = 4
@@ -92,9 +89,10 @@ _NARROW_VARIANCE_PX2: Final = 0.00705189
 class TrailPass:
     """Adds the flux of `AnalyticSegments` to a target.
 
-    `project_stars.frag` computes the positions of the stars at the ends and the middles of the segments, and
-    `star_path.frag` the path through each three of them.  `trail.vert` makes geometry that encloses the flux, and
-    `trail_short.frag`, `trail.frag` and `trail_middle.frag` integrate it.
+    Where short pieces cost less than segments, `PiecePass` draws them.  Of segments, `project_stars.frag` computes the
+    positions of the stars at the ends and the middles, and `star_path.frag` the path through each three of them.
+    `trail.vert` makes geometry that encloses the flux, and `trail_short.frag`, `trail.frag` and `trail_middle.frag`
+    integrate it.
 
     Parameters
     ----------
@@ -109,8 +107,8 @@ class TrailPass:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._owned = ExitStack()
-        # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
-        self._uploaded: list[tuple[StarField, moderngl.Texture]] = []
+        self._stars = StarTextures(context)
+        self._owned.callback(self._stars.release)
         self._positions = _TextureTable(context, 1)
         # By ROWS of readout.glsl, and draw passes also by whether the point spread function is narrow, and whether
         # there is a mosaic.
@@ -124,9 +122,7 @@ class TrailPass:
 
     def _make(self) -> None:
         context = self._context
-        self._projection = self._own(
-            linked(context, "develop.vert", "project_stars.frag", STARS_PER_ROW=_STARS_PER_ROW)
-        )
+        self._projection = self._own(linked(context, "develop.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW))
         set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
         self._all_positions = self._own(context.vertex_array(self._projection, []))
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
@@ -139,8 +135,9 @@ class TrailPass:
         self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
         self._chosen = self._texture((_STARS_PER_CALL, 2), 3)
         self._tints = self._texture((_STARS_PER_CALL, 1), 4)
-        self._owned.callback(self._drop_stars)
         self._owned.callback(self._positions.release)
+        self._piece_pass = PiecePass(context, self._stars)
+        self._owned.callback(self._piece_pass.release)
         self._passage = PassageTexture(context)
         self._owned.callback(self._passage.release)
 
@@ -166,13 +163,28 @@ class TrailPass:
         clock : ReadoutClock
             When the pixels of the target open.
         """
+        divided = None if clock.rows else in_pieces(scene, trails)
+        if divided is None:
+            self._draw_segments(scene, trails, light, guard_band_px, clock)
+            return
+        self._piece_pass.draw(divided.scene, divided.pieces, light, guard_band_px)
+        if len(divided.rest.draw_list):
+            self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
+
+    def _draw_segments(
+        self,
+        scene: Scene,
+        trails: AnalyticSegments,
+        light: moderngl.Framebuffer,
+        guard_band_px: int,
+        clock: ReadoutClock,
+    ) -> None:
         paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
-        self._upload(scene.stars)
         if scene.draw_list.passage is None:
             self._passage.write_table(np.ones((1, 1), np.float32))
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
-        chosen = _texels_of_stars(scene, trails)
+        field, chosen = self._stars.of(scene.stars), _texels_of_stars(scene, trails)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
             rows = texels[times]
@@ -185,7 +197,8 @@ class TrailPass:
                 if drawn.passage is not None:
                     segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
                     self._passage.write_table(drawn.passage[stars, segments].T)
-                self._draw(paths, draw_passes, chosen[:, stars], _near_image(scene, trails, times, stars), light)
+                near = _near_image(scene, trails, times, stars)
+                self._draw(paths, draw_passes, field, chosen[:, stars], near, light)
 
     def _with_uniforms(
         self,
@@ -235,6 +248,7 @@ class TrailPass:
         self,
         path_table: "_PathTable",
         draw_passes: list[_DrawPass],
+        field: moderngl.Texture,
         chosen: NDArray[np.float32],
         near: NDArray[np.bool_],
         light: moderngl.Framebuffer,
@@ -242,7 +256,7 @@ class TrailPass:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
         stars, segments, times = chosen.shape[1], len(near), 2 * len(near) + 1
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, 2))
-        for location, texture in enumerate((self._uploaded[-1][1], self._chosen, self._pointing)):
+        for location, texture in enumerate((field, self._chosen, self._pointing)):
             texture.use(location)
         self._projection["last_time"] = path_table.program["last_time"] = times - 1
         self._context.enable_only(moderngl.NOTHING)
@@ -307,20 +321,6 @@ class TrailPass:
         vertex_array = self._context.vertex_array(program, content, index_buffer=corners, index_element_size=4)
         return _DrawPass(program, self._own(vertex_array), shape)
 
-    def _upload(self, stars: StarField) -> None:
-        """Upload a field unless it is there, as the last of `_uploaded`."""
-        known = [number for number, (field, _) in enumerate(self._uploaded) if field is stars]
-        if known:
-            self._uploaded.append(self._uploaded.pop(known[0]))
-            return
-        if len(self._uploaded) == _MOST_FIELDS:
-            self._uploaded.pop(0)[1].release()
-        packed = packed_stars(stars, multiple=_STARS_PER_ROW)
-        size = _STARS_PER_ROW, len(packed) // _STARS_PER_ROW
-        texture = self._context.texture(size, 4, packed, dtype="f4")
-        texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        self._uploaded.append((stars, texture))
-
     def _texture(self, size: tuple[int, int], components: int) -> moderngl.Texture:
         texture = self._own(self._context.texture(size, components, dtype="f4"))
         texture.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -329,10 +329,6 @@ class TrailPass:
     def _own(self, resource: _Owned) -> _Owned:
         self._owned.callback(resource.release)
         return resource
-
-    def _drop_stars(self) -> None:
-        while self._uploaded:
-            self._uploaded.pop()[1].release()
 
     def release(self) -> None:
         """Release programs, buffers and textures."""

@@ -1,0 +1,179 @@
+"""The piece pass: trails as Gaussians with the moments of the stars' motion, four per point sprite."""
+
+from contextlib import ExitStack
+from typing import Final
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.render.colourscenes import cell_tints
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
+from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
+from glstar.render.scene import Scene
+from glstar.render.trailpieces import PIECES_PER_SPRITE, TrailPieces
+from glstar.sky.horizon import MAX_REFRACTION_RAD
+
+__all__ = ["PiecePass"]
+
+# Texels per piece: those of its mean orientation, and two of its covariance and duration.
+_TEXELS: Final = TEXELS_PER_TIME + 2
+# Limits of one draw call: columns and rows of textures, which every driver supports up to 4096.
+_STARS_PER_CALL: Final = 4096
+_PIECES_PER_CALL: Final = 4096
+_SPRITES_PER_CALL: Final = 1 << 16
+# Texture units.
+_UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3}
+
+
+class PiecePass:
+    """Adds the flux of `TrailPieces` to a target.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    stars : StarTextures
+        Not released here.
+
+    Raises
+    ------
+    ShaderError
+        If the driver rejects a shader.
+    """
+
+    def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
+        self._context = context
+        self._stars = stars
+        # By whether there is a mosaic.
+        self._programs: dict[bool, tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        with ExitStack() as owned:
+            self._sprites = context.buffer(reserve=4 * _SPRITES_PER_CALL, dynamic=True)
+            owned.callback(self._sprites.release)
+            sizes = (_TEXELS, _PIECES_PER_CALL, 4), (_STARS_PER_CALL, 1, 3), (_STARS_PER_CALL, 1, 4)
+            self._pointing, self._chosen, self._tints = textures = [
+                context.texture((columns, rows), components, dtype="f4") for columns, rows, components in sizes
+            ]
+            for texture in textures:
+                owned.callback(texture.release)
+                texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            owned.callback(self._release_programs)
+            self._program(mosaic=False)
+            self._owned = owned.pop_all()
+
+    def draw(self, scene: Scene, pieces: TrailPieces, light: moderngl.Framebuffer, guard_band_px: int) -> None:
+        """Add the flux of a scene's stars to a target.
+
+        Parameters
+        ----------
+        scene : Scene
+            Without cloud and a rolling shutter.
+        pieces : TrailPieces
+            Of the scene's trails.
+        light : moderngl.Framebuffer
+            32-bit float; in use afterwards.
+        guard_band_px : int
+            Width of its border around the image.
+        """
+        drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
+        program, vertices = self._program(mosaic=tints is not None)
+        self._set_uniforms(program, scene, light, guard_band_px)
+        texels = _piece_texels(pieces)
+        chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
+        for name, texture in (
+            ("pointing", self._pointing),
+            ("stars", self._stars.of(scene.stars)),
+            ("chosen", self._chosen),
+            ("tints_of_stars", self._tints),
+        ):
+            texture.use(_UNITS[name])
+        light.use()
+        self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
+        self._context.blend_func = moderngl.ONE, moderngl.ONE
+        for first in range(0, len(texels), _PIECES_PER_CALL):
+            rows = texels[first : first + _PIECES_PER_CALL]
+            self._pointing.write(rows, viewport=(0, 0, _TEXELS, len(rows)))
+            for begin in range(0, len(chosen), _STARS_PER_CALL):
+                stars = slice(begin, begin + _STARS_PER_CALL)
+                self._chosen.write(chosen[stars].copy(), viewport=(0, 0, len(chosen[stars]), 1))
+                if tints is not None:
+                    of_columns = tints[drawn.index[stars]]
+                    self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
+                near = _near_image(scene, pieces, slice(first, first + _PIECES_PER_CALL), stars)
+                self._draw(vertices, np.argwhere(near)[:, ::-1].astype(np.uint16))
+        self._context.enable_only(moderngl.NOTHING)
+
+    def _draw(self, vertices: moderngl.VertexArray, sprites: NDArray[np.uint16]) -> None:
+        for first in range(0, len(sprites), _SPRITES_PER_CALL):
+            some = sprites[first : first + _SPRITES_PER_CALL]
+            self._sprites.write(np.ascontiguousarray(some))
+            vertices.render(moderngl.POINTS, vertices=len(some))
+
+    def _set_uniforms(
+        self, program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int
+    ) -> None:
+        sensor, camera, pointing = scene.sensor, scene.camera, scene.trails.pointing
+        set_uniforms(
+            program,
+            refraction_scale=pointing.refraction_scale,
+            sine_horizon=pointing.sine_horizon,
+            focal_px=(camera.fx_px, camera.fy_px),
+            principal_px=(camera.cx_px, camera.cy_px),
+            skew_px=camera.skew_px,
+            guard_band_px=guard_band_px,
+            target_px=light.size,
+            sigma_px=sensor.effective_sigma_px,
+            vmag_0_peak_dn=sensor.effective_peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
+        )
+
+    def _program(self, *, mosaic: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        if mosaic not in self._programs:
+            program = linked(
+                self._context,
+                "trail_pieces.vert",
+                "trail_pieces.frag",
+                STARS_PER_ROW=STARS_PER_ROW,
+                PIECES_PER_SPRITE=PIECES_PER_SPRITE,
+                MOSAIC=int(mosaic),
+            )
+            set_uniforms(program, **{name: unit for name, unit in _UNITS.items() if name in program})
+            vertices = self._context.vertex_array(program, [(self._sprites, "2u2", "sprite")])
+            self._programs[mosaic] = program, vertices
+        return self._programs[mosaic]
+
+    def _release_programs(self) -> None:
+        for program, vertices in self._programs.values():
+            vertices.release()
+            program.release()
+
+    def release(self) -> None:
+        """Release programs, buffers and textures."""
+        self._owned.close()
+
+
+def _piece_texels(pieces: TrailPieces) -> NDArray[np.float32]:
+    """Return the texture of pieces, (n rounded up to fours, 7, 4) float32; those that are none last for no time."""
+    orientations = pointing_texels(pieces.pointing, multiple=PIECES_PER_SPRITE)
+    texels = np.zeros((len(orientations), _TEXELS, 4), np.float32)
+    texels[:, :TEXELS_PER_TIME] = orientations
+    covariance = pieces.covariance_rad2
+    texels[: len(pieces), TEXELS_PER_TIME, :3] = covariance[:, 0]
+    texels[: len(pieces), TEXELS_PER_TIME, 3] = pieces.time_fraction
+    texels[: len(pieces), TEXELS_PER_TIME + 1, :2] = covariance[:, 1, 1:]
+    texels[: len(pieces), TEXELS_PER_TIME + 1, 2] = covariance[:, 2, 2]
+    return texels
+
+
+def _near_image(scene: Scene, pieces: TrailPieces, rows: slice, stars: slice) -> NDArray[np.bool_]:
+    """Return during which four pieces which visible stars are near the image, (sprites, k): a bound."""
+    camera = scene.camera
+    boresight = pieces.pointing.boresight_eq[rows]
+    boresight = boresight / np.linalg.norm(boresight, axis=1, keepdims=True)
+    firsts = boresight[::PIECES_PER_SPRITE]
+    turn = firsts.repeat(PIECES_PER_SPRITE, axis=0)[: len(boresight)] - boresight
+    swing_rad = 2 * np.arcsin(min(1.0, float(np.sqrt((turn * turn).sum(axis=1).max())) / 2))
+    margin_rad = np.arctan(3 * scene.draw_list.truncation_radius_px.max() / min(camera.fx_px, camera.fy_px))
+    radius_rad = camera.field_radius_rad + margin_rad + swing_rad + MAX_REFRACTION_RAD
+    cosine = firsts @ scene.stars.direction_eq[scene.draw_list.index[stars]].T
+    near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
+    return near

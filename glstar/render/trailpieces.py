@@ -1,0 +1,307 @@
+"""Analytic trails in short pieces, each a Gaussian with the mean and the covariance of the star's motion during it.
+
+Where attitude is rough, the segments of `segmentation` are many and short, and most of the time goes into drawing their
+borders.  Pieces are as long as the point spread function allows, whatever the motion within them.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.render.horizoncrossing import NEVER, rise_and_set
+from glstar.render.pointing import Pointing
+from glstar.render.scene import Scene
+from glstar.render.segmentation import probe_rays
+from glstar.render.trailmodels import AnalyticSegments
+
+__all__ = [
+    "PIECES_PER_SPRITE",
+    "PIECE_COSTS",
+    "PIECE_LIMITS",
+    "DividedScene",
+    "PieceCosts",
+    "PieceLimits",
+    "TrailPieces",
+    "in_pieces",
+    "trail_pieces",
+]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PieceLimits:
+    """How long pieces may be.
+
+    Attributes
+    ----------
+    length_sigma : float
+        Length of the path of a star during a piece, in standard deviations of the star as the pixels record it.
+        Gaussians at equal distances h along a line, each with the variance h^2 / 12 of its piece, add up to a line
+        with a ripple of 2 exp(-2 pi^2 (1 + h^2 / 12) / h^2): 0.02 % at 1.6.
+    error : float
+        Largest error of the flux due to the third moments of the motion during a piece, relative to the trail there.
+    halvings : int
+        How often a piece may be halved for that.
+    """
+
+    length_sigma: float = 1.6
+    error: float = 1.5e-3
+    halvings: int = 6
+
+
+@dataclass(frozen=True, slots=True)
+class PieceCosts:
+    """Where pieces cost less than segments, measured on Mesa llvmpipe with exposures of real flights.
+
+    Attributes
+    ----------
+    min_segments : int
+        The fewest segments.
+    pieces_per_segment : float
+        The most pieces per segment: twelve cost as much as one of the longest.
+    """
+
+    min_segments: int = 6
+    pieces_per_segment: float = 12.0
+
+
+PIECE_LIMITS: Final = PieceLimits()
+PIECE_COSTS: Final = PieceCosts()
+# Pieces that one point sprite draws.
+PIECES_PER_SPRITE: Final = 4
+# Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
+_THIRD_DERIVATIVE: Final = 1.3801
+# Intervals per segment in which the length of a path is measured.
+_CHORDS: Final = 4
+# Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
+_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrailPieces:
+    """A trail as the sum of n Gaussians.
+
+    Attributes
+    ----------
+    pointing : Pointing
+        The mean orientation during each piece: n times.
+    covariance_rad2 : (n, 3, 3) float64
+        Covariance of the rotation vector from the mean orientation, camera frame.
+    time_fraction : (n,) float64
+        Duration of each piece as a fraction of the exposure.
+    """
+
+    pointing: Pointing
+    covariance_rad2: Float
+    time_fraction: Float
+
+    def __len__(self) -> int:
+        return len(self.time_fraction)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DividedScene:
+    """A scene whose stars are drawn in pieces, but for some.
+
+    Attributes
+    ----------
+    scene : Scene
+        The stars that are drawn in pieces.
+    pieces : TrailPieces
+    rest : Scene
+        Those that are drawn in segments: stars that rise or set during the exposure, or that are never up.
+    """
+
+    scene: Scene
+    pieces: TrailPieces
+    rest: Scene
+
+
+def in_pieces(scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_COSTS) -> DividedScene | None:
+    """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its exposure has a global shutter.
+    trails : AnalyticSegments
+        The scene's.
+    costs : PieceCosts, optional
+
+    Returns
+    -------
+    DividedScene or None
+        None too behind cloud, and for a star so narrow that the area of a pixel is integrated over.
+    """
+    sensor, drawn = scene.sensor, scene.draw_list
+    if sensor.needs_erf or drawn.passage is not None or len(trails) < costs.min_segments:
+        return None
+    most = costs.pieces_per_segment * len(trails)
+    pieces = trail_pieces(trails, scene.camera, sensor.effective_sigma_px, most=most)
+    if pieces is None:
+        return None
+    rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
+    is_up = (rises == 0.0) & (sets == NEVER)
+    return DividedScene(replace(scene, draw_list=drawn[is_up]), pieces, replace(scene, draw_list=drawn[~is_up]))
+
+
+def trail_pieces(
+    trails: AnalyticSegments,
+    camera: Camera,
+    sigma_px: float,
+    limits: PieceLimits = PIECE_LIMITS,
+    *,
+    most: float = np.inf,
+) -> TrailPieces | None:
+    """Return the pieces of the trails of an exposure.
+
+    Parameters
+    ----------
+    trails : AnalyticSegments
+    camera : Camera
+        Behind a lens trails are drawn in the undistorted image plane.
+    sigma_px : float
+        Standard deviation of a star there as the pixels record it, px.
+    limits : PieceLimits, optional
+    most : float
+        The most pieces.
+
+    Returns
+    -------
+    TrailPieces or None
+        None if there are more than `most`.
+    """
+    path = _CameraPath(trails, camera)
+    bounds = path.bounds_of_equal_lengths(limits.length_sigma * sigma_px)
+    for _ in range(limits.halvings):
+        if len(bounds) - 1 > most:
+            return None
+        pieces, error = path.pieces(bounds, sigma_px)
+        uneven = np.flatnonzero(error > limits.error)
+        if not uneven.size:
+            break
+        bounds = np.insert(bounds, uneven + 1, (bounds[uneven] + bounds[uneven + 1]) / 2)
+    return pieces
+
+
+class _CameraPath:
+    """The orientation of the camera over an exposure as `AnalyticSegments` describe it; parameters of `trail_pieces`.
+
+    Times are numbers of segments: 1.5 is the middle of the second.
+    """
+
+    def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
+        self._trails = trails
+        self._camera = camera
+        self._rays = probe_rays(camera)
+        weight = trails.end_weight[:, np.newaxis, np.newaxis]
+        C = trails.pointing.C_camera_eq
+        self._start, self._middle, self._end = C[:-2:2] * weight, C[1::2], C[2::2] * weight
+
+    def _orientation(self, segment: NDArray[np.intp], u: Float) -> Float:
+        """Return orientations times a factor of nearly 1, (k, 3, 3), at elapsed fractions of segments, (k,) both."""
+        u = u[:, np.newaxis, np.newaxis]
+        start, middle, end = (C.take(segment, axis=0) for C in (self._start, self._middle, self._end))
+        return np.asarray(start + u * (4 * middle - 3 * start - end + 2 * u * (start - 2 * middle + end)))
+
+    def bounds_of_equal_lengths(self, length_px: float) -> Float:
+        """Return the ends of pieces in which the fastest star of the image moves by at most this, (n + 1,)."""
+        count = len(self._trails)
+        segment = np.repeat(np.arange(count), _CHORDS + 1)
+        u = np.tile(np.linspace(0.0, 1.0, _CHORDS + 1), count)
+        directions = np.swapaxes(self._middle, 1, 2) @ self._rays
+        in_camera = self._orientation(segment, u).reshape(count, _CHORDS + 1, 3, 3) @ directions[:, np.newaxis]
+        xy = self._camera.pinhole.project(np.swapaxes(in_camera, -1, -2))
+        chords_px = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=1), axis=-1)).max(axis=-1).ravel()
+        elapsed_px = np.concatenate([[0.0], np.cumsum(chords_px)])
+        pieces = max(1, int(np.ceil(elapsed_px[-1] / length_px)))
+        inner = np.interp(elapsed_px[-1] * np.arange(1, pieces) / pieces, elapsed_px, np.arange(len(elapsed_px)))
+        return np.concatenate([[0.0], inner / _CHORDS, [float(count)]])
+
+    def pieces(self, bounds: Float, sigma_px: float) -> tuple[TrailPieces, Float]:
+        """Return pieces given their ends, and an estimate of the error of the flux of each."""
+        nodes = _Quadrature.of(self._trails.time_fraction, bounds)
+        C = self._orientation(nodes.segment, nodes.u)
+        C_mean = nodes.mean(C)
+        change = C @ np.swapaxes(C_mean, 1, 2)[nodes.piece]
+        scale = np.trace(change, axis1=1, axis2=2) / 3
+        turn_rad = (change - np.swapaxes(change, 1, 2))[:, [2, 0, 1], [1, 2, 0]] / (2 * scale[:, np.newaxis])
+        covariance_rad2 = nodes.mean(turn_rad[:, :, np.newaxis] * turn_rad[:, np.newaxis])
+        pointing = _interpolated(self._trails.pointing, bounds[:-1] + bounds[1:])
+        pieces = TrailPieces(replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration)
+        x_px, y_px = np.moveaxis(turn_rad @ self._px_per_turn, -1, 0).transpose(0, 2, 1)
+        xx, yy = x_px * x_px, y_px * y_px
+        second = nodes.mean(xx + yy) / sigma_px**2
+        third = [nodes.mean(power) ** 2 for power in (xx * x_px, xx * y_px, x_px * yy, yy * y_px)]
+        norm = np.sqrt(third[0] + 3 * (third[1] + third[2]) + third[3]) / sigma_px**3
+        # The trail where Gaussians of this variance follow each other, over the height of one of them.
+        level = np.maximum(1.0, np.sqrt(np.pi / 6 * (1 + second) / np.maximum(second, 1e-12)))
+        error = (_THIRD_DERIVATIVE / 6) * norm / (1 + second) ** 1.5 / level
+        return pieces, np.asarray(error.max(axis=1))
+
+    @property
+    def _px_per_turn(self) -> Float:
+        """Displacements of the probes in the image per rotation vector of the camera, (probes, 3, 2) px/rad."""
+        x, y = self._rays[:2] / self._rays[2]
+        per_turn = np.array([[-x * y, -(1 + y * y)], [1 + x * x, x * y], [-y, x]])
+        px = np.array([[self._camera.fx_px, 0.0], [self._camera.skew_px, self._camera.fy_px]])
+        return np.asarray(np.moveaxis(per_turn, -1, 0) @ px)
+
+
+class _Quadrature(NamedTuple):
+    """Gauss-Legendre nodes of k intervals, each within one piece and one segment.
+
+    Attributes
+    ----------
+    segment : (3 k,) intp
+    u : (3 k,) float64
+        Elapsed fraction of the segment.
+    piece : (3 k,) intp
+    weight : (3 k,) float64
+        Fractions of the piece's duration.
+    first : (n,) intp
+        The first node of each piece.
+    duration : (n,) float64
+        Durations of the pieces, fractions of the exposure.
+    """
+
+    segment: NDArray[np.intp]
+    u: Float
+    piece: NDArray[np.intp]
+    weight: Float
+    first: NDArray[np.intp]
+    duration: Float
+
+    @classmethod
+    def of(cls, time_fraction: Float, bounds: Float) -> "_Quadrature":
+        """Return the nodes for segments of some durations and pieces between some times."""
+        ends = np.union1d(bounds, np.arange(len(time_fraction) + 1))
+        begins, spans = ends[:-1], np.diff(ends)
+        segment = begins.astype(np.intp)
+        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * _NODES
+        time = ((time_fraction[segment] * spans)[:, np.newaxis] * _WEIGHTS).ravel()
+        first = len(_NODES) * np.searchsorted(ends, bounds[:-1])
+        duration = np.add.reduceat(time, first)
+        piece = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(time))))
+        return cls(np.repeat(segment, len(_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
+
+    def mean(self, values: Float) -> Float:
+        """Return means over the duration of each piece, (n, ...), of values at the nodes, (3 k, ...)."""
+        weight = self.weight.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray(np.add.reduceat(values * weight, self.first, axis=0))
+
+
+def _interpolated(pointing: Pointing, at: Float) -> Pointing:
+    """Return what is above the camera at some times, numbers of half segments; the orientation is not interpolated."""
+    index = np.minimum(at.astype(np.intp), len(pointing) - 2)
+    rest = (at - index)[:, np.newaxis]
+
+    def between(values: Float) -> Float:
+        return np.asarray((1 - rest) * values[index] + rest * values[index + 1])
+
+    return replace(pointing, zenith_eq=between(pointing.zenith_eq), velocity_eq=between(pointing.velocity_eq))

@@ -1,0 +1,65 @@
+"""Trails in pieces, against brute force and against the same trails in segments."""
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from scipy.ndimage import maximum_filter
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import TRUNCATION_DN
+from glstar.config import Config
+from glstar.render.opengl import trailpass
+from glstar.render.trailmodels import AnalyticSegments
+from glstar.system.resources import asset
+from tests.scripts.random_trails import FREE_PIECES, Variant, drawn_in_pieces, random_trial, worst_pixel
+
+# Of the local maximum, in any pixel.
+TOLERANCE = 0.005
+
+
+@pytest.mark.parametrize("variant", [Variant(), Variant(fisheye=True)], ids=["pinhole", "fisheye"])
+def test_no_pixel_of_a_random_trail_in_pieces_is_half_a_percent_of_the_local_maximum_off(renderer, variant):
+    trials = {seed: random_trial(seed, variant) for seed in range(200, 206)}
+    with drawn_in_pieces():
+        fractions = {seed: worst_pixel(renderer, trial).fraction for seed, trial in trials.items()}
+    assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
+    scenes = [trial.simulator.scene(trial.exposure) for trial in trials.values()]
+    divided = [trailpass.in_pieces(scene, scene.trails, FREE_PIECES) for scene in scenes]
+    assert sum(one is not None and len(one.scene.draw_list) > 0 for one in divided) > 2
+
+
+def test_a_star_that_sets_is_not_drawn_in_pieces(renderer):
+    trial = random_trial(5, Variant(horizon=True))
+    scene = trial.simulator.scene(trial.exposure)
+    divided = trailpass.in_pieces(scene, scene.trails, FREE_PIECES)
+    assert divided is not None
+    assert len(divided.scene.draw_list) == 0
+    with drawn_in_pieces():
+        assert worst_pixel(renderer, trial).fraction <= TOLERANCE
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"sensor.band": "imx477", "sensor.mosaic": "rggb"},
+        {"sensor.psf": "moffat", "sensor.psf_ellipticity": 0.2},
+    ],
+    ids=["gaussian", "mosaic", "moffat-and-elliptic"],
+)
+def test_a_rough_flight_is_the_same_in_pieces_as_in_segments(renderer, keys):
+    config = Config().override(**{"camera.preset": "picamhq-6mm-binned4", **keys})
+    simulator = config.simulator(config.open_flight(asset("adelaide.BIN")))
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 20.0, 0.5, trail="auto"))
+    assert isinstance(scene.trails, AnalyticSegments)
+    with patch.object(trailpass, "in_pieces", lambda *_: None):
+        in_segments = renderer.render(scene, seed=0, light=True).light_dn
+    with drawn_in_pieces():
+        again = replace(scene, draw_list=replace(scene.draw_list))
+        drawn = renderer.render(again, seed=0, light=True).light_dn
+    assert not np.array_equal(drawn, in_segments)
+    # Both leave out light below 0.02 DN, but not at the same distance from a star.
+    assert (np.abs(drawn - in_segments) - TOLERANCE * maximum_filter(in_segments, 9)).max() < 1.5 * TRUNCATION_DN
+    assert drawn.sum(dtype=np.float64) == pytest.approx(in_segments.sum(dtype=np.float64), rel=1e-3)

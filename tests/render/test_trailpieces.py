@@ -1,0 +1,89 @@
+"""Pieces of trails, against the stars' own positions along the segments, in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.render.trailpieces import PIECE_LIMITS, PieceCosts, TrailPieces, in_pieces, trail_pieces
+from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
+from tests.support.scenes import NIGHT_UTC_S
+
+SIGMA_PX = 1.3
+FREE = PieceCosts(min_segments=1, pieces_per_segment=np.inf)
+
+
+def at_pixels(pieces: TrailPieces, xy_px: list[tuple[int, int]], piece: int) -> np.ndarray:
+    """Return the directions of stars that are at pixels during a piece."""
+    rays = LENS.unproject(np.array(xy_px, dtype=np.float64))
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True) @ pieces.pointing.C_camera_eq[piece]
+
+
+def per_turn_px(xy_px: np.ndarray) -> np.ndarray:
+    """Return derivatives of positions with respect to the rotation vector of the camera, (m, 2, 3), by differences."""
+    rays, step_rad = LENS.unproject(xy_px), 1e-6
+    turned = [LENS.project(rays + step_rad * np.cross(axis, rays)) for axis in np.eye(3)]
+    return np.stack([(moved - xy_px) / step_rad for moved in turned], axis=-1)
+
+
+@pytest.mark.parametrize("hz", [25.0, 200.0])
+def test_a_piece_has_the_mean_and_the_covariance_of_the_stars_motion_during_it(hz):
+    trails = rough(hz).scene(EXPOSURE).trails
+    pieces = trail_pieces(trails, LENS, SIGMA_PX)
+    assert len(pieces) > 10
+    ends = np.concatenate([[0.0], np.cumsum(pieces.time_fraction)])
+    assert ends[-1] == pytest.approx(1.0, abs=1e-12)
+    for piece in (0, len(pieces) // 2, len(pieces) - 1):
+        direction_eq = at_pixels(pieces, CORNERS_AND_MORE, piece)
+        time = ends[piece] + (np.arange(4000) + 0.5) / 4000 * pieces.time_fraction[piece]
+        path_px = trails.positions(LENS, direction_eq, time)
+        mean_px = LENS.project(pieces.pointing.to_camera(direction_eq))[piece]
+        np.testing.assert_allclose(mean_px, path_px.mean(axis=0), rtol=0, atol=3e-4)
+        off_px = path_px - path_px.mean(axis=0)
+        expected_px2 = np.einsum("tmi,tmj->mij", off_px, off_px) / len(time)
+        moved = per_turn_px(mean_px)
+        covariance_px2 = moved @ pieces.covariance_rad2[piece] @ np.swapaxes(moved, 1, 2)
+        np.testing.assert_allclose(covariance_px2, expected_px2, rtol=0, atol=2e-3 * expected_px2.max())
+
+
+def test_no_star_of_the_image_moves_further_than_a_piece_may_be_long():
+    trails = rough(200.0).scene(EXPOSURE).trails
+    pieces = trail_pieces(trails, LENS, SIGMA_PX)
+    ends = np.concatenate([[0.0], np.cumsum(pieces.time_fraction)])
+    for piece in range(len(pieces)):
+        direction_eq = at_pixels(pieces, CORNERS_AND_MORE, piece)
+        path_px = trails.positions(LENS, direction_eq, np.linspace(ends[piece], ends[piece + 1] - 1e-12, 50))
+        length_px = np.linalg.norm(np.diff(path_px, axis=0), axis=-1).sum(axis=0).max()
+        assert length_px < 1.02 * PIECE_LIMITS.length_sigma * SIGMA_PX
+
+
+def test_stars_that_do_not_move_take_one_piece():
+    t = np.arange(0.0, 1.0, 0.02)
+    pieces = trail_pieces(flown(t, np.zeros((3, t.size))).scene(EXPOSURE).trails, LENS, SIGMA_PX)
+    assert len(pieces) == 1
+    np.testing.assert_allclose(pieces.time_fraction, [1.0], rtol=0, atol=1e-15)
+
+
+def test_a_motion_that_stops_suddenly_takes_shorter_pieces():
+    """A Gaussian does not represent a star that rests and then jumps: its third moments are too large."""
+    t = np.arange(0.0, 1.0, 0.01)
+    jump_rad = 1.2 * SIGMA_PX / LENS.fx_px * np.clip((t - 0.60) / 0.02, 0.0, 1.0)
+    trails = flown(t, np.array([np.zeros_like(t), np.zeros_like(t), jump_rad])).scene(EXPOSURE).trails
+    coarse = trail_pieces(trails, LENS, SIGMA_PX, replace(PIECE_LIMITS, error=np.inf))
+    assert len(coarse) < len(trail_pieces(trails, LENS, SIGMA_PX))
+
+
+def test_pieces_are_drawn_where_they_cost_less_and_the_stars_are_wide_enough():
+    scene = rough(200.0).scene(Exposure(NIGHT_UTC_S + 0.213, 0.5, trail="analytic"))
+    divided = in_pieces(scene, scene.trails)
+    assert divided is not None
+    assert len(divided.scene.draw_list) + len(divided.rest.draw_list) == len(scene.draw_list)
+    narrow = replace(scene, sensor=replace(scene.sensor, psf_sigma_px=0.6))
+    assert in_pieces(narrow, scene.trails, FREE) is None
+    cloudy = replace(scene.draw_list, passage=np.ones((len(scene.draw_list), len(scene.trails))))
+    assert in_pieces(replace(scene, draw_list=cloudy), scene.trails, FREE) is None
+    few = PieceCosts(pieces_per_segment=len(divided.pieces) / len(scene.trails) - 0.1)
+    assert in_pieces(scene, scene.trails, few) is None
+    steady = flown(np.arange(0.0, 1.0, 0.02), np.outer([0.1, 0.0, 0.0], np.arange(0.0, 1.0, 0.02))).scene(EXPOSURE)
+    assert in_pieces(steady, steady.trails) is None
