@@ -15,6 +15,7 @@ from glstar.render.horizoncrossing import NEVER, rise_and_set
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.render.segmentation import probe_rays
+from glstar.render.starpaths import parameter_at
 from glstar.render.trailmodels import AnalyticSegments
 
 __all__ = [
@@ -199,13 +200,14 @@ class _CameraPath:
         self._trails = trails
         self._camera = camera
         self._rays = probe_rays(camera)
-        weight = trails.end_weight[:, np.newaxis, np.newaxis]
+        self._weight = trails.end_weight
+        weight = self._weight[:, np.newaxis, np.newaxis]
         C = trails.pointing.C_camera_eq
         self._start, self._middle, self._end = C[:-2:2] * weight, C[1::2], C[2::2] * weight
 
     def _orientation(self, segment: NDArray[np.intp], u: Float) -> Float:
         """Return orientations times a factor of nearly 1, (k, 3, 3), at elapsed fractions of segments, (k,) both."""
-        u = u[:, np.newaxis, np.newaxis]
+        u = parameter_at(u, self._weight[segment])[:, np.newaxis, np.newaxis]
         start, middle, end = (C.take(segment, axis=0) for C in (self._start, self._middle, self._end))
         return np.asarray(start + u * (4 * middle - 3 * start - end + 2 * u * (start - 2 * middle + end)))
 
