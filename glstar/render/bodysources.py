@@ -15,7 +15,7 @@ from glstar.render.pointing import Pointing
 from glstar.sky.bodies import Body
 from glstar.sky.starfield import StarField
 
-__all__ = ["BodySources", "body_field", "disc_on_image", "disc_sources"]
+__all__ = ["BodySources", "body_field", "centre_source", "disc_on_image", "disc_sources"]
 
 Float = NDArray[np.float64]
 
@@ -99,6 +99,23 @@ def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, nea
     )
 
 
+def centre_source(body: Body, stars: StarField) -> BodySources:
+    """Return the centre of a body as the only source of a scene, which touches the image where its centre does.
+
+    Parameters
+    ----------
+    body : Body
+    stars : StarField
+        The stars of the scene.
+
+    Returns
+    -------
+    BodySources
+    """
+    field = body_field((body,), stars, 0.0, np.zeros(1, dtype=np.bool_))
+    return BodySources((body,), field, DrawList(np.zeros(1, dtype=np.int32), np.zeros(1)))
+
+
 def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
     """Return point sources that together look like the disc of a body.
 
@@ -140,14 +157,14 @@ def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
     return directions, body.vmag - 2.5 * np.log10(flux[lit] / flux.sum())
 
 
-def disc_on_image(camera: Camera, shutter: Pointing, body: Body) -> tuple[float | None, float | None]:
-    """Return the size of a body's disc on the image, and where its bright limb is, in the middle of the exposure.
+def disc_on_image(camera: Camera, pointing: Pointing, body: Body) -> tuple[float | None, float | None]:
+    """Return the size of a body's disc on the image, and where its bright limb is, at one time.
 
     Parameters
     ----------
     camera : Camera
-    shutter : Pointing
-        Three times, as of a scene.
+    pointing : Pointing
+        At this time.
     body : Body
 
     Returns
@@ -161,7 +178,7 @@ def disc_on_image(camera: Camera, shutter: Pointing, body: Body) -> tuple[float 
     across, up = _disc_axes(body)
     sine = np.sin(body.angular_radius_rad)
     points = body.direction_eq + sine * np.array([-across, across, -up, up])
-    left, right, below, above = camera.project(shutter[1:2].to_camera(points, below_horizon=True))[0]
+    left, right, below, above = camera.project(pointing.to_camera(points, below_horizon=True))[0]
     dx, dy = right - left, above - below
     area_px2 = abs(dx[0] * dy[1] - dx[1] * dy[0])
     if not np.isfinite(area_px2):

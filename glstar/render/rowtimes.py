@@ -11,7 +11,15 @@ from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.rotation import turn_from_matrix
 
-__all__ = ["RecordedTimes", "recorded_paths", "recorded_rows", "recorded_times", "rolling_frame_keys", "row_columns"]
+__all__ = [
+    "RecordedTimes",
+    "recorded_paths",
+    "recorded_positions",
+    "recorded_rows",
+    "recorded_times",
+    "rolling_frame_keys",
+    "row_columns",
+]
 
 Float = NDArray[np.float64]
 
@@ -100,11 +108,36 @@ def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float
     exposed_s : (k,) float64
         How long each star is recorded, s.
     """
+    return _recorded(scene, direction_eq, (np.arange(count) + 0.5) / count)
+
+
+def recorded_positions(scene: Scene, direction_eq: Float, fractions: Float) -> Float:
+    """Return where stars are at fractions of the time during which each is recorded, by any shutter.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (k, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+    fractions : (n,) float64
+        0 as a star's own row opens, or a global shutter; 1 as it closes.
+
+    Returns
+    -------
+    (n, k, 2) float64
+        Positions (x, y), px; NaN behind the camera and below the horizon.
+    """
+    if scene.exposure.readout_s == 0 or scene.motion is None:
+        return scene.positions(direction_eq, fractions)
+    return scene.camera.project(_recorded(scene, direction_eq, fractions)[0])
+
+
+def _recorded(scene: Scene, direction_eq: Float, fractions: Float) -> tuple[Float, Float]:
+    """Return `recorded_paths` at fractions of the time during which each star is recorded."""
     if not len(direction_eq):
-        return np.zeros((count, 0, 3)), np.zeros(0)
+        return np.zeros((len(fractions), 0, 3)), np.zeros(0)
     search = _RowTimes(scene, direction_eq)
     opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
-    fractions = (np.arange(count) + 0.5) / count
     in_camera = np.stack([search.in_camera(opens_s + u * (closes_s - opens_s)) for u in fractions.tolist()])
     return in_camera, search.open_s(opens_s, closes_s)
 

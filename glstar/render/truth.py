@@ -1,6 +1,7 @@
 """Ground truth of a frame: where every star is, in float64, from the same matrices as the image."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import sqrt
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.camera.vignetting import Vignetting
-from glstar.render.bodysources import BodySources, disc_on_image
+from glstar.render.bodysources import BodySources, centre_source, disc_on_image
 from glstar.render.cloudedsky import scene_passage
 from glstar.render.clouds import CloudPassage
 from glstar.render.effects import effects_truth
@@ -325,20 +326,21 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
     ``bright_limb_deg`` is the direction from the centre of the disc to the middle of its bright limb on the image, from
     right (0) towards down (90); None for the Sun.
     """
-    centre = body.direction_eq[np.newaxis]
-    at_start, at_middle, at_end = _rounded(scene.camera.project(scene.shutter.to_camera(centre)))[:, 0]
-    centroid, fraction = np.zeros(2), 0.0
-    for paths in scene.star_paths(centre):
-        for xy, time_fraction in paths.samples(np.zeros(1, dtype=np.intp)):
-            on_image = scene.camera.contains(xy[:, 0])
-            fraction += float(time_fraction @ on_image)
-            centroid += time_fraction @ np.where(on_image[:, np.newaxis], xy[:, 0], 0.0)
+    centre_scene = replace(scene, bodies=centre_source(body, scene.stars)).body_scene
+    assert centre_scene is not None
+    recorded, pointing = recorded_rows(centre_scene, centre_scene.visible), scene.shutter[1:2]
+    positions = scene.camera.project(scene.shutter.to_camera(centre_scene.stars.direction_eq))
+    if recorded is not None and scene.motion is not None:
+        positions = recorded.positions
+        (pointing,) = scene.motion.pointings(scene.exposure.mid_utc_s + recorded.mid_offset_s)
+    at_start, at_middle, at_end = _rounded(positions)[:, 0]
+    path = TrailStatistics(centre_scene)
     x_px, y_px = (None if np.isnan(v) else float(v) for v in at_middle)
-    mean_px = [round(float(v / fraction), _DIGITS) for v in centroid] if fraction > 0 else [None, None]
+    mean_px = [None if np.isnan(v) else round(float(v), _DIGITS) for v in path.centroid[0]]
     extinction_mag = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
     observed_mag = body.vmag + (0.0 if extinction_mag is None else float(extinction_mag))
     flux_dn = scene.sensor.flux_of_magnitude_dn(observed_mag, scene.exposure.duration_s)
-    diameter_px, limb_deg = disc_on_image(scene.camera, scene.shutter, body)
+    diameter_px, limb_deg = disc_on_image(scene.camera, pointing, body)
     return {
         "name": body.name,
         "vmag": round(body.vmag, _DIGITS),
@@ -349,7 +351,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "start": None if np.isnan(at_start).any() else at_start.tolist(),
         "end": None if np.isnan(at_end).any() else at_end.tolist(),
         "flux_dn": round(float(flux_dn) * scene.exposure.signal_factor, _DIGITS),
-        "in_frame": round(fraction, _DIGITS),
+        "in_frame": round(float(path.on_image[0]), _DIGITS),
         "saturated": saturated,
         "azimuth_deg": round(float(np.rad2deg(body.azimuth_rad)), _DIGITS),
         "altitude_deg": round(float(np.rad2deg(body.altitude_rad)), _DIGITS),
@@ -358,6 +360,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "phase_angle_deg": round(float(np.rad2deg(body.phase_angle_rad)), _DIGITS),
         "illuminated_fraction": round(body.illuminated_fraction, _DIGITS),
         "bright_limb_deg": limb_deg,
+        **{key: float(values[0]) for key, values in row_columns(scene, recorded, np.array([flux_dn])).items()},
         **({} if extinction_mag is None else {"extinction_mag": round(float(extinction_mag), _DIGITS)}),
     }
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.pointing import Pointing
+from glstar.render.rowtimes import recorded_positions
 from glstar.render.scene import Scene
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.viewer.curves import Crossings, Curves, ImageRegion, Polylines, cut, inside_region, region_planes
@@ -90,6 +91,14 @@ class Canvas:
             directions = self.scene.stars.direction_eq[self.scene.visible]
             self._star_xy = self.camera.project(self.scene.shutter.to_camera(directions))
         return self._star_xy
+
+    def recorded_xy(self, stars: NDArray[np.intp] | NDArray[np.bool_]) -> Float:
+        """Return positions of some visible stars as the row of each opens, in between, and as it closes, (3, k, 2)."""
+        scene = self.scene
+        if scene.exposure.readout_s == 0:
+            return self.star_xy[:, stars]
+        directions = scene.stars.direction_eq[scene.visible[stars]]
+        return recorded_positions(scene, directions, np.array([0.0, 0.5, 1.0]))
 
     @property
     def trail_px(self) -> Float:

@@ -19,6 +19,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.rowtimes import recorded_positions
 from glstar.render.scene import Scene
 from glstar.render.truth import trail_centroids
 from glstar.sky.catalogue import StarCatalogue
@@ -178,7 +179,7 @@ def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
     stars, visible = canvas.scene.stars, canvas.scene.visible
     bright = np.flatnonzero(stars.vmag[visible] <= inputs.name_vmag_limit)
     bright = bright[np.argsort(stars.vmag[visible[bright]], kind="stable")]
-    start, middle, end = canvas.star_xy[:, bright]
+    start, middle, end = canvas.recorded_xy(bright)
     across = (end - start)[:, ::-1] * [-1, 1]
     ends = np.array([start, end, middle])
     inside = canvas.region.contains(ends)
@@ -212,8 +213,10 @@ def _draw_ticks(canvas: Canvas, _: DrawingInputs) -> None:
     if median_px < spacing_px:
         return
     stride = _round_stride(spacing_px * n / median_px)
+    if scene.exposure.readout_s > 0:  # each row records a part of the time
+        n = max(1, round(n * scene.exposure.duration_s / scene.exposure.span_s))
     directions = scene.stars.direction_eq[scene.visible[brightest]]
-    xy = scene.positions(directions, (np.arange(0, n, stride) + 0.5) / n)
+    xy = recorded_positions(scene, directions, (np.arange(0, n, stride) + 0.5) / n)
     if len(xy) < 2:
         return
     along = np.diff(xy, axis=0)
@@ -262,7 +265,7 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
     spread_over = np.maximum(1.0, canvas.trail_px / (sensor.effective_sigma_px * np.sqrt(2 * np.pi)))
     peak_dn = sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s) * sensor.effective_peak / spread_over
     saturates = peak_dn + sensor.background_mean_dn(scene.exposure.duration_s) >= sensor.saturation_dn
-    canvas.mark(Mark.RING, canvas.star_xy[1, saturates])
+    canvas.mark(Mark.RING, canvas.recorded_xy(saturates)[1])
 
 
 def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.rowtimes import recorded_positions
 from glstar.render.scene import Frame, Scene
 from glstar.render.simulator import Simulator
 from glstar.render.truth import frame_truth
@@ -212,7 +213,7 @@ class CutOut:
 
 
 def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
-    """Return the surroundings of a star in the middle of the exposure.
+    """Return the surroundings of a star in the middle of its exposure.
 
     Parameters
     ----------
@@ -221,7 +222,7 @@ def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: flo
     direction_eq : (3,) float64
         Of the star.
     flux_dn : float
-        Sum of its flux over the image if it did not move, DN.
+        Sum of its flux over the image, DN.
 
     Returns
     -------
@@ -233,7 +234,7 @@ def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: flo
     The expected profile is that of a star that moves uniformly on a straight line.
     """
     times = 0.5 + _SPEED_FRACTION * np.array([-0.5, 0.0, 0.5])
-    before, middle, after = scene.positions(direction_eq[np.newaxis], times)[:, 0]
+    before, middle, after = recorded_positions(scene, direction_eq[np.newaxis], times)[:, 0]
     if not scene.camera.contains(middle):
         return None
     column, row = np.rint(middle).astype(int).tolist()

@@ -8,13 +8,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
-from glstar.render.rowtimes import recorded_times
+from glstar.render.rowtimes import recorded_positions, recorded_times
 from glstar.render.scene import Frame, Scene
 from glstar.render.truth import frame_truth
 from tests.gl.test_analytic_trails import vibrating
 from tests.support.rollingshutter import star_positions
-from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 LENS = camera(320, 240, 967.7425)
 SAMPLES = 20_000
@@ -35,7 +36,8 @@ def recorded_moments(simulator, exposure: Exposure, star: int) -> tuple[np.ndarr
     step_s = (exposure.duration_s + exposure.readout_s) / SAMPLES
     since_s = (np.arange(SAMPLES) + 0.5) * step_s
     xy = star_positions(simulator, star, exposure.start_utc_s + since_s)
-    axis, count = (1, LENS.height_px) if exposure.readout in {"down", "up"} else (0, LENS.width_px)
+    lens = simulator.camera
+    axis, count = (1, lens.height_px) if exposure.readout in {"down", "up"} else (0, lens.width_px)
     order = (xy[:, axis] if exposure.readout in {"down", "right"} else count - 1 - xy[:, axis]).clip(0, count - 1)
     open_for_s = since_s - exposure.readout_s * order / (count - 1)
     is_open = (open_for_s >= 0) & (open_for_s <= exposure.duration_s)
@@ -64,6 +66,46 @@ def test_truth_has_the_times_and_positions_at_which_the_rows_of_a_star_are_open(
         assert centroid == pytest.approx(tuple(xy.mean(axis=0)), rel=0, abs=0.01)
         assert star["start"] == pytest.approx(list(xy[0]), rel=0, abs=0.01)
         assert star["end"] == pytest.approx(list(xy[-1]), rel=0, abs=0.01)
+
+
+@pytest.mark.parametrize("readout", ["down", "left"])
+def test_bodies_have_the_times_and_positions_at_which_the_row_of_their_centre_is_open(readout):
+    """Jupiter on 2024-03-10, low in the north-west, from an aircraft that rolls at 20 deg/s."""
+    mount = Mount(0.0, np.deg2rad(10.0), np.deg2rad(296.0))
+    simulator = sky_over_adelaide(camera(), mount=mount, roll_rate_rad_per_s=np.deg2rad(20.0))
+    simulator = replace(
+        simulator, bodies=True, sensor=Sensor(bit_depth=16), sky=replace(simulator.sky, refraction=True)
+    )
+    exposure = Exposure(NIGHT_UTC_S + 0.1, 0.05, 200.0, "analytic", 0.2, readout)
+    scene = simulator.scene(exposure)
+    pixels = np.zeros((240, 320), np.uint16)
+    line = json.loads(frame_truth(scene, Frame(pixels, exposure, 0), number=0, file="frame.png"))
+    body = {body["name"]: body for body in line["bodies"]}["Jupiter"]
+    (centre,) = (each.direction_eq for each in scene.bodies.bodies if each.name == "Jupiter")
+    as_star = replace(simulator, camera=camera(), stars=star_field(centre[np.newaxis], np.zeros(1)))
+    since_s, xy, step_s = recorded_moments(as_star, exposure, 0)
+    middle_s = (since_s[0] + since_s[-1]) / 2
+    assert abs(body["mid_offset_s"]) > 0.01
+    assert body["mid_offset_s"] == pytest.approx(middle_s - exposure.span_s / 2, rel=0, abs=2 * step_s)
+    assert body["exposed_s"] == pytest.approx(len(since_s) * step_s, rel=0, abs=2 * step_s)
+    assert body["light_dn"] == pytest.approx(body["flux_dn"] * body["exposed_s"] / 0.05, rel=1e-6)
+    at_middle = star_positions(as_star, 0, np.array([exposure.mid_utc_s + body["mid_offset_s"]]))[0]
+    assert (body["x_px"], body["y_px"]) == pytest.approx(tuple(at_middle), rel=0, abs=0.01)
+    assert (body["centroid_x_px"], body["centroid_y_px"]) == pytest.approx(tuple(xy.mean(axis=0)), rel=0, abs=0.01)
+    assert body["start"] == pytest.approx(list(xy[0]), rel=0, abs=0.01)
+    assert body["end"] == pytest.approx(list(xy[-1]), rel=0, abs=0.01)
+
+
+def test_positions_at_fractions_of_a_stars_own_exposure_begin_and_end_with_its_row():
+    simulator = turning(20.0)
+    exposure = Exposure(NIGHT_UTC_S + 0.4, 0.03, 200.0, "analytic", 0.087, "up")
+    scene = simulator.scene(exposure)
+    index = scene.visible[:5]
+    found = recorded_positions(scene, scene.stars.direction_eq[index], np.array([0.0, 0.5, 1.0]))
+    for star, xy_px in zip(index, np.swapaxes(found, 0, 1), strict=True):
+        _, xy, _ = recorded_moments(simulator, exposure, int(star))
+        np.testing.assert_allclose(xy_px[[0, 2]], xy[[0, -1]], rtol=0, atol=0.01)
+        np.testing.assert_allclose(xy_px[1], xy[len(xy) // 2], rtol=0, atol=0.01)
 
 
 def test_the_times_of_a_vibrating_camera_are_those_of_its_rows():

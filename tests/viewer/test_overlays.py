@@ -13,6 +13,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
 from glstar.render.pointing import Pointing
+from glstar.render.scene import Frame
 from glstar.render.simulator import Simulator
 from glstar.render.truth import frame_truth
 from glstar.sky.apparent import direction, right_ascension_declination
@@ -375,6 +376,32 @@ def test_ticks_cross_the_trail_at_sub_exposures():
     along_trail = (ticks[:, 1] - ticks[:, 0]) @ (path[-1] - path[0]) / trail_px
     assert np.abs(along_trail).max() < 0.1
     np.testing.assert_allclose(np.linalg.norm(ticks[:, 1] - ticks[:, 0], axis=1), 2 * (3 + 2 * 1.2), rtol=0, atol=1e-3)
+
+
+def test_under_a_rolling_shutter_names_and_ticks_are_where_the_rows_record_the_star():
+    simulator = sky_over_adelaide(LENS, vmag_limit=3.0, roll_rate_rad_per_s=np.deg2rad(20.0))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 2, 0.1, 400.0, "sprites", readout_s=0.4))
+    listed = orjson.loads(
+        frame_truth(scene, Frame(np.zeros((760, 1014), np.uint8), scene.exposure, 0), number=0, file="")
+    )
+    whole = [star for star in listed["stars"] if star["in_frame"] == 1.0 and star["exposed_s"] > 0.05]
+    paths = np.array([(star["start"], star["end"]) for star in whole])
+    names = scene.stars.name[np.flatnonzero(scene.stars.star_id == whole[0]["star_id"])[0]]
+    shapes = shapes_of(scene, Overlay.TICKS, Overlay.STAR_NAMES)
+    # Trails of a tenth of a second at their own time, nearly straight: far from those of the whole half second.
+    middles = np.array(polylines(shapes, Overlay.TICKS)).mean(axis=1)
+    distances = np.array([_from_line(middles, start, end) for start, end in paths])
+    assert len(middles) > 4
+    assert distances.min(axis=0).max() < 1.0
+    at = np.array(labels_of(shapes, Overlay.STAR_NAMES)[names])
+    assert np.linalg.norm(at - paths[0], axis=1).min() < 0.01
+
+
+def _from_line(points, start, end):
+    """Return the distances of points from a line between two others, px."""
+    along = (end - start) / np.linalg.norm(end - start)
+    s = ((points - start) @ along).clip(0.0, np.linalg.norm(end - start))
+    return np.linalg.norm(points - start - s[:, np.newaxis] * along, axis=1)
 
 
 def test_a_slow_star_has_ticks_only_when_zoomed_in():

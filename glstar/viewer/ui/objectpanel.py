@@ -55,7 +55,7 @@ def draw_object(session: Session, selection: Selection) -> None:
     truth = selection.star_truth(scene, pixels)
     if truth is not None:
         _draw_truth(truth)
-        cut_out = star_cut_out(scene, pixels, direction_eq, truth["flux_dn"])
+        cut_out = star_cut_out(scene, pixels, direction_eq, truth.get("light_dn", truth["flux_dn"]))
         if cut_out is not None:
             _draw_cut_out(cut_out, scene.sensor.saturation_dn, night=session.night)
     if not place.on_image:
