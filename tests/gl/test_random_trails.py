@@ -4,11 +4,17 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter
 
-from tests.scripts.random_trails import Variant, random_trial, worst_pixel
+from glstar.config import Config
+from tests.scripts.random_trails import LEAST_FRACTION, Variant, random_trial, worst_pixel
 
+# Beside the checkout, where the case is at hand.
+SEAM = Path(__file__).parents[3] / "shared" / "cases" / "seam"
 # Of the local maximum, in any pixel.
 TOLERANCE = 0.005
 
@@ -46,6 +52,21 @@ def test_a_trail_ends_where_the_star_sets_and_begins_where_it_rises(renderer, se
 def test_trails_at_the_horizon_and_behind_a_fisheye_are_as_precise(renderer, variant):
     fractions = {seed: worst_pixel(renderer, random_trial(seed, variant)).fraction for seed in range(60, 72)}
     assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
+
+
+@pytest.mark.skipif(not SEAM.is_dir(), reason=f"no {SEAM}")
+def test_no_pixel_of_the_seam_case_is_drawn_twice(renderer):
+    """A roll of 10 deg/s, in which version 0.1.0 drew the pixel at row 62, column 462 twice."""
+    drawn = []
+    for name in ("swept", "subexposures"):
+        config = Config.load(SEAM / f"{name}.toml")
+        flight = config.open_flight(SEAM / "flight.csv")
+        scene = config.simulator(flight).scene(config.exposure.starting_at(flight.attitude.first_s + 3.0))
+        drawn.append(renderer.render(scene, seed=0, light=True).light_dn.astype(np.float64))
+    analytic, summed = drawn
+    assert analytic[62, 462] == pytest.approx(1861.255, rel=0, abs=0.1)
+    nearby = np.maximum(maximum_filter(summed, 9), LEAST_FRACTION * summed.max())
+    assert (np.abs(analytic - summed) / nearby).max() <= 1e-3
 
 
 def test_softpipe_draws_random_trails_as_precisely():
