@@ -23,6 +23,10 @@ def answer(
     frame: Annotated[
         int | None, typer.Option(help="Number of the frame.", min=0, show_default="JSON lines of the standard input")
     ] = None,
+    utc: Annotated[
+        str | None,
+        typer.Option(help="UTC of the answer by the camera's clock, for a live window.", show_default=False),
+    ] = None,
     lat: Annotated[float | None, typer.Option(help="Latitude, deg.", min=-90, max=90)] = None,
     lon: Annotated[float | None, typer.Option(help="Longitude, deg.", min=-180, max=360)] = None,
     sigma_km: Annotated[
@@ -36,11 +40,15 @@ def answer(
 ) -> None:
     """Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.
 
+    Frames of --export and --latest-frame are named by --frame; a live window takes --utc.
+
     Try: glstar answer zmq://127.0.0.1:5557 --frame 12 --lat -34.93 --lon 138.6 --sigma-km 2
     """
-    if frame is None:
+    if frame is None and utc is None:
         if any(value is not None for value in (lat, lon, sigma_km)):
-            raise typer.BadParameter("a position needs the number of its frame", param_hint="--frame")
+            raise typer.BadParameter(
+                "a position needs the number of its frame, or its UTC", param_hint="--frame, --utc"
+            )
         sent = 0
         for number, line in enumerate(sys.stdin, 1):
             if line.strip():
@@ -50,14 +58,16 @@ def answer(
     else:
         if lat is None or lon is None:
             raise typer.BadParameter("an answer has a latitude and a longitude", param_hint="--lat, --lon")
-        send_answers(where, [_line(frame, lat, lon, sigma_km, instant)], timeout)
+        line = _line({"frame": frame} if utc is None else {"utc": utc}, lat, lon, sigma_km, instant)
+        parse_answer(Path("-"), 1, line)
+        send_answers(where, [line], timeout)
         sent = 1
     typer.echo(json.dumps({"sent": sent}) if as_json else f"{sent} answers sent to {where}")
 
 
-def _line(frame: int, lat: float, lon: float, sigma_km: float | None, instant: str) -> str:
-    """Return an answer as a JSON line."""
-    given: dict[str, object] = {"frame": frame, "latitude_deg": lat, "longitude_deg": lon, "instant": instant}
+def _line(of: dict[str, object], lat: float, lon: float, sigma_km: float | None, instant: str) -> str:
+    """Return an answer as a JSON line; ``of`` has its frame or its time."""
+    given: dict[str, object] = {**of, "latitude_deg": lat, "longitude_deg": lon, "instant": instant}
     if sigma_km is not None:
         given |= {"ellipse_major_km": sigma_km, "ellipse_minor_km": sigma_km, "ellipse_azimuth_deg": 0.0}
         given["ellipse_confidence"] = _ONE_SIGMA

@@ -110,8 +110,8 @@ InjectHost = Annotated[
 Answers = Annotated[
     str | None,
     typer.Option(
-        help="For --inject: a file that a solver appends its answers to, as JSON lines; - is the standard input;"
-        " zmq://HOST:PORT receives them of glstar answer and of other programs.",
+        help="Answers to show in the window or to --inject: a file that a solver appends JSON lines to; - is the"
+        " standard input; zmq://HOST:PORT receives them of glstar answer and of other programs.",
         show_default=False,
     ),
 ]
@@ -123,13 +123,14 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _WindowOptions:
-    """Options of the window: show it, save a screenshot, print statistics."""
+    """Options of the window: show it, save a screenshot, print statistics, show answers."""
 
     show: str | None
     size: str | None
     screenshot: Path | None
     stats: Path | None
     headless: bool
+    answers: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +172,8 @@ class _Injection:
     ) -> Self | None:
         """Return the injection; None if it is not asked for."""
         if not inject:
-            for name, value in (("--inject-host", host), ("--inject-as", message), ("--answers", answers)):
+            of_injection = {"--inject-host": host, "--inject-as": message, "--answers": answers if exports else None}
+            for name, value in of_injection.items():
                 if value is not None:
                     raise typer.BadParameter("belongs to --inject, without which nothing is sent", param_hint=name)
             return None
@@ -222,7 +224,7 @@ def live(
         _list_ports(as_json=as_json)
         return
     _refuse_file(link)
-    window = _WindowOptions(show, size, screenshot, stats, headless)
+    window = _WindowOptions(show, size, screenshot, stats, headless, answers)
     frames = _ExportOptions.of(export, latest_frame, with_truth, format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
     size_of(size)
@@ -255,6 +257,8 @@ def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bo
             "without a window there is nothing to do but --record, --export, --latest-frame or --screenshot",
             param_hint="--headless",
         )
+    if window.answers is not None and window.headless and not (exports or of_window):
+        raise typer.BadParameter("are shown in a window, or sent with --inject", param_hint="--answers")
     if window.stats is not None and duration_s is None:
         raise typer.BadParameter("--stats needs --duration SECONDS", param_hint="--stats")
 
@@ -294,6 +298,7 @@ def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:
 def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_s: float | None) -> dict[str, object]:
     """Show the link in the viewer's window, and return the report of its images."""
     require_window_libraries()
+    from glstar.cli.placedanswers import ShownAnswers  # noqa: PLC0415
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
 
     overlays = overlays_of(window.show)
@@ -305,6 +310,9 @@ def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_
         layout = layout_of("live") if script == Script(overlays=overlays) else None
         viewer = stack.enter_context(Viewer(surface, settings, layout=layout))
         viewer.follow(link, on_event=_log)
+        if window.answers is not None:
+            show = viewer.session.navigator.add
+            stack.enter_context(ShownAnswers(window.answers, settings, show, _log))
         with suppress(KeyboardInterrupt):
             if script.screenshot is not None or script.play_s is not None:
                 report = viewer.play(script)

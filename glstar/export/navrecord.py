@@ -81,7 +81,9 @@ class Navigator:
         last_utc_s = flight.attitude.last_s if until_utc_s is None else until_utc_s
         errors = section.errors.drawn(flight.attitude.first_s, last_utc_s, rng)
         return cls(
-            EstimatedAttitude(flight.aircraft_attitude if estimate is None else estimate, errors),
+            EstimatedAttitude(
+                flight.aircraft_attitude if estimate is None else estimate, errors, is_held=estimate is None
+            ),
             flight.time_offset_s + section.clock_offset_s,
             config.camera(),
             config.mount().C_camera_body,
@@ -107,32 +109,34 @@ class Navigator:
             ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure),
             ``duration_s, readout_s, readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure),
             ``up_camera`` (at the same instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is
-            denied).  The estimated attitude is that of the time on the frame's stamp, which the clock's error moves.
+            denied).  The estimated attitude is that of the time on the frame's stamp, which the clock's error moves;
+            ``q_body_ned``, ``rates_rad_per_s`` and ``up_camera`` are None where the estimate has a gap then.
             With a gimbal, all attitudes are those of its platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the
             aircraft to the platform, by the gimbal's joints) and ``q_aircraft_ned`` at the same instants.
         """
         true_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         stamped_s = true_s + self.clock_offset_s
         q_body_ned = self.attitude.at(stamped_s)
+        is_known = self.attitude.is_known(float(stamped_s[0]), float(stamped_s[2]))
         gimbal: dict[str, Any] = {}
         if self.gimbal is not None:
             turned, q_aircraft_ned = self._turned(stamped_s), q_body_ned
             q_body_ned = multiply(turned, q_aircraft_ned)
-            both = {"q_gimbal_aircraft": turned, "q_aircraft_ned": q_aircraft_ned}
-            gimbal = {"gimbal": {name: dict(zip(_INSTANTS, q.tolist(), strict=True)) for name, q in both.items()}}
+            aircraft = _at_instants(q_aircraft_ned) if is_known else None
+            gimbal = {"gimbal": {"q_gimbal_aircraft": _at_instants(turned), "q_aircraft_ned": aircraft}}
         up_camera = matrix_from_quaternion(q_body_ned) @ _UP_NED @ self.C_camera_body.T
         rates = turn_from_quaternion(multiply(q_body_ned[2], conjugate(q_body_ned[0]))) / exposure.span_s
         return {
             "schema": NAV_SCHEMA,
             "frame": number,
             "file": file,
-            "utc": {name: format_utc(utc_s) for name, utc_s in zip(_INSTANTS, stamped_s.tolist(), strict=True)},
+            "utc": {name: format_utc(utc_s) for name, utc_s in _at_instants(stamped_s).items()},
             "duration_s": exposure.duration_s,
             "readout_s": exposure.readout_s,
             "readout": exposure.readout,
-            "q_body_ned": dict(zip(_INSTANTS, q_body_ned.tolist(), strict=True)),
-            "rates_rad_per_s": rates.tolist(),
-            "up_camera": dict(zip(_INSTANTS, up_camera.tolist(), strict=True)),
+            "q_body_ned": _at_instants(q_body_ned) if is_known else None,
+            "rates_rad_per_s": rates.tolist() if is_known else None,
+            "up_camera": _at_instants(up_camera) if is_known else None,
             "C_camera_body": self.C_camera_body.tolist(),
             "camera": camera_keys(self.camera),
             "position": self._position(float(true_s[1])),
@@ -155,3 +159,8 @@ class Navigator:
             "longitude_deg": float(np.rad2deg(site.longitude_rad)),
             "height_m": site.height_m,
         }
+
+
+def _at_instants(values: Float) -> dict[str, Any]:
+    """Return the values at start, middle and end of an exposure, by name."""
+    return dict(zip(_INSTANTS, values.tolist(), strict=True))

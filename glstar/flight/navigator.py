@@ -195,10 +195,31 @@ class EstimatedAttitude:
     track : AttitudeTrack
         The true attitude, or that of another message of the log.
     errors : AttitudeErrors
+    is_held : bool
+        Whether the first and the last attitude hold before and after the samples.  Those of a message do not, beyond
+        one sample interval.
     """
 
     track: AttitudeTrack
     errors: AttitudeErrors
+    is_held: bool = True
+
+    def is_known(self, start_utc_s: float, stop_utc_s: float) -> bool:
+        """Return whether there is an estimate over a time interval: it has no gap.
+
+        Parameters
+        ----------
+        start_utc_s, stop_utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        bool
+        """
+        track, margin_s = self.track, np.inf if self.is_held else 1 / self.track.rate_hz
+        if start_utc_s < track.first_s - margin_s or stop_utc_s > track.last_s + margin_s:
+            return False
+        return track.gap_within(start_utc_s, stop_utc_s) is None
 
     def at(self, utc_s: Float) -> Float:
         """Return the estimate at some times.

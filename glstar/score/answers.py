@@ -3,7 +3,8 @@
 ================================  =====================================================================================
 field                             meaning
 ================================  =====================================================================================
-frame, or file                    the frame's number or its file name, as in the truth; required
+frame, or file                    the frame's number or its file name, as in the truth; required by ``glstar score``
+utc                               UTC of the instant by the camera's clock, as in ``nav.jsonl``; for a live window
 status                            ``solved`` (default) or ``refused``
 instant                           time of the attitude: ``start``, ``middle`` (default) or ``end`` of the exposure
 qw, qx, qy, qz                    q_camera_icrs: rotates ICRS components to camera ones (right, down, along the axis)
@@ -30,8 +31,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.errors import AnswersError
+from glstar.errors import AnswersError, GlstarError
 from glstar.rotation import about_y, about_z, matrix_from_quaternion
+from glstar.sky.timescale import parse_utc
 from glstar.system.inputfile import read_text
 
 __all__ = [
@@ -52,11 +54,12 @@ _BORESIGHT: Final = ("ra_deg", "dec_deg", "roll_deg")
 _POSITION: Final = ("latitude_deg", "longitude_deg")
 _ELLIPSE: Final = ("ellipse_major_km", "ellipse_minor_km", "ellipse_azimuth_deg")
 _FIELDS: Final = {
-    *("frame", "file", "status", "instant", *_QUATERNION, *_BORESIGHT, *_POSITION, *_ELLIPSE),
+    *("frame", "file", "utc", "status", "instant", *_QUATERNION, *_BORESIGHT, *_POSITION, *_ELLIPSE),
     *("ellipse_confidence", "time_ms", "stars", "stars_at"),
 }
 # Tolerance of a quaternion's length: its error if the components are rounded to four decimals.
 _UNIT_TOLERANCE: Final = 1e-3
+_NO_FRAME: Final = "does not say which frame it answers"
 # Largest answer file, bytes: lists of stars for 100 000 frames.
 _MOST_BYTES: Final = 2_000_000_000
 
@@ -134,6 +137,8 @@ class Answer:
     ellipse : ErrorEllipse or None
     stars : ObservedStars or None
     run_time_s : float or None
+    utc_s : float or None
+        UTC of the attitude by the camera's clock, seconds since 1970.
     """
 
     line: int
@@ -147,6 +152,7 @@ class Answer:
     ellipse: ErrorEllipse | None
     stars: ObservedStars | None
     run_time_s: float | None
+    utc_s: float | None = None
 
 
 def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
@@ -196,6 +202,8 @@ def read_answers(path: Path) -> list[Answer]:
     seen: dict[int | str | None, int] = {}
     for answer in answers:
         key = answer.file if answer.frame is None else answer.frame
+        if key is None:
+            raise AnswersError(path, f"line {answer.line} {_NO_FRAME}: give frame or file")
         if key in seen:
             raise AnswersError(path, f"answers frame {key} twice, in lines {seen[key]} and {answer.line}")
         seen[key] = answer.line
@@ -263,8 +271,8 @@ def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
     if unknown := sorted(row.keys() - _FIELDS):
         known = ", ".join(sorted(_FIELDS))
         raise AnswersError(path, f"line {line}: {unknown[0]!r} is no field of an answer; fields are {known}")
-    if "frame" not in row and "file" not in row:
-        raise AnswersError(path, f"line {line} does not say which frame it answers: give frame or file")
+    if not row.keys() & {"frame", "file", "utc"}:
+        raise AnswersError(path, f"line {line} {_NO_FRAME}: give frame or file, or utc for a live window")
     latitude, longitude = fields.group(_POSITION) or (None, None)
     stars = row.get("stars")
     return Answer(
@@ -279,6 +287,7 @@ def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
         ellipse=_ellipse(fields),
         stars=None if stars is None else _stars(fields, stars),
         run_time_s=fields.number("time_ms") / 1000 if "time_ms" in row else None,
+        utc_s=fields.utc_s("utc") if "utc" in row else None,
     )
 
 
@@ -308,6 +317,12 @@ class _Row:
         if number != int(number) or number < 0:
             raise self.error(f"{name} is {self._row[name]!r}, not a whole number from 0")
         return int(number)
+
+    def utc_s(self, name: str) -> float:
+        try:
+            return parse_utc(str(self._row[name]))
+        except (ValueError, GlstarError):
+            raise self.error(f"{name} is {self._row[name]!r}, not a UTC such as 2024-03-10T11:00:00.25Z") from None
 
     def choice(self, name: str, choices: tuple[str, ...]) -> str:
         chosen = str(self._row.get(name, choices[0]))

@@ -66,6 +66,9 @@ def perform(action: AnyAction, session: Session) -> bool:
     """
     if isinstance(action, Overlay):
         session.shown_overlays ^= {action}
+        lacking = session.navigator.lacking(session.loaded) if action is Overlay.NAVIGATOR else ""
+        if lacking and action in session.shown_overlays:
+            session.notify(lacking)
     elif action in _HEAD:
         if session.head is not None:
             _HEAD[action](session.head)

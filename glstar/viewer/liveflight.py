@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from glstar.flight import Flight
-from glstar.link import LatestAttitude, Link, LinkEvent, LinkStatus
+from glstar.link import Estimate, LatestAttitude, Link, LinkEvent, LinkStatus
 from glstar.render.scene import Scene
 from glstar.render.viewingconditions import conditions_report
 from glstar.viewer.flightlines import FlightLines
@@ -120,6 +120,24 @@ class LiveFlight:
         Flight or None
         """
         return self.link.flight(last_s)
+
+    def with_estimate(self, last_s: float) -> tuple[Flight, Estimate] | None:
+        """Return the flight's last seconds, and what the autopilot estimated in them.
+
+        Parameters
+        ----------
+        last_s : float
+            s.
+
+        Returns
+        -------
+        (Flight, Estimate) or None
+            The flight itself is the estimate unless the link draws a simulator's state.  None without samples.
+        """
+        flight, estimate = self.link.flight_and_estimate(last_s)
+        if flight is None or (estimate is None and self.link.truth == "sim_state"):
+            return None
+        return flight, estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
 
     def buffered(self, origin_s: float) -> Buffered | None:
         """Return a copy of the buffer if one has been made since the last call; another thread makes it.

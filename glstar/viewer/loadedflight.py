@@ -10,7 +10,8 @@ from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.config.reading import extinction_of
 from glstar.errors import LogFormatError
-from glstar.flight import Flight
+from glstar.export.navfile import estimates
+from glstar.flight import AttitudeTrack, Flight
 from glstar.render.simulator import Simulator
 from glstar.sky.timescale import CLOCK_GRAIN_S
 from glstar.viewer.flightlines import FlightLines
@@ -44,6 +45,8 @@ class LoadedFlight:
         The curves of the timeline.
     simulator : Simulator
     overlays : Overlays
+    estimate : AttitudeTrack or None
+        What the aircraft estimated, if ``[navigator]`` names another message of the log.
     head : PlayHead
     """
 
@@ -54,6 +57,7 @@ class LoadedFlight:
     lines: FlightLines
     simulator: Simulator
     overlays: Overlays
+    estimate: AttitudeTrack | None = None
     head: PlayHead = field(init=False)
 
     def __post_init__(self) -> None:
@@ -106,7 +110,9 @@ class LoadedFlight:
         GlstarError
             If the log cannot be replayed.
         """
-        return cls.make(path, config, given, config.open_flight(path))
+        loaded = cls.make(path, config, given, config.open_flight(path))
+        [loaded.estimate] = estimates(config, [path])
+        return loaded
 
     def use(self, config: Config) -> None:
         """Change the settings; star directions are computed again only if the sky changes.

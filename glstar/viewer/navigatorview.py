@@ -2,20 +2,30 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glstar.config import Config
+from glstar.export.livenav import LiveNavigator
 from glstar.export.navrecord import Navigator
 from glstar.flight import Flight
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
 from glstar.sky.geodesy import surface_offset_km
+from glstar.sky.timescale import CLOCK_GRAIN_S
 from glstar.viewer.belief import Belief, PlacedAnswer
-from glstar.viewer.loadedflight import LoadedFlight
+from glstar.viewer.liveflight import LiveFlight
+from glstar.viewer.loadedflight import BEFORE_EXPOSURE_S, LoadedFlight
 
 __all__ = ["NavigatorView"]
+
+Float = NDArray[np.float64]
+
+# Answers of a live link that are kept.
+_MOST_ANSWERS: Final = 1000
 
 
 class NavigatorView:
@@ -25,17 +35,30 @@ class NavigatorView:
     ----------
     answers : sequence of PlacedAnswer
         In the order of their times.
+    live : LiveFlight or None
+        The flight of a link.
     """
 
     def __init__(self) -> None:
         self.answers: Sequence[PlacedAnswer] = ()
+        self.live: LiveFlight | None = None
         self._navigator: tuple[Config, Flight, Navigator | None] | None = None
+        self._live_navigator: tuple[Config, LiveNavigator] | None = None
         self._last: tuple[Scene, Sequence[PlacedAnswer], tuple[Belief, ...]] | None = None
+
+    def add(self, answer: PlacedAnswer) -> None:
+        """Add an answer of a live link; the oldest are dropped.
+
+        Parameters
+        ----------
+        answer : PlacedAnswer
+        """
+        self.answers = sorted([*self.answers, answer], key=lambda one: one.utc_s)[-_MOST_ANSWERS:]
 
     def beliefs(
         self, loaded: LoadedFlight | None, simulator: Simulator | None, scene: Scene | None
     ) -> tuple[Belief, ...]:
-        """Return the estimate, if ``[navigator]`` gives it errors, and the latest answer at the end of an exposure.
+        """Return the estimate, if it can differ from the truth, and the latest answer at the end of an exposure.
 
         Parameters
         ----------
@@ -53,34 +76,90 @@ class NavigatorView:
             return ()
         if self._last is not None and self._last[0] is scene and self._last[1] is self.answers:
             return self._last[2]
-        found: list[Belief] = []
-        if (navigator := self._navigator_of(loaded)) is not None:
-            found.append(_estimate(navigator, simulator, scene))
-        times_s = [answer.utc_s for answer in self.answers]
+        answers, found = self.answers, list[Belief]()
+        record = self._live_record(loaded, scene) if loaded.is_live else self._record(loaded, scene)
+        if record is not None and record["q_body_ned"] is not None:
+            C_camera_body = loaded.config.mount().C_camera_body
+            found.append(_estimate(record, C_camera_body, simulator, scene, has_position=loaded.is_live))
+        times_s = [answer.utc_s for answer in answers]
         if (number := bisect_right(times_s, scene.exposure.stop_utc_s)) > 0:
-            found.append(_answered(self.answers[number - 1], simulator, scene))
-        self._last = scene, self.answers, tuple(found)
+            answer = answers[number - 1]
+            if loaded.is_live and answer.utc_s < simulator.flight.attitude.first_s:
+                simulator = simulator.with_flight(loaded.flight)  # the whole buffer of the link
+            found.append(_answered(answer, simulator, scene))
+        self._last = scene, answers, tuple(found)
         return self._last[2]
 
-    def _navigator_of(self, loaded: LoadedFlight) -> Navigator | None:
-        """Return the navigator of a replayed flight; None if it knows the truth, or another message is its estimate."""
+    def lacking(self, loaded: LoadedFlight | None) -> str:
+        """Return why there is neither an estimate nor an answer to draw; empty if there is one.
+
+        Parameters
+        ----------
+        loaded : LoadedFlight or None
+        """
+        if loaded is None or self.answers or self._may_differ(loaded):
+            return ""
+        if loaded.is_live:
+            return (
+                "nothing to draw: the sky is that of the estimate, and there are no answers; see --truth sim_state,"
+                " [navigator] and --answers"
+            )
+        return (
+            "nothing to draw: the aircraft knows the truth, and there are no answers; give [navigator] errors, or view"
+            " with --answers"
+        )
+
+    def _may_differ(self, loaded: LoadedFlight) -> bool:
+        """Return whether the estimate can differ from the truth."""
+        if loaded.is_live and self.live is not None and self.live.link.truth == "sim_state":
+            return True
+        return not loaded.config.navigator.is_perfect
+
+    def _record(self, loaded: LoadedFlight, scene: Scene) -> dict[str, Any] | None:
+        """Return what the navigator of a replayed flight knows; None if it knows the truth."""
         config, flight = loaded.config, loaded.flight
         if self._navigator is None or self._navigator[0] is not config or self._navigator[1] is not flight:
-            section = config.navigator
-            draws = not (loaded.is_live or section.is_perfect) and section.attitude == "model"
-            self._navigator = config, flight, Navigator.of(config, loaded.simulator.flight) if draws else None
-        return self._navigator[2]
+            draws = self._may_differ(loaded) and (config.navigator.attitude == "model") == (loaded.estimate is None)
+            flown = loaded.simulator.flight
+            navigator = Navigator.of(config, flown, estimate=loaded.estimate) if draws else None
+            self._navigator = config, flight, navigator
+        navigator = self._navigator[2]
+        return None if navigator is None else navigator.record(scene.exposure, number=0, file="")
+
+    def _live_record(self, loaded: LoadedFlight, scene: Scene) -> dict[str, Any] | None:
+        """Return what the autopilot of a link knows; None if it knows the truth, or its samples do not cover this."""
+        config, exposure = loaded.config, scene.exposure
+        if self.live is None or not self._may_differ(loaded) or config.navigator.attitude != "model":
+            return None
+        known = self.live.with_estimate(loaded.head.last_s - exposure.start_utc_s + BEFORE_EXPOSURE_S)
+        if known is None:
+            return None
+        flight, estimate = known
+        track = estimate.attitude
+        is_covered = track.first_s <= exposure.start_utc_s and exposure.stop_utc_s <= track.last_s + CLOCK_GRAIN_S
+        if not is_covered or track.gap_within(exposure.start_utc_s, exposure.stop_utc_s) is not None:
+            return None
+        if self._live_navigator is None or self._live_navigator[0] is not config:
+            self._live_navigator = config, LiveNavigator(config, None)
+        shown = config.gimbal.carried(flight)
+        return self._live_navigator[1].record(estimate, exposure, number=0, file="", flight=shown)
 
 
-def _estimate(navigator: Navigator, simulator: Simulator, scene: Scene) -> Belief:
-    record = navigator.record(scene.exposure, number=0, file="")
+def _estimate(
+    record: dict[str, Any], C_camera_body: Float, simulator: Simulator, scene: Scene, *, has_position: bool
+) -> Belief:
+    """Return an estimate against the truth in the middle of an exposure; its position only if it can differ."""
     q_platform = np.array(record["q_body_ned"]["middle"])
     q_aircraft = np.array(record["gimbal"]["q_aircraft_ned"]["middle"]) if "gimbal" in record else q_platform
     roll, pitch, _ = euler_from_quaternion(q_aircraft)
-    C_estimated_ned = navigator.C_camera_body @ matrix_from_quaternion(q_platform)
+    C_estimated_ned = C_camera_body @ matrix_from_quaternion(q_platform)
     q_body_ned = simulator.flight.attitude.at(np.array([scene.exposure.mid_utc_s]))[0]
     C_camera_estimated = simulator.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_estimated_ned.T
-    return Belief("estimate", C_camera_estimated, C_estimated_ned, float(roll), float(pitch))
+    place, offset_km = record["position"], None
+    if has_position and place is not None:
+        site = simulator.flight.position.at(scene.exposure.mid_utc_s)
+        offset_km = surface_offset_km(site, *np.deg2rad([place["latitude_deg"], place["longitude_deg"]]).tolist())
+    return Belief("estimate", C_camera_estimated, C_estimated_ned, float(roll), float(pitch), offset_km)
 
 
 def _answered(answer: PlacedAnswer, simulator: Simulator, scene: Scene) -> Belief:

@@ -178,7 +178,7 @@ class Session:
         live : LiveFlight
             The session closes it.
         """
-        self.live = live
+        self.live = self.navigator.live = live
         self.go_live()
 
     def go_live(self) -> None:
@@ -425,10 +425,10 @@ class Session:
         if loaded is not None:
             loaded.use(config)
             self.stretch = self.stretch.for_white(before.sensor().saturation_dn, config.sensor().saturation_dn)
-            if config.flight != before.flight:
+            if config.flight != before.flight or config.navigator.attitude != before.navigator.attitude:
                 if loaded.path is not None:
                     self.loader.read(loaded.path, config, self._given)
-                else:
+                elif config.flight != before.flight:
                     self.notify("[flight] of the settings is for logs; the flags of glstar live are for links")
         self.config = config
 

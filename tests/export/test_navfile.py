@@ -12,9 +12,14 @@ import pytest
 from astropy.io import fits
 from scipy.spatial.transform import Rotation
 
+from glstar.camera.exposure import Exposure
+from glstar.config import Config
 from glstar.export.fitsfile import damage_of_fits
+from glstar.export.navrecord import Navigator
+from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_quaternion, turn_between
 from glstar.sky.timescale import parse_utc
+from glstar.system.resources import asset
 
 CONFIG = """
 [camera]
@@ -187,6 +192,26 @@ def test_the_attitude_of_another_message_of_the_log_is_the_estimate(tmp_path: Pa
         )
         # ATT is XKQ at 10 Hz, rounded to 0.01 deg.
         assert 1e-4 < off_deg < 2.0
+
+
+def test_a_gap_of_the_message_is_no_estimate() -> None:
+    config = Config().override(**{"navigator.attitude": "ATT"})
+    flight = config.open_flight(asset("adelaide.BIN"))
+    attitude = config.override(**{"flight.attitude": "ATT"}).open_flight(asset("adelaide.BIN")).attitude
+    first_s = attitude.first_s
+    kept = (attitude.utc_s < first_s + 20.0) | (attitude.utc_s > first_s + 25.0)
+    message = AttitudeTrack.from_samples(attitude.utc_s[kept], attitude.q_body_ned[kept])
+    navigator = Navigator.of(config, flight, estimate=message)
+
+    def known(start_s: float) -> dict[str, Any]:
+        return navigator.record(Exposure(first_s + start_s, 0.5), number=0, file="frame_000000.png")
+
+    for start_s in (19.0, 25.5):
+        assert known(start_s)["q_body_ned"].keys() == {"start", "middle", "end"}
+    for start_s in (19.8, 22.0, 24.8):
+        record = known(start_s)
+        assert (record["q_body_ned"], record["rates_rad_per_s"], record["up_camera"]) == (None, None, None)
+        assert record["utc"].keys() == {"start", "middle", "end"}
 
 
 def test_without_a_navigator_there_is_no_record(tmp_path: Path) -> None:

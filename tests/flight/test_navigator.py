@@ -85,3 +85,23 @@ def test_an_error_of_the_mount_acts_as_a_turn_of_the_body() -> None:
     axis = MountError(pitch_rad=1 * DEG).applied(C_camera_body)[2]
 
     np.testing.assert_allclose(axis, [np.sin(1 * DEG), 0.0, np.cos(1 * DEG)], rtol=0, atol=1e-12)
+
+
+def test_an_estimate_has_gaps_where_its_samples_have_them() -> None:
+    t_s = np.r_[0.0:10.0:0.1, 15.0:20.05:0.1]
+    track = AttitudeTrack.from_samples(t_s, np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)))
+    errors = AttitudeErrorModel().drawn(0.0, 20.0, np.random.default_rng(0))
+    held, message = EstimatedAttitude(track, errors), EstimatedAttitude(track, errors, is_held=False)
+
+    for estimate in (held, message):
+        assert estimate.is_known(8.0, 9.5)
+        assert estimate.is_known(15.5, 16.0)
+        assert not estimate.is_known(9.5, 10.5)
+        assert not estimate.is_known(11.0, 12.0)
+        assert not estimate.is_known(14.0, 16.0)
+    assert held.is_known(-5.0, -4.5)
+    assert held.is_known(24.0, 24.5)
+    # A message is known one sample interval beyond its samples.
+    assert message.is_known(-0.05, 0.5)
+    assert not message.is_known(-0.2, 0.5)
+    assert not message.is_known(19.5, 20.3)

@@ -6,10 +6,13 @@ from math import degrees, hypot, radians, tan
 import numpy as np
 import pytest
 from imgui_bundle import imgui
+from scipy.spatial.transform import Rotation
 
 from glstar.cli.placedanswers import placed_answers
-from glstar.errors import AnswersError
+from glstar.errors import AnswersError, ExportError
 from glstar.rotation import matrix_from_quaternion, multiply, quaternion_from_matrix, quaternion_from_turn
+from glstar.system.resources import asset
+from glstar.viewer.actions import perform
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.shapes import Mark
 from tests.support.windowinput import screen
@@ -63,6 +66,37 @@ def test_the_estimate_has_the_errors_of_the_settings(make_viewer, small):
 
 
 def test_an_aircraft_that_knows_the_truth_has_no_estimate(viewer):
+    assert beliefs(viewer) == ()
+
+
+def test_the_overlay_without_anything_to_draw_says_why(viewer):
+    perform(Overlay.NAVIGATOR, viewer.session)
+
+    assert "the aircraft knows the truth" in viewer.session.notifications.current[-1].message
+
+
+def test_another_message_of_the_log_is_the_estimate(make_viewer, small):
+    log = asset("adelaide.BIN")
+    named = small.override(**{"navigator.attitude": "ATT"})
+    viewer = make_viewer(log, config=named)
+    session = viewer.session
+    session.head.seek(session.head.first_s + 30.0)
+    viewer.frame(0.0)
+
+    [estimate] = beliefs(viewer)
+
+    utc_s = np.array([session.scene.exposure.mid_utc_s])
+    tracks = (c.open_flight(log).attitude for c in (small, small.override(**{"flight.attitude": "ATT"})))
+    # The camera points along the body's upward axis.
+    one, other = (Rotation.from_quat(track.at(utc_s)[0], scalar_first=True).inv().apply([0, 0, -1]) for track in tracks)
+    across_rad = np.arcsin(np.linalg.norm(np.cross(one, other)))
+    assert estimate.error.boresight_rad == pytest.approx(across_rad, rel=1e-6, abs=1e-9)
+    assert degrees(across_rad) > 1e-4
+
+    # The setting reads the log again.
+    session.change(**{"navigator.attitude": "model"})
+    session.wait_for_flight()
+    viewer.frame(0.0)
     assert beliefs(viewer) == ()
 
 
@@ -144,6 +178,15 @@ def test_an_answer_for_no_frame_of_the_export_is_refused(answered, tmp_path):
     path.write_text('{"frame": 99}\n', encoding="utf-8")
     with pytest.raises(AnswersError, match=r"line 1 answers frame 99, which .* does not have"):
         placed_answers(path, directory)
+
+
+def test_the_directory_of_a_navigator_has_no_truth_to_compare_with(answered, tmp_path):
+    path = answered[2]
+    seen = tmp_path / "seen"
+    seen.mkdir()
+    (seen / "nav.jsonl").touch()
+    with pytest.raises(ExportError, match=r"seen.* has no truth.jsonl; name the directory of --blind"):
+        placed_answers(path, seen)
 
 
 def test_the_flight_panel_shows_the_estimate_and_the_answer(make_viewer, answered):
