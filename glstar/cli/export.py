@@ -41,6 +41,7 @@ from glstar.cli.exportoptions import (
     WorkerCount,
 )
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
+from glstar.cli.framepublishing import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.lightnotes import light_notes
 from glstar.cli.navigatorfiles import NavigatorFiles
 from glstar.cli.outputplace import OutputPlace
@@ -53,9 +54,10 @@ from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt
 
 if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
 
     from glstar.config import Config
-    from glstar.export.executors import Executor
+    from glstar.export.executors import Executor, OnPixels
     from glstar.export.options import ExportOptions
     from glstar.export.plan import SkippedFrame
     from glstar.export.run import Export, ExportReport
@@ -97,6 +99,8 @@ def export(
     strict: Strict = False,
     navigator: NavigatorAttitude = None,
     blind: Blind = None,
+    latest_frame: LatestFrame = None,
+    with_truth: WithTruth = False,
     dry_run: DryRun = False,
     verify: Verify = False,
     force: Force = False,
@@ -105,8 +109,7 @@ def export(
 ) -> None:
     """Write the long exposures that the camera would have taken on a flight, and where every star is on them.
 
-    Run again, it draws the missing frames and leaves the others as they are.  Several flights, or a [sweep] in the
-    config, make one data set.
+    Run again, it draws the missing frames only.  Several flights, or a [sweep] in the config, make one data set.
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
@@ -116,22 +119,21 @@ def export(
     summaries.check(verify=verify)
     output.check(video=video, dask=dask, verify=verify, blind=blind, **summaries.asked)
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
+    publishing = FramePublishing(latest_frame, with_truth).in_one_process(workers, dask, draws=not (verify or dry_run))
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**when | {"navigator.attitude": navigator})
-    part, known = _part_of(shard, force=force), NavigatorFiles(settings, output.directory, blind)
-    paths = flights_of(settings, flights)
+    flown = flights_of(settings, flights)
+    part, known = _part_of(shard, force=force), NavigatorFiles(settings, output.directory, blind, flown)
     wanted = ExportOptions(start, stop, frames, format_, light, seed, masks, known.allows(exif=exif))
-    job = _prepare(settings, paths, known.directory, wanted, strict=strict, video=video)
-    workers = workers or _default_workers(len(job.numbers), part)
+    job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
+    workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
     if dry_run or verify:
         (_estimate if dry_run else _verify)(job, part, workers, as_json=as_json)
     else:
         known.begin()
-        report, took_s = _draw(job, output, part, workers, dask, force=force)
-        if report.complete:
-            video = video and _write_video(job, video, video_fps)
-            known.finish(job, paths)
-        tables = summaries.finish(job, output.directory) if report.complete and output.url is None else ()
+        passed_on = publishing.of_export(job, settings, known)
+        report, took_s = _draw(job, output, part, workers, dask, passed_on, force=force)
+        tables = _finish(job, output, known, summaries, video, video_fps) if report.complete else ()
         _report(job, report, took_s, video, tables, as_json=as_json)
 
 
@@ -232,18 +234,44 @@ def _with_light_notes(job: "Export", on_frame: Callable[[int, int], None]) -> Ca
 
 
 def _draw(
-    job: "Export", output: OutputPlace, shard: "Shard", workers: int, dask: str | None, *, force: bool
+    job: "Export",
+    output: OutputPlace,
+    shard: "Shard",
+    workers: int,
+    dask: str | None,
+    passed_on: "AbstractContextManager[OnPixels | None]",
+    *,
+    force: bool,
 ) -> "tuple[ExportReport, float]":
     """Draw and write the missing frames, with a progress bar; return the report and the time taken, s."""
     began_s = time.monotonic()
     try:
-        with _executor(job, workers, dask) as executor, progress_bar("frames") as on_frame:
+        with (
+            passed_on as on_pixels,
+            _executor(job, workers, dask, on_pixels) as executor,
+            progress_bar("frames") as on_frame,
+        ):
             target = output.target(job)
             report = target.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
     except KeyboardInterrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     return report, time.monotonic() - began_s
+
+
+def _finish(
+    job: "Export",
+    output: OutputPlace,
+    known: NavigatorFiles,
+    summaries: SummaryFiles,
+    video: Path | None,
+    video_fps: float,
+) -> tuple[Path, ...]:
+    """Write what belongs to a complete export: video, the navigator's files, summaries; return the Parquet tables."""
+    if video is not None:
+        _write_video(job, video, video_fps)
+    known.finish(job)
+    return summaries.finish(job, output.directory) if output.url is None else ()
 
 
 def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
@@ -294,7 +322,9 @@ def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> No
 
 
 @contextmanager
-def _executor(job: "Export", workers: int, dask: str | None) -> "Iterator[Executor]":
+def _executor(
+    job: "Export", workers: int, dask: str | None, on_pixels: "OnPixels | None" = None
+) -> "Iterator[Executor]":
     """Open the executor that the options ask for."""
     from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, only when needed
@@ -312,15 +342,14 @@ def _executor(job: "Export", workers: int, dask: str | None) -> "Iterator[Execut
     else:
         with GLRenderer.headless() as renderer:
             echo_detail(f"drawn by {renderer.driver}")
-            yield SerialExecutor(renderer)
+            yield SerialExecutor(renderer, on_pixels=on_pixels)
 
 
-def _write_video(job: "Export", video: Path, frames_per_s: float) -> Path:
+def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
     from glstar.export.images import write_video  # noqa: PLC0415 - OpenCV, only when needed
 
     images = [job.task.image_path(number) for number in job.numbers.tolist()]
     write_video(images, video, frames_per_s=frames_per_s, saturation_dn=job.task.frames.saturation_dn)
-    return video
 
 
 def _report(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
+from glstar.cli.framepublishing import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.injectedanswers import InjectedAnswers
 from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.cli.windowoptions import (
@@ -30,12 +31,10 @@ from glstar.cli.windowoptions import (
 )
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.export.framestream import STREAM
 from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.simulatorstate import SIMULATOR_NAMES
 
 if TYPE_CHECKING:
-    from glstar.export.frameoutputs import FrameOutput
     from glstar.export.liveexport import LiveReport
 
 __all__ = ["live"]
@@ -51,15 +50,6 @@ LinkName = Annotated[
 ExportTo = Annotated[
     Path | None, typer.Option(help="A new directory for frames and truth, written as they happen.", show_default=False)
 ]
-LatestFrame = Annotated[
-    str | None,
-    typer.Option(
-        help="Pass the frames on: shm:NAME, a file, zmq://HOST:PORT, http://HOST:PORT for a browser (MJPEG), or"
-        " video:DEVICE for what reads a camera; one writer for each name.",
-        show_default=False,
-    ),
-]
-WithTruth = Annotated[bool, typer.Option("--with-truth", help="Send the truth with the frames of zmq://, too.")]
 Record = Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)]
 ExposureLength = Annotated[
     float | None, typer.Option(help="Duration of each exposure, s.", show_default="0.5, or the config's")
@@ -138,18 +128,15 @@ class _ExportOptions:
     """Outputs of frames."""
 
     directory: Path | None
-    latest_frame: str | None
-    with_truth: bool
+    publishing: FramePublishing
     image_format: Any
     seed: int
     force: bool
 
     @classmethod
-    def of(cls, directory: Path | None, latest_frame: str | None, with_truth: bool, *others: Any) -> Self | None:
+    def of(cls, directory: Path | None, publishing: FramePublishing, *others: Any) -> Self | None:
         """Return the options; None if no frames are asked for."""
-        if with_truth and not (latest_frame or "").startswith(STREAM):
-            raise typer.BadParameter("belongs to --latest-frame zmq://...", param_hint="--with-truth")
-        return None if directory is None and latest_frame is None else cls(directory, latest_frame, with_truth, *others)
+        return None if directory is None and publishing.where is None else cls(directory, publishing, *others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +212,7 @@ def live(
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
-    frames = _ExportOptions.of(export, latest_frame, with_truth, format_, seed, force)
+    frames = _ExportOptions.of(export, FramePublishing(latest_frame, with_truth), format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
     size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
@@ -328,12 +315,15 @@ def _export(
 ) -> dict[str, object]:
     """Write frames as they happen, and return the report."""
     # OpenCV and OpenGL, only if frames are drawn.
+    from glstar.export.images import fit_format  # noqa: PLC0415
     from glstar.export.liveexport import LiveExport  # noqa: PLC0415
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415
 
     with ExitStack() as stack:
         renderer = stack.enter_context(GLRenderer.headless())
-        output = None if frames.latest_frame is None else stack.enter_context(closing(_output(settings, frames)))
+        _, sensor = fit_format(frames.image_format, settings.sensor(), summed=settings.exposure.signal_factor)
+        publishing = frames.publishing
+        output = None if publishing.where is None else stack.enter_context(closing(publishing.opened(settings, sensor)))
         job = LiveExport(
             settings,
             link,
@@ -348,20 +338,6 @@ def _export(
         report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
         injected = {} if injection is None else {"injected": injection.injector.sent}
         return {**_export_summary(report), **injected}
-
-
-def _output(settings: Config, frames: _ExportOptions) -> "FrameOutput":
-    """Open the output that receives each frame."""
-    from glstar.export.frameoutputs import open_frame_output  # noqa: PLC0415 - OpenCV
-    from glstar.export.images import fit_format  # noqa: PLC0415
-
-    assert frames.latest_frame is not None
-    summed = settings.exposure.signal_factor
-    _, sensor = fit_format(frames.image_format, settings.sensor(), summed=summed)
-    interval_s, with_truth = settings.exposure.interval_s, frames.with_truth
-    return open_frame_output(
-        frames.latest_frame, settings.camera(), sensor, interval_s=interval_s, summed=summed, with_truth=with_truth
-    )
 
 
 def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:

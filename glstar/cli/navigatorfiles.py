@@ -25,10 +25,13 @@ class NavigatorFiles:
         The directory that the user asked for.
     blind : Path or None
         Where the truth goes instead.
+    paths : sequence of Path
+        The flights.
     """
 
-    def __init__(self, settings: "Config", output: Path, blind: Path | None) -> None:
+    def __init__(self, settings: "Config", output: Path, blind: Path | None, paths: Sequence[Path]) -> None:
         self._settings, self._output, self._blind = settings, output, blind
+        self.paths = list(paths)
         self._is_wanted = blind is not None or "navigator" in settings.resolved()
         if blind is not None and _is_within(output, blind):
             raise typer.BadParameter(
@@ -57,15 +60,18 @@ class NavigatorFiles:
             refuse_other_files(self._output)
         remove_nav(self.directory)
 
-    def finish(self, job: "Export", paths: Sequence[Path]) -> None:
+    def used(self, job: "Export") -> list[Path]:
+        """Return the flights of which there are frames."""
+        left_out = {log.path for log in job.omitted_logs}
+        return [path for path in self.paths if path not in left_out]
+
+    def finish(self, job: "Export") -> None:
         """Write ``nav.jsonl`` of a complete export, and hand images and ``nav.jsonl`` to the navigator."""
         if not self._is_wanted:
             return
         from glstar.export.navfile import estimates, publish_blind, write_nav  # noqa: PLC0415
 
-        left_out = {log.path for log in job.omitted_logs}
-        used = [path for path in paths if path not in left_out]
-        write_nav(job, self._settings, estimates(self._settings, used))
+        write_nav(job, self._settings, estimates(self._settings, self.used(job)))
         if self._settings.navigator.is_perfect and not any(
             axis.key.startswith("navigator.") for axis in self._settings.sweep.axes
         ):

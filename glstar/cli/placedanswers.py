@@ -6,7 +6,6 @@ from pathlib import Path
 from glstar.cli.incominganswers import IncomingAnswers
 from glstar.config import Config
 from glstar.errors import AnswersError, ExportError
-from glstar.export.navfile import NAV
 from glstar.export.readtruth import read_truth
 from glstar.score.answers import Answer, read_answers
 from glstar.sky.timescale import format_utc, parse_utc
@@ -36,6 +35,8 @@ def placed_answers(answers: Path, export: Path) -> list[PlacedAnswer]:
     ExportError
         If there is no truth, as in the directory that ``--blind`` leaves to the navigator.
     """
+    from glstar.export.navfile import NAV  # noqa: PLC0415 - OpenCV
+
     if not (export / "truth.jsonl").is_file() and (export / NAV).is_file():
         raise ExportError(export, "is for a navigator and has no truth.jsonl; name the directory of --blind")
     times_s: dict[int | str | None, dict[str, float]] = {}

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, closing, suppress
 from functools import partial
-from typing import Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+OnPixels = Callable[[int, NDArray[Any], bytes], None]
 
 # Chunks per worker: enough to balance workers of different speed, and each chunk leaves one part of the truth.
 _CHUNKS_PER_WORKER: Final = 8
@@ -125,12 +126,15 @@ class SerialExecutor:
     Parameters
     ----------
     renderer : Renderer
+    on_pixels : callable, optional
+        Called on this thread, in the order of the frames, with the number, the pixels and the line of truth of each
+        frame that `draw` draws, before it is encoded.
     """
 
     writes_parts = False
 
-    def __init__(self, renderer: Renderer) -> None:
-        self._renderer = renderer
+    def __init__(self, renderer: Renderer, *, on_pixels: OnPixels | None = None) -> None:
+        self._renderer, self._on_pixels = renderer, on_pixels
 
     @property
     def driver(self) -> str:
@@ -143,7 +147,10 @@ class SerialExecutor:
 
     def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Executor`."""
-        yield from draw_frames(task, self._renderer, numbers, truth)
+        if self._on_pixels is None:
+            yield from draw_frames(task, self._renderer, numbers, truth)
+        else:
+            yield from draw_frames(task, self._renderer, numbers, truth, encoder_threads=0, on_pixels=self._on_pixels)
 
     def check(self, task: FrameTask, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
         """Draw frames again and compare them with the files of the directory; see `Checker`."""
@@ -158,6 +165,7 @@ def draw_frames(
     *,
     as_part: bool = False,
     encoder_threads: int | None = None,
+    on_pixels: OnPixels | None = None,
 ) -> Generator[int, None, None]:
     """Draw frames and write them, with composing, drawing, encoding and writing in a pipeline.
 
@@ -173,6 +181,8 @@ def draw_frames(
     encoder_threads : int, optional
         Threads that encode and write; one for each available processor if None, and 0 for a process that shares the
         processors with others.
+    on_pixels : callable, optional
+        Called with the number, the pixels and the line of truth of each frame on the thread that encodes it.
 
     Yields
     ------
@@ -189,7 +199,7 @@ def draw_frames(
             return frame.number, frame.truth
 
         try:
-            with closing(_pipeline(task, renderer, numbers, stage, encoder_threads)) as staged:
+            with closing(_pipeline(task, renderer, numbers, stage, encoder_threads, on_pixels)) as staged:
                 for number, line in staged:
                     yield from writer.add(number, line)
         except Exception:
@@ -222,6 +232,7 @@ def _pipeline(
     numbers: NDArray[np.int64],
     use: Callable[[EncodedFrame], T],
     encoder_threads: int | None,
+    on_pixels: OnPixels | None = None,
 ) -> Generator[T, None, None]:
     """Yield the result of `use` for each frame, which is called on an encoder thread."""
     in_progress: deque[ComposedFrame] = deque()
@@ -234,7 +245,8 @@ def _pipeline(
         return in_progress.popleft(), renderer.end_read()
 
     def encode(rendered: tuple[ComposedFrame, Frame]) -> T:
-        return use(task.encode(*rendered))
+        number = rendered[0].number
+        return use(task.encode(*rendered, on_pixels=None if on_pixels is None else partial(on_pixels, number)))
 
     if encoder_threads is None:
         encoder_threads = available_processors()

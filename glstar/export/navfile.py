@@ -2,10 +2,10 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import orjson
 
@@ -17,10 +17,11 @@ from glstar.export.images import SUFFIX
 from glstar.export.layout import OURS
 from glstar.export.navrecord import Navigator
 from glstar.export.run import Export
+from glstar.export.task import FrameTask
 from glstar.flight import AttitudeTrack
 from glstar.system.durable import publish, temporary_path, write_atomically
 
-__all__ = ["NAV", "estimates", "publish_blind", "refuse_other_files", "remove_nav", "write_nav"]
+__all__ = ["NAV", "NavRecords", "estimates", "publish_blind", "refuse_other_files", "remove_nav", "write_nav"]
 
 NAV: Final = "nav.jsonl"
 
@@ -86,7 +87,9 @@ def write_nav(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | N
     with explain_disk_errors(job.directory):
         try:
             with temporary.open("wb") as file:
-                file.writelines(_lines(job, config, attitudes))
+                records = NavRecords(job.task, config, attitudes)
+                for number in job.numbers.tolist():
+                    file.write(orjson.dumps(records.of(number), option=orjson.OPT_APPEND_NEWLINE))
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
@@ -94,21 +97,44 @@ def write_nav(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | N
     return path
 
 
-def _lines(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> Iterator[bytes]:
-    """Yield the lines of all frames, in their order."""
-    task, navigator, current = job.task, None, -1
-    for number in job.numbers.tolist():
+class NavRecords:
+    """The records of the frames of an export, in any order; fastest in theirs.
+
+    Parameters
+    ----------
+    task : FrameTask
+    config : Config
+    attitudes : sequence of AttitudeTrack or None
+        From `estimates`.
+    """
+
+    def __init__(self, task: FrameTask, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> None:
+        self._task, self._config, self._attitudes = task, config, attitudes
+        self._current: tuple[int, Navigator] | None = None
+
+    def of(self, number: int) -> dict[str, Any]:
+        """Return the record of a frame.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        dict
+            As of `Navigator.record`.
+        """
+        task = self._task
         shot = task.frames.shot(number)
-        if navigator is None or shot.stream != current:
-            current = shot.stream
-            own = config.at(shot.settings)
-            flight, estimate = shot.simulator.flight, attitudes[shot.flight]
+        if self._current is None or shot.stream != self._current[0]:
+            estimate = self._attitudes[shot.flight]
             if estimate is not None:
                 estimate = estimate.shifted(shot.shift_s)
-            navigator = Navigator.of(own, flight, estimate=estimate, stream=current)
+            own = self._config.at(shot.settings)
+            navigator = Navigator.of(own, shot.simulator.flight, estimate=estimate, stream=shot.stream)
+            self._current = shot.stream, navigator
         file = task.image_path(number).relative_to(task.directory).as_posix()
-        record = navigator.record(shot.exposure, number=number, file=file)
-        yield orjson.dumps(record, option=orjson.OPT_APPEND_NEWLINE)
+        return self._current[1].record(shot.exposure, number=number, file=file)
 
 
 def publish_blind(job: Export, output: Path) -> None:

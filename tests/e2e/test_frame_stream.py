@@ -5,6 +5,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import zmq
@@ -15,7 +16,7 @@ from glstar.errors import ConfigError
 from glstar.export.framestream import AnswerReceiver, FrameStream, send_answers
 from glstar.sky.timescale import parse_utc
 from tests.e2e.test_link import interrupted_when
-from tests.e2e.test_simulator_link import SMALL, angle_rad
+from tests.e2e.test_simulator_link import SMALL, angle_rad, lines
 from tests.examples import answer_frames
 from tests.support.autopilot import ESTIMATED_DEG, estimated_yaw_rad, simulated
 from tests.support.links import free_port, until
@@ -113,3 +114,53 @@ def test_wrong_addresses_and_absent_receivers_are_one_clear_line() -> None:
         send_answers(f"zmq://{port}", ["{}"], 0.1)
     with FrameStream(f"zmq://{port}"), pytest.raises(ConfigError, match="cannot be opened"):
         AnswerReceiver(f"zmq://{port}")
+
+
+@pytest.mark.parametrize("with_truth", [False, True])
+def test_a_subscriber_receives_the_frames_of_an_export_in_their_order(tmp_path: Path, with_truth: bool) -> None:
+    port, config, output = free_port(), tmp_path / "small.toml", tmp_path / "set"
+    config.write_text(SMALL + 'seed = 3\nroll_bias_deg = 1.0\n[flight.synthetic]\npath = "orbit"\nradius_m = 300\n')
+    received: list[list[bytes]] = []
+    listening, over = threading.Event(), threading.Event()
+
+    def listen() -> None:
+        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+            socket.setsockopt(zmq.RECONNECT_IVL, 10)
+            socket.subscribe(b"")
+            socket.connect(f"tcp://127.0.0.1:{port}")
+            listening.set()
+            while not over.is_set():
+                if socket.poll(100):
+                    received.append(socket.recv_multipart())
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    listening.wait()
+    words = f"export -c {config} -o {output} --frames 8 --every 2 --latest-frame zmq://127.0.0.1:{port}"
+    result = CliRunner().invoke(app, [*words.split(), *(["--with-truth"] if with_truth else [])])
+    over.set()
+    thread.join()
+    assert result.exit_code == 0, result.output
+
+    truth, nav = lines(output / "truth.jsonl"), lines(output / "nav.jsonl")
+    assert len(truth) == 8
+    # A subscriber that connects while the first frame is drawn may miss it.
+    first = json.loads(received[0][0])["frame"]
+    assert first <= 2
+    assert len(received) == 8 - first
+    for number, (head, content) in enumerate(received, first):
+        header, drawn = json.loads(head), truth[number]
+        assert header["nav"] == nav[number]
+        assert header.get("truth") == (drawn if with_truth else None)
+        image = cv2.imread(str(output / drawn["file"]), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(np.frombuffer(content, header["dtype"]).reshape(header["shape"]), image)
+
+
+@pytest.mark.parametrize("flags", [["--workers", "2"], ["--verify"], ["--dry-run"]])
+def test_frames_of_other_processes_are_not_passed_on(flags: list[str], tmp_path: Path) -> None:
+    words = ["export", "-o", str(tmp_path / "set"), "--latest-frame", f"zmq://{free_port()}", *flags]
+    result = CliRunner().invoke(app, words, env={"COLUMNS": "200"})
+
+    assert result.exit_code == 2
+    assert flags[0] in result.output
+    assert not (tmp_path / "set").exists()

@@ -33,6 +33,7 @@ MEANINGS: Final = {
     "--interpolation": "attitude between samples: slerp, spline or gyro",
     "--json": "the report as JSON",
     "--lat": "latitude, deg, north positive",
+    "--latest-frame": "where frames go besides files: shared memory, ZeroMQ, a browser, a video device",
     "--lens": "lens model to fit",
     "--lens-mm": "focal length, mm",
     "--lon": "longitude, deg, east positive",
@@ -54,6 +55,7 @@ MEANINGS: Final = {
     "--utc": "a time, ISO 8601",
     "--utc-start": "UTC of the first attitude",
     "--verbose": "more on standard error: the driver, and progress without a terminal (`-v`); also before the command",
+    "--with-truth": "send the truth with the frames of `zmq://`",
 }
 # `export` and `compare` take "camera", and `view` takes seconds.
 EXCEPTIONS: Final = {"--at", "--help"}

@@ -63,12 +63,12 @@ def test_the_window_draws_the_autopilots_estimate_and_an_answer_of_the_command_l
         shown = session.scene
         [estimate] = frames_until(viewer, lambda shown=shown: session.scene is not shown and beliefs(viewer))
         utc_s = session.scene.exposure.mid_utc_s
-        true, believed = (
+        true, estimated = (
             Rotation.from_euler("ZYX", [yaw_rad, 0.2, 0.1])
             for yaw_rad in (true_yaw_rad(utc_s), estimated_yaw_rad(utc_s))
         )
         # Between the noses, along which the camera points.
-        across_rad = np.arccos(true.apply([1, 0, 0]) @ believed.apply([1, 0, 0]))
+        across_rad = np.arccos(true.apply([1, 0, 0]) @ estimated.apply([1, 0, 0]))
         turns_deg.append(degrees(estimate.error.boresight_rad - across_rad))
     # A delayed packet may move one state by up to an interval of 20 ms: 0.1 deg at 5 deg/s.
     assert np.abs(turns_deg).max() < 0.11
