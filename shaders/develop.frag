@@ -9,8 +9,9 @@
 // SIXTEEN_BITS: 1 for pixels of 16 bits, 0 for 8 bits.
 
 uniform sampler2D signal;         // DN, with the guard band
-uniform int guard_band_px;
-uniform vec2 image_px;            // width, height without the guard band
+flat in vec2 image_px;            // width, height without the guard band
+flat in vec2 texels_per_px;       // of signal: 1 / width, 1 / height
+flat in float guard_band_px;
 
 out uvec4 texel;
 
@@ -24,14 +25,20 @@ float row_px(uvec2 quad) {
     return float(quad.y);
 }
 
+// Number of pixels of a fragment, and the column of their middle, or the last of the image.
+const float SPAN_PX = SIXTEEN_BITS == 1 ? 8.0 : 16.0;
+
+float middle_column_px() {
+    return min(SPAN_PX * floor(gl_FragCoord.x) + 0.5 * (SPAN_PX - 1.0), image_px.x - 1.0);
+}
+
 #include "noise.glsl"
 #include "effects.glsl"
 
 uvec4 digital_numbers(uvec2 quad) {
     // The same texels as texelFetch returns, a quarter faster on software OpenGL.
-    vec2 step = vec2(1.0 / float(textureSize(signal, 0).x), 0.0);
-    vec2 first = vec2(4u * quad.x, quad.y) + 0.5 + float(guard_band_px);
-    first /= vec2(textureSize(signal, 0));
+    vec2 step = vec2(texels_per_px.x, 0.0);
+    vec2 first = (vec2(4u * quad.x, quad.y) + 0.5 + guard_band_px) * texels_per_px;
     vec4 signal_dn = vec4(textureLod(signal, first, 0.0).r, textureLod(signal, first + step, 0.0).r,
                           textureLod(signal, first + 2.0 * step, 0.0).r, textureLod(signal, first + 3.0 * step, 0.0).r);
     return uvec4(with_effects(signal_dn, quad));

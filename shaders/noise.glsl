@@ -1,21 +1,16 @@
 // Counter-based random numbers: a hash of pixel and seed, the same on every run and every driver.
 
-uniform uint seed;
+flat in uint seed;
+flat in uvec4 seed_hashes;
 
-// Chris Wellons's lowbias32: each bit of the input changes half of the bits of the output.
-uvec4 hash(uvec4 x) {
-    x ^= x >> 16;  x *= 0x7feb352du;
-    x ^= x >> 15;  x *= 0x846ca68bu;
-    x ^= x >> 16;
-    return x;
-}
+#include "hash.glsl"
 
 // Random bits of four neighbouring pixels of a row.
 uvec4 random_bits(uvec2 quad) {
     // Row and column are hashed one after the other: with a sum of their hashes, two rows whose hashes are close would
     // have the same noise, shifted.  Four hashes per row, because some of a million hashes of 32 bits are equal, but
     // never four at once.
-    uvec4 rows = hash(quad.y + hash(seed + uvec4(0u, 0x3c6ef372u, 0x78dde6e4u, 0xb54cda56u)));
+    uvec4 rows = hash(quad.y + seed_hashes);
     return hash(rows ^ (quad.x * 0x9e3779b9u));
 }
 

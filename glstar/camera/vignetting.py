@@ -220,7 +220,9 @@ def _cosine(camera: Camera, xy_px: Float) -> Float:
 
 @lru_cache(maxsize=8)
 def _fit(vignetting: Vignetting, camera: Camera) -> FalloffFit:
-    xy = image_grid(camera, _POINTS, _POINTS)
+    # To the outer edges of the image, so that no pixel is beyond the largest q.
+    x, y = (np.linspace(-0.5, length - 0.5, _POINTS) for length in (camera.width_px, camera.height_px))
+    xy = np.stack(np.meshgrid(x, y), axis=-1)
     plane = camera.pinhole.unproject(xy)[..., :2]
     q = (plane**2).sum(axis=-1).ravel()
     star, sky = vignetting.of_stars(camera, xy).ravel(), vignetting.of_sky(camera, xy).ravel()

@@ -145,6 +145,19 @@ def test_a_uniform_without_a_value_is_named(draw: Draw) -> None:
         draw(scene_of(), forgotten)
 
 
+def test_an_effect_has_any_number_of_uniforms(draw: Draw) -> None:
+    names = [f"level_{number}_dn" for number in range(60)]
+    declared = f"uniform float {', '.join(names)}; // levels\nuniform ivec2 shift_dn;\nuniform uint more_dn;\n"
+    level = f"vec4({' + '.join(names)} + shift_dn.y + more_dn)"
+    many = effect(
+        "many",
+        f"{declared}vec4 many(vec4 signal_dn, uvec2 quad) {{ return {level}; }}",
+        Stage.SKY,
+        uniforms=lambda _values, _scene: dict.fromkeys(names, 10.0) | {"shift_dn": (7, -50), "more_dn": 3},
+    )
+    assert np.unique(draw(scene_of(), many)).tolist() == [600 - 50 + 3]
+
+
 def test_a_mistake_in_the_glsl_of_an_effect_is_reported_with_its_line(context: moderngl.Context) -> None:
     wrong = effect("wrong", "// one\n// two\nvec4 wrong(vec4 signal_dn, uvec2 quad) { return brightness; }")
     with pytest.raises(ShaderError) as refused:

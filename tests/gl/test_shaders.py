@@ -76,7 +76,7 @@ def compile_all_programs(context: moderngl.Context) -> None:
                     draw(renderer, lens, Sensor(psf_sigma_px=sigma_px), trail, readout_s=0.05)
     for shrinks in (0, 1, 2):
         for compares in (0, 1):
-            made = program.linked(context, "develop.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)
+            made = program.linked(context, "whole_image.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)
             made.release()
 
 

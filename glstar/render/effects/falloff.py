@@ -45,17 +45,17 @@ def _sky_dn(scene: Scene) -> float:
 
 def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     camera = scene.camera
-    fit = Vignetting.of(scene.sensor.effects).fit(camera)
+    fit, sky_dn = Vignetting.of(scene.sensor.effects).fit(camera), _sky_dn(scene)
+    sky = tuple(sky_dn * (of_sky - of_star) for of_star, of_sky in zip(fit.star, fit.sky, strict=True))
     return {
         "falloff_star_low": fit.star[:4],
         "falloff_star_high": fit.star[4:],
-        "falloff_sky_low": fit.sky[:4],
-        "falloff_sky_high": fit.sky[4:],
+        "falloff_sky_low": sky[:4],
+        "falloff_sky_high": sky[4:],
         "falloff_largest_q": fit.largest_q,
         "falloff_focal_px": (camera.fx_px, camera.fy_px),
         "falloff_principal_px": (camera.cx_px, camera.cy_px),
         "falloff_skew_px": camera.skew_px,
-        "falloff_sky_dn": _sky_dn(scene),
     }
 
 
@@ -82,22 +82,41 @@ LENS_FALLOFF = Effect(
     truth=_truth,
     is_active=lambda values: values["vignetting"] in {"cos4", "polynomial"},
     glsl="""\
+// Transmission for stars, and what the uniform sky differs from them, DN: polynomials of degree 7 in q.
 uniform vec4 falloff_star_low, falloff_star_high, falloff_sky_low, falloff_sky_high;
 uniform vec2 falloff_focal_px, falloff_principal_px;
-uniform float falloff_largest_q, falloff_skew_px, falloff_sky_dn;
+uniform float falloff_largest_q, falloff_skew_px;
 
-vec4 falloff_series(vec4 q, vec4 low, vec4 high) {
-    vec4 upper = high.x + q * (high.y + q * (high.z + q * high.w));
-    return low.x + q * (low.y + q * (low.z + q * (low.w + q * upper)));
+// Value, slope and half of the second derivative of a polynomial at q, by Horner's rule.
+vec3 falloff_series(float q, vec4 low, vec4 high) {
+    vec3 found = vec3(high.z + q * high.w, high.w, 0.0);
+    found = found * q + vec3(high.y, found.xy);
+    found = found * q + vec3(high.x, found.xy);
+    found = found * q + vec3(low.w, found.xy);
+    found = found * q + vec3(low.z, found.xy);
+    found = found * q + vec3(low.y, found.xy);
+    return found * q + vec3(low.x, found.xy);
 }
 
+// The same at columns around the middle: quadratic in px between the four quads, linear in each of them.
+vec4 falloff_around(vec3 of_q, vec2 q_per_px, float quad_px) {
+    vec3 of_px = vec3(of_q.x, of_q.y * q_per_px.x, of_q.y * q_per_px.y + of_q.z * q_per_px.x * q_per_px.x);
+    float slope = of_px.y + 2.0 * quad_px * of_px.z;
+    return of_px.x + quad_px * (of_px.y + quad_px * of_px.z) + vec4(-1.5, -0.5, 0.5, 1.5) * slope;
+}
+
+// The polynomials are evaluated once per fragment, in the middle of its pixels; the compiler shares that between quads.
 vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
-    float y = (row_px(quad) - falloff_principal_px.y) / falloff_focal_px.y;
-    vec4 x = (columns_px(quad) - falloff_principal_px.x - falloff_skew_px * y) / falloff_focal_px.x;
-    vec4 q = min((x * x + y * y) / falloff_largest_q, 1.0);
-    vec4 star = falloff_series(q, falloff_star_low, falloff_star_high);
-    vec4 sky = falloff_series(q, falloff_sky_low, falloff_sky_high);
-    return (signal_dn - falloff_sky_dn) * star + falloff_sky_dn * sky;
+    float y = (floor(gl_FragCoord.y) - falloff_principal_px.y) / falloff_focal_px.y;
+    float x = (middle_column_px() - falloff_principal_px.x - falloff_skew_px * y) / falloff_focal_px.x;
+    float q = (x * x + y * y) / falloff_largest_q;
+    // Slope and half of the second derivative of q along the row; the lens shows nothing beyond the largest q.
+    vec2 q_per_px = vec2(2.0 * x, 1.0 / falloff_focal_px.x) / (falloff_focal_px.x * falloff_largest_q);
+    q_per_px = q < 1.0 ? q_per_px : vec2(0.0);
+    vec3 star = falloff_series(min(q, 1.0), falloff_star_low, falloff_star_high);
+    vec3 sky = falloff_series(min(q, 1.0), falloff_sky_low, falloff_sky_high);
+    float quad_px = columns_px(quad).x + 1.5 - middle_column_px();
+    return signal_dn * falloff_around(star, q_per_px, quad_px) + falloff_around(sky, q_per_px, quad_px);
 }
 """,
 )

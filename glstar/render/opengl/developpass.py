@@ -1,8 +1,8 @@
 """The develop pass: from the noiseless signal to digital numbers."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS, Effect, EffectTexture, UniformValue, Values, active_effects
+from glstar.render.opengl.effectsources import composed_sources
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.scene import Scene
 
@@ -89,9 +90,10 @@ class DevelopPass:
         program = self._program(dtype, active)
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
-            "guard_band_px": guard_band_px,
-            "image_px": (scene.camera.width_px, scene.camera.height_px),
-            "seed": seed,
+            "signal_border_px": guard_band_px,
+            "signal_size_px": signal.size,
+            "image_size_px": (scene.camera.width_px, scene.camera.height_px),
+            "noise_seed": seed,
         }
         signal.use(location=0)
         location = 1
@@ -102,24 +104,27 @@ class DevelopPass:
                 self._texture(effect, texture, values, scene).use(location=location)
                 uniforms[texture.sampler] = location
                 location += 1
-        missing = program.uniforms - uniforms.keys()
+        missing = set(program.names.values()) - uniforms.keys()
         if missing:
             raise RenderError(f"no effect gives a value to the uniform {min(missing)} of the develop shader")
-        set_uniforms(program.program, **{name: uniforms[name] for name in program.uniforms})
+        set_uniforms(program.program, **{name: uniforms[given] for name, given in program.names.items()})
         self._context.enable_only(moderngl.NOTHING)
         image.use()
         program.whole_image.render(moderngl.TRIANGLES, vertices=3)
 
     def _program(self, dtype: PixelType, active: tuple[Effect, ...]) -> "_Program":
         if (dtype, active) not in self._programs:
+            sources = composed_sources(active)
             program = linked(
                 self._context,
                 "develop.vert",
                 "develop.frag",
-                generated=_composed(active),
+                generated=sources.by_name,
                 SIXTEEN_BITS=int(dtype is np.uint16),
             )
-            names = frozenset(name for name in program if isinstance(program[name], moderngl.Uniform))
+            names = {
+                name: sources.numbers.get(name, name) for name in program if isinstance(program[name], moderngl.Uniform)
+            }
             self._programs[dtype, active] = _Program(program, self._context.vertex_array(program, []), names)
         return self._programs[dtype, active]
 
@@ -156,7 +161,7 @@ class DevelopPass:
 class _Program(NamedTuple):
     program: moderngl.Program
     whole_image: moderngl.VertexArray
-    uniforms: frozenset[str]
+    names: Mapping[str, str]  # of uniforms: that of the program, and that of the effect
 
 
 class _Texture(NamedTuple):
@@ -166,13 +171,3 @@ class _Texture(NamedTuple):
 
 def _in_this_pass(sensor: Sensor, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(effect for effect in active_effects(sensor, effects) if effect.glsl)
-
-
-def _composed(effects: tuple[Effect, ...]) -> dict[str, str]:
-    """Return ``effects.glsl``, which applies the effects in turn, and the sources that it includes."""
-    sources: dict[str, Any] = {f"effect {effect.name}": effect.glsl for effect in effects}
-    lines = [f'#include "{name}"' for name in sources]
-    lines += ["vec4 with_effects(vec4 signal_dn, uvec2 quad) {"]
-    lines += [f"    signal_dn = {effect.name}(signal_dn, quad);" for effect in effects]
-    lines += ["    return signal_dn;", "}"]
-    return sources | {"effects.glsl": "\n".join(lines) + "\n"}

@@ -200,7 +200,7 @@ class DisplayPass:
         if key not in self._programs:
             program = linked(
                 self._context,
-                "develop.vert",
+                "whole_image.vert",
                 "display.frag",
                 SHRINKS=shrinks,
                 COMPARES=int(compares),

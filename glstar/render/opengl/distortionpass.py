@@ -103,7 +103,7 @@ class DistortionPass:
         self._programs: dict[tuple[int, int, bool], moderngl.Program] = {}
         self._groups: list[_PatchGroup] = []
         self._grouped_for: tuple[float, str, float, bool] | None = None
-        self._occupancy = linked(context, "develop.vert", "occupancy.frag", BLOCK_PX=_BLOCK_PX)
+        self._occupancy = linked(context, "whole_image.vert", "occupancy.frag", BLOCK_PX=_BLOCK_PX)
         self._all_blocks = context.vertex_array(self._occupancy, [])
         self._context = context
         self._target: _UndistortedTarget | None = None

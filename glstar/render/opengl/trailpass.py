@@ -122,7 +122,9 @@ class TrailPass:
 
     def _make(self) -> None:
         context = self._context
-        self._projection = self._own(linked(context, "develop.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW))
+        self._projection = self._own(
+            linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
+        )
         set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
         self._all_positions = self._own(context.vertex_array(self._projection, []))
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
@@ -284,7 +286,7 @@ class TrailPass:
             program = self._own(
                 linked(
                     self._context,
-                    "develop.vert",
+                    "whole_image.vert",
                     "star_path.frag",
                     SHORT_SIGMA=SHAPE_LIMITS.short_sigma,
                     MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
