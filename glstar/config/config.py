@@ -25,9 +25,11 @@ from glstar.config.reading import (
     extinction_of,
     flight_of,
     known_tables,
+    observed_sky,
     section_of,
     sensor_of,
     sky_effects,
+    sky_of,
     source_of,
     star_brightness_of,
     synthetic_of,
@@ -36,6 +38,7 @@ from glstar.config.reading import (
 )
 from glstar.config.sections import (
     EFFECT_DEFAULTS,
+    HORIZONS,
     PATHS,
     SECTIONS,
     SOURCES,
@@ -57,10 +60,8 @@ from glstar.errors import ConfigError
 from glstar.flight import Flight
 from glstar.flight.gimbal import Gimbal
 from glstar.render.simulator import Simulator
-from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import has_earth_orientation
-from glstar.sky.observed import Sky
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.nearmiss import did_you_mean
 from glstar.telemetry import Survey, TelemetrySource, open_source, read_flight, survey
@@ -367,9 +368,7 @@ class Config:
             stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
         return Simulator.of(
             flight=flight,
-            sky=Sky(
-                stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction, self.sky.horizon == "dip"
-            ),
+            sky=observed_sky(self.sky, stars),
             camera=self.camera(),
             mount=self.navigator.real_mount(self.mount()),
             gimbal=self.gimbal,
@@ -391,6 +390,7 @@ class Config:
             absolute(key, value, folder)
             for key, value in given
             if key in PATHS and key not in {"sky.catalogue", "flight.columns", "flight.position"}
+            if key != "sky.horizon" or value not in HORIZONS
         }
         if self._star_brightness is not None:
             named.add(str(self._star_brightness.path))
@@ -450,7 +450,7 @@ class Config:
         exposure = section_of(ExposureSection, "exposure", tables, faults)
         sensor = sensor_of(section_of(SensorSection, "sensor", tables, faults), tables, folder, faults, camera, lens)
         star_brightness = star_brightness_of(sensor, faults)
-        sky = section_of(SkySection, "sky", tables, faults)
+        sky = sky_of(section_of(SkySection, "sky", tables, faults), folder, faults)
         air = section_of(AirSection, "air", tables, faults)
         flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
         synthetic = synthetic_of(section_of(SyntheticSection, SYNTHETIC, tables, faults), faults)
@@ -460,7 +460,6 @@ class Config:
         if faults:
             raise config_error(faults, source)
         exposure = with_readout(exposure, tables, lens.preset, sensor.preset)
-        sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
         paths = {key: absolute(f"flight.{key}", getattr(flight, key), folder) for key in ("columns", "position")}
         flight = flight.model_copy(update=paths)
         flown = (exposure, sky, air, flight, synthetic, navigator)

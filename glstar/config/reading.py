@@ -20,6 +20,7 @@ from glstar.camera.sensor import EffectValue
 from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.sections import (
+    HORIZONS,
     PATHS,
     SECTIONS,
     SOURCES,
@@ -37,7 +38,11 @@ from glstar.config.validation import Fault, allowed, at_home, hint, key_text, sh
 from glstar.errors import CalibrationError, ConfigError
 from glstar.render.effects import EFFECTS
 from glstar.render.effects.skymap import SKY_MAP_KEY, relative_sky
+from glstar.sky.apparent import ASTROMETRY
+from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.extinction import Extinction
+from glstar.sky.horizonprofile import HorizonProfile
+from glstar.sky.observed import Sky
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
 from glstar.system.nearmiss import did_you_mean
@@ -52,9 +57,11 @@ __all__ = [
     "extinction_of",
     "flight_of",
     "known_tables",
+    "observed_sky",
     "section_of",
     "sensor_of",
     "sky_effects",
+    "sky_of",
     "source_of",
     "star_brightness_of",
     "synthetic_of",
@@ -333,11 +340,53 @@ def absolute(dotted: str, value: object, folder: Path) -> object:
     """Return the absolute path if this key holds a path; return other values unchanged."""
     if dotted not in PATHS or not isinstance(value, str | PathLike) or not str(value):
         return value
-    if dotted == "sky.catalogue" and not is_file_name(str(value)):
+    if dotted in {"sky.catalogue", "sky.horizon"} and not is_file_name(str(value)):
         return value
     if dotted == "flight.columns" and not is_map_file(str(value)):
         return value
     return str((folder / value).absolute())
+
+
+def sky_of(section: SkySection, folder: Path, faults: list[Fault]) -> SkySection:
+    """Return the section with absolute paths; its horizon profile must be valid, if it names one."""
+    paths = {key: absolute(f"sky.{key}", getattr(section, key), folder) for key in ("catalogue", "horizon")}
+    section = section.model_copy(update=paths)
+    try:
+        _horizon_profile(section)
+    except ConfigError as error:
+        faults.append(("sky.horizon", str(error).removeprefix("sky.horizon: ")))
+    return section
+
+
+def observed_sky(section: SkySection, stars: StarCatalogue) -> Sky:
+    """Return the sky of the section with some stars.
+
+    Parameters
+    ----------
+    section : SkySection
+    stars : StarCatalogue
+
+    Returns
+    -------
+    Sky
+
+    Raises
+    ------
+    ConfigError
+        If the file of a horizon profile has changed and is no longer valid.
+    """
+    return Sky(
+        stars,
+        ASTROMETRY[section.astrometry],
+        section.dut1_s,
+        section.refraction,
+        section.horizon == "dip",
+        _horizon_profile(section),
+    )
+
+
+def _horizon_profile(section: SkySection) -> HorizonProfile | None:
+    return None if section.horizon in HORIZONS else HorizonProfile.open(section.horizon)
 
 
 def extinction_of(sky: SkySection, air: AirSection, colour: ColourBand | None = None) -> Extinction | None:

@@ -37,6 +37,7 @@ __all__ = [
     "EFFECT_DEFAULTS",
     "EFFECT_SECTIONS",
     "FLIGHT_FLAGS",
+    "HORIZONS",
     "PATHS",
     "SECTIONS",
     "SOURCES",
@@ -56,6 +57,8 @@ __all__ = [
 ]
 
 CATALOGUES = NAMES
+# Values of ``sky.horizon`` that are no files.
+HORIZONS = ("flat", "dip")
 
 _MOUNT, _EXTINCTION = Mount(), Extinction()
 # The keys of [sky] with preset = "natural".
@@ -133,8 +136,9 @@ class SkySection(Section):
         Extinction by the air above the aircraft: of a standard atmosphere at its height, or by ``air.pressure_hpa``.
     extinction_band : {"eye", "sensor"}
         Wavelength of the extinction: 510 nm, or that of the sensor's band, with a mosaic that of each channel.
-    horizon : {"flat", "dip"}
-        Whether the horizon is the horizontal, or as far below it as the aircraft's height makes it.
+    horizon : str
+        ``"flat"``: the horizontal; ``"dip"``: as far below it as the aircraft's height makes it; or the absolute path
+        of a CSV file with the altitude of the horizon by azimuth.
     preset : {"natural"} or None
         Other defaults: see `_NATURAL`.
     """
@@ -149,7 +153,7 @@ class SkySection(Section):
     bodies: bool = Field(default=False, description="true or false")
     extinction: Literal["none", "standard", "pressure"] = "none"
     extinction_band: Literal["eye", "sensor"] = "eye"
-    horizon: Literal["flat", "dip"] = "flat"
+    horizon: str = Field(default="flat", description='"flat", "dip" or the path of a .csv file')
     preset: Literal["natural"] | None = None
 
     @model_validator(mode="before")
@@ -163,6 +167,13 @@ class SkySection(Section):
     def _known_or_a_file(cls, name: str) -> str:
         if name not in CATALOGUES and not is_file_name(name):
             raise ValueError("neither a catalogue of glstar's nor a file name")
+        return name
+
+    @field_validator("horizon")
+    @classmethod
+    def _level_or_a_file(cls, name: str) -> str:
+        if name not in HORIZONS and not is_file_name(name):
+            raise ValueError("neither a kind of horizon nor a file name")
         return name
 
 
@@ -343,7 +354,8 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 PATHS = (
-    *("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns", "flight.position"),
+    *("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "sky.horizon"),
+    *("flight.columns", "flight.position"),
     *(f"sensor.{key}" for key in SENSOR_MAPS),
     "lens.vignetting_file",
 )

@@ -4,7 +4,7 @@ import re
 from os import PathLike
 from typing import Any, Literal, get_args, get_origin
 
-from glstar.config.sections import CATALOGUES, SECTIONS, Section
+from glstar.config.sections import CATALOGUES, HORIZONS, SECTIONS, Section
 from glstar.config.tomlvalues import toml_value
 from glstar.errors import ConfigError
 from glstar.system.nearmiss import did_you_mean
@@ -40,7 +40,7 @@ def _options(model: type[Section], key: str) -> tuple[str, ...]:
     annotation = model.model_fields[key].annotation
     if get_origin(annotation) is Literal:
         return get_args(annotation)
-    return CATALOGUES if key == "catalogue" else ()
+    return {"catalogue": CATALOGUES, "horizon": HORIZONS}.get(key, ())
 
 
 def hint(model: type[Section], key: str, error: Any) -> str:

@@ -37,7 +37,7 @@ SUMMARIES: Final = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS),
 
 # Matches the name of every file that an export writes.
 OURS: Final = re.compile(
-    r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare))?\.(png|tiff|fits|jpg)|manifest\.json"
+    r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)|manifest\.json"
     r"|nav\.jsonl(\.partial)?|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
     r"|(frames|stars)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md"
 )

@@ -1,12 +1,14 @@
-"""Masks of a frame: which star each pixel shows, which pixels are saturated, what cloud transmits, and the flare."""
+"""Masks of a frame: the star of each pixel, saturated pixels, what cloud transmits, the flare, and the ground."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from glstar.config import Config
+from glstar.config.sections import HORIZONS
 from glstar.render.effects import active_effects
 from glstar.render.effects.cloudtexture import transmission_at
 from glstar.render.effects.flare import flare_dn
@@ -21,11 +23,13 @@ __all__ = [
     "cloud_mask",
     "encoded_masks",
     "flare_mask",
+    "ground_mask",
     "masks_of",
     "saturated_mask",
 ]
 
-MaskKind = Literal["trails", "saturated", "cloud", "flare"]
+Float = NDArray[np.float64]
+MaskKind = Literal["trails", "saturated", "cloud", "flare", "ground"]
 
 # The kinds of masks, in the order of the manifest, with the type of their pixels.
 MASK_KINDS: Final[Mapping[MaskKind, type]] = {
@@ -33,13 +37,14 @@ MASK_KINDS: Final[Mapping[MaskKind, type]] = {
     "saturated": np.uint8,
     "cloud": np.uint8,
     "flare": np.uint16,
+    "ground": np.uint8,
 }
 # The suffix of each kind's file, after the name of its frame.
 MASK_SUFFIXES: Final[Mapping[MaskKind, str]] = {kind: f".{kind}.png" for kind in MASK_KINDS}
 # Value of a saturated pixel.
 _WHITE: Final = 255
-# Distance of the pixels at which the transmission of cloud is computed, px.
-_CLOUD_STEP_PX: Final = 4
+# Distance of the pixels at which the transmission of cloud and the height above the horizon are computed, px.
+_STEP_PX: Final = 4
 # Values of the mask of flare per DN.
 _FLARE_STEPS_PER_DN: Final = 16
 
@@ -77,16 +82,40 @@ def cloud_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint8]]:
         255 times the transmission, rounded: 255 where there is no cloud, below the horizon, and for a sheet below the
         aircraft.  It is computed every fourth pixel and interpolated.
     """
-    camera = scene.camera
-    sides = camera.width_px, camera.height_px
-    columns, rows = (np.linspace(0, side - 1, max(2, -(-side // _CLOUD_STEP_PX))) for side in sides)
-    nodes = transmission_at(scene, np.stack(np.meshgrid(columns, rows), axis=-1)).astype(np.float32)
+    return np.asarray(
+        np.rint(_WHITE * _interpolated(scene, lambda xy_px: transmission_at(scene, xy_px))), dtype=np.uint8
+    )
+
+
+def ground_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return which pixels show the ground, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    (height, width) uint8
+        255 below the horizon, else 0.  The height above it is computed every fourth pixel and interpolated.
+    """
+
+    def above(xy_px: Float) -> Float:
+        return scene.above_horizon(scene.camera.unit_vectors(xy_px) @ scene.shutter.C_camera_eq[1])
+
+    return np.where(_interpolated(scene, above) < 0, np.uint8(_WHITE), np.uint8(0))
+
+
+def _interpolated(scene: Scene, values_at: Callable[[Float], Float]) -> NDArray[np.float32]:
+    """Return values in all pixels, (height, width), that are computed at some of them and bilinear between."""
+    sides = scene.camera.width_px, scene.camera.height_px
+    columns, rows = (np.linspace(0, side - 1, max(2, -(-side // _STEP_PX))) for side in sides)
+    nodes = values_at(np.stack(np.meshgrid(columns, rows), axis=-1)).astype(np.float32)
     x, y = (
         np.broadcast_to(np.linspace(0, len(at) - 1, side, dtype=np.float32).reshape(shape), sides[::-1])
         for at, side, shape in ((columns, sides[0], (1, -1)), (rows, sides[1], (-1, 1)))
     )
-    values = cv2.remap(nodes, np.ascontiguousarray(x), np.ascontiguousarray(y), cv2.INTER_LINEAR)
-    return np.asarray(np.rint(_WHITE * values), dtype=np.uint8)
+    return np.asarray(cv2.remap(nodes, np.ascontiguousarray(x), np.ascontiguousarray(y), cv2.INTER_LINEAR))
 
 
 def flare_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint16]]:
@@ -112,6 +141,7 @@ _DRAWN_BY: Final[Mapping[MaskKind, Callable[[Scene, Frame], np.ndarray[Any, Any]
     "saturated": saturated_mask,
     "cloud": lambda scene, _frame: cloud_mask(scene),
     "flare": lambda scene, _frame: flare_mask(scene),
+    "ground": lambda scene, _frame: ground_mask(scene),
 }
 
 
@@ -120,7 +150,7 @@ def encoded_masks(kinds: tuple[MaskKind, ...], scene: Scene, frame: Frame) -> di
 
     Parameters
     ----------
-    kinds : tuple of {"trails", "saturated", "cloud", "flare"}
+    kinds : tuple of {"trails", "saturated", "cloud", "flare", "ground"}
     scene : Scene
     frame : Frame
 
@@ -143,11 +173,13 @@ def masks_of(config: Config, *, masks: bool) -> tuple[MaskKind, ...]:
 
     Returns
     -------
-    tuple of {"trails", "saturated", "cloud", "flare"}
+    tuple of {"trails", "saturated", "cloud", "flare", "ground"}
     """
     if not masks:
         return ()
     active = {effect.name for effect in active_effects(config.sensor())}
     active |= {axis.key.partition(".")[0] for axis in config.sweep.axes}
-    optional: tuple[MaskKind, ...] = ("cloud", "flare")
+    if config.sky.horizon not in HORIZONS or any(axis.key == "sky.horizon" for axis in config.sweep.axes):
+        active.add("ground")
+    optional: tuple[MaskKind, ...] = ("cloud", "flare", "ground")
     return ("trails", "saturated", *(kind for kind in optional if kind in active))

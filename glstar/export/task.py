@@ -69,7 +69,7 @@ class FrameTask:
         The seed from which the noise seed of every frame is derived.
     lease : Lease or None
         The write permission of the run that distributes the task to other processes; None within one process.
-    masks : tuple of {"trails", "saturated", "cloud", "flare"}
+    masks : tuple of {"trails", "saturated", "cloud", "flare", "ground"}
         The masks to write beside each frame.
     exif : bool
         Whether images have EXIF.
@@ -244,7 +244,7 @@ class FrameTask:
 
         Parameters
         ----------
-        kind : {"trails", "saturated", "cloud", "flare"}
+        kind : {"trails", "saturated", "cloud", "flare", "ground"}
         number : int
 
         Returns

@@ -31,7 +31,7 @@ __all__ = ["Verification", "verify"]
 
 
 _TRUTH: Final = "truth.jsonl"
-_FRAME: Final = re.compile(r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare))?\.(png|tiff|fits|jpg)")
+_FRAME: Final = re.compile(r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)")
 _PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16, "jpeg": np.uint8}
 # Of the files beside an image, by the suffix of their names.
 _OTHER_TYPES: Final[dict[str, type]] = {

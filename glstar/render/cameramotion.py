@@ -113,6 +113,7 @@ class CameraMotion:
                 velocity_eq=diurnal_aberration_rad(latitude, height) * C_ned_eq[these, 1],
                 refraction_scale=self.sky.refraction_scale(site),
                 sine_horizon=self.sky.sine_horizon(height),
+                profile=self.sky.profile,
             )
             samples.append(MotionSamples(pointing, q_body_ned[these], site))
             first = these.stop

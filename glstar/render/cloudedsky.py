@@ -1,4 +1,4 @@
-"""Stars and bodies behind a sheet of cloud: the transmission of each segment or sub-exposure of their trails."""
+"""Stars and bodies behind cloud and ridges: what arrives of each segment or sub-exposure of their trails."""
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.render.bodysources import BodySources
 from glstar.render.cameramotion import CameraMotion
 from glstar.render.clouds import CloudPassage, cloud_passage, cloud_sheet
-from glstar.render.culling import DrawList
-from glstar.render.pointing import Pointing
+from glstar.render.culling import DrawList, TouchingStars
+from glstar.render.ridges import divided, ridge_parts, ridge_passage, ridge_times
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.sky.cloudsheet import CloudSheet
@@ -30,28 +31,67 @@ _MAX_PARTS: Final = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudedSky:
-    """A sheet of cloud during one exposure.
+    """What a sheet of cloud and a horizon profile leave of the stars during one exposure.
 
     Attributes
     ----------
-    sheet : CloudSheet
+    sheet : CloudSheet or None
     motion : CameraMotion
+        With the profile in its sky.
     exposure : Exposure
+    px_per_rad : float
+        Scale of the image.
     """
 
-    sheet: CloudSheet
+    sheet: CloudSheet | None
     motion: CameraMotion
     exposure: Exposure
+    px_per_rad: float
 
     @classmethod
-    def of(cls, motion: CameraMotion, sensor: Sensor, exposure: Exposure) -> Self | None:
-        """Return the cloud over a camera; None without cloud."""
+    def of(cls, motion: CameraMotion, camera: Camera, sensor: Sensor, exposure: Exposure) -> Self | None:
+        """Return the sky over a camera; None without cloud and without a horizon profile."""
         sheet = cloud_sheet(sensor, motion)
-        return None if sheet is None else cls(sheet, motion, exposure)
+        if sheet is None and motion.sky.profile is None:
+            return None
+        return cls(sheet, motion, exposure, max(camera.fx_px, camera.fy_px))
+
+    def _passages(self, direction_eq: Float) -> tuple[CloudPassage | None, CloudPassage | None]:
+        """Return what cloud transmits of stars, and the part of the time in which they are above the profile."""
+        if self.motion.sky.profile is None:
+            assert self.sheet is not None
+            return cloud_passage(self.sheet, self.motion, self.exposure, direction_eq), None
+        times = ridge_times(self.exposure, self.px_per_rad)
+        if self.sheet is None:
+            return None, ridge_passage(self.motion, self.exposure, direction_eq, times)
+        cloud = cloud_passage(self.sheet, self.motion, self.exposure, direction_eq, times)
+        return cloud, ridge_passage(self.motion, self.exposure, direction_eq, len(cloud.transmission))
+
+    def divided_at_ridges(
+        self, trails: AnalyticSegments, touching: TouchingStars, bodies: BodySources | None
+    ) -> AnalyticSegments:
+        """Return trails of shorter segments where a star or a body sets or rises behind the horizon profile.
+
+        Parameters
+        ----------
+        trails : AnalyticSegments
+        touching : TouchingStars
+            The stars that may touch the image.
+        bodies : BodySources or None
+
+        Returns
+        -------
+        AnalyticSegments
+        """
+        directions = _directions(touching.culler.stars, touching.index, bodies)
+        if self.motion.sky.profile is None or not len(directions):
+            return trails
+        ridge = ridge_passage(self.motion, self.exposure, directions, ridge_times(self.exposure, self.px_per_rad))
+        return divided(trails, ridge_parts(ridge, self.exposure, trails.time_fraction, self.px_per_rad))
 
     def passage(self, stars: StarField, draw_list: DrawList) -> CloudPassage:
-        """Return the transmission for the stars of a draw list over the exposure."""
-        return cloud_passage(self.sheet, self.motion, self.exposure, stars.direction_eq[draw_list.index])
+        """Return what arrives of the stars of a draw list over the exposure."""
+        return _product(*self._passages(stars.direction_eq[draw_list.index]))
 
     def dimmed(self, stars: StarField, draw_list: DrawList, time_fraction: Float) -> DrawList:
         """Return a draw list with its passage.
@@ -96,24 +136,40 @@ class CloudedSky:
         draw_list : DrawList
         bodies : BodySources or None
         """
-        directions = stars.direction_eq[draw_list.index]
-        if bodies is not None:
-            directions = np.concatenate([directions, bodies.stars.direction_eq[bodies.draw_list.index]])
+        directions = _directions(stars, draw_list.index, bodies)
         if not len(directions):
             return trails, draw_list, bodies
-        passage = cloud_passage(self.sheet, self.motion, self.exposure, directions)
-        parts = (
-            np.ceil(_largest_changes(passage, trails.time_fraction) / _LARGEST_CHANGE)
-            .clip(1, _MAX_PARTS)
-            .astype(np.intp)
-        )
-        trails = trails if parts.max() == 1 else _divided(trails, parts)
+        cloud, ridge = self._passages(directions)
+        parts = np.ones(len(trails), dtype=np.intp)
+        if cloud is not None:
+            changes = np.ceil(_largest_changes(cloud, trails.time_fraction) / _LARGEST_CHANGE)
+            parts = changes.clip(1, _MAX_PARTS).astype(np.intp)
+        if ridge is not None:
+            parts = np.maximum(parts, ridge_parts(ridge, self.exposure, trails.time_fraction, self.px_per_rad))
+        trails, passage = divided(trails, parts), _product(cloud, ridge)
         first, last = (CloudPassage(part) for part in np.split(passage.transmission, [len(draw_list)], axis=1))
         if len(draw_list):
             draw_list = _with_passage(draw_list, first, trails.time_fraction)
         if bodies is not None and len(bodies.draw_list):
             bodies = replace(bodies, draw_list=_with_passage(bodies.draw_list, last, trails.time_fraction))
         return trails, draw_list, bodies
+
+
+def _directions(stars: StarField, index: NDArray[np.int32], bodies: BodySources | None) -> Float:
+    """Return the directions of some stars and of the sources of bodies, (m, 3)."""
+    directions = stars.direction_eq[index]
+    if bodies is None:
+        return directions
+    return np.concatenate([directions, bodies.stars.direction_eq[bodies.draw_list.index]])
+
+
+def _product(cloud: CloudPassage | None, ridge: CloudPassage | None) -> CloudPassage:
+    """Return what arrives of stars behind cloud and a horizon profile, one of which may be missing."""
+    if cloud is None or ridge is None:
+        whole = cloud or ridge
+        assert whole is not None
+        return whole
+    return CloudPassage(cloud.transmission * ridge.transmission)
 
 
 def _with_passage(draw_list: DrawList, passage: CloudPassage, time_fraction: Float) -> DrawList:
@@ -126,34 +182,6 @@ def _largest_changes(passage: CloudPassage, time_fraction: Float) -> Float:
     along = np.concatenate([[0.0], np.cumsum(changes)])
     ends = np.concatenate([[0.0], np.cumsum(time_fraction)])
     return np.asarray(np.diff(np.interp(ends / ends[-1], np.linspace(0, 1, len(along)), along)))
-
-
-def _divided(trails: AnalyticSegments, parts: NDArray[np.intp]) -> AnalyticSegments:
-    """Return trails along the same conics, each segment divided into some equal parts."""
-    pointing = trails.pointing
-    segment = np.repeat(np.arange(len(parts)), 2 * parts)
-    first = np.repeat(np.cumsum(2 * parts) - 2 * parts, 2 * parts)
-    elapsed = (np.arange(len(segment)) - first) / (2 * parts[segment])
-    u, weight = elapsed[:, np.newaxis, np.newaxis], trails.end_weight[segment][:, np.newaxis, np.newaxis]
-    C = pointing.C_camera_eq
-    start, middle, end = C[2 * segment] * weight, C[2 * segment + 1], C[2 * segment + 2] * weight
-    between = start + u * (4 * middle - 3 * start - end + u * 2 * (start - 2 * middle + end))
-    between /= np.linalg.norm(between, axis=2, keepdims=True).mean(axis=1, keepdims=True)
-    zenith, velocity = (_between(v, segment, elapsed) for v in (pointing.zenith_eq, pointing.velocity_eq))
-    fine = Pointing(
-        np.concatenate([between, C[-1:]]),
-        np.concatenate([zenith / np.linalg.norm(zenith, axis=1, keepdims=True), pointing.zenith_eq[-1:]]),
-        np.concatenate([velocity, pointing.velocity_eq[-1:]]),
-        pointing.refraction_scale,
-        pointing.sine_horizon,
-    )
-    return AnalyticSegments(fine, np.repeat(trails.time_fraction / parts, parts))
-
-
-def _between(vectors: Float, segment: NDArray[np.intp], elapsed: Float) -> Float:
-    """Return vectors between those at the ends of segments."""
-    part = elapsed[:, np.newaxis]
-    return np.asarray((1 - part) * vectors[2 * segment] + part * vectors[2 * segment + 2])
 
 
 def scene_passage(scene: Scene, direction_eq: Float) -> CloudPassage | None:

@@ -167,7 +167,9 @@ class CloudPassage:
         return np.asarray(before_all[before] + part * (self.transmission[before] + part * slope / 2) / steps)
 
 
-def cloud_passage(sheet: CloudSheet, motion: CameraMotion, exposure: Exposure, direction_eq: Float) -> CloudPassage:
+def cloud_passage(
+    sheet: CloudSheet, motion: CameraMotion, exposure: Exposure, direction_eq: Float, least_times: int = 0
+) -> CloudPassage:
     """Return what a sheet of cloud transmits of stars over an exposure.
 
     Parameters
@@ -179,6 +181,8 @@ def cloud_passage(sheet: CloudSheet, motion: CameraMotion, exposure: Exposure, d
         A single one.
     direction_eq : (m, 3) float64
         Geocentric apparent unit vectors, true equator and equinox.
+    least_times : int
+        Number of times of the exposure at least.
 
     Returns
     -------
@@ -186,7 +190,7 @@ def cloud_passage(sheet: CloudSheet, motion: CameraMotion, exposure: Exposure, d
         All 1 for a sheet below the aircraft, and below the horizon.
     """
     ends_s = np.array([exposure.start_utc_s, exposure.stop_utc_s])
-    times_s = np.linspace(ends_s[0], ends_s[1], _count(sheet, motion, ends_s))
+    times_s = np.linspace(ends_s[0], ends_s[1], max(least_times, _count(sheet, motion, ends_s)))
     (pointing,) = motion.pointings(times_s)
     sites = np.stack(motion.flight.position.coordinates(times_s), axis=1)
     passed = [

@@ -4,7 +4,7 @@ Bounds that are cheap for a million stars come first (a cone, the four sides of 
 positions of the remaining candidates are then computed at every time.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import acos, asin, atan, cos, hypot, sin, sqrt
 from typing import Final
@@ -107,7 +107,7 @@ class StarCuller:
         Parameters
         ----------
         pointing : Pointing
-            At n times from the start to the end of the exposure.
+            At n times from the start to the end of the exposure.  Of a horizon profile only the bound counts.
         time_fraction : (n - 1,) float64
             Fraction of the exposure between consecutive times.
         duration_s : float
@@ -117,6 +117,8 @@ class StarCuller:
         -------
         TouchingStars
         """
+        # A star may be above a horizon profile between two times.
+        pointing = replace(pointing, profile=None)
         step_rad = _largest_rotation_rad(pointing.C_camera_eq[:-1], pointing.C_camera_eq[1:])
         candidates = self._within_sides(pointing, step_rad, self._within_cone(pointing))
         observed_mag, extinction_mag = self.stars.camera_mag.take(candidates), None

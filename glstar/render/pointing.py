@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.render.starpaths import times_per_block
 from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
+from glstar.sky.horizonprofile import HorizonProfile
 
 __all__ = ["Pointing"]
 
@@ -29,7 +30,9 @@ class Pointing:
     refraction_scale : float
         Refraction relative to standard air: see `horizon.refraction_scale`; 0 for no refraction.
     sine_horizon : float
-        Sine of the apparent altitude of the horizon, below which no star is seen.
+        Sine of the apparent altitude of the horizon, below which no star is seen; of a profile a bound.
+    profile : HorizonProfile or None
+        The horizon by azimuth; None for one of equal altitude all around.
     """
 
     C_camera_eq: Float
@@ -37,6 +40,7 @@ class Pointing:
     velocity_eq: Float
     refraction_scale: float
     sine_horizon: float = 0.0
+    profile: HorizonProfile | None = None
 
     def __len__(self) -> int:
         return len(self.C_camera_eq)
@@ -80,6 +84,8 @@ class Pointing:
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         if not below_horizon and sine_altitude.min(initial=0.0) < self.sine_horizon:  # refraction is positive
             refraction[self._height(sine_altitude, refraction) < 0] = np.nan
+        if not below_horizon and self.profile is not None:
+            refraction[self.clearance(direction) < 0] = np.nan
         # One matrix product for all times and no second array of its size: every frame waits for this.
         n = len(self)
         rows = np.swapaxes(self.C_camera_eq, 0, 1).reshape(3 * n, 3)
@@ -106,11 +112,10 @@ class Pointing:
         (n, m) float64
         """
         s = self.zenith_eq @ np.asarray(direction_eq, dtype=np.float64).T
-        q = refraction_displacement(s, self.refraction_scale)
-        return np.asarray((s + q) / np.sqrt(1 + q * (2 * s + q)))
+        return _sine_apparent(s, refraction_displacement(s, self.refraction_scale))
 
-    def heights(self, direction_eq: ArrayLike) -> Float:
-        """Return how high stars are above the apparent horizon.
+    def clearance(self, direction_eq: ArrayLike) -> Float:
+        """Return how far stars are above the horizon, with its profile.
 
         Parameters
         ----------
@@ -120,7 +125,47 @@ class Pointing:
         Returns
         -------
         (n, m) float64
-            Approximately sines; negative where `to_camera` returns NaN.
+            Sines of their apparent altitudes less those of the horizon below them; positive where a star is seen.
+        """
+        direction = np.asarray(direction_eq, dtype=np.float64)
+        return self.above_horizon(direction, self.zenith_eq[:, np.newaxis], self.sine_apparent_altitude(direction))
+
+    def above_horizon(self, direction_eq: Float, zenith_eq: Float, sine: Float) -> Float:
+        """Return how far directions are above the horizon, with its profile.
+
+        Parameters
+        ----------
+        direction_eq, zenith_eq : (..., 3) float64
+            Unit vectors, true equator and equinox.
+        sine : (...) float64
+            Sines of the apparent altitudes of the directions.
+
+        Returns
+        -------
+        (...) float64
+            Sines of altitudes less those of the horizon below them.
+        """
+        if self.profile is None:
+            return sine - self.sine_horizon
+        x, y, z = np.moveaxis(direction_eq, -1, 0)
+        zenith_x, zenith_y, zenith_z = np.moveaxis(zenith_eq, -1, 0)
+        # East and north of the zenith, of equal length: the pole is (0, 0, 1).
+        east = y * zenith_x - x * zenith_y
+        north = z - zenith_z * (x * zenith_x + y * zenith_y + z * zenith_z)
+        return np.asarray(sine - np.sin(self.profile.altitude_rad(np.arctan2(east, north))))
+
+    def heights(self, direction_eq: ArrayLike) -> Float:
+        """Return how high stars are above the apparent horizon, or above the bound of its profile.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+
+        Returns
+        -------
+        (n, m) float64
+            Approximately sines; negative where `to_camera` returns NaN, but for a profile.
         """
         sine_altitude = self._sine_altitude(np.asarray(direction_eq, dtype=np.float64))
         return self._height(sine_altitude, refraction_displacement(sine_altitude, self.refraction_scale))
@@ -154,6 +199,9 @@ class Pointing:
         sine_altitude = np.sum(self.zenith_eq * direction, axis=1)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         refraction = np.where(self._height(sine_altitude, refraction) < 0, np.nan, refraction)
+        if self.profile is not None:
+            above = self.above_horizon(direction, self.zenith_eq, _sine_apparent(sine_altitude, refraction))
+            refraction = np.where(above < 0, np.nan, refraction)
         observed = direction + refraction[:, np.newaxis] * self.zenith_eq
         return np.asarray(np.einsum("nij,nj->ni", self.C_camera_eq, observed))
 
@@ -174,3 +222,9 @@ class Pointing:
         block = times_per_block(star_count)
         for first in range(0, max(1, len(self) - overlap), block):
             yield self[first : first + block + overlap]
+
+
+def _sine_apparent(sine_altitude: Float, displacement: Float) -> Float:
+    """Return the sines of altitudes with refraction, given `refraction_displacement`."""
+    s, q = sine_altitude, displacement
+    return np.asarray((s + q) / np.sqrt(1 + q * (2 * s + q)))

@@ -124,8 +124,26 @@ class Scene:
 
     @property
     def sine_horizon(self) -> float:
-        """Sine of the apparent altitude of the horizon."""
+        """Sine of the apparent altitude of the horizon; of a profile a bound: see `above_horizon`."""
         return self.shutter.sine_horizon
+
+    def above_horizon(self, direction_eq: Float, time: int = 1) -> Float:
+        """Return how far directions are above the horizon.
+
+        Parameters
+        ----------
+        direction_eq : (..., 3) float64
+            Apparent unit vectors, true equator and equinox, with refraction.
+        time : int
+            0, 1, 2: the start, the middle, the end of the exposure.
+
+        Returns
+        -------
+        (...) float64
+            See `Pointing.above_horizon`; positive for the sky, negative for the ground.
+        """
+        zenith = self.shutter.zenith_eq[time]
+        return self.shutter.above_horizon(direction_eq, zenith, np.asarray(direction_eq @ zenith))
 
     @property
     def body_scene(self) -> "Scene | None":

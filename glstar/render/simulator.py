@@ -264,7 +264,7 @@ class Simulator:
 
     def _in_pieces(self, exposure: Exposure) -> bool:
         """Return whether segments are drawn in pieces where that costs less: always less than sprites."""
-        clouded = CloudedSky.of(self.motion, self.sensor, exposure) is not None
+        clouded = CloudedSky.of(self.motion, self.camera, self.sensor, exposure) is not None
         return not (exposure.readout_s or self.sensor.core.needs_erf or clouded)
 
     def fitted(self, exposure: Exposure, tolerance_px: float) -> AnalyticSegments | None:
@@ -322,7 +322,7 @@ class Simulator:
         bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
         n = self._sub_exposure_rule(exposure).count(steps * max(touching.longest_step_px, body_step_px))
         trails = SubExposures(self.pointing(exposure.sub_utc_s(n)))
-        sky = CloudedSky.of(self.motion, self.sensor, exposure)
+        sky = CloudedSky.of(self.motion, self.camera, self.sensor, exposure)
         if sky is not None:
             part = np.full(n, 1 / n)
             draw_list, bodies = sky.dimmed(self._stars_in_band, touching.summed, part), sky.dimmed_bodies(bodies, part)
@@ -335,7 +335,7 @@ class Simulator:
         draw_list = touching.integrated(exposure.faintest_dn)
         step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
         bodies, _ = self._body_sources(exposure, shutter.site, trails.pointing, step_fraction, analytic=True)
-        sky = CloudedSky.of(self.motion, self.sensor, exposure)
+        sky = CloudedSky.of(self.motion, self.camera, self.sensor, exposure)
         if sky is not None:
             trails, draw_list, bodies = sky.behind(trails, self._stars_in_band, draw_list, bodies)
         return self._composed(exposure, shutter, draw_list, trails, path, bodies)
@@ -405,7 +405,7 @@ class Simulator:
             time_offset_s=self.flight.time_offset_s,
             bodies=bodies,
             extinction=self.extinction,
-            listing=StarListing(lambda: path.touching.listed, lambda: path.trails),
+            listing=StarListing(lambda: path.touching.listed, lambda: path.with_ridges(bodies)),
             observing_sky=self.sky,
             motion=self.motion,
         )
@@ -455,6 +455,12 @@ class _TruePath:
         exact = self._simulator.exact_segments(self._exposure, None)
         assert exact is not None
         return exact
+
+    def with_ridges(self, bodies: BodySources | None) -> AnalyticSegments:
+        """Return the paths of truth, finely divided where a star or a body sets behind a horizon profile."""
+        simulator, exposure = self._simulator, self._exposure
+        sky = CloudedSky.of(simulator.motion, simulator.camera, simulator.sensor, exposure)
+        return self.trails if sky is None else sky.divided_at_ridges(self.trails, self.touching, bodies)
 
     @cached_property
     def touching(self) -> TouchingStars:

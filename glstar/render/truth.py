@@ -15,6 +15,7 @@ from glstar.render.bodysources import BodySources, centre_source, disc_on_image
 from glstar.render.cloudedsky import scene_passage
 from glstar.render.clouds import CloudPassage
 from glstar.render.effects import effects_truth
+from glstar.render.effects.cloudtexture import sky_fraction
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.rowtimes import recorded_rows, rolling_frame_keys, row_columns
 from glstar.render.scene import Frame, Scene
@@ -304,6 +305,8 @@ def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
         keys["gimbal"] = {"q_aircraft_ned": scene.q_aircraft_ned.tolist()}
     if scene.extinction is not None:
         keys["zenith_extinction_mag"] = round(scene.extinction.zenith_mag(scene.site.height_m), _DIGITS)
+    if scene.shutter.profile is not None:
+        keys["sky_fraction"] = sky_fraction(scene)
     if scene.bodies is not None:
         keys["bodies"] = _bodies(scene, scene.bodies, pixels)
     return keys

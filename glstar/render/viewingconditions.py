@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.limitingmagnitude import limiting_mag, noise_equivalent_area_px2
 from glstar.errors import RenderError
 from glstar.render.clouds import cloud_sheet
-from glstar.render.effects.cloudtexture import axis_transmission, frame_transmission
+from glstar.render.effects.cloudtexture import axis_transmission, frame_transmission, sky_fraction
 from glstar.render.effects.naturalsky import natural_sky_dn
 from glstar.render.scene import Scene
 from glstar.render.trailpeaks import trail_peaks
@@ -119,15 +119,23 @@ def viewing_conditions(scene: Scene) -> ViewingConditions:
     sun, moon = _sun_and_moon(scene.observing_sky, interval, *places)
     zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
     sun_rad, moon_rad = (_elevation_rad(body.direction_eq, zenith) for body in (sun, moon))
-    axis_rad = _elevation_rad(axis, zenith) - asin(scene.sine_horizon)
+    sine = float(axis @ zenith)
+    axis_rad = _elevation_rad(axis, zenith) - asin(sine - float(scene.above_horizon(axis)))
     return ViewingConditions(
         sun_altitude_rad=sun_rad,
         moon_altitude_rad=moon_rad + float(refraction_rad(moon_rad, scene.shutter.refraction_scale)),
         moon_illuminated_fraction=moon.illuminated_fraction,
         moon_separation_rad=pi / 2 - _elevation_rad(moon.direction_eq, axis),
         axis_altitude_rad=axis_rad,
-        sees_only_ground=axis_rad < -scene.camera.field_radius_rad,
+        sees_only_ground=_sees_only_ground(scene, axis_rad),
     )
+
+
+def _sees_only_ground(scene: Scene, axis_rad: float) -> bool:
+    """Return whether no part of the image is above the horizon; the optical axis is by `axis_rad`."""
+    if scene.shutter.profile is None:
+        return axis_rad < -scene.camera.field_radius_rad
+    return sky_fraction(scene) == 0
 
 
 @lru_cache(maxsize=4)
@@ -208,7 +216,7 @@ def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     """
     zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
     sine = float(axis @ zenith)
-    is_ground = sine < scene.sine_horizon
+    is_ground = bool(scene.above_horizon(axis) < 0)
     extinction = None if is_ground else scene.extinction_mag(sine)
     extinction_mag = 0.0 if extinction is None else float(extinction)
     sky_dn = natural_sky_dn(scene)

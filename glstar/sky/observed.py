@@ -20,6 +20,7 @@ from glstar.sky.horizon import (
     refraction_rad,
     refraction_scale,
 )
+from glstar.sky.horizonprofile import HorizonProfile
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
 
@@ -29,6 +30,9 @@ Float = NDArray[np.float64]
 
 # Rotation rate of the Earth relative to the equinox, rad per second of UT1.
 SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
+
+# Distance of the bound of a horizon profile from its lowest point, rad.
+_BELOW_PROFILE_RAD = np.deg2rad(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +75,8 @@ class Sky:
         Whether atmospheric refraction is simulated.
     dip : bool
         Whether the horizon lies below the horizontal, as seen from a height.
+    profile : HorizonProfile or None
+        The horizon by azimuth; None for one of equal altitude all around.
 
     Raises
     ------
@@ -83,6 +89,7 @@ class Sky:
     dut1_s: float | None = 0.0
     refraction: bool = True
     dip: bool = False
+    profile: HorizonProfile | None = None
 
     def __post_init__(self) -> None:
         if self.dut1_s is not None and not abs(self.dut1_s) <= 1:
@@ -188,7 +195,10 @@ class Sky:
         Returns
         -------
         float
+            Of a profile a bound: it is below its lowest point.
         """
+        if self.profile is not None:
+            return sin(self.profile.lowest_rad - _BELOW_PROFILE_RAD)
         return -sin(dip_rad(height_m)) if self.dip else 0.0
 
     def observed_places(self, utc_s: float, site: Site) -> ObservedPlaces:

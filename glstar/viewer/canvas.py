@@ -125,16 +125,16 @@ class Canvas:
         near_ned = [curves.near(self.C_camera_ned[2], self.radius_rad) for curves in among_ned.values()]
         if not near_eq + near_ned:
             return
-        refracted = self.middle.to_camera(
-            np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_eq)]), below_horizon=True
-        )
+        apparent = np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_eq)])
+        refracted = self.middle.to_camera(apparent, below_horizon=True)
         rotated = np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_ned)]) @ self.C_camera_ned.T
         vector = np.concatenate([refracted[0], rotated])
         inside = vector @ self._planes.T
         if self.camera.lens is not None:
             # With distortion the edges of the region are no planes in space, but they are straight on the image.
             inside[:, :4] = inside_region(self.camera.project(vector), self.region)
-        inside[: len(refracted[0]), -1] -= self.scene.sine_horizon
+        above = inside[: len(refracted[0]), -1]
+        above[:] = self.middle.above_horizon(apparent, self.middle.zenith_eq[0], above)
         # Curves among apparent directions do not end at the horizon: one of them is the horizon.
         inside[len(refracted[0]) :, -1] = 1.0
 

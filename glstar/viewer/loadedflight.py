@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
-from glstar.config.reading import extinction_of
+from glstar.config.reading import extinction_of, observed_sky
 from glstar.errors import LogFormatError
 from glstar.export.navfile import estimates
 from glstar.flight import AttitudeTrack, Flight
@@ -200,9 +200,7 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
         simulator,
         gimbal=config.gimbal,
         flight=config.gimbal.carried(simulator.flight),
-        sky=replace(
-            simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction, dip=config.sky.horizon == "dip"
-        ),
+        sky=observed_sky(config.sky, simulator.sky.catalogue),
         camera=config.camera(),
         mount=config.navigator.real_mount(config.mount()),
         sensor=config.sensor(),

@@ -145,7 +145,7 @@ def _draw_equatorial_labels(canvas: Canvas, inputs: DrawingInputs) -> None:
 def _draw_compass(canvas: Canvas, _: DrawingInputs) -> None:
     """Draw the compass points below the horizon."""
     down = canvas.C_camera_ned[:, 2]
-    points = compass_ned(canvas.scene.sine_horizon) @ canvas.C_camera_ned.T
+    points = compass_ned(canvas.scene.sine_horizon, canvas.scene.shutter.profile) @ canvas.C_camera_ned.T
     xy = canvas.camera.project(points)
     downwards = unit_by_larger_component(canvas.camera.project(points + 1e-3 * down) - xy)
     visible = np.flatnonzero(canvas.region.contains(xy))
@@ -271,7 +271,7 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
 def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:
     """Return the horizon where the estimated attitude has it on the image."""
     C_camera_ned = ned_to_camera_matrix(scene.shutter[1:2])
-    horizon = horizon_curve(scene.camera, scene.sine_horizon)
+    horizon = horizon_curve(scene.camera, scene.sine_horizon, scene.shutter.profile)
     for belief in inputs.beliefs:
         if belief.C_estimated_ned is not None:
             return replace(horizon, vector=horizon.vector @ (C_camera_ned.T @ belief.C_estimated_ned).T)
@@ -349,7 +349,7 @@ class Overlay(StrEnum):
             (126, 186, 108, 220),
             180,
             thickness=1.5,
-            curves=SkyCurves("ned", lambda s, _: horizon_curve(s.camera, s.sine_horizon)),
+            curves=SkyCurves("ned", lambda s, _: horizon_curve(s.camera, s.sine_horizon, s.shutter.profile)),
             draw=_draw_compass,
         ),
     )

@@ -1,7 +1,7 @@
 """Curves on the sky that depend only on the camera and the epoch: grids, the horizon, constellations."""
 
 from functools import lru_cache
-from math import asin, tan
+from math import asin, ceil, pi, tan
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from glstar.sky.apparent import ASTROMETRY, direction
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.constellations import constellations
 from glstar.sky.horizon import ned_direction
+from glstar.sky.horizonprofile import HorizonProfile
 from glstar.viewer.curves import REFRACTION_CURVATURE, Curves, great_circle, max_step_rad, parallel
 
 __all__ = ["COMPASS_POINTS", "ConstellationFigures", "Grids", "compass_ned", "horizon_curve"]
@@ -83,7 +84,7 @@ class Grids:
 
 # A still aircraft keeps its horizon; one that climbs needs another for every frame.
 @lru_cache(maxsize=4)
-def horizon_curve(camera: Camera, sine_horizon: float) -> Curves:
+def horizon_curve(camera: Camera, sine_horizon: float, profile: HorizonProfile | None = None) -> Curves:
     """Return the apparent horizon.
 
     Parameters
@@ -92,26 +93,34 @@ def horizon_curve(camera: Camera, sine_horizon: float) -> Curves:
         The curve is sampled as finely as its image needs.
     sine_horizon : float
         Sine of the apparent altitude of the horizon.
+    profile : HorizonProfile, optional
+        The horizon by azimuth, instead.
 
     Returns
     -------
     Curves
         In apparent directions north, east, down.
     """
+    if profile is not None:
+        steps = ceil(2 * pi / max_step_rad(camera, tan(max(profile.highest_rad, -profile.lowest_rad))))
+        azimuth_rad = np.union1d(np.linspace(0, 2 * pi, steps + 1), profile.azimuths_rad)
+        return Curves.of([ned_direction(azimuth_rad, profile.altitude_rad(azimuth_rad))])
     altitude_rad = asin(sine_horizon)
     return Curves.of([_ned(parallel(altitude_rad, max_step_rad(camera, abs(tan(altitude_rad)))))])
 
 
-def compass_ned(sine_horizon: float) -> Float:
+def compass_ned(sine_horizon: float, profile: HorizonProfile | None = None) -> Float:
     """Return the directions of the compass points on the horizon, (16, 3) float64 north, east, down.
 
     Parameters
     ----------
     sine_horizon : float
         Sine of the apparent altitude of the horizon.
+    profile : HorizonProfile, optional
+        The horizon by azimuth, instead.
     """
     azimuth_rad = np.arange(len(COMPASS_POINTS)) * (2 * np.pi / len(COMPASS_POINTS))
-    return ned_direction(azimuth_rad, asin(sine_horizon))
+    return ned_direction(azimuth_rad, asin(sine_horizon) if profile is None else profile.altitude_rad(azimuth_rad))
 
 
 def _ned(by_azimuth: Float) -> Float:

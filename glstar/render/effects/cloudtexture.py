@@ -16,6 +16,7 @@ __all__ = [
     "crossing_at",
     "frame_transmission",
     "is_below_cloud",
+    "sky_fraction",
     "transmission_at",
     "transmission_towards",
 ]
@@ -72,7 +73,7 @@ def transmission_at(scene: Scene, xy_px: Float) -> Float:
 
 def _transmission(scene: Scene, rays: Float) -> Float:
     direction = rays @ scene.shutter.C_camera_eq[1]
-    is_sky = direction @ scene.shutter.zenith_eq[1] >= scene.sine_horizon
+    is_sky = scene.above_horizon(direction) >= 0
     return np.where(is_sky, transmission_towards(scene, direction), 1.0)
 
 
@@ -122,8 +123,24 @@ def frame_transmission(scene: Scene) -> float | None:
         In the middle of the exposure; 1 for a sheet below the aircraft, None if the image shows no sky.
     """
     rays = _rays(scene.camera)
-    is_sky = rays @ scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1] >= scene.sine_horizon
+    is_sky = scene.above_horizon(rays @ scene.shutter.C_camera_eq[1]) >= 0
     return round(float(_transmission(scene, rays)[is_sky].mean()), 6) if is_sky.any() else None
+
+
+def sky_fraction(scene: Scene) -> float:
+    """Return the fraction of the image that shows the sky, not the ground, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        To about 1 %.
+    """
+    is_sky = scene.above_horizon(_rays(scene.camera) @ scene.shutter.C_camera_eq[1]) >= 0
+    return round(float(is_sky.mean()), 4)
 
 
 def axis_transmission(scene: Scene) -> float:

@@ -191,6 +191,7 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
         scene.shutter.C_camera_eq.tobytes(),
         scene.extinction,
         scene.sine_horizon,
+        scene.shutter.profile,
         float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s)),
     )
 

@@ -37,6 +37,8 @@ Float = NDArray[np.float64]
 _GRID: Final = (97, 73)
 # With cloud, whose edges are sharper.
 _CLOUD_GRID: Final = (193, 145)
+# Distance of its nodes with a horizon profile at most, px: sky and ground are linear along 8 or 16 pixels of a row.
+_RIDGE_PX: Final = 12
 # Weights of the start, the middle and the end of the exposure: Simpson's rule.
 _TIME_WEIGHTS: Final = (1 / 6, 4 / 6, 1 / 6)
 # Below this rotation of the camera during the exposure, rad, the middle represents it.
@@ -146,7 +148,7 @@ def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
     return sun, moon
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _rays(camera: Camera, grid: tuple[int, int]) -> tuple[Float, Float]:
     """Return the directions of the texture's nodes in the camera frame, and the solid angles of pixels there.
 
@@ -168,7 +170,8 @@ def _rays(camera: Camera, grid: tuple[int, int]) -> tuple[Float, Float]:
 
 def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     """Return sky and ground, DN a pixel, and the sine of the altitude above the horizon, (rows, columns, 3)."""
-    rays, solid_angle = _rays(scene.camera, _GRID if cloud_sheet(scene.sensor, scene.motion) is None else _CLOUD_GRID)
+    columns, rows = _GRID if cloud_sheet(scene.sensor, scene.motion) is None else _CLOUD_GRID
+    rays, solid_angle = _rays(scene.camera, (columns, rows))
     boresight = scene.shutter.boresight_eq
     still = boresight[0] @ boresight[2] > np.cos(_STILL_RAD)
     times = {1: 1.0} if still else dict(enumerate(_TIME_WEIGHTS))
@@ -177,7 +180,11 @@ def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
         direction = rays @ scene.shutter.C_camera_eq[time]
         sky, below = _sky_and_ground(values, scene, time, direction)
         radiance, ground = radiance + weight * sky, ground + weight * below
-    sine = rays @ scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1] - scene.sine_horizon
+    while scene.shutter.profile is not None and scene.camera.width_px > _RIDGE_PX * (columns - 1):
+        radiance, ground = _between_nodes(radiance), _between_nodes(ground)
+        columns, rows = 2 * columns - 1, 2 * rows - 1
+        rays, solid_angle = _rays(scene.camera, (columns, rows))
+    sine = scene.above_horizon(rays @ scene.shutter.C_camera_eq[1])
     dn_of_mag_0 = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
     per_pixel = dn_of_mag_0 * solid_angle
     # Four components: software OpenGL is slow with three.
@@ -245,7 +252,7 @@ def _ring(zenith: Float, sine: float) -> Float:
 def _radiance_on_axis(values: Values, scene: Scene) -> float:
     """Return the brightness of the sky, or of the ground, on the optical axis in the middle of the exposure."""
     boresight = scene.shutter.boresight_eq[1]
-    if boresight @ scene.shutter.zenith_eq[1] < scene.sine_horizon:
+    if scene.above_horizon(boresight) < 0:
         return float(_sky_and_ground(values, scene, 1, boresight[np.newaxis])[1][0])
     return float(_sky_and_ground(values, scene, 1, boresight[np.newaxis])[0][0])
 
@@ -281,6 +288,7 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
         scene.shutter.C_camera_eq.tobytes(),
         scene.extinction,
         scene.sine_horizon,
+        scene.shutter.profile,
         _drawn_mag(scene) if values["galaxy"] else None,
         float(scene.sensor.flux_of_magnitude_dn(0.0, 1.0)),
     )

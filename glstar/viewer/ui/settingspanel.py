@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import degrees
+from pathlib import Path
 from typing import Any, Final, get_args
 
 from imgui_bundle import ImVec4, imgui
@@ -12,6 +13,7 @@ from glstar.camera.presets import camera_presets
 from glstar.camera.sensor import NoiseModel
 from glstar.camera.sensorpresets import sensor_presets
 from glstar.config import Config
+from glstar.config.sections import HORIZONS
 from glstar.flight.gimbal import GimbalMode
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.session import Session
@@ -129,9 +131,13 @@ def _sky(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> 
         ("sky.bodies", "Sun, Moon, planets", config.sky.bodies, True, False),
         ("sky.extinction", "Extinction", config.sky.extinction != "none", "standard", "none"),
         ("sky.extinction_band", "Extinction of the band", config.sky.extinction_band == "sensor", "sensor", "eye"),
-        ("sky.horizon", "Horizon below the horizontal", config.sky.horizon == "dip", "dip", "flat"),
     ):
         _switch(key, label, is_on, on, off, changes)
+    horizon = config.sky.horizon
+    if horizon in HORIZONS:
+        _switch("sky.horizon", "Horizon below the horizontal", horizon == "dip", "dip", "flat", changes)
+    else:
+        _switch("sky.horizon", f"Horizon of {Path(horizon).name}", True, horizon, "flat", changes)
     _effects([effect for effect in effects if effect.section == "sky"], config, changes)
 
 
