@@ -46,10 +46,16 @@ def test_a_trail_ends_where_the_star_sets_and_begins_where_it_rises(renderer, se
 
 @pytest.mark.parametrize(
     "variant",
-    [Variant(horizon=True), Variant(refraction=True), Variant(fisheye=True), Variant(fisheye=True, refraction=True)],
-    ids=["horizon", "refraction", "fisheye", "fisheye-refraction"],
+    [
+        Variant(horizon=True),
+        Variant(refraction=True),
+        Variant(fisheye=True),
+        Variant(fisheye=True, refraction=True),
+        Variant(rolling=True),
+    ],
+    ids=["horizon", "refraction", "fisheye", "fisheye-refraction", "rolling"],
 )
-def test_trails_at_the_horizon_and_behind_a_fisheye_are_as_precise(renderer, variant):
+def test_trails_at_the_horizon_behind_a_fisheye_and_under_a_rolling_shutter_are_as_precise(renderer, variant):
     fractions = {seed: worst_pixel(renderer, random_trial(seed, variant)).fraction for seed in range(60, 72)}
     assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
 

@@ -46,6 +46,7 @@ from glstar.rotation import (
 )
 from glstar.sky.horizon import refraction_displacement
 from glstar.system.resources import asset
+from tests.support.rollingshutter import rolling_light
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 Float = NDArray[np.float64]
@@ -57,6 +58,8 @@ FISHEYE_FOCAL_PX = 300.0
 NEARBY_SIGMA, NEARBY_PX = 3.0, 4
 LEAST_FRACTION = 5e-3
 SPACING_SIGMA = 1 / 3
+# Where the rows of a rolling shutter cut a path.
+ROLLING_SPACING_SIGMA = 1 / 12
 # Sub-exposures behind a lens.  At 0.8 sigma they are up to 0.7 % of the local maximum off where a path turns back.
 LENS_SPACING_SIGMA = 0.4
 KINDS = ("uniform", "accelerating", "bent", "vibrating", "rough", "logged")
@@ -68,12 +71,14 @@ class Variant(NamedTuple):
     fisheye: bool = False
     refraction: bool = False
     horizon: bool = False
+    rolling: bool = False
 
 
 VARIANTS = {
     "fisheye": "draw behind a fisheye, up to 50 deg off its axis",
     "refraction": "bend the light of the stars, at altitudes of 0.1 to 90 deg",
     "horizon": "let each star rise or set during its exposure, behind a pinhole",
+    "rolling": "read rows or columns out one after the other within 0.01 to 0.2 s, behind a pinhole",
 }
 
 
@@ -131,6 +136,9 @@ def random_trial(seed: int, variant: Variant = Variant()) -> Trial:  # noqa: B00
     # The star is somewhere on the image, or a few pixels beside it, at some time of the exposure.
     xy_px = random.uniform([-10.0, -10.0], [WIDTH_PX + 9.0, HEIGHT_PX + 9.0])
     utc_s = exposure.start_utc_s + random.uniform(0.0, 1.0) * duration_s
+    if variant.rolling:
+        readout_s, readout = 10 ** random.uniform(-2.0, -0.7), str(random.choice(["down", "up", "left", "right"]))
+        exposure = replace(exposure, readout_s=readout_s, readout=readout)
     lens = _lens_of(variant, lens, random)
     still = sky_over_adelaide(lens, sensor=sensor, vmag_limit=1.0, refraction=variant.refraction)
     simulator = _with_star(still, attitudes, xy_px, utc_s, _altitude_rad(variant, random))
@@ -143,7 +151,7 @@ def _lens_of(variant: Variant, lens: Camera, random: np.random.Generator) -> Cam
         cx_px, cy_px = random.uniform([-100.0, -50.0], [WIDTH_PX / 2, HEIGHT_PX / 2])
         fisheye = Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4))
         return Camera(WIDTH_PX, HEIGHT_PX, FISHEYE_FOCAL_PX, FISHEYE_FOCAL_PX, cx_px, cy_px, 0.0, fisheye)
-    return replace(lens, lens=None) if variant.horizon else lens
+    return replace(lens, lens=None) if variant.horizon or variant.rolling else lens
 
 
 def _altitude_rad(variant: Variant, random: np.random.Generator) -> float | None:
@@ -291,12 +299,23 @@ def worst_pixel(renderer: GLRenderer, trial: Trial) -> Worst:
     nearby_px = 2 * max(NEARBY_PX, int(NEARBY_SIGMA * trial.simulator.sensor.effective_sigma_px)) + 1
     nearby = maximum_filter(bordered, nearby_px)[image]
     expected = bordered[image] if trial.simulator.camera.lens is None else _summed(renderer, trial)
+    if trial.exposure.readout_s > 0:
+        expected = _rolling(trial)
     nearby = np.maximum(np.maximum(nearby, maximum_filter(expected, nearby_px)), LEAST_FRACTION * bordered.max())
     if bordered.max() < 1.0:  # the star passes far from the image
         return Worst(float(np.abs(drawn - expected).max()), is_lit=False)
     fraction = np.abs(drawn - expected) / nearby
     row, column = np.unravel_index(fraction.argmax(), fraction.shape)
     return Worst(float(fraction[row, column]), int(column), int(row), bool(expected.max() >= 1.0))
+
+
+def _rolling(trial: Trial) -> Float:
+    """Return the noiseless signal of a trial under a rolling shutter, DN, float64."""
+    _, weight = _dense_path(
+        trial.simulator, trial.exposure, ROLLING_SPACING_SIGMA * trial.simulator.sensor.psf_sigma_px
+    )
+    samples = int(np.ceil(trial.exposure.span_s / trial.exposure.duration_s / weight))
+    return rolling_light(trial.simulator, trial.exposure, 0, samples)
 
 
 def _summed(renderer: GLRenderer, trial: Trial) -> Float:
@@ -328,7 +347,9 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.fisheye and asked.horizon:
         parser.error("--horizon is compared behind a pinhole: sub-exposures are too coarse at the horizon")
-    variant = Variant(asked.fisheye, asked.refraction, asked.horizon)
+    if asked.rolling and (asked.fisheye or asked.horizon):
+        parser.error("--rolling is compared behind a pinhole, of stars above the horizon")
+    variant = Variant(*(getattr(asked, name) for name in Variant._fields))
     found = []
     with GLRenderer.headless() as renderer, drawn_in_pieces() if asked.pieces else nullcontext():
         print(renderer.driver)

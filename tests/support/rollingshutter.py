@@ -9,6 +9,8 @@ from tests.support.reference import profile
 
 Float = NDArray[np.float64]
 
+_ALL = slice(None)
+
 
 def star_positions(simulator: Simulator, star: int, utc_s: Float) -> Float:
     """Return where a star is at some times, (n, 2) px, from the interpolated attitude itself."""
@@ -16,8 +18,10 @@ def star_positions(simulator: Simulator, star: int, utc_s: Float) -> Float:
     return simulator.camera.project(simulator.pointing(utc_s).to_camera(direction))[:, 0]
 
 
-def open_fractions(exposure: Exposure, width_px: int, height_px: int, samples: int) -> tuple[Float, bool]:
-    """Return which fraction of each of some equal parts of an exposure each row is open, (samples, rows).
+def open_fractions(
+    exposure: Exposure, width_px: int, height_px: int, samples: int, chosen: NDArray[np.intp] | slice = _ALL
+) -> tuple[Float, bool]:
+    """Return which fraction of some of the equal parts of an exposure each row is open, (chosen, rows).
 
     The flag says whether the rows of the readout are rows of the image, or columns.
     """
@@ -25,7 +29,7 @@ def open_fractions(exposure: Exposure, width_px: int, height_px: int, samples: i
     count = height_px if vertical else width_px
     order = np.arange(count) if exposure.readout in {"down", "right"} else np.arange(count)[::-1]
     opens_s = exposure.readout_s * order / (count - 1)
-    starts_s = (exposure.duration_s + exposure.readout_s) * np.arange(samples)[:, np.newaxis] / samples
+    starts_s = (exposure.duration_s + exposure.readout_s) * np.arange(samples)[chosen, np.newaxis] / samples
     part_s = (exposure.duration_s + exposure.readout_s) / samples
     first = ((opens_s - starts_s) / part_s).clip(0, 1)
     last = ((opens_s + exposure.duration_s - starts_s) / part_s).clip(0, 1)
@@ -40,14 +44,13 @@ def rolling_light(simulator: Simulator, exposure: Exposure, star: int, samples: 
     xy = star_positions(simulator, star, utc_s)
     peak_dn = float(sensor.peak_dn(simulator.stars.camera_mag[star], exposure.duration_s))
     image = np.zeros((camera.height_px, camera.width_px))
-    fractions, vertical = open_fractions(exposure, camera.width_px, camera.height_px, samples)
-    fractions *= peak_dn * span_s / exposure.duration_s / samples
-    margin_px = 8 * sensor.effective_sigma_px
-    lit = np.flatnonzero(camera.contains(xy, margin_px) & (fractions.max(axis=1) > 0))
+    lit = np.flatnonzero(camera.contains(xy, 8 * sensor.effective_sigma_px))
     for block in np.array_split(lit, 1 + lit.size // 1000):
+        fractions, vertical = open_fractions(exposure, camera.width_px, camera.height_px, samples, block)
+        fractions *= peak_dn * span_s / exposure.duration_s / samples
         across = profile(np.arange(camera.width_px) - xy[block, :1], sensor)
         down = profile(np.arange(camera.height_px) - xy[block, 1:], sensor)
-        image += (down * fractions[block]).T @ across if vertical else down.T @ (across * fractions[block])
+        image += (down * fractions).T @ across if vertical else down.T @ (across * fractions)
     return image
 
 
