@@ -28,13 +28,15 @@ BRIGHTEST = 24  # trails whose pattern is looked up
 MATCH_PX = 2.5  # a trail this close to a catalogue star is that star
 LEAST_STARS = 7  # fewer identified stars are no answer
 MOST_RMS_PX = 1.5
+MOST_UNEVEN_PX, MOST_UNEVEN_SIGMA = 0.5, 4.0  # light of trails off their middle: the rate was not constant
 PRESSURE_HPA, TEMPERATURE_C = 1010.0, 10.0
 
 
 def detect(image):
-    """Return the middles of the trails, (n, 2) px, the brightest first."""
+    """Return the middles of the trails, and how far their light is off the middle, (n, 2) px, the brightest first."""
     trails = gs.detect_trails(image)
-    return trails.middle_px[~trails.at_edge & (trails.snr > 6)]
+    is_whole = ~trails.at_edge & (trails.snr > 6)
+    return trails.middle_px[is_whole], light_off_middle_px(image, trails.ends_px[is_whole])
 
 
 def identify(middle_px, camera, catalogue):
@@ -104,6 +106,40 @@ def attitude(middle_px, camera, C_rough, catalogue, u_gcrs, up_camera):
     return C, star_id
 
 
+def light_off_middle_px(image, ends_px, around_px=4.0):
+    """Return the centroid of the light along each trail minus the middle of its ends, (n, 2) px."""
+    above = image - np.float32(np.median(image))
+    off = []
+    for first, last in ends_px:
+        along = last - first
+        length_px = max(float(np.linalg.norm(along)), 1e-9)
+        axis = along / length_px
+        position = np.arange(-length_px / 2 - around_px, length_px / 2 + around_px + 1)[:, np.newaxis, np.newaxis]
+        across = np.arange(-around_px, around_px + 1)[:, np.newaxis]
+        points = (first + last) / 2 + position * axis + across * [-axis[1], axis[0]]
+        light = cv2.remap(above, *np.moveaxis(points.astype(np.float32), -1, 0), cv2.INTER_LINEAR).sum(axis=1)
+        off.append(axis * float(light @ position.ravel()) / max(float(light.sum()), 1e-9))
+    return np.array(off).reshape(-1, 2)
+
+
+def is_even(middle_px, off_px, camera):
+    """Return whether the light of the trails lies around their middles, as that of a constant rate does.
+
+    Where the rate changed, or the camera turned back, the light of all stars is off in the way of one rotation.  It did
+    not point at the middle of the trails in the middle of the exposure then, and the trails do not say when it did.
+    """
+    used = np.ones(len(middle_px), dtype=bool)
+    for _ in range(3):
+        rays = [camera.unproject(points_px) for points_px in (middle_px, middle_px + off_px)]
+        rays = [one / np.linalg.norm(one, axis=1, keepdims=True) for one in rays]
+        turned = rays[0] @ fitted_rotation(rays[0][used], rays[1][used]).T
+        residual_px = camera.fx_px * np.linalg.norm(rays[1] - turned, axis=1)
+        used = residual_px <= 3 * np.median(residual_px)  # without trails of two stars
+    moved_px = camera.fx_px * float(np.sqrt(np.mean(np.sum((turned - rays[0])[used] ** 2, axis=1))))
+    error_px = float(np.sqrt(np.mean(residual_px[used] ** 2) / used.sum()))
+    return moved_px < max(MOST_UNEVEN_PX, MOST_UNEVEN_SIGMA * error_px)
+
+
 def position(C_camera_gcrs, up_camera, utc_s):
     """Return latitude and longitude, deg, where the zenith is the camera's up."""
     tt1, tt2 = julian_date_tt(utc_s)
@@ -139,9 +175,11 @@ def solve(image, nav, catalogue):
         *(K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1]),
         lens=None if lens == "none" else gs.Lens(lens, tuple(nav["camera"]["distortion"])),
     )
-    utc_s, up_camera = parse_utc(nav["utc"]["middle"]), np.array(nav["up_camera"]["middle"])
-    middle_px = detect(image)
     refused = {"frame": nav["frame"], "status": "refused"}
+    if nav["up_camera"] is None:
+        return refused
+    utc_s, up_camera = parse_utc(nav["utc"]["middle"]), np.array(nav["up_camera"]["middle"])
+    middle_px, off_px = detect(image)
     if len(middle_px) < LEAST_STARS or (rough := identify(middle_px, camera, catalogue)) is None:
         return refused
     u_gcrs = apparent_directions(catalogue, utc_s)
@@ -149,6 +187,9 @@ def solve(image, nav, catalogue):
     if found is None:
         return refused
     C_camera_gcrs, star_id = found
+    is_star = star_id >= 0
+    if not is_even(middle_px[is_star], off_px[is_star], camera):
+        return refused
     latitude_deg, longitude_deg = position(C_camera_gcrs, up_camera, utc_s)
     return {
         "frame": nav["frame"],

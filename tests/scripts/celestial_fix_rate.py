@@ -8,8 +8,11 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tests.examples import celestial_fix
 
@@ -64,8 +67,40 @@ def summary_of(kind: str, frames: int, folder: Path) -> dict[str, Any]:
     """
     text = KINDS[kind].replace("{frames}", str(frames))
     (folder / f"{kind}.toml").write_text(text, encoding="utf-8")
-    seen, hidden, answers = folder / f"{kind}-seen", folder / f"{kind}-hidden", folder / f"{kind}.jsonl"
-    _glstar("export", "-c", folder / f"{kind}.toml", "-o", seen, "--blind", hidden, "--frames", 1, "--every", 1)
+    return _summary(folder / kind, "-c", folder / f"{kind}.toml", "--every", 1)
+
+
+def summary_of_accelerated(rates_deg_per_s: Sequence[tuple[float, float]], folder: Path) -> dict[str, Any]:
+    """Return the summary of the score of frames in which the camera accelerates.
+
+    Parameters
+    ----------
+    rates_deg_per_s : sequence of (float, float)
+        Of each frame, the rate of yaw when the shutter opens and when it closes, deg/s.
+    folder : Path
+
+    Returns
+    -------
+    dict
+    """
+    logs = []
+    for number, (first, last) in enumerate(rates_deg_per_s):
+        t_s = np.arange(0.0, 0.51, 0.02)
+        yaw_deg = 40.0 * number + first * t_s + (last - first) * t_s**2
+        rows = [
+            f"{1.71e9 + 7e6 * number + t:.2f},5,0,{yaw:.9f},-30,140,300" for t, yaw in zip(t_s, yaw_deg, strict=True)
+        ]
+        logs.append(folder / f"accelerated{number}.csv")
+        head = "utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg,height_m"
+        logs[-1].write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    (folder / "denied.toml").write_text('[mount]\npitch_deg = 50\n[navigator]\ngps = "denied"\n', encoding="utf-8")
+    return _summary(folder / "accelerated", *logs, "-c", folder / "denied.toml", "--exposure", 0.5)
+
+
+def _summary(place: Path, *arguments: object) -> dict[str, Any]:
+    """Export one frame of each flight, answer it and return the summary of the score."""
+    seen, hidden, answers = (place.with_name(f"{place.name}{end}") for end in ("-seen", "-hidden", ".jsonl"))
+    _glstar("export", *arguments, "-o", seen, "--blind", hidden, "--frames", 1)
     celestial_fix.main(seen, answers)
     found: dict[str, Any] = json.loads(_glstar("score", hidden, answers, "--json"))["summary"]
     return found
