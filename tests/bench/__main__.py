@@ -2,7 +2,7 @@
 
 From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), over Adelaide at night: the bright stars to
 6.5, rolling, sigma 1.2 px, half a second, in a field with the mean star density of the sky.  Times are medians of some
-rounds, ms.  Prints six tables, or those chosen by ``--only``:
+rounds, ms.  Prints seven tables, or those chosen by ``--only``:
 
 rates       by image size and turn rate: analytic trails, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
             takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
@@ -10,6 +10,8 @@ rates       by image size and turn rate: analytic trails, trails in sprites, pla
             Rounds alternate between them, so that other load on the machine affects all of them alike
 flow        frames a second from scenes to arrays if each is started before the previous one is read, as exports do,
             and the time of a single frame
+steps       steps a second of `glstar.Environment` (scene, image, navigator's record and truth, one after the other) of
+            an orbit of 150 m by exposure, and the time that drawing the same scenes alone takes of it
 stages      time of each stage: composing the scene, flux, developing, reading, and writing a PNG with truth
 stars       by stars of the catalogue, of random ones as the sky has them: 9 thousand, 118 thousand, 1 million
 exposures   by exposure, sub-exposures and brightness
@@ -38,6 +40,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
+from glstar.export.environment import Environment
 from glstar.export.frames import FlightFrames
 from glstar.export.plan import Plan, PlannedFrame
 from glstar.export.task import FrameTask
@@ -46,6 +49,7 @@ from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.sky.starfield import StarField
+from glstar.sky.timescale import parse_utc
 from tests.bench.realflights import add_logs_option, logs_of, missing_logs
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
@@ -168,6 +172,35 @@ def _frames_in_a_row(renderer: GLRenderer, scene: Scene) -> None:
     renderer.end_read()
 
 
+def steps(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    columns = ("image", "exposure, s", "steps a second", "drawing alone, frames a second", "share of drawing")
+    table = _table("steps of the environment", columns)
+    orbit, (width_px, height_px, focal_px) = "fly:orbit?radius_m=150&turns=5", size
+    camera_keys = {"camera.width_px": width_px, "camera.height_px": height_px}
+    camera_keys |= {"camera.fx_px": focal_px, "camera.fy_px": focal_px}
+    for duration_s in (0.05, 0.5):
+        keys: dict[str, Any] = {"exposure.duration_s": duration_s, "exposure.interval_s": max(duration_s, 0.1)}
+        config = Config().override(**keys, **camera_keys, **{"navigator.drift_sigma_deg": 0.2})
+        with Environment(config, flight=orbit, renderer=renderer) as environment:
+            first_s = parse_utc(environment.reset(1).truth["utc_start"])
+            simulator = config.simulator(config.open_flight(Path(orbit)))
+            starts_s = [first_s + keys["exposure.interval_s"] * k for k in range(FRAMES_IN_A_ROW)]
+            scenes = [simulator.scene(config.exposure.starting_at(start_s)) for start_s in starts_s]
+
+            def step(environment: Environment = environment) -> None:
+                for _ in range(FRAMES_IN_A_ROW):
+                    environment.step()
+
+            def draw(scenes: Sequence[Scene] = scenes) -> None:
+                for k, scene in enumerate(scenes):
+                    renderer.render(replace(scene, draw_list=replace(scene.draw_list)), seed=k)
+
+            step_ms, draw_ms = _median_ms([step, draw], max(2, rounds // 3))
+        a_second = [f"{1e3 * FRAMES_IN_A_ROW / ms:.0f}" for ms in (step_ms, draw_ms)]
+        table.add_row(_size(size), f"{duration_s:g}", *a_second, f"{draw_ms / step_ms:.2f}")
+    return table
+
+
 def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     columns = (
         "image",
@@ -270,10 +303,11 @@ def flights(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     return table
 
 
-BY_SIZE = ("rates", "flow", "stages", "stars", "flights")
+BY_SIZE = ("rates", "flow", "steps", "stages", "stars", "flights")
 TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
     "rates": rates,
     "flow": flow,
+    "steps": steps,
     "stages": stages,
     "stars": stars,
     "exposures": exposures,

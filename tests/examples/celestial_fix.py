@@ -125,7 +125,7 @@ def light_off_middle_px(image, ends_px, around_px=4.0):
 def is_even(middle_px, off_px, camera):
     """Return whether the light of the trails lies around their middles, as that of a constant rate does.
 
-    Where the rate changed, or the camera turned back, the light of all stars is off in the way of one rotation.  It did
+    Where the rate changed, or the camera turned back, the light of all stars is off by one rotation.  It did
     not point at the middle of the trails in the middle of the exposure then, and the trails do not say when it did.
     """
     used = np.ones(len(middle_px), dtype=bool)
