@@ -14,7 +14,7 @@ from glstar.errors import ConfigError, ExportError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.fitsfile import without_truth
 from glstar.export.images import SUFFIX
-from glstar.export.layout import OURS
+from glstar.export.layout import OURS, SPLITS
 from glstar.export.navrecord import Navigator
 from glstar.export.run import Export
 from glstar.export.task import FrameTask
@@ -154,7 +154,7 @@ def publish_blind(job: Export, output: Path) -> None:
         If the directory holds files of another export.
     """
     images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
-    refuse_other_files(output, {NAV, *(image.name for image in images)})
+    refuse_other_files(output, {image.name for image in images})
     with explain_disk_errors(output), (job.directory / NAV).open("rb") as records:
         for name in (*images, Path(NAV)):
             target = output / name
@@ -177,7 +177,7 @@ def _hand_over(source: Path, target: Path) -> None:
 
 
 def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
-    """Refuse a directory for a navigator that holds more than its images and ``nav.jsonl``.
+    """Refuse a directory for a navigator that holds more than its images, ``nav.jsonl`` and the lists of splits.
 
     Parameters
     ----------
@@ -193,7 +193,8 @@ def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
     if not output.is_dir():
         return
     for entry in sorted(path.name for path in output.rglob("*") if path.is_file()):
-        is_image = entry.startswith("frame_") and ".light." not in entry
-        allowed = is_image or entry == NAV if names is None else entry in names
+        is_image = entry.startswith("frame_") and entry.count(".") == 1  # no mask, no noiseless image
+        is_known = is_image if names is None else entry in names
+        allowed = is_known or entry in {NAV, *(f"{split}.txt" for split in SPLITS)}
         if OURS.fullmatch(entry) and not allowed:
             raise ExportError(output, f"holds {entry} of another export; choose another directory for the blind set")

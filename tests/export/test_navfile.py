@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
+from glstar.errors import ExportError
 from glstar.export.fitsfile import damage_of_fits
+from glstar.export.navfile import refuse_other_files
 from glstar.export.navrecord import Navigator
 from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_quaternion, turn_between
@@ -179,6 +181,19 @@ def test_the_same_command_continues_and_a_navigator_never_gets_the_directory_of_
     inside = glstar("export", "-c", "nav.toml", "-o", "new", "--blind", "new/truth", folder=blind_set)
     assert inside.returncode == 2
     assert not (blind_set / "new").exists()
+
+
+def test_only_files_of_a_navigator_may_be_in_its_directory(tmp_path: Path) -> None:
+    for name in ("frame_000001.png", "frame_000002.fits", "nav.jsonl", "train.txt", "notes.md"):
+        (tmp_path / name).touch()
+    refuse_other_files(tmp_path)
+    with pytest.raises(ExportError, match=r"holds frame_000002\.fits of another export"):
+        refuse_other_files(tmp_path, {"frame_000001.png"})
+    for name in ("truth.jsonl", "frame_000001.trails.png", "frame_000001.light.tiff", "splits.json", "DATACARD.md"):
+        (tmp_path / name).touch()
+        with pytest.raises(ExportError, match=re.escape(f"holds {name} of another export")):
+            refuse_other_files(tmp_path)
+        (tmp_path / name).unlink()
 
 
 def test_the_attitude_of_another_message_of_the_log_is_the_estimate(tmp_path: Path) -> None:
