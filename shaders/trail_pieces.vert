@@ -11,6 +11,7 @@ in uvec2 sprite;                  // column of the star in `chosen`, and number 
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_PER_ROW
 uniform sampler2D chosen;         // of each column: the star's index, its truncation radius, px, and transmission
+uniform sampler2D passage;        // transmission of cloud by column and piece; one texel of 1 without
 uniform float sigma_px;           // of a star as the pixels record it
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
 
@@ -35,7 +36,7 @@ const float FAR_PX = 1e6;
 struct Piece {
     vec2 centre_px;               // in the target
     vec3 covariance_px2;          // xx, xy, yy, with that of the point spread function
-    float time_fraction;          // 0: not drawn
+    float light;                  // duration, a fraction of the exposure, times transmission of cloud; 0: not drawn
 };
 
 // The covariance of a position, px^2, given that of the rotation vector of the camera.
@@ -61,7 +62,8 @@ Piece piece_of(vec3 direction_eq, int row, float radius_px) {
     if (!(is_seen && is_near))
         return Piece(vec2(0.0), vec3(1.0, 0.0, 1.0), 0.0);
     vec3 covariance_px2 = moved_px2(tangent, upper, lower) + sigma_px * sigma_px * vec3(1.0, 0.0, 1.0);
-    return Piece(centre_px, covariance_px2, upper.w);
+    float transmission = texelFetch(passage, min(ivec2(int(sprite.x), row), textureSize(passage, 0) - 1), 0).r;
+    return Piece(centre_px, covariance_px2, upper.w * transmission);
 }
 
 // Fraction of a Gaussian in a square around another point.
@@ -84,8 +86,8 @@ void main() {
     for (int k = 0; k < PIECES_PER_SPRITE; ++k) {
         Piece piece = piece_of(star.xyz, int(sprite.y) * PIECES_PER_SPRITE + k, radius_px);
         vec2 reach_px = radius_px * sqrt(piece.covariance_px2.xz) / sigma_px + SNAPPING_PX;
-        low_px  = piece.time_fraction > 0.0 ? min(low_px, piece.centre_px - reach_px) : low_px;
-        high_px = piece.time_fraction > 0.0 ? max(high_px, piece.centre_px + reach_px) : high_px;
+        low_px  = piece.light > 0.0 ? min(low_px, piece.centre_px - reach_px) : low_px;
+        high_px = piece.light > 0.0 ? max(high_px, piece.centre_px + reach_px) : high_px;
         vec3 px2 = piece.covariance_px2;
         float determinant = px2.x * px2.z - px2.y * px2.y;
         vec3 falloff = HALF_LOG2_E / determinant * vec3(px2.z, -2.0 * px2.y, px2.x);
@@ -94,15 +96,15 @@ void main() {
         falloff_xx[k] = falloff.x;
         falloff_xy[k] = falloff.y;
         falloff_yy[k] = falloff.z;
-        amplitudes_dn[k] = peak_dn * piece.time_fraction * sigma_px * sigma_px * inversesqrt(determinant);
+        amplitudes_dn[k] = peak_dn * piece.light * sigma_px * sigma_px * inversesqrt(determinant);
         pieces[k] = piece;
     }
     vec2 middle_px = 0.5 * (low_px + high_px), size_px = high_px - low_px;
     float half_px = 0.5 * max(size_px.x, size_px.y), all_flux = 0.0, drawn_flux = 0.0;
     for (int k = 0; k < PIECES_PER_SPRITE; ++k) {
         Piece piece = pieces[k];
-        all_flux += piece.time_fraction;
-        drawn_flux += piece.time_fraction == 0.0 ? 0.0 : piece.time_fraction
+        all_flux += piece.light;
+        drawn_flux += piece.light == 0.0 ? 0.0 : piece.light
             * fraction_in_square(piece.centre_px - middle_px, sqrt(piece.covariance_px2.xz), half_px);
     }
     amplitudes_dn *= all_flux / max(drawn_flux, 1e-9);

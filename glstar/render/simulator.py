@@ -264,8 +264,7 @@ class Simulator:
 
     def _in_pieces(self, exposure: Exposure) -> bool:
         """Return whether segments are drawn in pieces where that costs less: always less than sprites."""
-        clouded = CloudedSky.of(self.motion, self.camera, self.sensor, exposure) is not None
-        return not (exposure.readout_s or self.sensor.core.needs_erf or clouded)
+        return not (exposure.readout_s or self.sensor.core.needs_erf)
 
     def fitted(self, exposure: Exposure, tolerance_px: float) -> AnalyticSegments | None:
         """Return least-squares segments of an exposure: see `fitted_segments`."""

@@ -76,6 +76,9 @@ PIECE_COSTS: Final = PieceCosts()
 PIECES_PER_SPRITE: Final = 4
 # Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
 _THIRD_DERIVATIVE: Final = 1.3801
+# Segments whose transmission of cloud differs by more than this share no piece.
+_PASSAGE_STEP: Final = 0.02
+_NONE: Final = np.zeros(0, np.intp)
 # Intervals per segment in which the length of a path is measured.
 _CHORDS: Final = 4
 # Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
@@ -95,11 +98,14 @@ class TrailPieces:
         Covariance of the rotation vector from the mean orientation, camera frame.
     time_fraction : (n,) float64
         Duration of each piece as a fraction of the exposure.
+    of_segments : (m, n) float64
+        Which fraction of each piece lies in each segment of the trails.
     """
 
     pointing: Pointing
     covariance_rad2: Float
     time_fraction: Float
+    of_segments: Float
 
     def __len__(self) -> int:
         return len(self.time_fraction)
@@ -137,18 +143,29 @@ def in_pieces(scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_
     Returns
     -------
     DividedScene or None
-        None too behind cloud, and for a star so narrow that the area of a pixel is integrated over.
+        None too for stars so narrow that the area of a pixel is integrated over.
     """
     sensor, drawn = scene.sensor, scene.draw_list
-    if sensor.needs_erf or drawn.passage is not None or len(trails) < costs.min_segments:
+    if sensor.needs_erf or len(trails) < costs.min_segments:
         return None
-    most = costs.pieces_per_segment * len(trails)
-    pieces = trail_pieces(trails, scene.camera, sensor.effective_sigma_px, most=most)
+    most, apart = costs.pieces_per_segment * len(trails), _unlike_segments(drawn.passage)
+    pieces = trail_pieces(trails, scene.camera, sensor.effective_sigma_px, most=most, apart=apart)
     if pieces is None:
         return None
+    if drawn.passage is not None:
+        drawn = replace(drawn, passage=(drawn.passage @ pieces.of_segments).astype(np.float32))
     rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
     is_up = (rises == 0.0) & (sets == NEVER)
-    return DividedScene(replace(scene, draw_list=drawn[is_up]), pieces, replace(scene, draw_list=drawn[~is_up]))
+    return DividedScene(
+        replace(scene, draw_list=drawn[is_up]), pieces, replace(scene, draw_list=scene.draw_list[~is_up])
+    )
+
+
+def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:
+    """Return the segments that cloud dims otherwise than the segment before."""
+    if passage is None or not len(passage):
+        return np.zeros(0, np.intp)
+    return 1 + np.flatnonzero(np.abs(np.diff(passage, axis=1)).max(axis=0) > _PASSAGE_STEP)
 
 
 def trail_pieces(
@@ -158,6 +175,7 @@ def trail_pieces(
     limits: PieceLimits = PIECE_LIMITS,
     *,
     most: float = np.inf,
+    apart: NDArray[np.intp] = _NONE,
 ) -> TrailPieces | None:
     """Return the pieces of the trails of an exposure.
 
@@ -171,6 +189,8 @@ def trail_pieces(
     limits : PieceLimits, optional
     most : float
         The most pieces.
+    apart : (k,) intp
+        Segments that share no piece with the segment before.
 
     Returns
     -------
@@ -178,7 +198,7 @@ def trail_pieces(
         None if there are more than `most`.
     """
     path = _CameraPath(trails, camera)
-    bounds = path.bounds_of_equal_lengths(limits.length_sigma * sigma_px)
+    bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px), apart)
     for _ in range(limits.halvings):
         if len(bounds) - 1 > most:
             return None
@@ -235,7 +255,9 @@ class _CameraPath:
         turn_rad = (change - np.swapaxes(change, 1, 2))[:, [2, 0, 1], [1, 2, 0]] / (2 * scale[:, np.newaxis])
         covariance_rad2 = nodes.mean(turn_rad[:, :, np.newaxis] * turn_rad[:, np.newaxis])
         pointing = _interpolated(self._trails.pointing, bounds[:-1] + bounds[1:])
-        pieces = TrailPieces(replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration)
+        pieces = TrailPieces(
+            replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, nodes.of_segments(len(self._trails))
+        )
         x_px, y_px = np.moveaxis(turn_rad @ self._px_per_turn, -1, 0).transpose(0, 2, 1)
         xx, yy = x_px * x_px, y_px * y_px
         second = nodes.mean(xx + yy) / sigma_px**2
@@ -291,6 +313,12 @@ class _Quadrature(NamedTuple):
         duration = np.add.reduceat(time, first)
         piece = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(time))))
         return cls(np.repeat(segment, len(_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
+
+    def of_segments(self, count: int) -> Float:
+        """Return `TrailPieces.of_segments` of some segments."""
+        fractions = np.zeros((count, len(self.first)))
+        np.add.at(fractions, (self.segment, self.piece), self.weight)
+        return fractions
 
     def mean(self, values: Float) -> Float:
         """Return means over the duration of each piece, (n, ...), of values at the nodes, (3 k, ...)."""

@@ -46,8 +46,9 @@ def test_a_star_that_sets_is_not_drawn_in_pieces(renderer):
         {},
         {"sensor.band": "imx477", "sensor.mosaic": "rggb"},
         {"sensor.psf": "moffat", "sensor.psf_ellipticity": 0.2},
+        {"cloud.coverage": 0.5, "cloud.scale_m": 300.0},
     ],
-    ids=["gaussian", "mosaic", "moffat-and-elliptic"],
+    ids=["gaussian", "mosaic", "moffat-and-elliptic", "cloud"],
 )
 def test_a_rough_flight_is_the_same_in_pieces_as_in_segments(renderer, keys):
     config = Config().override(**{"camera.preset": "picamhq-6mm-binned4", **keys})

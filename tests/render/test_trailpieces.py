@@ -81,9 +81,20 @@ def test_pieces_are_drawn_where_they_cost_less_and_the_stars_are_wide_enough():
     assert len(divided.scene.draw_list) + len(divided.rest.draw_list) == len(scene.draw_list)
     narrow = replace(scene, sensor=replace(scene.sensor, psf_sigma_px=0.6))
     assert in_pieces(narrow, scene.trails, FREE) is None
-    cloudy = replace(scene.draw_list, passage=np.ones((len(scene.draw_list), len(scene.trails))))
-    assert in_pieces(replace(scene, draw_list=cloudy), scene.trails, FREE) is None
     few = PieceCosts(pieces_per_segment=len(divided.pieces) / len(scene.trails) - 0.1)
     assert in_pieces(scene, scene.trails, few) is None
     steady = flown(np.arange(0.0, 1.0, 0.02), np.outer([0.1, 0.0, 0.0], np.arange(0.0, 1.0, 0.02))).scene(EXPOSURE)
     assert in_pieces(steady, steady.trails) is None
+
+
+def test_a_piece_is_dimmed_by_the_cloud_of_its_own_segments():
+    scene = rough(200.0).scene(EXPOSURE)
+    passage = np.ones((len(scene.draw_list), len(scene.trails)), np.float32)
+    passage[:, 3:] = 0.5
+    divided = in_pieces(replace(scene, draw_list=replace(scene.draw_list, passage=passage)), scene.trails, FREE)
+    assert divided is not None
+    ends = np.cumsum(divided.pieces.time_fraction)
+    edge = scene.trails.time_fraction[:3].sum()
+    assert np.abs(ends - edge).min() < 1e-12
+    expected = np.where(ends < edge + 1e-9, 1.0, 0.5)
+    np.testing.assert_allclose(divided.scene.draw_list.passage, np.tile(expected, (len(passage), 1)), rtol=0, atol=1e-6)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.colourscenes import cell_tints
+from glstar.render.opengl.passagetexture import PassageTexture
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
@@ -24,7 +25,7 @@ _STARS_PER_CALL: Final = 4096
 _PIECES_PER_CALL: Final = 4096
 _SPRITES_PER_CALL: Final = 1 << 16
 # Texture units.
-_UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3}
+_UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3, "passage": 4}
 
 
 class PiecePass:
@@ -57,6 +58,8 @@ class PiecePass:
             for texture in textures:
                 owned.callback(texture.release)
                 texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self._passage = PassageTexture(context)
+            owned.callback(self._passage.release)
             owned.callback(self._release_programs)
             self._program(mosaic=False)
             self._owned = owned.pop_all()
@@ -67,7 +70,7 @@ class PiecePass:
         Parameters
         ----------
         scene : Scene
-            Without cloud and a rolling shutter.
+            With a global shutter; behind cloud with the passage of each piece.
         pieces : TrailPieces
             Of the scene's trails.
         light : moderngl.Framebuffer
@@ -80,6 +83,8 @@ class PiecePass:
         self._set_uniforms(program, scene, light, guard_band_px)
         texels = _piece_texels(pieces)
         chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
+        if drawn.passage is None:
+            self._passage.write_table(np.ones((1, 1), np.float32))
         for name, texture in (
             ("pointing", self._pointing),
             ("stars", self._stars.of(scene.stars)),
@@ -99,7 +104,11 @@ class PiecePass:
                 if tints is not None:
                     of_columns = tints[drawn.index[stars]]
                     self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
-                near = _near_image(scene, pieces, slice(first, first + _PIECES_PER_CALL), stars)
+                of_call = slice(first, first + _PIECES_PER_CALL)
+                if drawn.passage is not None:
+                    self._passage.write_table(drawn.passage[stars, of_call].T)
+                self._passage.texture.use(_UNITS["passage"])
+                near = _near_image(scene, pieces, of_call, stars)
                 self._draw(vertices, np.argwhere(near)[:, ::-1].astype(np.uint16))
         self._context.enable_only(moderngl.NOTHING)
 
