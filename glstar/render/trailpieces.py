@@ -148,8 +148,8 @@ def in_pieces(scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_
     sensor, drawn = scene.sensor, scene.draw_list
     if sensor.needs_erf or len(trails) < costs.min_segments:
         return None
-    most, apart = costs.pieces_per_segment * len(trails), _unlike_segments(drawn.passage)
-    pieces = trail_pieces(trails, scene.camera, sensor.effective_sigma_px, most=most, apart=apart)
+    most, divided_at = costs.pieces_per_segment * len(trails), _unlike_segments(drawn.passage)
+    pieces = trail_pieces(trails, scene.camera, sensor.effective_sigma_px, most=most, divided_at=divided_at)
     if pieces is None:
         return None
     if drawn.passage is not None:
@@ -175,7 +175,7 @@ def trail_pieces(
     limits: PieceLimits = PIECE_LIMITS,
     *,
     most: float = np.inf,
-    apart: NDArray[np.intp] = _NONE,
+    divided_at: NDArray[np.intp] = _NONE,
 ) -> TrailPieces | None:
     """Return the pieces of the trails of an exposure.
 
@@ -189,8 +189,8 @@ def trail_pieces(
     limits : PieceLimits, optional
     most : float
         The most pieces.
-    apart : (k,) intp
-        Segments that share no piece with the segment before.
+    divided_at : (k,) intp
+        Segments before which pieces end.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def trail_pieces(
         None if there are more than `most`.
     """
     path = _CameraPath(trails, camera)
-    bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px), apart)
+    bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px), divided_at)
     for _ in range(limits.halvings):
         if len(bounds) - 1 > most:
             return None
