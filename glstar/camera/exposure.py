@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["MAX_DN", "MAX_FRAMES", "Exposure", "Readout", "Stack", "Trail", "exposure_span_s", "no_rolling_stack"]
+__all__ = ["MAX_DN", "MAX_FRAMES", "Exposure", "Readout", "Stack", "Trail", "check_readouts", "exposure_span_s"]
 
 # How trails are drawn: integrated analytically, summed from sub-exposures, or whichever of the two is cheaper.
 Trail = Literal["auto", "analytic", "sprites"]
@@ -62,7 +62,7 @@ class Exposure:
     frames : int
         Number of short exposures that are stacked into the image, each with its own noise; 1 to `MAX_FRAMES`.
     gap_s : float
-        Time from the end of one short exposure to the start of the next, s.
+        Time from the end of one short exposure to the start of the next, of each row of a rolling shutter, s.
     stack : {"sum", "mean"}
         Whether the digital numbers of the short exposures are added or averaged.
 
@@ -71,7 +71,7 @@ class Exposure:
     ConfigError
         If the duration or the rate is not a positive number, the readout time, the tolerance or the faintest signal is
         negative, the trail, the direction or the stack is none of these, the number of short exposures or the gap
-        is out of range, or a rolling shutter records several short exposures.
+        is out of range, or a rolling shutter begins to read a short exposure before it has read the one before it.
 
     Notes
     -----
@@ -118,8 +118,7 @@ class Exposure:
             raise ConfigError(f"must be a number of seconds, 0 or more, not {self.gap_s}", key="exposure.gap_s")
         if self.stack not in get_args(Stack):
             raise ConfigError(f"must be 'sum' or 'mean', not {self.stack!r}", key="exposure.stack")
-        if self.frames > 1 and self.readout_s > 0:
-            raise ConfigError(no_rolling_stack(self.frames, self.readout_s), key="exposure.frames")
+        check_readouts(self.duration_s, self.readout_s, self.frames, self.gap_s)
 
     @property
     def span_s(self) -> float:
@@ -139,18 +138,20 @@ class Exposure:
     def short_times_s(self) -> NDArray[np.float64]:
         """Return when the shutter opens and closes for each short exposure, (frames, 2), UTC seconds since 1970.
 
-        Without a gap, each opens at exactly the time at which the one before it closes.
+        Without a gap, each opens at exactly the time at which the one before it closes.  The first row of a rolling
+        shutter opens and the last one closes at these times: the next short exposure begins in the first rows while the
+        last rows are still open.
         """
         opens_s = self.start_utc_s + np.arange(self.frames) * (self.duration_s + self.gap_s)
-        closes_s = opens_s + self.duration_s
-        if self.gap_s == 0:
+        closes_s = opens_s + self.first.span_s
+        if self.gap_s == 0 and self.readout_s == 0:
             closes_s[:-1] = opens_s[1:]
         closes_s[-1] = self.stop_utc_s
         return np.stack([opens_s, closes_s], axis=1)
 
     def short_exposures(self) -> tuple[Self, ...]:
         """Return the short exposures, each as an exposure of its own."""
-        last_s = self.stop_utc_s - self.duration_s  # so that the last one ends with the stack, to a rounding error
+        last_s = self.stop_utc_s - self.first.span_s  # so that the last one ends with the stack, to a rounding error
         starts_s = np.minimum(self.short_times_s()[:, 0], max(last_s, self.start_utc_s)).tolist()
         return tuple(replace(self.first, start_utc_s=start_s) for start_s in starts_s)
 
@@ -257,12 +258,26 @@ class Exposure:
         return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.span_s / n)
 
 
-def no_rolling_stack(frames: int, readout_s: float) -> str:
-    """Return the message that refuses a stack of exposures of a rolling shutter."""
-    return (
-        f"is {frames}, and exposures of a rolling shutter (readout_s = {readout_s:g}) cannot be stacked; set"
-        " exposure.readout_s = 0 or exposure.frames = 1"
-    )
+def check_readouts(duration_s: float, readout_s: float, frames: float, gap_s: float) -> None:
+    """Raise if a rolling shutter would begin to read a short exposure before it has read the one before it.
+
+    Parameters
+    ----------
+    duration_s, readout_s, frames, gap_s
+        See `Exposure`.
+
+    Raises
+    ------
+    ConfigError
+        If the readout time is longer than the time between two short exposures.
+    """
+    # A tolerance for sums such as 0.1 + 0.2.
+    if frames > 1 and readout_s > (duration_s + gap_s) * (1 + 1e-9):
+        raise ConfigError(
+            f"is {gap_s:g}, so that short exposures follow every {duration_s + gap_s:g} s, but the rolling shutter"
+            f" takes {readout_s:g} s to read one; take at least {ceil(1e6 * (readout_s - duration_s)) / 1e6:g}",
+            key="exposure.gap_s",
+        )
 
 
 def exposure_span_s(
@@ -279,5 +294,9 @@ def exposure_span_s(
     -------
     (...) float64
         s.
+
+    Notes
+    -----
+    Every row is exposed `frames` times with gaps between; the last row is later than the first by the readout time.
     """
-    return frames * (duration_s + readout_s) + (frames - 1) * gap_s
+    return frames * duration_s + (frames - 1) * gap_s + readout_s

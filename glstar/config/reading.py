@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from glstar.camera.camerafile import camera_from_file
 from glstar.camera.colourband import ColourBand
 from glstar.camera.distortion import Lens, LensModel
-from glstar.camera.exposure import no_rolling_stack
+from glstar.camera.exposure import check_readouts
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset
 from glstar.camera.sensor import EffectValue
@@ -321,13 +321,12 @@ def with_readout(section: ExposureSection, tables: Tables, *presets: str | None)
     Raises
     ------
     ConfigError
-        If short exposures of a rolling shutter are to be stacked.
+        If short exposures of a rolling shutter follow each other faster than it reads them.
     """
     modes = [sensor_mode(name) for name in presets if name is not None and is_sensor_mode(name)]
     if "readout_s" not in tables.get("exposure", {}) and modes and modes[0] is not None:
         section = section.model_copy(update={"readout_s": modes[0].readout_s})
-    if section.frames > 1 and section.readout_s > 0:
-        raise ConfigError(no_rolling_stack(section.frames, section.readout_s), key="exposure.frames")
+    check_readouts(section.duration_s, section.readout_s, section.frames, section.gap_s)
     return section
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.exposure import exposure_span_s
+from glstar.camera.exposure import check_readouts, exposure_span_s
 from glstar.config import START, Config, ExposureSection, exposures_within
 from glstar.config.flightsections import SYNTHETIC, changes_length
 from glstar.errors import ConfigError, ExportError, FlightTooShortError
@@ -56,6 +56,12 @@ class _Times(NamedTuple):
     def span_s(self) -> NDArray[np.float64]:
         """Time from the first opening to the last closing: of all rows and all short exposures, s."""
         return np.asarray(exposure_span_s(self.duration_s, self.readout_s, self.frames, self.gap_s))
+
+    def check(self) -> None:
+        """Raise if the rolling shutter of a sample begins to read a short exposure before it has read the last one."""
+        tightest = np.argmin(np.where(self.frames > 1, self.duration_s + self.gap_s - self.readout_s, np.inf))
+        one = (float(values[tightest]) for values in (self.duration_s, self.readout_s, self.frames, self.gap_s))
+        check_readouts(*one)
 
     def of(self, exposure: ExposureSection, sample: int) -> ExposureSection:
         """Return a section with the times of one sample."""
@@ -243,7 +249,9 @@ class DataSetFrames:
             else np.full(len(self.config.sweep), value)
             for key, value in usual.items()
         ]
-        return _Times._make((*columns, self._lengths(salt, flight)))
+        times = _Times._make((*columns, self._lengths(salt, flight)))
+        times.check()
+        return times
 
     def _lengths(self, salt: int, flight: Flight) -> NDArray[np.float64]:
         """Return the time from the first to the last attitude of each sample of a flight, s."""

@@ -1,11 +1,13 @@
 """When a rolling shutter records each star: its own opening, middle and closing, and its positions then."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import Exposure
 from glstar.render.cameramotion import CameraMotion
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
@@ -13,9 +15,11 @@ from glstar.rotation import turn_from_matrix
 
 __all__ = [
     "RecordedTimes",
+    "exposed_fraction",
     "recorded_paths",
     "recorded_positions",
     "recorded_rows",
+    "recorded_samples",
     "recorded_times",
     "rolling_frame_keys",
     "row_columns",
@@ -33,6 +37,8 @@ _GRID: Final = 65
 _STEPS: Final = 6
 # Half the time over which the angular rate of the camera is measured, s.
 _RATE_STEP_S: Final = 5e-4
+# A closing and the next opening that differ by less are the same time, s: twenty times the error of the search.
+_AT_ONCE_S: Final = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,12 +50,15 @@ class RecordedTimes:
     opens_s, closes_s : (k,) float64
         From the start of the exposure until the row of its centre first opens and last closes, s.
     exposed_s : (k,) float64
-        How long the row of its centre is open, s: T / (1 - v tau) for a star that moves by v rows per second.
+        How long the row of its centre is open, s: T / (1 - v tau) for a star that moves by v rows per second; the sum
+        of the short exposures of a stacked image.
     positions : (3, k, 2) float64
         Its positions (x, y) at its opening, in the middle between both, and at its closing, px; NaN behind the camera
         and below the horizon.
     mid_offset_s : (k,) float64
         That middle, s after the middle of the exposure.
+    shorts : tuple of RecordedTimes
+        Those of each short exposure of a stacked image; empty for a single exposure.
     """
 
     opens_s: Float
@@ -57,6 +66,7 @@ class RecordedTimes:
     exposed_s: Float
     positions: Float
     mid_offset_s: Float
+    shorts: tuple["RecordedTimes", ...] = ()
 
 
 def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
@@ -65,7 +75,7 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     Parameters
     ----------
     scene : Scene
-        With a readout time.
+        With a readout time; of a single exposure or of a stacked image.
     direction_eq : (k, 3) float64
         Geocentric apparent unit vectors, true equator and equinox.
 
@@ -78,6 +88,8 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the
     first or the last one.
     """
+    if scene.shorts:
+        return _joined(scene, direction_eq, [recorded_times(short, direction_eq) for short in scene.shorts])
     if not len(direction_eq):
         none = np.zeros(0)
         return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none)
@@ -87,6 +99,61 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     positions = np.stack([search.positions(since_s) for since_s in (opens_s, middle_s, closes_s)])
     mid_offset_s = middle_s - scene.exposure.span_s / 2
     return RecordedTimes(opens_s, closes_s, search.open_s(opens_s, closes_s), positions, mid_offset_s)
+
+
+def _joined(scene: Scene, direction_eq: Float, shorts: Sequence[RecordedTimes]) -> RecordedTimes:
+    """Return when all short exposures together record stars."""
+    exposure = scene.exposure
+    starts_s = exposure.short_times_s()[:, 0] - exposure.start_utc_s
+    opens_s, closes_s = starts_s[0] + shorts[0].opens_s, starts_s[-1] + shorts[-1].closes_s
+    # Without a gap a row closes exactly when it opens again, unless the star overtakes the opening rows.
+    for start_s, before, next_s, after in zip(starts_s[:-1], shorts[:-1], starts_s[1:], shorts[1:], strict=True):
+        at_once = np.abs(next_s + after.opens_s - start_s - before.closes_s) < _AT_ONCE_S
+        before.positions[2, at_once] = after.positions[0, at_once]
+    middle_s = (opens_s + closes_s) / 2
+    assert scene.motion is not None
+    at_middle = _in_camera(scene.exposure, scene.motion, direction_eq, middle_s)
+    return RecordedTimes(
+        opens_s,
+        closes_s,
+        np.sum([short.exposed_s for short in shorts], axis=0),
+        np.stack([shorts[0].positions[0], scene.camera.project(at_middle), shorts[-1].positions[2]]),
+        middle_s - exposure.span_s / 2,
+        tuple(shorts),
+    )
+
+
+def recorded_samples(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float, Float, Float]]:
+    """Yield the true paths of stars while a rolling shutter records them.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a readout time; of a single exposure or of a stacked image.
+    direction_eq : (k, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+
+    Yields
+    ------
+    xy_px : (n, k, 2) float64
+        Positions at n times; NaN behind the camera and below the horizon.
+    time_fraction : (n,) float64
+        The parts of the time from the first opening to the last closing.
+    weight : (n, k) float64
+        The parts of the exposure time in which the row of each star is open: their sum over all times is
+        `RecordedTimes.exposed_s` over the exposure time of all short exposures.
+    """
+    shorts = scene.shorts or (scene,)
+    for short in shorts:
+        times, span_s, end = recorded_times(short, direction_eq), short.exposure.span_s, 0.0
+        opens, closes = times.opens_s / span_s, times.closes_s / span_s
+        scale = span_s / (short.exposure.duration_s * len(shorts))
+        for paths in short.star_paths(direction_eq):
+            for xy_px, time_fraction in paths.samples(np.arange(len(opens))):
+                ends = end + np.cumsum(time_fraction)[:, np.newaxis]
+                weight = np.minimum(ends, closes) - np.maximum(ends - time_fraction[:, np.newaxis], opens)
+                yield xy_px, time_fraction / len(shorts), weight.clip(min=0.0) * scale
+                end = float(ends[-1, 0])
 
 
 def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float, Float]:
@@ -120,7 +187,8 @@ def recorded_positions(scene: Scene, direction_eq: Float, fractions: Float) -> F
     direction_eq : (k, 3) float64
         Geocentric apparent unit vectors, true equator and equinox.
     fractions : (n,) float64
-        0 as a star's own row opens, or a global shutter; 1 as it closes.
+        0 as a star's own row opens, or a global shutter; 1 as it closes.  Of a stacked image, of the time during which
+        the shutter is open.
 
     Returns
     -------
@@ -129,7 +197,13 @@ def recorded_positions(scene: Scene, direction_eq: Float, fractions: Float) -> F
     """
     if scene.exposure.readout_s == 0 or scene.motion is None:
         return scene.positions(direction_eq, fractions)
-    return scene.camera.project(_recorded(scene, direction_eq, fractions)[0])
+    if not scene.shorts:
+        return scene.camera.project(_recorded(scene, direction_eq, fractions)[0])
+    count, xy_px = len(scene.shorts), np.empty((len(fractions), len(direction_eq), 2))
+    which = np.minimum((fractions * count).astype(np.intp), count - 1)
+    for k in np.unique(which).tolist():
+        xy_px[which == k] = recorded_positions(scene.shorts[k], direction_eq, fractions[which == k] * count - k)
+    return xy_px
 
 
 def _recorded(scene: Scene, direction_eq: Float, fractions: Float) -> tuple[Float, Float]:
@@ -152,7 +226,7 @@ class _RowTimes:
         self._direction_eq = direction_eq
         self._per_px_s = scene.exposure.opening_s(scene.camera.width_px, scene.camera.height_px)
         self._grid_s = np.linspace(0.0, scene.exposure.span_s, _GRID)
-        pointing = self._pointing(self._grid_s)
+        pointing = _pointing(scene.exposure, scene.motion, self._grid_s)
         blocks = [scene.camera.project(block.to_camera(direction_eq)) for block in pointing.blocks(len(direction_eq))]
         self._since_opening_s = self._grid_s[:, np.newaxis] - self._delay_s(np.concatenate(blocks))
 
@@ -194,12 +268,7 @@ class _RowTimes:
 
     def in_camera(self, since_s: Float) -> Float:
         """Return the direction of each star at a time of its own, (k, 3), in the camera frame."""
-        return self._pointing(since_s).each_to_camera(self._direction_eq)
-
-    def _pointing(self, since_s: Float) -> Pointing:
-        exposure = self._scene.exposure
-        times_s = np.minimum(exposure.start_utc_s + since_s, exposure.stop_utc_s)
-        return self._motion.pointings(times_s)[0]
+        return _in_camera(self._scene.exposure, self._motion, self._direction_eq, since_s)
 
     def _delay_s(self, xy_px: Float) -> Float:
         """Return how long after the first row those at some positions open; the first where there is no position."""
@@ -208,11 +277,33 @@ class _RowTimes:
         return np.nan_to_num(delay_s).clip(0.0, self._scene.exposure.readout_s)
 
 
+def _pointing(exposure: Exposure, motion: CameraMotion, since_s: Float) -> Pointing:
+    """Return the camera's orientation at some times after the start of an exposure."""
+    return motion.pointings(np.minimum(exposure.start_utc_s + since_s, exposure.stop_utc_s))[0]
+
+
+def _in_camera(exposure: Exposure, motion: CameraMotion, direction_eq: Float, since_s: Float) -> Float:
+    """Return the direction of each star at a time of its own after the start of an exposure, (k, 3), in the camera."""
+    return _pointing(exposure, motion, since_s).each_to_camera(direction_eq)
+
+
 def recorded_rows(scene: Scene, index: NDArray[np.int32]) -> RecordedTimes | None:
     """Return when a rolling shutter records stars of a scene, by index; None for a global shutter."""
     if scene.exposure.readout_s == 0 or scene.motion is None:
         return None
     return recorded_times(scene, scene.stars.direction_eq[index])
+
+
+def exposed_fraction(exposure: Exposure, recorded: RecordedTimes | None) -> Float | float:
+    """Return how long stars are recorded over the exposure time of all short exposures, (k,); 1 for a global shutter.
+
+    Parameters
+    ----------
+    exposure : Exposure
+    recorded : RecordedTimes or None
+        When each star is recorded; None for a global shutter.
+    """
+    return 1.0 if recorded is None else recorded.exposed_s / (exposure.duration_s * exposure.frames)
 
 
 def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) -> dict[str, Float]:
@@ -224,22 +315,23 @@ def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) ->
     recorded : RecordedTimes or None
         When each star is recorded.
     flux_dn : (k,) float64
-        Flux of each star if it did not move, DN.
+        Flux of each star on the image if it did not move, DN.
 
     Returns
     -------
     dict
         ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``;
         ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between
-        rows; ``light_dn``: the flux that it leaves, ``flux_dn`` times ``exposed_s / duration_s``.  Position, ``start``,
-        ``end``, centroid and ``in_frame`` of the star belong to the same time.  Empty for a global shutter.
+        rows, and the sum of the short exposures of a stacked image; ``light_dn``: the flux that it leaves, ``flux_dn``
+        times ``exposed_s`` over the exposure time of all short exposures.  Position, ``start``, ``end``, centroid and
+        ``in_frame`` of the star belong to the same time.  Empty for a global shutter.
     """
     if recorded is None:
         return {}
     return {
         "mid_offset_s": np.round(recorded.mid_offset_s, _TIME_DIGITS),
         "exposed_s": np.round(recorded.exposed_s, _TIME_DIGITS),
-        "light_dn": np.round(flux_dn * recorded.exposed_s / scene.exposure.duration_s, _FLUX_DIGITS),
+        "light_dn": np.round(flux_dn * exposed_fraction(scene.exposure, recorded), _FLUX_DIGITS),
     }
 
 

@@ -231,7 +231,7 @@ class Simulator:
         """Return the scene of a stacked image: that of each short exposure, and what truth lists of all together."""
         exposure.full_scale_dn(self.sensor.saturation_dn)  # raises if it does not fit
         shorts = tuple(map(self.scene, exposure.short_exposures()))
-        shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), exposure.short_times_s().ravel())
+        shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), np.unique(exposure.short_times_s()))
         # The light of one short exposure, at each of their ends: an upper bound of what a body leaves on any of them.
         bodies, _ = self._body_sources(exposure, shutter.site, ends, np.ones(len(ends) - 1), analytic=False)
         composed = self._composed(

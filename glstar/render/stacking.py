@@ -11,6 +11,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.culling import DrawList
 from glstar.render.pointing import Pointing
+from glstar.render.rowtimes import RecordedTimes
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.render.trailmodels import TrailModel
@@ -169,26 +170,31 @@ def stacked_frame_keys(exposure: Exposure) -> dict[str, Any]:
     }
 
 
-def stacked_segments(scene: Scene, direction_eq: Float) -> dict[str, Float]:
+def stacked_segments(scene: Scene, index: NDArray[np.int32], recorded: RecordedTimes | None) -> dict[str, Float]:
     """Return the column of stars in the truth of a stacked image.
 
     Parameters
     ----------
     scene : Scene
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
+    index : (m,) int32
+        The stars, in the scene's star field.
+    recorded : RecordedTimes or None
+        When a rolling shutter records them; None for a global shutter.
 
     Returns
     -------
     dict
         ``segments``, (m, frames, 2, 2): [x, y] as each short exposure begins and ends, px; NaN behind the camera and
-        below the horizon.  Without a gap each begins exactly where the one before it ends.  Empty for a single
-        exposure.
+        below the horizon.  Without a gap each begins exactly where the one before it ends.  With a rolling shutter
+        they are those of the star's own rows.  Empty for a single exposure.
     """
+    if recorded is not None and recorded.shorts:
+        ends = np.array([short.positions[[0, 2]] for short in recorded.shorts])
+        return {"segments": np.ascontiguousarray(np.moveaxis(ends, 2, 0))}
     if not scene.shorts or scene.motion is None:
         return {}
     times_s, inverse = np.unique(scene.exposure.short_times_s(), return_inverse=True)
     (pointing,) = scene.motion.pointings(times_s)
-    at_times = scene.camera.project(pointing.to_camera(direction_eq))
+    at_times = scene.camera.project(pointing.to_camera(scene.stars.direction_eq[index]))
     segments = at_times[inverse.reshape(scene.exposure.frames, 2)]
     return {"segments": np.ascontiguousarray(np.moveaxis(segments, 2, 0))}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.vignetting import Vignetting
 from glstar.render.cloudedsky import scene_passage
 from glstar.render.effects.naturalsky import natural_sky_dn
-from glstar.render.rowtimes import recorded_times
+from glstar.render.rowtimes import recorded_samples
 from glstar.render.scene import Scene
 from glstar.render.trailstatistics import TrailStatistics
 
@@ -196,19 +196,15 @@ def _patch_around(xy_px: Float, radius_px: int, shape: tuple[int, int]) -> _Patc
 def _samples(scene: Scene, stars: NDArray[np.intp]) -> tuple[Float, Float]:
     """Return samples of the true paths of some visible stars, (n, m, 2) px, and their parts of the exposure, (n, m)."""
     directions = scene.stars.direction_eq[scene.visible[stars]]
-    positions, fractions = [], []
-    for paths in scene.star_paths(directions):
-        for xy, time_fraction in paths.samples(np.arange(len(stars))):
-            positions.append(xy)
-            fractions.append(time_fraction)
-    xy_px, time_fraction = np.concatenate(positions), np.concatenate(fractions)
-    weight = np.repeat(time_fraction[:, np.newaxis], len(stars), axis=1)
     if scene.exposure.readout_s and scene.motion is not None:
-        times, span_s = recorded_times(scene, directions), scene.exposure.span_s
-        end = np.cumsum(time_fraction)[:, np.newaxis]
-        begin = end - time_fraction[:, np.newaxis]
-        weight = np.minimum(end, times.closes_s / span_s) - np.maximum(begin, times.opens_s / span_s)
-        weight = weight.clip(min=0.0) * (span_s / scene.exposure.duration_s)
+        samples = recorded_samples(scene, directions)
+    else:
+        samples = (
+            (xy, time_fraction, np.repeat(time_fraction[:, np.newaxis], len(stars), axis=1))
+            for paths in scene.star_paths(directions)
+            for xy, time_fraction in paths.samples(np.arange(len(stars)))
+        )
+    xy_px, time_fraction, weight = map(np.concatenate, zip(*samples, strict=True))
     passage = scene_passage(scene, directions)
     if passage is not None:
         end = np.cumsum(time_fraction)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.clouds import CloudPassage
+from glstar.render.rowtimes import RecordedTimes
 from glstar.render.scene import Scene
 from glstar.render.stacking import StackedTrails
 from glstar.render.trailmodels import AnalyticSegments, TrailModel
@@ -44,7 +45,11 @@ class TrailPeaks:
 
 
 def trail_peaks(
-    scene: Scene, direction_eq: Float, passage: CloudPassage | None = None, nodes_px: Float | None = None
+    scene: Scene,
+    direction_eq: Float,
+    passage: CloudPassage | None = None,
+    nodes_px: Float | None = None,
+    recorded: RecordedTimes | None = None,
 ) -> TrailPeaks:
     """Return the expected brightness of trails along the true paths of stars.
 
@@ -57,6 +62,8 @@ def trail_peaks(
         What cloud transmits of the stars: the peak is that of the dimmed trail, over the flux above the cloud.
     nodes_px : (2, n, m) float64, optional
         Their `ConicPaths.nodes_px`, if these are known.
+    recorded : RecordedTimes, optional
+        When a rolling shutter records them: fractions are of the flux that it records.
 
     Returns
     -------
@@ -71,7 +78,7 @@ def trail_peaks(
     factor is interpolated.
     """
     sigma_px = scene.sensor.core.effective_sigma_px
-    chains = [_Chain.of(xy_px, weight) for xy_px, weight in _chains(scene, direction_eq, nodes_px)]
+    chains = [_Chain.of(xy_px, weight) for xy_px, weight in _chains(scene, direction_eq, nodes_px, recorded)]
     transmissions = _transmissions(chains, passage)
     found = (_brightest(scene, chain, transmission) for chain, transmission in zip(chains, transmissions, strict=True))
     points, order = zip(*found, strict=True)
@@ -85,15 +92,30 @@ def trail_peaks(
     return TrailPeaks(peak, factor / np.maximum(dimmed, 1e-30))
 
 
-def _chains(scene: Scene, direction_eq: Float, nodes_px: Float | None) -> Iterator[tuple[Float, Float]]:
-    """Yield `_chain` of each short exposure of a stacked image, or of the exposure."""
+def _chains(
+    scene: Scene, direction_eq: Float, nodes_px: Float | None, recorded: RecordedTimes | None
+) -> Iterator[tuple[Float, Float]]:
+    """Yield `_chain` of each short exposure of a stacked image, or of the exposure, while its rows are open."""
     trails = scene.trails if scene.listing is None else scene.listing.trails
     if not isinstance(trails, StackedTrails):
-        yield _chain(scene, trails, direction_eq, nodes_px)
+        xy_px, weight = _chain(scene, trails, direction_eq, nodes_px)
+        yield xy_px if recorded is None else _recorded(xy_px, weight, recorded, scene.exposure.span_s), weight
         return
-    for short in trails.shorts:
+    rows = [None] * len(trails.shorts) if recorded is None else recorded.shorts
+    span_s = scene.exposure.first.span_s
+    for short, times in zip(trails.shorts, rows, strict=True):
         xy_px, weight = _chain(scene, short, direction_eq, None)
-        yield xy_px, weight / len(trails.shorts)
+        yield xy_px if times is None else _recorded(xy_px, weight, times, span_s), weight / len(trails.shorts)
+
+
+def _recorded(xy_px: Float, weight: Float, times: RecordedTimes, span_s: float) -> Float:
+    """Return as many positions along the parts of paths between each star's own opening and closing, (2, n, m) px."""
+    ends = np.concatenate([[0.0], np.cumsum(weight)])
+    wanted = (times.opens_s + ends[:, np.newaxis] * (times.closes_s - times.opens_s)) / span_s
+    before = np.searchsorted(ends, wanted.ravel(), side="right").reshape(wanted.shape).clip(1, len(weight)) - 1
+    part = (wanted - ends[before]) / weight[before]
+    star = np.arange(wanted.shape[1])
+    return np.asarray((1 - part) * xy_px[:, before, star] + part * xy_px[:, before + 1, star])
 
 
 def _transmissions(chains: list["_Chain"], passage: CloudPassage | None) -> list[Float | None]:

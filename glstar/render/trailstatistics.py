@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.rowtimes import recorded_times
+from glstar.render.rowtimes import recorded_samples
 from glstar.render.scene import Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 
@@ -63,23 +63,16 @@ class TrailStatistics:
     def _add_recorded(self, scene: Scene, saturation: "_SaturationMap | None") -> None:
         """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
         directions = scene.stars.direction_eq[scene.visible]
-        times = recorded_times(scene, directions)
-        opens, closes = times.opens_s / scene.exposure.span_s, times.closes_s / scene.exposure.span_s
-        recorded, begin = np.zeros(len(opens)), 0.0
-        for paths in scene.star_paths(directions):
-            for xy, time_fraction in paths.samples(np.arange(len(opens))):
-                end = begin + np.cumsum(time_fraction)[:, np.newaxis]
-                weight = np.minimum(end, closes) - np.maximum(end - time_fraction[:, np.newaxis], opens)
-                weight = weight.clip(min=0.0)
-                touching = (weight > 0) & scene.camera.contains(xy, scene.listed.truncation_radius_px)
-                on_image = (weight > 0) & scene.camera.contains(xy)
-                recorded += weight.sum(axis=0)
-                self.touching += (weight * touching).sum(axis=0)
-                self.on_image += (weight * on_image).sum(axis=0)
-                self.sum_xy += np.where(touching, weight * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
-                if saturation is not None:
-                    self.saturated |= saturation.crossed_by(xy, on_image)
-                begin = float(end[-1, 0])
+        recorded = np.zeros(len(directions))
+        for xy, _, weight in recorded_samples(scene, directions):
+            touching = (weight > 0) & scene.camera.contains(xy, scene.listed.truncation_radius_px)
+            on_image = (weight > 0) & scene.camera.contains(xy)
+            recorded += weight.sum(axis=0)
+            self.touching += (weight * touching).sum(axis=0)
+            self.on_image += (weight * on_image).sum(axis=0)
+            self.sum_xy += np.where(touching, weight * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
+            if saturation is not None:
+                self.saturated |= saturation.crossed_by(xy, on_image)
         recorded = np.maximum(recorded, 1e-12)
         self.touching /= recorded
         self.on_image /= recorded

@@ -17,10 +17,10 @@ from glstar.render.clouds import CloudPassage
 from glstar.render.effects import effects_truth
 from glstar.render.effects.cloudtexture import sky_fraction
 from glstar.render.gaussianscenes import psf_scale
-from glstar.render.rowtimes import recorded_rows, rolling_frame_keys, row_columns
+from glstar.render.rowtimes import exposed_fraction, recorded_rows, rolling_frame_keys, row_columns
 from glstar.render.scene import Frame, Scene
 from glstar.render.stacking import stacked_frame_keys, stacked_segments
-from glstar.render.trailpeaks import trail_peaks
+from glstar.render.trailpeaks import TrailPeaks, trail_peaks
 from glstar.render.trailstatistics import Pixels, TrailStatistics
 from glstar.render.truthtable import rows_of
 from glstar.sky.bodies import Body
@@ -217,6 +217,8 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     transmission = _transmission(scene, middle)
     passage = scene_passage(scene, scene.stars.direction_eq[index])
     arriving_dn = peak_dn if transmission is None else peak_dn * np.nan_to_num(transmission, nan=1.0)
+    arriving_dn = arriving_dn * exposed_fraction(scene.exposure, recorded)
+    peaks = trail_peaks(scene, scene.stars.direction_eq[index], passage, trails.chosen_nodes_px(drawn), recorded)
     return rows_of(
         {
             "star_id": scene.stars.star_id[index],
@@ -232,9 +234,9 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn) * factor),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
-            **_expected(scene, trails.chosen_nodes_px(drawn), index, arriving_dn, trails.on_image[drawn], passage),
-            **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn)),
-            **{key: _rounded(xy) for key, xy in stacked_segments(scene, scene.stars.direction_eq[index]).items()},
+            **_expected(scene, peaks, arriving_dn, trails.on_image[drawn], passage),
+            **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn) * factor),
+            **{key: _rounded(xy) for key, xy in stacked_segments(scene, index, recorded).items()},
             **_widths(scene, drawn),
             **_cloud_columns(passage),
             **({} if transmission is None else {"transmission": _rounded(transmission)}),
@@ -263,14 +265,9 @@ def _cloud_columns(passage: CloudPassage | None) -> dict[str, Float]:
 
 
 def _expected(
-    scene: Scene,
-    nodes_px: Float | None,
-    index: NDArray[np.int32],
-    peak_dn: Float,
-    on_image: Float,
-    passage: CloudPassage | None,
+    scene: Scene, trails: TrailPeaks, peak_dn: Float, on_image: Float, passage: CloudPassage | None
 ) -> dict[str, Float]:
-    """Return the columns of the expected brightness of trails, of which `nodes_px` are known or None.
+    """Return the columns of the expected brightness of trails.
 
     ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
     signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.  In
@@ -279,7 +276,6 @@ def _expected(
     """
     flux_dn, factor = scene.sensor.flux_dn(peak_dn), scene.exposure.signal_factor
     gain = sqrt(scene.exposure.frames)
-    trails = trail_peaks(scene, scene.stars.direction_eq[index], passage, nodes_px)
     # Of what passes the cloud; the peak has it already.
     flux_dn, whole_dn = (flux_dn, flux_dn) if passage is None else (flux_dn * passage.mean, flux_dn)
     noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)
@@ -343,6 +339,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
     extinction_mag = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
     observed_mag = body.vmag + (0.0 if extinction_mag is None else float(extinction_mag))
     flux_dn = scene.sensor.flux_of_magnitude_dn(observed_mag, scene.exposure.duration_s)
+    image_flux_dn = float(flux_dn) * scene.exposure.signal_factor
     diameter_px, limb_deg = disc_on_image(scene.camera, pointing, body)
     return {
         "name": body.name,
@@ -353,7 +350,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "centroid_y_px": mean_px[1],
         "start": None if np.isnan(at_start).any() else at_start.tolist(),
         "end": None if np.isnan(at_end).any() else at_end.tolist(),
-        "flux_dn": round(float(flux_dn) * scene.exposure.signal_factor, _DIGITS),
+        "flux_dn": round(image_flux_dn, _DIGITS),
         "in_frame": round(float(path.on_image[0]), _DIGITS),
         "saturated": saturated,
         "azimuth_deg": round(float(np.rad2deg(body.azimuth_rad)), _DIGITS),
@@ -363,7 +360,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "phase_angle_deg": round(float(np.rad2deg(body.phase_angle_rad)), _DIGITS),
         "illuminated_fraction": round(body.illuminated_fraction, _DIGITS),
         "bright_limb_deg": limb_deg,
-        **{key: float(values[0]) for key, values in row_columns(scene, recorded, np.array([flux_dn])).items()},
+        **{key: float(values[0]) for key, values in row_columns(scene, recorded, np.array([image_flux_dn])).items()},
         **({} if extinction_mag is None else {"extinction_mag": round(float(extinction_mag), _DIGITS)}),
     }
 

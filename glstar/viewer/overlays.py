@@ -214,7 +214,7 @@ def _draw_ticks(canvas: Canvas, _: DrawingInputs) -> None:
         return
     stride = _round_stride(spacing_px * n / median_px)
     if scene.exposure.readout_s > 0:  # each row records a part of the time
-        n = max(1, round(n * scene.exposure.duration_s / scene.exposure.span_s))
+        n = max(1, round(n * scene.exposure.frames * scene.exposure.duration_s / scene.exposure.span_s))
     directions = scene.stars.direction_eq[scene.visible[brightest]]
     xy = recorded_positions(scene, directions, (np.arange(0, n, stride) + 0.5) / n)
     if len(xy) < 2:

@@ -91,8 +91,18 @@ def test_a_data_set_varies_the_number_of_short_exposures(export):
     [
         (STACK, ("--format", "png"), "8-bit PNG"),
         (STACK.replace("frames = 3", "frames = 258"), (), "at most 257"),
-        (STACK + "readout_s = 0.02\n", (), "rolling shutter"),
-        (STACK + '[camera]\npreset = "imx477:2028x1520"\nlens_mm = 6.0\n', (), "rolling shutter"),
+        (STACK + "readout_s = 0.2\n", (), "exposure.gap_s: is 0.05, so that short exposures follow every 0.15 s"),
+        (
+            STACK.replace("0.1", "0.01") + '[camera]\npreset = "imx477:4056x3040"\nlens_mm = 6.0\n',
+            (),
+            "takes 0.08686 s to read one; take at least 0.07686",
+        ),
+        # Every list of the sweep fits with the first value of the other; the last values of both do not.
+        (
+            STACK + "[sweep]\nexposure.readout_s = [0.05, 0.15]\nexposure.gap_s = [0.06, 0.0]\n",
+            (),
+            "exposure.gap_s: is 0, so that short exposures follow every 0.1 s",
+        ),
         (STACK + '[output]\nprocess = "isp"\n', (), "exposure.stack"),
         (STACK + "stack = 'median'\n", (), "exposure.stack"),
         (STACK.replace("gap_s = 0.05", "gap_s = 1000.0"), ("--start", 0), "no exposure of 2000.3 s fits"),

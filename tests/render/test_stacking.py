@@ -147,9 +147,12 @@ def test_a_sum_that_does_not_fit_into_16_bits_is_refused(simulator):
     assert error.value.key == "exposure.frames"
 
 
-def test_a_rolling_shutter_is_not_stacked():
-    with pytest.raises(ConfigError, match="rolling shutter"):
-        replace(STACK, readout_s=0.02)
+def test_a_rolling_shutter_reads_an_exposure_before_the_next():
+    replace(STACK, readout_s=0.08)
+    replace(STACK, duration_s=0.1, gap_s=0.2, readout_s=0.1 + 0.2)
+    with pytest.raises(ConfigError, match=r"every 0.08 s.*takes 0.087 s.*at least 0.037") as error:
+        replace(STACK, readout_s=0.087)
+    assert error.value.key == "exposure.gap_s"
 
 
 def test_a_stack_is_not_developed_into_one_texture(renderer, simulator):

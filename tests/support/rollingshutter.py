@@ -18,6 +18,12 @@ def star_positions(simulator: Simulator, star: int, utc_s: Float) -> Float:
     return simulator.camera.project(simulator.pointing(utc_s).to_camera(direction))[:, 0]
 
 
+def recorded_span_s(exposure: Exposure) -> float:
+    """Return the time from the opening of the first row to the closing of the last one, of all short exposures, s."""
+    period_s = exposure.duration_s + exposure.gap_s
+    return (exposure.frames - 1) * period_s + exposure.duration_s + exposure.readout_s
+
+
 def open_fractions(
     exposure: Exposure, width_px: int, height_px: int, samples: int, chosen: NDArray[np.intp] | slice = _ALL
 ) -> tuple[Float, bool]:
@@ -28,18 +34,20 @@ def open_fractions(
     vertical = exposure.readout in {"down", "up"}
     count = height_px if vertical else width_px
     order = np.arange(count) if exposure.readout in {"down", "right"} else np.arange(count)[::-1]
-    opens_s = exposure.readout_s * order / (count - 1)
-    starts_s = (exposure.duration_s + exposure.readout_s) * np.arange(samples)[chosen, np.newaxis] / samples
-    part_s = (exposure.duration_s + exposure.readout_s) / samples
-    first = ((opens_s - starts_s) / part_s).clip(0, 1)
-    last = ((opens_s + exposure.duration_s - starts_s) / part_s).clip(0, 1)
-    return last - first, vertical
+    part_s = recorded_span_s(exposure) / samples
+    starts_s = part_s * np.arange(samples)[chosen, np.newaxis]
+    fractions = np.zeros((len(starts_s), count))
+    for number in range(exposure.frames):
+        opens_s = number * (exposure.duration_s + exposure.gap_s) + exposure.readout_s * order / (count - 1)
+        first = ((opens_s - starts_s) / part_s).clip(0, 1)
+        fractions += ((opens_s + exposure.duration_s - starts_s) / part_s).clip(0, 1) - first
+    return fractions, vertical
 
 
 def rolling_light(simulator: Simulator, exposure: Exposure, star: int, samples: int = 20_000) -> Float:
     """Return the noiseless signal of one star behind a pinhole, (height, width) float64, DN."""
     camera, sensor = simulator.camera, simulator.sensor
-    span_s = exposure.duration_s + exposure.readout_s
+    span_s = recorded_span_s(exposure)
     utc_s = exposure.start_utc_s + (np.arange(samples) + 0.5) * (span_s / samples)
     xy = star_positions(simulator, star, utc_s)
     peak_dn = float(sensor.peak_dn(simulator.stars.camera_mag[star], exposure.duration_s))
@@ -63,7 +71,7 @@ def rolling_light_behind_lens(
     own row is.
     """
     camera, sensor, step = simulator.camera, simulator.sensor, 1e-3
-    span_s = exposure.duration_s + exposure.readout_s
+    span_s = recorded_span_s(exposure)
     utc_s = exposure.start_utc_s + (np.arange(samples) + 0.5) * (span_s / samples)
     in_camera = simulator.pointing(utc_s).to_camera(simulator.stars.direction_eq[star : star + 1])[:, 0]
     path = camera.project(in_camera)
