@@ -1,0 +1,255 @@
+"""The panels of the real window, by mouse and keys, in a small and in a usual window and on a fine screen."""
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glstar.config import Config
+from glstar.system.resources import asset
+from tests.e2e.test_view import needs_xvfb, started, until
+from tests.support.links import free_port, playing, soon
+from tests.support.realwindow import RealWindow
+
+TOP_PX, TABS_PX = 46, 35
+
+
+@pytest.fixture
+def display(tmp_path: Path) -> Iterator[Callable[[int, int], str]]:
+    """A display of a size that stores its screen in the test's folder."""
+    servers: list[subprocess.Popen[bytes]] = []
+
+    def start(width: int, height: int) -> str:
+        reads, writes = os.pipe()
+        words = ["Xvfb", "-displayfd", str(writes), "-screen", "0", f"{width}x{height}x24", "-noreset"]
+        words += ["-nolisten", "tcp", "-fbdir", str(tmp_path)]
+        servers.append(subprocess.Popen(words, pass_fds=[writes], stderr=subprocess.DEVNULL))
+        os.close(writes)
+        with os.fdopen(reads) as out:
+            return f":{out.readline().strip()}"
+
+    yield start
+    for server in servers:
+        server.terminate()
+        server.wait(10)
+
+
+class Places:
+    """Where the panels of a window of a size are, px."""
+
+    def __init__(self, width: int, height: int, scale: float = 1.0) -> None:
+        self.right = int(width - max(0.26 * width, 300 * scale))
+        self.middle, self.height, self.scale = self.right // 2, height, scale
+
+    def image(self, screen: np.ndarray) -> np.ndarray:
+        top = int(TOP_PX * self.scale)
+        return screen[top : self.height // 2, : self.right - 8].astype(int)
+
+    def panel(self, screen: np.ndarray) -> np.ndarray:
+        """Return the panel in front on the right, below all dialogs."""
+        return screen[self.height // 3 : self.height // 2 - 8, self.right + 8 :].astype(int)
+
+    def search(self, screen: np.ndarray, first_px: int, last_px: int) -> np.ndarray:
+        """Return some rows of the dialogs that search, in the middle."""
+        columns = self.middle + np.array([-40, 40]) * self.scale
+        rows = np.array([first_px, last_px]) * self.scale
+        return screen[slice(*rows.astype(int)), slice(*columns.astype(int))].astype(int)
+
+    def tab(self, x: int) -> tuple[int, int]:
+        return self.right + int(x * self.scale), int(TABS_PX * self.scale)
+
+    def has_status(self, screen: np.ndarray) -> bool:
+        """Return whether the status line has a time, as with a flight."""
+        return bool(screen[-int(20 * self.scale) :, : self.middle].max() > 150)
+
+
+def differ(first: np.ndarray, second: np.ndarray) -> bool:
+    """Return whether more than a notification or the mouse differs."""
+    return bool((first != second).any(axis=2).mean() > 0.02)
+
+
+def open_bundled_flight(window: RealWindow, places: Places) -> np.ndarray:
+    """Click on the welcome panel's button, the first of "Try"; return the screen with the flight."""
+    button = places.middle, int(places.height * 0.36 + 72 * places.scale)
+
+    def click() -> None:
+        window.click(*button)
+        window.away()
+
+    window.until(lambda screen: np.ptp(screen[button[1] - 8 : button[1] + 8, places.middle - 60 :]) > 150, "a button")
+    window.until(places.has_status, "the bundled flight", again=click)
+    window.until(lambda screen: (places.image(screen).min(axis=2) > 200).sum() > 100, "stars")
+    return window.settled()
+
+
+def open_tab(window: RealWindow, places: Places, x: int, holds: Callable[[np.ndarray], bool]) -> np.ndarray:
+    """Click on the tab of a panel; return the screen when it fulfils a condition."""
+
+    def click() -> None:
+        window.click(*places.tab(x))
+        window.away()
+
+    return window.until(holds, "the panel", again=click)
+
+
+def find_and_command(window: RealWindow, places: Places, before: np.ndarray) -> None:
+    """Find a constellation and click on it, and perform a command by its name."""
+
+    def is_listed(screen: np.ndarray) -> bool:
+        """Return whether the first match, which is highlighted, is where the click goes."""
+        row = places.search(screen, 122, 132)
+        return bool(np.median(row[..., 0] - row[..., 2]) > 12)
+
+    def opens(screen: np.ndarray) -> bool:
+        return differ(places.search(screen, 84, 110), places.search(before, 84, 110))
+
+    def write() -> None:
+        window.press("ctrl+a")
+        window.write("crux")
+
+    window.press("ctrl+f")
+    window.until(opens, "the dialog that searches")
+    window.until(is_listed, "the match", again=write)
+    window.click(places.middle, int(127 * places.scale))
+    window.away()
+    window.until(lambda screen: differ(places.panel(screen), places.panel(before)), "the panel of the object")
+    window.until(lambda screen: not opens(screen), "the end of the search")
+    window.press("ctrl+p")
+    window.until(opens, "the list of commands")
+    window.write("night")
+    window.press("Return")
+    # Below the mouse, which the display's server draws in its own colours.
+    window.until(lambda screen: screen[60:, :, :2].max() <= 8 and screen[60:, :, 2].max() > 100, "red")
+    window.press("n")
+    window.until(lambda screen: screen[60:, :, 0].max() > 100, "all colours")
+
+
+def change_image(window: RealWindow, places: Places) -> None:
+    """Fit the stretch, change the colours, magnify, and show the whole image again."""
+    dark = places.image(window.screen()).mean()
+    window.press("shift+a")
+    window.until(lambda screen: places.image(screen).mean() > dark + 5, "a brighter background")
+    window.press("shift+c")
+    coloured = window.until(lambda screen: np.ptp(places.image(screen), axis=2).mean() > 20, "colours")
+    window.wheel(places.middle, places.height // 3, 14)
+    window.away()
+
+    def is_magnified(screen: np.ndarray) -> bool:
+        """Return whether a pixel of the frame covers several of the screen."""
+        image = places.image(screen)
+        return bool((image[:, 1:] == image[:, :-1]).all(axis=2).mean() > 0.7)
+
+    window.until(is_magnified, "a magnified image")
+    window.press("0")
+    window.until(lambda screen: (places.image(screen) == places.image(coloured)).mean() > 0.9, "the whole image")
+
+
+def drag_histogram(window: RealWindow, places: Places, settings: np.ndarray) -> None:
+    """Drag black to the right, which darkens the background, also after a fit has put black elsewhere."""
+
+    def handles(screen: np.ndarray) -> np.ndarray:
+        """Return the columns of the labels "black" and "white" on the accent colour."""
+        strip = screen[140:160, places.right + 8 :].astype(int)
+        return np.flatnonzero((strip[..., 0] - strip[..., 2] > 80).any(axis=0))
+
+    def is_view(screen: np.ndarray) -> bool:
+        return differ(places.panel(screen), places.panel(settings)) and handles(screen).size > 0
+
+    fitted = open_tab(window, places, 98, is_view)
+    columns = handles(fitted)
+    x, y = places.right + 8 + int(columns[columns < columns[0] + 60].mean()), 100
+    window.drag((x, y), (x + 60, y))
+    window.away()
+    darker = places.image(fitted).mean() - 5
+    window.until(lambda screen: places.image(screen).mean() < darker, "a darker background")
+    window.press("shift+a")
+    window.until(lambda screen: places.image(screen).mean() > darker, "the fitted background")
+
+
+def undo_and_redo(window: RealWindow, places: Places, settings: np.ndarray) -> None:
+    """Drag the exposure to a longer one, undo and redo it: the panel shows the same pixels again."""
+    row = slice(int(80 * places.scale), int(106 * places.scale))  # of the exposure time
+
+    def exposure(screen: np.ndarray) -> np.ndarray:
+        return screen[row, places.right + 8 :]
+
+    def is_former(screen: np.ndarray) -> bool:
+        return np.array_equal(exposure(screen), exposure(settings))
+
+    open_tab(window, places, 38, is_former)
+    first, last = ((places.tab(x)[0], int(94 * places.scale)) for x in (98, 125))
+    window.drag(first, last)
+    hovered = window.until(lambda screen: not is_former(screen), "a longer exposure")
+    red = (hovered[..., 2] > 150) & (hovered[..., :2].max(axis=2) < 60)
+    assert not red[row].any()  # imgui frames controls in red whose identities collide
+    window.away()
+    window.press("ctrl+z")
+    window.until(is_former, "the former exposure")
+    window.press("ctrl+shift+z")
+    window.until(lambda screen: not is_former(screen), "the longer exposure")
+    window.press("ctrl+z")
+    window.until(is_former, "the former exposure again")
+
+
+@needs_xvfb
+def test_every_panel_responds_to_mouse_and_keys_in_a_small_window(tmp_path, display):
+    number, places = display(800, 600), Places(800, 600)
+    with started("view", "--size", "800x600", display=number, home=tmp_path) as child:
+        window = RealWindow(number, tmp_path)
+        window.focus()
+        opened = open_bundled_flight(window, places)
+        find_and_command(window, places, opened)
+        change_image(window, places)
+        drag_histogram(window, places, opened)
+        undo_and_redo(window, places, opened)
+        window.press("ctrl+q")
+        assert child.wait(60) == 0
+        assert child.stderr.read() == b""
+
+
+@needs_xvfb
+def test_a_link_is_opened_from_the_dialog_and_saves_its_frames(tmp_path, display):
+    number, places, port = display(1280, 800), Places(1280, 800), free_port()
+    flight = Config().open_flight(asset("adelaide.BIN"))
+    with (
+        playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=20, start_s=20.0),
+        started("view", "--size", "1280x800", display=number, home=tmp_path) as child,
+    ):
+        window = RealWindow(number, tmp_path)
+        window.focus()
+        window.until(lambda screen: np.ptp(places.image(screen)) > 150, "the welcome panel")
+        welcome = window.settled()
+
+        def centre(screen: np.ndarray) -> np.ndarray:
+            return screen[350:450, 500:780]
+
+        window.until(
+            lambda screen: differ(centre(screen), centre(welcome)), "the dialog", again=lambda: window.press("ctrl+l")
+        )
+        window.click(620, 427)
+        window.press("ctrl+a")
+        window.write(f"udpin:127.0.0.1:{port}")
+        window.press("Return")
+        window.until(places.has_status, "the flight of the link")
+        saved = tmp_path / "glstar-saved"
+        until(lambda: window.press("ctrl+s") or soon(lambda: list(saved.glob("live-*/truth.jsonl")), 3.0), "a frame")
+        window.press("ctrl+q")
+        assert child.wait(60) == 0
+        assert b"Traceback" not in child.stderr.read()
+
+
+@needs_xvfb
+def test_text_is_twice_as_large_on_a_screen_of_twice_the_resolution(tmp_path, display):
+    number, places = display(2560, 1600), Places(2560, 1600, 2.0)
+    words = ["xprop", "-display", number, "-root", "-f", "RESOURCE_MANAGER", "8s", "-set", "RESOURCE_MANAGER"]
+    subprocess.run([*words, "Xft.dpi:\t192\n"], check=True, timeout=60)
+    with started("view", "--size", "2560x1600", display=number, home=tmp_path) as child:
+        window = RealWindow(number, tmp_path)
+        window.focus()
+        undo_and_redo(window, places, open_bundled_flight(window, places))
+        window.press("ctrl+q")
+        assert child.wait(60) == 0
+        assert child.stderr.read() == b""
