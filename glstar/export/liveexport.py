@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import floor, inf
 from pathlib import Path
+from threading import Event
 from typing import Any, Final
 
 import numpy as np
@@ -127,6 +128,7 @@ class LiveExport:
         self._simulator: Simulator | None = None
         self._stars_utc_s = 0.0
         self.exposures: dict[int | str, Exposure] = {}
+        self._stopping = Event()
         self._number = 0
         self._drawn: list[int] = []
         self._skipped: list[SkippedFrame] = []
@@ -142,7 +144,7 @@ class LiveExport:
         on_event: Callable[[str], None] | None = None,
         on_frame: Callable[[int], None] | None = None,
     ) -> LiveReport:
-        """Draw for a given time, or until Ctrl-C.
+        """Draw for a given time, until Ctrl-C or until `stop`.
 
         Parameters
         ----------
@@ -192,6 +194,10 @@ class LiveExport:
                 truth.finish(truth.numbers)
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
 
+    def stop(self) -> None:
+        """End `run` after the current frame; another thread may call it."""
+        self._stopping.set()
+
     def _follow(
         self,
         renderer: Renderer,
@@ -204,7 +210,7 @@ class LiveExport:
         last_event, lacked, due_s = 0, "", -inf
         before: LatestAttitude | None = None
         report_after_s = time.monotonic() + _REPORT_DELAY_S
-        while (left_s := until_s - time.monotonic()) > 0:
+        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set():
             for event in self._link.events(last_event):
                 last_event = event.number
                 on_event(event.message)

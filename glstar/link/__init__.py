@@ -33,7 +33,7 @@ from glstar.link.framing import Framer, Packet
 from glstar.link.history import Estimate
 from glstar.link.injection import InjectedMessage, Injector, PositionFix
 from glstar.link.messages import carried_rate_hz
-from glstar.link.recorder import Recorder
+from glstar.link.recorder import LinkRecording, Recorder
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
 from glstar.link.supervisor import Link, Truth
 from glstar.link.transport import Transport, open_transport, serial_ports
@@ -48,6 +48,7 @@ __all__ = [
     "LatestAttitude",
     "Link",
     "LinkEvent",
+    "LinkRecording",
     "LinkStatus",
     "Packet",
     "PlayedFlight",

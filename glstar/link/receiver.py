@@ -170,6 +170,23 @@ class Receiver:
         else:
             self._handlers[number](message, arrival_s)
 
+    def continue_from(self, other: "Receiver", now_s: float) -> None:
+        """Continue to count packets and vehicles where another receiver of the link ended.
+
+        Parameters
+        ----------
+        other : Receiver
+            Of another autopilot.
+        now_s : float
+            Time by `time.monotonic`, s.
+        """
+        self.packets, self.lost = other.packets, other.lost
+        self._vehicles = other._vehicles  # noqa: SLF001 - of the same class, here and below
+        self._sequences, self._jumps = other._sequences, other._jumps  # noqa: SLF001
+        for sender in self._vehicles:
+            if sender[0] == self._sysid and self.chosen is None:
+                self._choose(sender, now_s)
+
     @property
     def vehicle(self) -> str | None:
         """Name of the autopilot and its vehicle; None if unknown."""

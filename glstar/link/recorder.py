@@ -2,10 +2,10 @@
 
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Final, Self
 
@@ -13,7 +13,7 @@ from glstar.errors import LinkError
 from glstar.link.framing import Packet
 from glstar.system.durable import flush_directory, flush_handle
 
-__all__ = ["Recorder"]
+__all__ = ["LinkRecording", "Recorder"]
 
 
 # Interval between flushes to the disk, s: a power failure loses the packets of this time.
@@ -118,3 +118,73 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class LinkRecording:
+    """The recording of a link, which can begin and end while the link is open; for any thread.
+
+    Parameters
+    ----------
+    recorder : Recorder or None
+        Takes the packets at first.
+    report : callable
+        Called with the message of each event.
+    """
+
+    def __init__(self, recorder: Recorder | None, report: Callable[[str], None]) -> None:
+        self._recorder, self._report = recorder, report
+        self._records = recorder is not None
+        # Guards the recorder: no packet is written to a file that is being closed.
+        self._lock = Lock()
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is being written; None if there is none."""
+        return self._recorder.path if self._recorder is not None and self._records else None
+
+    @property
+    def bytes(self) -> int:
+        """Size of the latest recording, bytes; 0 if there is none."""
+        return 0 if self._recorder is None else self._recorder.bytes
+
+    def begin(self, path: Path) -> None:
+        """Record to a new file from now on; a recording before that ends.
+
+        Parameters
+        ----------
+        path : Path
+
+        Raises
+        ------
+        LinkError
+            If the file exists, or cannot be created; a recording before that goes on.
+        """
+        recorder = Recorder(path)
+        self.end()
+        with self._lock:
+            self._recorder, self._records = recorder, True
+        self._report(f"recording to {path}")
+
+    def end(self) -> None:
+        """Close the file, which is complete then; without a recording nothing happens."""
+        with self._lock:
+            recorder, recorded, self._records = self._recorder, self._records, False
+            if recorder is not None and recorded:
+                recorder.close()
+        if recorder is not None and recorded:
+            self._report(f"recorded {recorder.bytes} bytes: {recorder.path}")
+
+    def write(self, packets: Iterable[Packet]) -> None:
+        """Record packets that have just arrived; a file that cannot be written is reported, and ends.
+
+        Parameters
+        ----------
+        packets : iterable of Packet
+        """
+        try:
+            with self._lock:
+                if self._recorder is not None and self._records:
+                    self._recorder.write(packets)
+        except LinkError as error:
+            self._records = False
+            self._report(str(error))

@@ -50,16 +50,21 @@ class Requests:
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
         self._heartbeat_s: float | None = None
+        # The receiver and its autopilot's boot to which the requests belong.
+        self._served: tuple[Receiver, int] | None = None
         self.restart()
 
     def restart(self) -> None:
-        """Request all messages again, after the link was opened or the autopilot restarted."""
+        """Request all messages again, after the link was opened."""
         self._rounds = 0
         self._requested_s: float | None = None
         self._requested: set[int] = set()
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
         """Return the packets to be sent now.
+
+        All messages are requested again if the autopilot was restarted, or another one is listened to; the one before
+        gets its default rates.
 
         Parameters
         ----------
@@ -73,6 +78,10 @@ class Requests:
         list of bytes
         """
         packets: list[bytes] = []
+        served, self._served = self._served, (receiver, receiver.clock.boot)
+        if served is not None and served != self._served:
+            packets += [] if served[0] is receiver else self.default_rate_requests(served[0])
+            self.restart()
         if self._heartbeat_s is None or now_s - self._heartbeat_s >= _HEARTBEAT_S:
             self._heartbeat_s = now_s
             packets.append(self._packed(self._heartbeat()))

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from threading import Condition, Event, Thread
@@ -18,13 +19,13 @@ from glstar.errors import ConfigError, LinkError
 from glstar.flight import Flight
 from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
-from glstar.link.framing import Framer, Packet
+from glstar.link.framing import Framer
 from glstar.link.history import Estimate
 from glstar.link.injection import Injector
 from glstar.link.messages import carried_rate_hz
 from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
-from glstar.link.recorder import Recorder
+from glstar.link.recorder import LinkRecording, Recorder
 from glstar.link.requests import Requests
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus, no_packets_message
 from glstar.link.transport import Transport, open_transport
@@ -65,13 +66,18 @@ class Link:
     keep_s : float
         Duration of the history, s.
     recorder : Recorder, optional
-        Takes every packet; it is used, not closed.
+        Takes every packet; it is closed with the link, or before by `recording`.
     truth : {"estimator", "sim_state"}
         Source of the flight: what the autopilot estimates, or a simulator's own state.
     injector : Injector, optional
         Position fixes that are sent to the autopilot; without it only heartbeats and requests are sent.
     retry : bool
         Whether to try again if the link cannot be opened at first.
+
+    Attributes
+    ----------
+    recording : LinkRecording
+        Begins and ends a recording while the link is open.
 
     Raises
     ------
@@ -96,14 +102,12 @@ class Link:
         if options.interpolation == "gyro":
             raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
         self.endpoint, self.truth = endpoint, truth
-        self._options, self._recorder, self._retry, self._injector = options, recorder, retry, injector
-        utc_start = options.utc_start
-        clock = BootClock(
-            utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
-            host_source="given: the first packet" if utc_start is not None else COMPUTER_CLOCK,
-            start_utc_s=utc_start,
-        )
-        self._receiver = Receiver(clock, self._report, sysid=sysid, keep_s=keep_s, with_simulator=truth == "sim_state")
+        self.recording = LinkRecording(recorder, self._report)
+        self._options, self._retry, self._injector = options, retry, injector
+        with_simulator = truth == "sim_state"
+        self._make_receiver = partial(Receiver, report=self._report, keep_s=keep_s, with_simulator=with_simulator)
+        self._uses_computer_clock = utc_now
+        self._receiver = self._make_receiver(_new_clock(options, utc_now=utc_now), sysid=sysid)
         self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz)
         # Guards the receiver and the following attributes; notified when packets arrive.
         self._changed = Condition()
@@ -145,6 +149,7 @@ class Link:
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
+        self.recording.end()
         if self._error is not None:
             error, self._error = self._error, None
             raise error
@@ -176,7 +181,7 @@ class Link:
                 bad_bytes=self._bad_bytes,
                 utc_source=receiver.clock.source,
                 position_source=self._position_source,
-                recorded_bytes=0 if self._recorder is None else self._recorder.bytes,
+                recorded_bytes=self.recording.bytes,
                 lacks_simulator=receiver.simulator is not None and receiver.simulator.source is None,
             )
 
@@ -198,7 +203,21 @@ class Link:
     def use_computer_clock(self) -> None:
         """Use the computer's clock if the link has no UTC."""
         with self._changed:
+            self._uses_computer_clock = True
             self._receiver.clock.use_computer_clock(time.time() - time.monotonic())
+
+    def listen_to(self, sysid: int) -> None:
+        """Listen to another vehicle: its samples are a flight of their own, and those of the one before are dropped.
+
+        Parameters
+        ----------
+        sysid : int
+            Its MAVLink system.
+        """
+        with self._changed:
+            clock = _new_clock(self._options, utc_now=self._uses_computer_clock)
+            before, self._receiver = self._receiver, self._make_receiver(clock, sysid=sysid)
+            self._receiver.continue_from(before, time.monotonic())
 
     def set_site(self, site: Site) -> None:
         """Use a given position instead of that of the link.
@@ -362,14 +381,13 @@ class Link:
         noise_bytes, has_packets = 0, False
         quality, received_bytes = Quality(), 0
         bad_before = self._bad_bytes
-        boot = self._receiver.clock.boot
         while not self._ending.is_set():
             received = transport.read(_POLL_S)
             now_s = time.monotonic()
             received_bytes += len(received)
             packets = list(framer.feed(received) if received else framer.flush())
             if packets:
-                self._record(packets)
+                self.recording.write(packets)
                 with self._changed:
                     for packet in packets:
                         self._receiver.receive(packet, now_s)
@@ -393,9 +411,6 @@ class Link:
                 bad_bytes=framer.bad_bytes,
             ):
                 self._report(message)
-            if self._receiver.clock.boot != boot:
-                boot = self._receiver.clock.boot
-                self._requests.restart()
             for outgoing in self._requests.due(self._receiver, now_s):
                 transport.write(outgoing)
             for fix in [] if self._injector is None else self._injector.due(self._receiver, now_s):
@@ -411,14 +426,6 @@ class Link:
             with suppress(LinkError):
                 for packet in self._requests.default_rate_requests(self._receiver):
                     transport.write(packet)
-
-    def _record(self, packets: list[Packet]) -> None:
-        if self._recorder is None:
-            return
-        try:
-            self._recorder.write(packets)
-        except LinkError as error:
-            self._report(str(error))
 
     def _set_state(self, state: str, problem: str | None) -> None:
         """Set state and problem, and report a change."""
@@ -440,3 +447,12 @@ class Link:
         with self._changed:
             self._event_count += 1
             self._events.append(LinkEvent(self._event_count, time.time(), message))
+
+
+def _new_clock(options: FlightOptions, *, utc_now: bool) -> BootClock:
+    """Return the clock of a vehicle from which nothing has been received."""
+    return BootClock(
+        utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
+        host_source=COMPUTER_CLOCK if options.utc_start is None else "given: the first packet",
+        start_utc_s=options.utc_start,
+    )

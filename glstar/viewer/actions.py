@@ -5,7 +5,9 @@ from dataclasses import replace
 from typing import Final
 
 from glstar.viewer.comparisonview import ComparisonMode
+from glstar.viewer.exporting import BackgroundLiveExport
 from glstar.viewer.keys import Action, AnyAction
+from glstar.viewer.linkactions import disconnect, export_link, record_link
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
 from glstar.viewer.saving import record_video, save_comparison, save_frame
@@ -137,6 +139,9 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.PIXEL_GRID: lambda session: setattr(session.view, "pixel_grid", not session.view.pixel_grid),
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
+    Action.RECORD_LINK: record_link,
+    Action.EXPORT_LINK: export_link,
+    Action.DISCONNECT: disconnect,
     Action.SAVE_FRAME: save_frame,
     Action.SAVE_VIEW: save_comparison,
     Action.VIDEO: record_video,
@@ -164,6 +169,8 @@ def is_on(action: AnyAction, session: Session) -> bool:
         Action.NIGHT: session.night,
         Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,
+        Action.RECORD_LINK: session.live is not None and session.live.link.recording.path is not None,
+        Action.EXPORT_LINK: isinstance(session.export, BackgroundLiveExport),
         Action.FIT: session.view.fitted,
         Action.LIVE: head is not None and head.live,
         Action.PLAY: head is not None and head.playing,

@@ -9,12 +9,15 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Final
 
+from glstar.config import Config
 from glstar.errors import ExportError, GlstarError
 from glstar.export.executors import SerialExecutor
+from glstar.export.liveexport import LiveExport
 from glstar.export.run import Export
+from glstar.link import Link
 from glstar.render.opengl import GLRenderer
 
-__all__ = ["BackgroundExport"]
+__all__ = ["BackgroundExport", "BackgroundLiveExport"]
 
 
 class _Cancelled(Exception):  # noqa: N818 - not an error: the user cancelled
@@ -34,7 +37,7 @@ class BackgroundExport:
     Attributes
     ----------
     done, of : int
-        Number of frames written, and of all frames.
+        Number of frames written, and of all frames; `of` is 0 if that is not known.
     directory : Path
     error : str
         A message about the error; empty if there was none.
@@ -48,16 +51,17 @@ class BackgroundExport:
         self.done = self.of = 0
         self.error = ""
         self._make = make
+        self._begin()
+
+    def _begin(self) -> None:
+        """Start the thread."""
         self._cancelled = Event()
         self._thread = Thread(target=self._run, name="glstar-export", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         try:
-            job = self._make()
-            self.of = len(job.numbers)
-            with GLRenderer.headless() as renderer:
-                job.run(SerialExecutor(renderer), on_frame=self._count)
+            self._export()
         except _Cancelled:
             pass
         except GlstarError as error:
@@ -67,6 +71,12 @@ class BackgroundExport:
             self.error = str(ExportError(error.filename or self.directory, "is missing; put it back to export from it"))
         except OSError as error:
             self.error = str(ExportError(self.directory, f"cannot be written ({error.strerror or error})"))
+
+    def _export(self) -> None:
+        job = self._make()
+        self.of = len(job.numbers)
+        with GLRenderer.headless() as renderer:
+            job.run(SerialExecutor(renderer), on_frame=self._count)
 
     def _count(self, done: int, of: int) -> None:
         self.done, self.of = done, of
@@ -94,3 +104,36 @@ class BackgroundExport:
         if self._cancelled.is_set() and self.done < self.of:
             return f"export stopped: {self.done} of {self.of} frames are in {self.directory}"
         return f"{self.done} frame{'s' * (self.done != 1)} and the truth: {self.directory}"
+
+
+class BackgroundLiveExport(BackgroundExport):
+    """An export of the frames of a link, as they are exposed, until it is stopped.
+
+    Parameters
+    ----------
+    config : Config
+    link : Link
+        Open; it stays the caller's.
+    directory : Path
+    seed : int
+        From which the noise seed of every frame is derived.
+    """
+
+    def __init__(self, config: Config, link: Link, directory: Path, *, seed: int) -> None:
+        self.directory = directory
+        self.done = self.of = 0
+        self.error = ""
+        command = f"glstar live {link.endpoint.text} --export {directory}"
+        self._job = LiveExport(config, link, directory=directory, seed=seed, command=command)
+        self._begin()
+
+    def _export(self) -> None:
+        with GLRenderer.headless() as renderer:
+            self._job.run(renderer, on_frame=self._count_frames)
+
+    def _count_frames(self, done: int) -> None:
+        self.done = done
+
+    def cancel(self) -> None:
+        """Stop after the current frame."""
+        self._job.stop()

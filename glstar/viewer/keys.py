@@ -15,6 +15,9 @@ class Action(StrEnum):
     OPEN = "open"
     OPEN_IMAGES = "open images"
     CONNECT = "connect"
+    RECORD_LINK = "record link"
+    EXPORT_LINK = "export link"
+    DISCONNECT = "disconnect"
     SAVE_FRAME = "save frame"
     EXPORT = "export"
     SAVE_VIEW = "save view"
@@ -113,6 +116,9 @@ MENUS: Final = ("File", "Edit", "Time", "View", "Overlays", "Compare", "Help")
 KEYS: Final = (
     KeyBinding(Action.OPEN, "File", "Open a flight log", ("Ctrl+O",)),
     KeyBinding(Action.CONNECT, "File", "Connect to a telemetry link", ("Ctrl+L",)),
+    KeyBinding(Action.RECORD_LINK, "File", "Record the link to a .tlog, or stop"),
+    KeyBinding(Action.EXPORT_LINK, "File", "Export the frames of the link as they are exposed, or stop"),
+    KeyBinding(Action.DISCONNECT, "File", "Disconnect from the link; its flight stays"),
     KeyBinding(Action.OPEN_SETTINGS, "File", "Open settings (TOML)", ("Ctrl+Shift+O",)),
     KeyBinding(Action.OPEN_IMAGES, "File", "Open a folder of real images", ("Ctrl+I",)),
     KeyBinding(Action.SAVE_FRAME, "File", "Save this frame with its truth", ("Ctrl+S",)),

@@ -98,6 +98,17 @@ class LiveFlight:
             self._before = latest
         return latest
 
+    def listen_to(self, sysid: int) -> None:
+        """Receive the flight of another vehicle on the link: another epoch begins with its first attitude.
+
+        Parameters
+        ----------
+        sysid : int
+            Its MAVLink system.
+        """
+        self.link.listen_to(sysid)
+        self._before = None
+
     def new_events(self) -> list[LinkEvent]:
         """Return the events since the last call, and pass their messages on."""
         events = self.link.events(self._last_event)

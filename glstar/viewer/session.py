@@ -178,13 +178,13 @@ class Session:
         live : LiveFlight
             The session closes it.
         """
-        self.live = self.navigator.live = live
+        self.live, self.navigator.live, self._shows_link = live, live, False
         self.go_live()
 
     def go_live(self) -> None:
         """Show the present sky of the link, instead of an earlier time of its flight or of a log."""
         if self.live is None:
-            self.notify("there is no link: start with glstar live LINK")
+            self.notify("there is no link: connect to one (Ctrl+L)")
         elif self._shows_link and self.loaded is not None:
             self.loaded.head.last()
         else:
@@ -451,7 +451,7 @@ def _exposure_to_show(loaded: LoadedFlight, comparison: ComparisonState) -> tupl
     """Return the exposure at the play head, or of the real image there, and its number if the camera records it."""
     head = loaded.head
     # The exposures of a live flight are counted from when the viewer started: their numbers mean nothing later.
-    exposure, number = head.exposure(), None if head.grows else head.number
+    exposure, number = head.exposure(), None if loaded.is_live else head.number
     real = comparison.image_at(head.utc_s)
     if real is not None:
         real_exposure = comparison.exposure(real, exposure)

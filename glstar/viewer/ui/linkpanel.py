@@ -5,6 +5,9 @@ from typing import Final
 
 from imgui_bundle import imgui
 
+from glstar.viewer.actions import is_on, perform
+from glstar.viewer.keys import Action
+from glstar.viewer.linkactions import listen_to
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.session import Session
 from glstar.viewer.ui.theme import error
@@ -25,7 +28,10 @@ def draw_link(session: Session, live: LiveFlight) -> None:
         The session's.
     """
     _draw_status(live)
+    _draw_vehicles(session, live)
     _draw_missing(session, live)
+    _draw_link(live)
+    _draw_actions(session)
     _draw_events(live)
 
 
@@ -48,23 +54,59 @@ def _draw_status(live: LiveFlight) -> None:
         imgui.text_colored(error(), status.problem)
         imgui.pop_text_wrap_pos()
     imgui.separator_text("Vehicle")
-    others = [str(system) for system in status.systems if system != status.sysid]
     _rows(
         ("vehicle", f"{status.vehicle or 'none yet'}{'' if status.sysid is None else f', system {status.sysid}'}"),
-        *([("others", f"systems {', '.join(others)} (--sysid)")] if others else []),
         ("attitude", f"{status.rate_hz:.1f} Hz"),
         ("latest", "none yet" if status.age_s is None else f"{status.age_s:.2f} s ago"),
-        ("UTC", status.utc_source or "unknown: --utc-now uses the computer's clock"),
-        ("position", status.position_source or "unknown: --lat, --lon"),
+        ("UTC", status.utc_source or "unknown"),
+        ("position", status.position_source or "unknown"),
     )
+
+
+def _draw_vehicles(session: Session, live: LiveFlight) -> None:
+    """Draw a choice of the vehicles on the link, if there are several."""
+    status = live.status
+    if len(status.systems) < 2:
+        return
+    imgui.text_disabled("listen to")
+    for system in status.systems:
+        imgui.same_line()
+        if imgui.radio_button(f"system {system}", system == status.sysid) and system != status.sysid:
+            listen_to(session, system)
+        imgui.set_item_tooltip("MAVLink system whose sky is shown (glstar live --sysid, [flight] sysid)")
+
+
+def _draw_link(live: LiveFlight) -> None:
+    status, recording = live.status, live.link.recording
     imgui.separator_text("Link")
     _rows(
         ("latency", latency_label(live)),
         ("packets", str(status.packets)),
         ("lost", f"{status.lost}{_percentage(status.lost, status.packets)}"),
         ("bad bytes", str(status.bad_bytes)),
-        ("recorded", f"{status.recorded_bytes} bytes" if status.recorded_bytes else "nothing (--record)"),
+        ("recorded", f"{status.recorded_bytes} bytes" if status.recorded_bytes else "nothing"),
+        *([("to", str(recording.path))] if recording.path is not None else []),
     )
+
+
+def _draw_actions(session: Session) -> None:
+    """Draw the buttons that record, export and disconnect."""
+    records, exports = is_on(Action.RECORD_LINK, session), is_on(Action.EXPORT_LINK, session)
+    buttons = (
+        (Action.RECORD_LINK, "Stop recording" if records else "Record", "Writes every packet to a .tlog (--record)"),
+        (
+            Action.EXPORT_LINK,
+            "Stop export" if exports else "Export frames",
+            "Writes each exposure of the camera with its truth as it is exposed (--export)",
+        ),
+        (Action.DISCONNECT, "Disconnect", "Closes the link; what was received of the flight can be replayed"),
+    )
+    for action, label, tooltip in buttons:
+        if imgui.button(f"{label}###{action}"):
+            perform(action, session)
+        imgui.set_item_tooltip(tooltip)
+        imgui.same_line()
+    imgui.new_line()
 
 
 def _draw_events(live: LiveFlight) -> None:

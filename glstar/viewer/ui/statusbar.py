@@ -140,7 +140,8 @@ def _draw_link(session: Session, live: LiveFlight) -> None:
 def _draw_progress(export: BackgroundExport) -> None:
     fraction = export.done / export.of if export.of else 0.0
     imgui.same_line(0.0, _SPACING_PX)
-    imgui.progress_bar(fraction, ImVec2(150, imgui.get_text_line_height()), f"{export.done} of {export.of} frames")
+    label = f"{export.done} of {export.of} frames" if export.of else f"{export.done} frames"
+    imgui.progress_bar(fraction, ImVec2(150, imgui.get_text_line_height()), label)
     imgui.same_line()
     if imgui.small_button("stop"):
         export.cancel()
