@@ -82,7 +82,7 @@ def open_bundled_flight(window: RealWindow, places: Places) -> np.ndarray:
     window.until(lambda screen: np.ptp(screen[button[1] - 8 : button[1] + 8, places.middle - 60 :]) > 150, "a button")
     window.until(places.has_status, "the bundled flight", again=click)
     window.until(lambda screen: (places.image(screen).min(axis=2) > 200).sum() > 100, "stars")
-    return window.settled()
+    return window.still()
 
 
 def open_tab(window: RealWindow, places: Places, x: int, holds: Callable[[np.ndarray], bool]) -> np.ndarray:
@@ -221,7 +221,7 @@ def test_a_link_is_opened_from_the_dialog_and_saves_its_frames(tmp_path, display
         window = RealWindow(number, tmp_path)
         window.focus()
         window.until(lambda screen: np.ptp(places.image(screen)) > 150, "the welcome panel")
-        welcome = window.settled()
+        welcome = window.still()
 
         def centre(screen: np.ndarray) -> np.ndarray:
             return screen[350:450, 500:780]

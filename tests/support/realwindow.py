@@ -12,8 +12,8 @@ __all__ = ["RealWindow"]
 
 # Longest wait for the screen, s.
 _PATIENCE_S = 60.0
-# The screen has settled if it is the same for this time, s.
-_SETTLED_S = 0.25
+# The screen is still if it is the same for this time, s.
+_STILL_S = 0.25
 # Interval at which an action is repeated that the window may have missed, s.
 _AGAIN_S = 5.0
 # Size of a header of the X window dump format in 32 bit words.
@@ -84,11 +84,11 @@ class RealWindow:
         pixels = np.frombuffer(content, np.uint8, stride * height, int(header[0]) + 12 * colours)
         return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
 
-    def settled(self) -> np.ndarray:
+    def still(self) -> np.ndarray:
         """Return the screen when it no longer changes; on a busy machine it may change later."""
         end_s, before, since_s = time.monotonic() + _PATIENCE_S, self.screen(), time.monotonic()
-        while time.monotonic() - since_s < _SETTLED_S:
-            assert time.monotonic() < end_s, "the screen does not settle"
+        while time.monotonic() - since_s < _STILL_S:
+            assert time.monotonic() < end_s, "the screen keeps changing"
             time.sleep(0.05)
             now = self.screen()
             if not np.array_equal(now, before):

@@ -85,7 +85,7 @@ def _draw_link(live: LiveFlight) -> None:
         ("lost", f"{status.lost}{_percentage(status.lost, status.packets)}"),
         ("bad bytes", str(status.bad_bytes)),
         ("recorded", f"{status.recorded_bytes} bytes" if status.recorded_bytes else "nothing"),
-        *([("to", str(recording.path))] if recording.path is not None else []),
+        *([("to", recording.path.name)] if recording.path is not None else []),
     )
 
 
