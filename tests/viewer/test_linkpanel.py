@@ -22,7 +22,7 @@ from tests.support.links import farthest_rad, free_port, playing
 
 DEG = np.pi / 180
 # Where the buttons and the second vehicle are across the window, and the heights between which they are, px.
-RECORD_X, EXPORT_X, DISCONNECT_X, BUTTONS_Y = 630.0, 715.0, 830.0, range(330, 430, 10)
+RECORD_X, EXPORT_X, DISCONNECT_X, BUTTONS_Y = 630.0, 745.0, 820.0, range(330, 430, 10)
 SECOND_X, VEHICLES_Y = 775.0, range(190, 240, 10)
 
 
@@ -78,7 +78,7 @@ def test_a_recording_and_an_export_begun_and_ended_with_the_mouse_are_of_the_fli
     click(viewer, EXPORT_X, BUTTONS_Y, lambda: session.export is not None)
     job = session.export
     frames_until(viewer, lambda: job.done >= 2)
-    click(viewer, EXPORT_X, BUTTONS_Y, lambda: not job.running)
+    click(viewer, EXPORT_X, BUTTONS_Y, job._job._stopping.is_set)
     frames_until(viewer, lambda: session.export is None)
     click(viewer, RECORD_X, BUTTONS_Y, lambda: recording.path is None)
     size = log.stat().st_size
