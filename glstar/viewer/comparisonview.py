@@ -203,6 +203,8 @@ class ComparisonState:
     ----------
     images : RealImages or None
     mode : ComparisonMode
+    blinks_noise : bool
+        Whether the simulated image blinks with the same without noise, while no real image is compared.
     wipe : float
         Position of the line, 0 to 1.
     blink_period_s : float
@@ -225,7 +227,7 @@ class ComparisonState:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.images: RealImages | None = None
-        self.mode = ComparisonMode.OFF
+        self.mode, self.blinks_noise = ComparisonMode.OFF, False
         self.wipe = 0.5
         self.blink_period_s = 1.0
         self.offset_s = 0.0
@@ -306,8 +308,23 @@ class ComparisonState:
 
     def toggle(self, mode: ComparisonMode) -> None:
         """Switch a mode on, or off if it is on; blinking starts with the simulated image."""
-        self.mode = ComparisonMode.OFF if self.mode is mode else mode
+        self.mode, self.blinks_noise = ComparisonMode.OFF if self.mode is mode else mode, False
         self._blinks_from_s = self._clock()
+
+    def toggle_noise(self) -> None:
+        """Blink with the image without noise, or end that; it begins with the image as it is, and ends comparisons."""
+        self.mode, self.blinks_noise = ComparisonMode.OFF, not self.blinks_noise
+        self._blinks_from_s = self._clock()
+
+    @property
+    def is_blinking(self) -> bool:
+        """Whether two images are shown in turn."""
+        return self.blinks_noise or (self.active and self.mode is ComparisonMode.BLINK)
+
+    @property
+    def is_noiseless(self) -> bool:
+        """Whether the image is to be shown without noise at this moment."""
+        return self.blinks_noise and self.phase >= 0.5
 
     @property
     def phase(self) -> float:

@@ -73,6 +73,7 @@ class Action(StrEnum):
     RESET_LAYOUT = "reset layout"
     FULL_SCREEN = "full screen"
     BLINK = "blink"
+    BLINK_NOISE = "blink noise"
     WIPE = "wipe"
     DIFFERENCE = "difference"
     SIDE_BY_SIDE = "side by side"
@@ -178,6 +179,7 @@ KEYS: Final = (
     KeyBinding(Action.RESET_LAYOUT, "View", "Panels as they were at first"),
     *(KeyBinding(overlay, "Overlays", overlay.spec.label, (overlay.spec.key,)) for overlay in Overlay),
     KeyBinding(Action.BLINK, "Compare", "Blink the real image with the simulated one", ("X",)),
+    KeyBinding(Action.BLINK_NOISE, "Compare", "Blink the simulated image with the same without noise", ("Shift+N",)),
     KeyBinding(Action.WIPE, "Compare", "Wipe between them", ("W",)),
     KeyBinding(Action.DIFFERENCE, "Compare", "Real minus simulated", ("D",)),
     KeyBinding(Action.SIDE_BY_SIDE, "Compare", "Side by side", ("Y",)),

@@ -16,7 +16,7 @@ from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.telemetry import is_bag_directory
-from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, outside
+from glstar.viewer.comparisonview import ComparisonState, outside
 from glstar.viewer.currentconditions import Conditions, CurrentConditions
 from glstar.viewer.display import PanelContent
 from glstar.viewer.exporting import BackgroundExport
@@ -163,7 +163,7 @@ class Session:
         exposure, number = _exposure_to_show(loaded, self.comparison)
         if self._shows_link and self.live is not None and loaded.extend(exposure, self.live.last):
             exposure, number = _exposure_to_show(loaded, self.comparison)
-        request = ImageRequest(exposure, number, loaded.simulator)
+        request = ImageRequest(exposure, number, loaded.simulator, self.comparison.is_noiseless)
         drawn = self.image.update(request, playing=head.playing and not head.live)
         if drawn and head.live and self.live is not None and self._latest is not None:
             self.live.drew(self._latest, self.scene, self.config.exposure.duration_s)
@@ -258,9 +258,8 @@ class Session:
     def busy(self) -> bool:
         """Whether the next frame may differ from this one without any event."""
         playing = self.head is not None and self.head.playing and self.stale_s is None
-        blinking = self.comparison.active and self.comparison.mode is ComparisonMode.BLINK
         works = self.export is not None or self.video is not None or self.loader.works
-        return playing or blinking or works or self.comparison.waiting
+        return playing or self.comparison.is_blinking or works or self.comparison.waiting
 
     # --- opening ---
 

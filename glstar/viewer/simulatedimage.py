@@ -39,11 +39,14 @@ class ImageRequest(NamedTuple):
     number : int or None
         The number of the camera's exposure, which seeds the noise; None for an exposure that no camera records.
     simulator : Simulator
+    noiseless : bool
+        Whether it is developed without noise.
     """
 
     exposure: Exposure
     number: int | None
     simulator: Simulator
+    noiseless: bool = False
 
 
 class _Drawing(NamedTuple):
@@ -150,7 +153,8 @@ class SimulatedImage:
         try:
             scene = compose()
             with self._times.span("drawing"):
-                keeps = self.renderer.begin_develop(scene, seed=frame_seed(self.seed, request.number or 0))
+                seed = frame_seed(self.seed, request.number or 0)
+                keeps = self.renderer.begin_develop(scene, seed=seed, noiseless=request.noiseless)
         except GlstarError as error:
             self.error = str(error)
             return True
@@ -189,6 +193,11 @@ class SimulatedImage:
     def simulator(self) -> Simulator | None:
         """The simulator that composed `scene`."""
         return None if self._shown is None else self._shown.request.simulator
+
+    @property
+    def is_noiseless(self) -> bool:
+        """Whether the image shown was developed without noise."""
+        return self._shown is not None and self._shown.request.noiseless
 
     @property
     def pixels(self) -> NDArray[Any] | None:

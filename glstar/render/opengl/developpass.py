@@ -9,7 +9,7 @@ import numpy as np
 
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.render.effects import EFFECTS, Effect, EffectTexture, UniformValue, Values, active_effects
+from glstar.render.effects import EFFECTS, Effect, EffectTexture, Stage, UniformValue, Values, active_effects
 from glstar.render.opengl.effectsources import composed_sources
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.scene import Scene
@@ -62,6 +62,7 @@ class DevelopPass:
         dtype: PixelType,
         *,
         seed: int,
+        noiseless: bool = False,
     ) -> None:
         """Develop an image.
 
@@ -78,6 +79,8 @@ class DevelopPass:
             The type of the image's pixels.
         seed : int
             Seed of the noise, 0 to 2**32 - 1.
+        noiseless : bool
+            Whether to leave out the noise.
 
         Raises
         ------
@@ -86,7 +89,7 @@ class DevelopPass:
         RenderError
             If an effect declares a uniform and gives no value for it.
         """
-        active = _in_this_pass(scene.sensor, self._effects)
+        active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
         program = self._program(dtype, active)
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
@@ -169,5 +172,6 @@ class _Texture(NamedTuple):
     depends_on: Hashable
 
 
-def _in_this_pass(sensor: Sensor, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    return tuple(effect for effect in active_effects(sensor, effects) if effect.glsl)
+def _in_this_pass(sensor: Sensor, effects: Sequence[Effect], *, noiseless: bool = False) -> tuple[Effect, ...]:
+    active = (effect for effect in active_effects(sensor, effects) if effect.glsl)
+    return tuple(effect for effect in active if not (noiseless and effect.stage is Stage.NOISE))

@@ -204,8 +204,8 @@ class GLRenderer:
         self._developed(scene, seed)
         return self.developed_texture()
 
-    def begin_develop(self, scene: Scene, *, seed: int) -> bool:
-        """Start to develop a scene without waiting for it; `developed_texture` returns the image.
+    def begin_develop(self, scene: Scene, *, seed: int, noiseless: bool = False) -> bool:
+        """Start to develop a scene, perhaps without noise, not waiting for it; `developed_texture` returns the image.
 
         Returns
         -------
@@ -213,7 +213,7 @@ class GLRenderer:
             Whether the texture of the previous image is still valid: not if the images differ in size or type.
         """
         before = self._targets
-        return self._developed(scene, seed) is before
+        return self._developed(scene, seed, noiseless=noiseless) is before
 
     def developed_texture(self) -> moderngl.Texture:
         """Return the image that was developed last as a texture, after waiting for it.
@@ -229,14 +229,13 @@ class GLRenderer:
             self._screen.use()
             return texture
 
-    def _developed(self, scene: Scene, seed: int) -> Targets:
+    def _developed(self, scene: Scene, seed: int, *, noiseless: bool = False) -> Targets:
         if not 0 <= seed < 2**32:
             raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         targets = self._exposed(scene)
         with self._current:
-            self._develop_pass.draw(
-                scene, targets.light_texture, targets.guard_band_px, targets.image, targets.dtype, seed=seed
-            )
+            drawn = targets.light_texture, targets.guard_band_px, targets.image, targets.dtype
+            self._develop_pass.draw(scene, *drawn, seed=seed, noiseless=noiseless)
             targets.seed = seed
             self._screen.use()
         return targets

@@ -36,11 +36,15 @@ def draw_comparison_labels(
         Left, top, right, bottom of the panel, screen px.
     """
     shown = session.shown
-    if shown is None or shown.real is None or shown.comparison is ComparisonMode.OFF:
+    is_compared = shown is not None and shown.real is not None and shown.comparison is not ComparisonMode.OFF
+    if shown is None or not (is_compared or session.comparison.blinks_noise):
         return
     width_px, height_px = shown.size_px
     edges = session.view.to_screen([[-0.5, -0.5], [width_px - 0.5, height_px - 0.5]]) + corner
     (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
+    if not is_compared:
+        _write(session, draw_list, "without noise" if session.image.is_noiseless else "with noise", left, top, right)
+        return
     match shown.comparison:
         case ComparisonMode.SIDE_BY_SIDE | ComparisonMode.WIPE:
             fraction = shown.wipe if shown.comparison is ComparisonMode.WIPE else 0.5
