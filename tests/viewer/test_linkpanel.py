@@ -115,6 +115,7 @@ def test_a_closed_link_leaves_its_flight_and_frees_its_port(connected) -> None:
     viewer, port = connected
     session = viewer.session
     thread = session.live.link._thread
+    frames_until(viewer, lambda: session.head.last_s - session.head.first_s > 1.2)
     click(viewer, DISCONNECT_X, BUTTONS_Y, lambda: session.live is None)
     thread.join(10.0)
     assert not thread.is_alive()
@@ -124,7 +125,7 @@ def test_a_closed_link_leaves_its_flight_and_frees_its_port(connected) -> None:
     frames_until(viewer, lambda: session.scene is not None and not session.image.error)
     session.head.toggle()
     viewer.frame(0.2)
-    assert session.head.utc_s == pytest.approx(session.head.first_s + 0.8, rel=0, abs=1e-5)
+    assert session.head.utc_s == pytest.approx(session.head.first_s + 0.8, rel=0, abs=1e-3)
     assert session.head.last_s == last_s
     with Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")) as again:
         assert again.status().problem is None
