@@ -107,8 +107,7 @@ class DevelopPass:
                 self._texture(effect, texture, values, scene).use(location=location)
                 uniforms[texture.sampler] = location
                 location += 1
-        missing = set(program.names.values()) - uniforms.keys()
-        if missing:
+        if missing := set(program.names.values()) - uniforms.keys():
             raise RenderError(f"no effect gives a value to the uniform {min(missing)} of the develop shader")
         set_uniforms(program.program, **{name: uniforms[given] for name, given in program.names.items()})
         self._context.enable_only(moderngl.NOTHING)
