@@ -19,6 +19,7 @@ from glstar.flight import ClockQuality, Flight
 from glstar.telemetry import LOG_SUFFIXES, Survey, TriggerSurvey, is_bag_directory
 
 if TYPE_CHECKING:
+    from glstar.render.scene import Scene
     from glstar.render.viewingconditions import LimitingMagnitude
 
 __all__ = ["info"]
@@ -59,34 +60,64 @@ def info(
         return
     settings = flags.settings()
     found, track = settings.survey_flight(paths[0], flags=flags.given())
-    limit = None if flags.config is None else _limiting_magnitude(settings, found, track)
+    scene = None if flags.config is None else _middle_scene(settings, found, track)
+    limit = None if flags.config is None else _limiting_magnitude(settings, scene)
     if plot is not None:
         from glstar.cli.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
 
         plot_flight(track, found, plot)
     if as_json:
-        typer.echo(json.dumps(asdict(found) | _limit_keys(limit), indent=1, ensure_ascii=False))
+        keys = asdict(found) | _limit_keys(limit) | _view_keys(scene)
+        typer.echo(json.dumps(keys, indent=1, ensure_ascii=False))
         return
-    _print(found, limit)
+    _print(found, limit, scene)
     if plot is not None:
         typer.echo(f"plot: {plot}")
 
 
-def _limiting_magnitude(settings: Config, found: Survey, flight: Flight) -> "LimitingMagnitude":
-    """Return the limiting magnitude in the middle of the flight; of a star at rest only, if no sky is known there."""
+def _middle_scene(settings: Config, found: Survey, flight: Flight) -> "Scene | None":
+    """Return the scene of an exposure in the middle of the flight; None if no sky is known there."""
+    attitude, span_s = flight.attitude, settings.exposure.span_s
+    start_s = (attitude.first_s + attitude.last_s - span_s) / 2
+    is_inside = start_s >= attitude.first_s and attitude.gap_within(start_s, start_s + span_s) is None
+    if not is_inside or found.sun_altitude_deg is None:
+        return None
+    return settings.simulator(flight).scene(settings.exposure.starting_at(start_s))
+
+
+def _limiting_magnitude(settings: Config, scene: "Scene | None") -> "LimitingMagnitude":
+    """Return the limiting magnitude of a scene; without one, that of a star at rest only."""
     # NumPy and the simulator, only with -c.
     from glstar.camera.limitingmagnitude import limiting_mag, noise_equivalent_area_px2  # noqa: PLC0415
     from glstar.render.viewingconditions import LimitingMagnitude, limiting_magnitude  # noqa: PLC0415
 
-    attitude, span_s = flight.attitude, settings.exposure.span_s
-    start_s = (attitude.first_s + attitude.last_s - span_s) / 2
-    is_inside = start_s >= attitude.first_s and attitude.gap_within(start_s, start_s + span_s) is None
-    if is_inside and found.sun_altitude_deg is not None:
-        return limiting_magnitude(settings.simulator(flight).scene(settings.exposure.starting_at(start_s)))
+    if scene is not None:
+        return limiting_magnitude(scene)
     sensor = settings.sensor()
     return LimitingMagnitude(
         limiting_mag(sensor, settings.exposure.duration_s, noise_equivalent_area_px2(sensor)), math.nan
     )
+
+
+def _view_keys(scene: "Scene | None") -> dict[str, float | bool]:
+    """Return where the camera points, for JSON."""
+    from glstar.render.viewingconditions import viewing_conditions  # noqa: PLC0415 - the simulator, only with -c
+
+    if scene is None:
+        return {}
+    conditions = viewing_conditions(scene)
+    return {
+        "axis_altitude_deg": round(math.degrees(conditions.axis_altitude_rad), 3),
+        "sees_only_ground": conditions.sees_only_ground,
+    }
+
+
+def _view(scene: "Scene | None") -> list[tuple[str, str]]:
+    """Return a row that says that the camera points at the ground; none if it points at the sky."""
+    from glstar.render.viewingconditions import viewing_conditions  # noqa: PLC0415 - the simulator, only with -c
+
+    ground = "" if scene is None else viewing_conditions(scene).ground_warning
+    return [("view", ground)] if ground else []
 
 
 def _limit_keys(limit: "LimitingMagnitude | None") -> dict[str, float | None]:
@@ -94,7 +125,9 @@ def _limit_keys(limit: "LimitingMagnitude | None") -> dict[str, float | None]:
     if limit is None:
         return {}
     values = {"limiting_mag": limit.at_rest_mag, "trail_limiting_mag": limit.trail_mag}
-    return {key: round(mag, 3) if math.isfinite(mag) else None for key, mag in values.items()}
+    if limit.cloud_transmission is not None:
+        values["cloud_transmission"] = limit.cloud_transmission
+    return {key: round(value, 3) if math.isfinite(value) else None for key, value in values.items()}
 
 
 def _logs_of(path: Path) -> list[Path]:
@@ -145,7 +178,7 @@ def _print_table(found: "list[tuple[Path, Survey | LogFormatError]]") -> None:
             typer.echo(f"{path.name}: {one.reason}", err=True)
 
 
-def _print(found: Survey, limit: "LimitingMagnitude | None") -> None:
+def _print(found: Survey, limit: "LimitingMagnitude | None", scene: "Scene | None") -> None:
     facts = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in (
         ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB" if found.file_bytes else found.file),
@@ -158,6 +191,7 @@ def _print(found: Survey, limit: "LimitingMagnitude | None") -> None:
         ("position", _position(found)),
         ("light", _light(found)),
         *([] if limit is None else [("stars", f"{limit.text}, on the optical axis with SNR 5")]),
+        *_view(scene),
         ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
         *([("camera", _camera(found.triggers))] if found.triggers else []),
         *([("flew by", found.estimator)] if found.estimator else []),

@@ -1,10 +1,11 @@
-"""Notes of ``glstar export`` on frames that a real camera would not take: by day, or of the ground."""
+"""Notes of ``glstar export`` on the light: frames by day or of the ground, and what a natural sky shows."""
 
 from math import asin, degrees
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from glstar.render.viewingconditions import conditions_report
 from glstar.sky.observed import sun_altitude_rad
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ _DAY_DEG: Final = -6.0
 
 
 def light_notes(frames: "Frames") -> list[str]:
-    """Return notes on day, and on a camera that sees nothing but the ground.
+    """Return notes on day, on a camera that sees nothing but the ground, and on the light of a natural sky.
 
     Parameters
     ----------
@@ -28,7 +29,7 @@ def light_notes(frames: "Frames") -> list[str]:
     Returns
     -------
     list of str
-        Empty for frames of a night sky.
+        Empty for frames of a night sky of uniform brightness.
     """
     if not len(frames.numbers):
         return []
@@ -48,7 +49,15 @@ def light_notes(frames: "Frames") -> list[str]:
             f"{_count(by_day, len(checked))} are of day or bright twilight, with the Sun up to {max(sun_deg):.0f} deg"
             ' high: a camera sees no stars then; [sky] brightness = "natural" shows it'
         )
-    return notes
+    return [*notes, *_natural_conditions(frames)]
+
+
+def _natural_conditions(frames: "Frames") -> list[str]:
+    """Return what the middle frame is taken under, where its sky is natural."""
+    shot = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
+    if shot.simulator.sensor.effects.get("sky.brightness") != "natural":
+        return []
+    return [f"the middle frame: {conditions_report(shot.simulator.scene(shot.exposure))}"]
 
 
 def _count(some: int, checked: int) -> str:

@@ -415,7 +415,7 @@ def extinction_of(sky: SkySection, air: AirSection, colour: ColourBand | None = 
 def _is_lit_naturally(tables: Tables) -> bool:
     """Return whether the natural sky replaces the uniform one, which is not given."""
     sky, sensor = tables.get("sky", {}), tables.get("sensor", {})
-    brightness = sky.get("brightness", "natural" if sky.get("preset") == "natural" else "flat")
+    brightness = sky.get("brightness", "natural" if sky.get("preset") in ("natural", "full") else "flat")
     return brightness == "natural" and not {"sky_e_per_s", "sky_mag_per_arcsec2"} & sensor.keys()
 
 

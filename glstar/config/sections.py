@@ -21,6 +21,7 @@ from glstar.flight.gimbal import Gimbal, GimbalMode
 from glstar.render.effects import EFFECTS
 from glstar.sky.catalogue import NAMES
 from glstar.sky.extinction import Extinction
+from glstar.sky.scintillation import SMALL_LENS_RMS
 from glstar.sky.site import (
     HEIGHTS_M,
     PRESSURES_HPA,
@@ -61,8 +62,16 @@ CATALOGUES = NAMES
 HORIZONS = ("flat", "dip")
 
 _MOUNT, _EXTINCTION = Mount(), Extinction()
-# The keys of [sky] with preset = "natural".
+# The keys of [sky] with a preset: "full" has what glstar's later versions have added.
 _NATURAL = {"bodies": True, "extinction": "standard", "brightness": "natural", "horizon": "dip"}
+_FULL = {
+    **_NATURAL,
+    "zodiacal_light": True,
+    "galaxy": True,
+    "extinction_band": "sensor",
+    "scintillation": SMALL_LENS_RMS,
+}
+_PRESETS = {"natural": _NATURAL, "full": _FULL}
 
 
 class CameraSection(Section):
@@ -139,8 +148,8 @@ class SkySection(Section):
     horizon : str
         ``"flat"``: the horizontal; ``"dip"``: as far below it as the aircraft's height makes it; or the absolute path
         of a CSV file with the altitude of the horizon by azimuth.
-    preset : {"natural"} or None
-        Other defaults: see `_NATURAL`.
+    preset : {"natural", "full"} or None
+        Other defaults: see `_PRESETS`.
     """
 
     catalogue: str = Field(
@@ -154,13 +163,14 @@ class SkySection(Section):
     extinction: Literal["none", "standard", "pressure"] = "none"
     extinction_band: Literal["eye", "sensor"] = "eye"
     horizon: str = Field(default="flat", description='"flat", "dip" or the path of a .csv file')
-    preset: Literal["natural"] | None = None
+    preset: Literal["natural", "full"] | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _with_preset(cls, given: Any) -> Any:
         """Replace the defaults of keys that are not given by those of the preset."""
-        return {**_NATURAL, **given} if isinstance(given, dict) and given.get("preset") == "natural" else given
+        preset = given.get("preset") if isinstance(given, dict) else None
+        return {**_PRESETS[preset], **given} if isinstance(preset, str) and preset in _PRESETS else given
 
     @field_validator("catalogue")
     @classmethod

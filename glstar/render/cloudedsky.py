@@ -1,6 +1,7 @@
 """Stars and bodies behind cloud and ridges: what arrives of each segment or sub-exposure of their trails."""
 
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import Final, Self
 
 import numpy as np
@@ -16,10 +17,12 @@ from glstar.render.culling import DrawList, TouchingStars
 from glstar.render.ridges import divided, ridge_parts, ridge_passage, ridge_times
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
+from glstar.rotation import turn_from_matrix
 from glstar.sky.cloudsheet import CloudSheet
+from glstar.sky.scintillation import Scintillation
 from glstar.sky.starfield import StarField
 
-__all__ = ["CloudedSky", "scene_passage"]
+__all__ = ["CloudedSky", "scene_passage", "scene_scintillation"]
 
 Float = NDArray[np.float64]
 
@@ -27,11 +30,18 @@ Float = NDArray[np.float64]
 _LARGEST_CHANGE: Final = 0.04
 # Parts of a segment at most.
 _MAX_PARTS: Final = 32
+# Scintillation is computed whenever a star has moved by this, px, but not more often than this, s: half the time in
+# which it is correlated; and this often at most, and at least, or else once for the exposure.
+_STEP_PX: Final = 2.0
+_STEP_S: Final = 0.002
+_MOST_STEPS, _LEAST_STEPS = 512, 16
+# Times of an exposure between which the rotation of the camera is measured for that.
+_TURN_TIMES: Final = 17
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudedSky:
-    """What a sheet of cloud and a horizon profile leave of the stars during one exposure.
+    """What a sheet of cloud, a horizon profile and scintillation leave of the stars during one exposure.
 
     Attributes
     ----------
@@ -39,33 +49,82 @@ class CloudedSky:
     motion : CameraMotion
         With the profile in its sky.
     exposure : Exposure
-    px_per_rad : float
-        Scale of the image.
+    camera : Camera
+    scintillation : Scintillation or None
+        Of stars; bodies are too large for it.
     """
 
     sheet: CloudSheet | None
     motion: CameraMotion
     exposure: Exposure
-    px_per_rad: float
+    camera: Camera
+    scintillation: Scintillation | None
 
     @classmethod
     def of(cls, motion: CameraMotion, camera: Camera, sensor: Sensor, exposure: Exposure) -> Self | None:
-        """Return the sky over a camera; None without cloud and without a horizon profile."""
-        sheet = cloud_sheet(sensor, motion)
-        if sheet is None and motion.sky.profile is None:
+        """Return the sky over a camera; None without cloud, horizon profile and scintillation."""
+        sheet, scintillation = cloud_sheet(sensor, motion), _scintillation(sensor)
+        if sheet is None and motion.sky.profile is None and scintillation is None:
             return None
-        return cls(sheet, motion, exposure, max(camera.fx_px, camera.fy_px))
+        return cls(sheet, motion, exposure, camera, scintillation)
 
-    def _passages(self, direction_eq: Float) -> tuple[CloudPassage | None, CloudPassage | None]:
-        """Return what cloud transmits of stars, and the part of the time in which they are above the profile."""
-        if self.motion.sky.profile is None:
-            assert self.sheet is not None
-            return cloud_passage(self.sheet, self.motion, self.exposure, direction_eq), None
-        times = ridge_times(self.exposure, self.px_per_rad)
-        if self.sheet is None:
-            return None, ridge_passage(self.motion, self.exposure, direction_eq, times)
-        cloud = cloud_passage(self.sheet, self.motion, self.exposure, direction_eq, times)
-        return cloud, ridge_passage(self.motion, self.exposure, direction_eq, len(cloud.transmission))
+    @property
+    def _px_per_rad(self) -> float:
+        return max(self.camera.fx_px, self.camera.fy_px)
+
+    def _passages(
+        self, stars: StarField, index: NDArray[np.int32], bodies: BodySources | None
+    ) -> tuple[CloudPassage | None, CloudPassage | None]:
+        """Return what cloud and scintillation leave of stars and then of bodies, and what the profile leaves."""
+        direction_eq = _directions(stars, index, bodies)
+        has_profile, fluctuation_times = self.motion.sky.profile is not None, self._fluctuation_times
+        times = max(ridge_times(self.exposure, self._px_per_rad) if has_profile else 2, fluctuation_times)
+        cloud = ridge = None
+        if self.sheet is not None:
+            cloud = cloud_passage(self.sheet, self.motion, self.exposure, direction_eq, times)
+            times = len(cloud.transmission)
+        if self.scintillation is not None:
+            factors = np.ones((times, len(direction_eq)))
+            factors[:, : len(index)] = self._factors(stars, index, times)
+            cloud = _product(cloud, CloudPassage(factors))
+        if has_profile:
+            ridge = ridge_passage(self.motion, self.exposure, direction_eq, times)
+        return cloud, ridge
+
+    @property
+    def _fluctuation_times(self) -> int:
+        """Number of times at which scintillation is computed; 2 where trails are too short to vary."""
+        if self.scintillation is None:
+            return 2
+        times_s = np.linspace(self.exposure.start_utc_s, self.exposure.stop_utc_s, _TURN_TIMES)
+        (pointing,) = self.motion.pointings(times_s)
+        C = pointing.C_camera_eq
+        turned_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1).sum()
+        span_s = self.exposure.stop_utc_s - self.exposure.start_utc_s
+        steps = ceil(min(turned_rad * self._px_per_rad / _STEP_PX, span_s / _STEP_S, _MOST_STEPS))
+        return steps + 1 if steps >= _LEAST_STEPS else 2
+
+    def _factors(self, stars: StarField, index: NDArray[np.int32], times: int) -> Float:
+        """Return the relative brightness of some stars by scintillation, (times, m)."""
+        assert self.scintillation is not None
+        (samples,) = self.motion.at(np.array([self.exposure.mid_utc_s]))
+        sine = samples.pointing.sine_apparent_altitude(stars.direction_eq[index])[0]
+        rms = self.scintillation.rms(sine, samples.site.height_m)
+        start_s, span_s = self.exposure.start_utc_s, self.exposure.stop_utc_s - self.exposure.start_utc_s
+        if self._fluctuation_times == 2:
+            mean = self.scintillation.mean_factors(rms, stars.star_id[index], start_s, span_s)
+            return np.broadcast_to(mean, (times, len(index)))
+        return self.scintillation.factors(rms, stars.star_id[index], start_s, span_s, times)
+
+    def mean_factors(self, stars: StarField, index: NDArray[np.int32]) -> Float | None:
+        """Return the mean relative brightness of some stars by scintillation, (m,); None without."""
+        if self.scintillation is None:
+            return None
+        times = 2
+        if self.sheet is not None or self.motion.sky.profile is not None or self._fluctuation_times > 2:
+            passages = [one for one in self._passages(stars, index, None) if one is not None]
+            times = len(passages[0].transmission)
+        return CloudPassage(self._factors(stars, index, times)).mean
 
     def divided_at_ridges(
         self, trails: AnalyticSegments, touching: TouchingStars, bodies: BodySources | None
@@ -86,12 +145,8 @@ class CloudedSky:
         directions = _directions(touching.culler.stars, touching.index, bodies)
         if self.motion.sky.profile is None or not len(directions):
             return trails
-        ridge = ridge_passage(self.motion, self.exposure, directions, ridge_times(self.exposure, self.px_per_rad))
-        return divided(trails, ridge_parts(ridge, self.exposure, trails.time_fraction, self.px_per_rad))
-
-    def passage(self, stars: StarField, draw_list: DrawList) -> CloudPassage:
-        """Return what arrives of the stars of a draw list over the exposure."""
-        return _product(*self._passages(stars.direction_eq[draw_list.index]))
+        ridge = ridge_passage(self.motion, self.exposure, directions, ridge_times(self.exposure, self._px_per_rad))
+        return divided(trails, ridge_parts(ridge, self.exposure, trails.time_fraction, self._px_per_rad))
 
     def dimmed(self, stars: StarField, draw_list: DrawList, time_fraction: Float) -> DrawList:
         """Return a draw list with its passage.
@@ -109,13 +164,16 @@ class CloudedSky:
         """
         if not len(draw_list):
             return draw_list
-        return _with_passage(draw_list, self.passage(stars, draw_list), time_fraction)
+        return _with_passage(draw_list, _product(*self._passages(stars, draw_list.index, None)), time_fraction)
 
     def dimmed_bodies(self, bodies: BodySources | None, time_fraction: Float) -> BodySources | None:
         """Return bodies whose draw list has its passage."""
         if bodies is None:
             return None
-        return replace(bodies, draw_list=self.dimmed(bodies.stars, bodies.draw_list, time_fraction))
+        without = replace(self, scintillation=None)
+        if self.sheet is None and self.motion.sky.profile is None:
+            return bodies
+        return replace(bodies, draw_list=without.dimmed(bodies.stars, bodies.draw_list, time_fraction))
 
     def behind(
         self, trails: AnalyticSegments, stars: StarField, draw_list: DrawList, bodies: BodySources | None
@@ -139,13 +197,13 @@ class CloudedSky:
         directions = _directions(stars, draw_list.index, bodies)
         if not len(directions):
             return trails, draw_list, bodies
-        cloud, ridge = self._passages(directions)
+        cloud, ridge = self._passages(stars, draw_list.index, bodies)
         parts = np.ones(len(trails), dtype=np.intp)
         if cloud is not None:
             changes = np.ceil(_largest_changes(cloud, trails.time_fraction) / _LARGEST_CHANGE)
             parts = changes.clip(1, _MAX_PARTS).astype(np.intp)
         if ridge is not None:
-            parts = np.maximum(parts, ridge_parts(ridge, self.exposure, trails.time_fraction, self.px_per_rad))
+            parts = np.maximum(parts, ridge_parts(ridge, self.exposure, trails.time_fraction, self._px_per_rad))
         trails, passage = divided(trails, parts), _product(cloud, ridge)
         first, last = (CloudPassage(part) for part in np.split(passage.transmission, [len(draw_list)], axis=1))
         if len(draw_list):
@@ -153,6 +211,12 @@ class CloudedSky:
         if bodies is not None and len(bodies.draw_list):
             bodies = replace(bodies, draw_list=_with_passage(bodies.draw_list, last, trails.time_fraction))
         return trails, draw_list, bodies
+
+
+def _scintillation(sensor: Sensor) -> Scintillation | None:
+    """Return the scintillation of the keys of ``[sky]``."""
+    rms = float(sensor.effects.get("sky.scintillation", 0.0))
+    return Scintillation(rms, int(sensor.effects.get("sky.scintillation_seed", 0))) if rms else None
 
 
 def _directions(stars: StarField, index: NDArray[np.int32], bodies: BodySources | None) -> Float:
@@ -202,3 +266,27 @@ def scene_passage(scene: Scene, direction_eq: Float) -> CloudPassage | None:
     if sheet is None or scene.motion is None:
         return None
     return cloud_passage(sheet, scene.motion, scene.exposure, direction_eq)
+
+
+def scene_scintillation(scene: Scene, index: NDArray[np.int32]) -> dict[str, Float]:
+    """Return the column of scintillation in the truth of stars.
+
+    Parameters
+    ----------
+    scene : Scene
+    index : (m,) int32
+        Into the stars of the scene.
+
+    Returns
+    -------
+    dict
+        ``scintillation``, (m,): the mean relative brightness over the exposure, of a stacked image over the short ones.
+        Empty without scintillation.
+    """
+    means = []
+    for one in scene.shorts or (scene,):
+        sky = None if one.motion is None else CloudedSky.of(one.motion, one.camera, one.sensor, one.exposure)
+        mean = None if sky is None else sky.mean_factors(one.stars, index)
+        if mean is not None:
+            means.append(mean)
+    return {"scintillation": np.mean(means, axis=0)} if means else {}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.camera.vignetting import Vignetting
 from glstar.render.bodysources import BodySources, centre_source, disc_on_image
-from glstar.render.cloudedsky import scene_passage
+from glstar.render.cloudedsky import scene_passage, scene_scintillation
 from glstar.render.clouds import CloudPassage
 from glstar.render.effects import effects_truth
 from glstar.render.effects.cloudtexture import sky_fraction
@@ -239,6 +239,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             **{key: _rounded(xy) for key, xy in stacked_segments(scene, index, recorded).items()},
             **_widths(scene, drawn),
             **_cloud_columns(passage),
+            **{key: _rounded(values) for key, values in scene_scintillation(scene, index).items()},
             **({} if transmission is None else {"transmission": _rounded(transmission)}),
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
         }

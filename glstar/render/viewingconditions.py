@@ -80,13 +80,16 @@ class ViewingConditions:
             lines.append(f"day: the Sun is {_up(self.sun_altitude_rad)}")
         elif self.light == "civil twilight":
             lines.append(f"bright twilight: the Sun is {_up(self.sun_altitude_rad)}")
+        return "\n".join([*lines, *filter(None, [self.ground_warning])])
+
+    @property
+    def ground_warning(self) -> str:
+        """That the camera points at the ground; empty if it points at the sky."""
         if self.sees_only_ground:
-            lines.append("the camera sees only the ground: [mount] says how it is mounted")
-        elif self.axis_altitude_rad < 0:
-            lines.append(
-                f"the camera points at the ground, {-degrees(self.axis_altitude_rad):.0f} deg below the horizon"
-            )
-        return "\n".join(lines)
+            return "the camera sees only the ground: [mount] says how it is mounted"
+        if self.axis_altitude_rad < 0:
+            return f"the camera points at the ground, {-degrees(self.axis_altitude_rad):.0f} deg below the horizon"
+        return ""
 
 
 def _up(altitude_rad: float) -> str:

@@ -723,3 +723,17 @@ def test_the_settings_beside_a_saved_live_flight_keep_the_camera_s_clock():
     beside = live.for_a_table(time_offset_s=0.25).flight
 
     assert (beside.time_offset_s, beside.max_gap_s, beside.sysid, beside.utc_start) == (0.25, 0.5, None, None)
+
+
+def test_the_preset_full_adds_what_natural_leaves_out(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text('[sky]\npreset = "full"\ngalaxy = false\n', encoding="utf-8")
+    sky = Config.load(path).sky
+    assert (sky.bodies, sky.extinction, sky.brightness, sky.horizon) == (True, "standard", "natural", "dip")
+    assert (sky.zodiacal_light, sky.galaxy, sky.extinction_band, sky.scintillation) == (True, False, "sensor", 0.38)
+    path.write_text('[sky]\npreset = "natural"\n', encoding="utf-8")
+    natural = Config.load(path).sky
+    assert (natural.zodiacal_light, natural.galaxy, natural.extinction_band, natural.scintillation) == (
+        *(False, False),
+        *("eye", 0.0),
+    )

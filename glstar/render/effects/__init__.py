@@ -23,6 +23,7 @@ from glstar.render.effects.outputkeys import CAMERA_PROCESSING, PROCESSING_DEFAU
 from glstar.render.effects.pointspreadkeys import POINT_SPREAD
 from glstar.render.effects.quantisation import QUANTISATION
 from glstar.render.effects.rownoise import ROW_NOISE
+from glstar.render.effects.scintillationkeys import SCINTILLATION
 from glstar.render.effects.shotnoise import SHOT_NOISE
 from glstar.render.effects.skylevel import SKY_LEVEL
 from glstar.render.effects.skymap import SKY_MAP
@@ -63,6 +64,7 @@ EFFECTS: tuple[Effect, ...] = (
     MOSAIC_OF_STARS,
     MOSAIC_OF_SKY,
     NATURAL_SKY,
+    SCINTILLATION,
     CLOUD,
     FLARE,
     CAMERA_PROCESSING,
