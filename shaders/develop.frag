@@ -32,6 +32,25 @@ float middle_column_px() {
     return min(SPAN_PX * floor(gl_FragCoord.x) + 0.5 * (SPAN_PX - 1.0), image_px.x - 1.0);
 }
 
+// The four pixels of a quad between two columns at which nodes over the image are read: the first column of the quad and
+// of the next one, or of all pixels of the fragment, which the compiler shares between quads; at most the image's edge.
+float end_column_px(uvec2 quad, bool by_quads, bool last) {
+    float column_px = by_quads ? float(4u * (quad.x + (last ? 1u : 0u)))
+                               : SPAN_PX * (floor(gl_FragCoord.x) + (last ? 1.0 : 0.0));
+    return min(column_px, image_px.x - 0.5);
+}
+
+// Where to read nodes from edge to edge of the image, at the first or at the last of the two columns.
+vec2 node_of(ivec2 nodes, uvec2 quad, bool by_quads, bool last) {
+    vec2 pixel = vec2(end_column_px(quad, by_quads, last), floor(gl_FragCoord.y)) + 0.5;
+    return (pixel / image_px * (vec2(nodes) - 1.0) + 0.5) / vec2(nodes);
+}
+
+vec4 between_nodes(uvec2 quad, bool by_quads, float first, float last) {
+    float left_px = end_column_px(quad, by_quads, false), right_px = end_column_px(quad, by_quads, true);
+    return mix(vec4(first), vec4(last), (columns_px(quad) - left_px) / (right_px - left_px));
+}
+
 #include "noise.glsl"
 #include "effects.glsl"
 

@@ -133,6 +133,10 @@ def no_uniforms(_values: Values, _scene: Scene) -> Mapping[str, UniformValue]:
     return {}
 
 
+def _no_options(_values: Values, _scene: Scene) -> Mapping[str, int]:
+    return {}
+
+
 def _numbers(values: Values, _scene: Scene) -> Mapping[str, UniformValue]:
     return {name: value for name, value in values.items() if not isinstance(value, str)}
 
@@ -166,6 +170,9 @@ class Effect:
         The noise model of the sensor that the effect belongs to; None for both.
     reads : tuple of Key
         Keys of another effect of the section whose values it needs.
+    options : callable
+        (values, scene) to numbers of the preprocessor, such as ``{"FINE": 1}`` for ``#if FINE``.  The shader is
+        compiled for each combination; a texture whose sampler it does not read is not computed.  Default: none.
     """
 
     name: str
@@ -179,6 +186,7 @@ class Effect:
     is_active: Callable[[Values], bool] = _always
     noise_model: NoiseModel | None = None
     reads: tuple[Key, ...] = ()
+    options: Callable[[Values, Scene], Mapping[str, int]] = _no_options
 
     def values(self, sensor: Sensor) -> Values:
         """Return the values of the effect's keys.

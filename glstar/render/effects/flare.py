@@ -2,7 +2,6 @@
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -13,10 +12,11 @@ from glstar.render.clouds import cloud_sheet, horizontal_axes
 from glstar.render.effects.cloudtexture import transmission_towards
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
 from glstar.render.effects.lightsources import bodies_of
+from glstar.render.effects.skynodes import FINE_GRID, interpolates_by_quads, node_positions, node_rays
 from glstar.render.scene import Scene
 from glstar.sky.magnitudes import brightness_ratio
 
-__all__ = ["FLARE", "flare_dn"]
+__all__ = ["FLARE", "flare_at_nodes", "flare_dn", "has_flare"]
 
 Float = NDArray[np.float64]
 
@@ -25,8 +25,6 @@ _SOURCES: Final = ("Sun", "Moon", "Venus", "Jupiter")
 _NO_LAMP_MAG: Final = 30.0
 # Sources whose whole light is less than this per pixel of the image are left out, DN.
 _FAINTEST_DN: Final = 1e-3
-# Columns and rows of the texture.
-_GRID: Final = (193, 145)
 # Ghosts of a source that is farther from the middle than this, in half diagonals of the image, do not reach the sensor.
 _GHOST_REACH: Final = 1.5
 # Width of the soft edge of a ghost, over its radius.
@@ -162,21 +160,40 @@ def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
     return light
 
 
-@lru_cache(maxsize=4)
-def _nodes(camera: Camera) -> Float:
-    """Return the positions of the texture's nodes, from edge to edge of the image, (rows, columns, 2) px."""
-    x = np.linspace(-0.5, camera.width_px - 0.5, _GRID[0])
-    y = np.linspace(-0.5, camera.height_px - 0.5, _GRID[1])
-    return np.stack(np.meshgrid(x, y), axis=-1)
+def flare_at_nodes(scene: Scene, *, step: int = 1) -> Float:
+    """Return the flare at the nodes of `FINE_GRID`, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    step : int
+        Of every how many columns and rows.
+
+    Returns
+    -------
+    (rows, columns) float64
+        DN a pixel above the sky.
+    """
+    each = np.s_[::step, ::step]
+    return _flare_dn(scene, node_positions(scene.camera, FINE_GRID)[each], node_rays(scene.camera, FINE_GRID)[each])
 
 
-@lru_cache(maxsize=4)
-def _node_rays(camera: Camera) -> Float:
-    return camera.unit_vectors(_nodes(camera))
+def has_flare(scene: Scene) -> bool:
+    """Return whether the lens of a scene flares.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    bool
+    """
+    return _is_active(FLARE.values(scene.sensor))
 
 
 def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
-    flare = _flare_dn(scene, _nodes(scene.camera), _node_rays(scene.camera))
+    flare = flare_at_nodes(scene)
     # Four components: software OpenGL is slow with one that is not its own.
     return np.stack([flare, *([np.zeros_like(flare)] * 3)], axis=-1).astype(np.float32)
 
@@ -196,8 +213,15 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
     )
 
 
+def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
+    return {
+        "FLARE_WITH_SKY": int(scene.sensor.effects.get("sky.brightness") == "natural"),
+        "FLARE_BY_QUADS": int(interpolates_by_quads(scene.camera, FINE_GRID)),
+    }
+
+
 def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
-    flare = _flare_dn(scene, _nodes(scene.camera)[::4, ::4], _node_rays(scene.camera)[::4, ::4])
+    flare = flare_at_nodes(scene, step=4)
     return {"flare_mean_dn": round(float(flare.mean()), 6), "flare_max_dn": round(float(flare.max()), 6)}
 
 
@@ -244,18 +268,28 @@ FLARE = Effect(
     textures=(EffectTexture("flare_signal", _texels, _depends_on),),
     truth=_truth,
     is_active=_is_active,
+    options=_options,
     glsl="""\
+#if FLARE_WITH_SKY && SKY_SPAN_PX
+// Of the texture of the natural sky, which is read for the sky.
+vec4 flare(vec4 signal_dn, uvec2 quad) {
+    return signal_dn + in_span(quad, sky_span(quad).zw);
+}
+#elif FLARE_WITH_SKY
+vec4 flare(vec4 signal_dn, uvec2 quad) {
+    return signal_dn + between_nodes(quad, bool(SKY_BY_QUADS), sky_at(quad, false).a, sky_at(quad, true).a);
+}
+#else
 // Flare, DN a pixel, at nodes from edge to edge of the image.
 uniform sampler2D flare_signal;
 
-vec4 flare(vec4 signal_dn, uvec2 quad) {
-    vec2 nodes = vec2(textureSize(flare_signal, 0));
-    vec4 x = (columns_px(quad) + 0.5) / image_px.x;
-    float y = (row_px(quad) + 0.5) / image_px.y;
-    vec2 scale = nodes - 1.0;
-    float first = textureLod(flare_signal, (vec2(x.x, y) * scale + 0.5) / nodes, 0.0).r;
-    float last = textureLod(flare_signal, (vec2(x.w, y) * scale + 0.5) / nodes, 0.0).r;
-    return signal_dn + mix(vec4(first), vec4(last), vec4(0.0, 1.0, 2.0, 3.0) / 3.0);
+float flare_at(uvec2 quad, bool last) {
+    return textureLod(flare_signal, node_of(textureSize(flare_signal, 0), quad, bool(FLARE_BY_QUADS), last), 0.0).r;
 }
+
+vec4 flare(vec4 signal_dn, uvec2 quad) {
+    return signal_dn + between_nodes(quad, bool(FLARE_BY_QUADS), flare_at(quad, false), flare_at(quad, true));
+}
+#endif
 """,
 )

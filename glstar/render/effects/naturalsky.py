@@ -14,7 +14,17 @@ from glstar.errors import RenderError
 from glstar.render.clouds import cloud_sheet
 from glstar.render.effects.cloudtexture import crossing_at, is_below_cloud
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
+from glstar.render.effects.flare import FLARE, flare_at_nodes, has_flare
 from glstar.render.effects.lightsources import bodies_of
+from glstar.render.effects.skynodes import (
+    FINE_GRID,
+    SMOOTH_GRID,
+    interpolates_by_quads,
+    node_positions,
+    node_rays,
+    softened,
+    with_halfway_nodes,
+)
 from glstar.render.scene import Scene
 from glstar.sky.bodies import Body
 from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
@@ -33,11 +43,7 @@ __all__ = ["NATURAL_SKY", "natural_sky_dn", "sky_radiance_at"]
 
 Float = NDArray[np.float64]
 
-# Columns and rows of the texture: of the smooth sky at most 1.5 % off beyond 3 deg of the Moon.
-_GRID: Final = (97, 73)
-# With cloud, whose edges are sharper.
-_CLOUD_GRID: Final = (193, 145)
-# Distance of its nodes with a horizon profile at most, px: sky and ground are linear along 8 or 16 pixels of a row.
+# Distance of nodes with a horizon profile at most, px: sky and ground are linear along 8 or 16 pixels of a row.
 _RIDGE_PX: Final = 12
 # Weights of the start, the middle and the end of the exposure: Simpson's rule.
 _TIME_WEIGHTS: Final = (1 / 6, 4 / 6, 1 / 6)
@@ -149,29 +155,28 @@ def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
 
 
 @lru_cache(maxsize=8)
-def _rays(camera: Camera, grid: tuple[int, int]) -> tuple[Float, Float]:
-    """Return the directions of the texture's nodes in the camera frame, and the solid angles of pixels there.
-
-    The nodes reach from edge to edge of the image: (rows, columns, 3) unit vectors, (rows, columns) arcsec^2.
-    """
-    columns, rows = grid
-    x = np.linspace(-0.5, camera.width_px - 0.5, columns)
-    y = np.linspace(-0.5, camera.height_px - 0.5, rows)
-    centres = np.stack(np.meshgrid(x, y), axis=-1)
+def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
+    """Return the solid angles of pixels at the texture's nodes, (rows, columns)."""
+    centres = node_positions(camera, grid)
 
     def unit(offset: tuple[float, float]) -> Float:
         return camera.unit_vectors(centres + np.array(offset))
 
     along_x = unit((0.5, 0.0)) - unit((-0.5, 0.0))
     along_y = unit((0.0, 0.5)) - unit((0.0, -0.5))
-    solid_angle = np.linalg.norm(np.cross(along_x, along_y), axis=-1)
-    return unit((0.0, 0.0)), solid_angle * _ARCSEC2_PER_SR
+    return np.asarray(np.linalg.norm(np.cross(along_x, along_y), axis=-1) * _ARCSEC2_PER_SR)
+
+
+def _grid(scene: Scene) -> tuple[int, int]:
+    """Return the columns and rows of the texture."""
+    is_fine = has_flare(scene) or cloud_sheet(scene.sensor, scene.motion) is not None
+    return FINE_GRID if is_fine else SMOOTH_GRID
 
 
 def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
-    """Return sky and ground, DN a pixel, and the sine of the altitude above the horizon, (rows, columns, 3)."""
-    columns, rows = _GRID if cloud_sheet(scene.sensor, scene.motion) is None else _CLOUD_GRID
-    rays, solid_angle = _rays(scene.camera, (columns, rows))
+    """Return sky and ground, DN a pixel, the sine of the altitude above the horizon, and flare, (rows, columns, 4)."""
+    grid = _grid(scene)
+    rays = node_rays(scene.camera, grid)
     boresight = scene.shutter.boresight_eq
     still = boresight[0] @ boresight[2] > np.cos(_STILL_RAD)
     times = {1: 1.0} if still else dict(enumerate(_TIME_WEIGHTS))
@@ -180,31 +185,55 @@ def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
         direction = rays @ scene.shutter.C_camera_eq[time]
         sky, below = _sky_and_ground(values, scene, time, direction)
         radiance, ground = radiance + weight * sky, ground + weight * below
-    while scene.shutter.profile is not None and scene.camera.width_px > _RIDGE_PX * (columns - 1):
-        radiance, ground = _between_nodes(radiance), _between_nodes(ground)
-        columns, rows = 2 * columns - 1, 2 * rows - 1
-        rays, solid_angle = _rays(scene.camera, (columns, rows))
-    sine = scene.above_horizon(rays @ scene.shutter.C_camera_eq[1])
+    if cloud_sheet(scene.sensor, scene.motion) is not None:
+        radiance, ground = softened(radiance), softened(ground)
+    flare = flare_at_nodes(scene) if has_flare(scene) else np.zeros_like(radiance)
+    while scene.shutter.profile is not None and scene.camera.width_px > _RIDGE_PX * (grid[0] - 1):
+        radiance, ground, flare = (with_halfway_nodes(nodes) for nodes in (radiance, ground, flare))
+        grid = 2 * grid[0] - 1, 2 * grid[1] - 1
+    sine = scene.above_horizon(node_rays(scene.camera, grid) @ scene.shutter.C_camera_eq[1])
     dn_of_mag_0 = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
-    per_pixel = dn_of_mag_0 * solid_angle
-    # Four components: software OpenGL is slow with three.
-    return np.stack([per_pixel * radiance, per_pixel * ground, sine, np.zeros_like(sine)], axis=-1).astype(np.float32)
+    per_pixel = dn_of_mag_0 * _solid_angle_arcsec2(scene.camera, grid)
+    return np.stack([per_pixel * radiance, per_pixel * ground, sine, flare], axis=-1).astype(np.float32)
+
+
+def _row_texels(values: Values, scene: Scene) -> NDArray[np.float32]:
+    """Return sky and flare at the first columns of spans of pixels and of the next spans, DN, (rows, spans, 4)."""
+    texels = _texels(values, scene)
+    span_px, width_px = _span_px(scene), scene.camera.width_px
+    first_px = np.arange(0.0, width_px, span_px)
+    last_px = np.minimum(first_px + span_px, width_px - 0.5)
+    ends = []
+    for component in (0, 3):
+        first, last = (_at_columns(texels[..., component], ends_px, width_px) for ends_px in (first_px, last_px))
+        ends += [first, first + (last - first) * (span_px / (last_px - first_px))]
+    return np.stack(ends, axis=-1).astype(np.float32)
+
+
+def _at_columns(nodes: NDArray[np.float32], columns_px: Float, width_px: int) -> NDArray[np.float32]:
+    """Return values at some columns of pixels, linear between columns of nodes, (rows, columns)."""
+    at = (columns_px + 0.5) / width_px * (nodes.shape[1] - 1)
+    left = np.minimum(at.astype(np.intp), nodes.shape[1] - 2)
+    right_part = (at - left).astype(np.float32)
+    return np.asarray((1 - right_part) * nodes[:, left] + right_part * nodes[:, left + 1])
 
 
 def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float) -> tuple[Float, Float]:
     """Return the brightness of sky and ground in some directions, with cloud in front of them."""
     ground = _ground_radiance(values, scene, time)
     crossing = crossing_at(scene, time, direction_eq)
-    if crossing is None:
-        return sky_radiance_at(values, scene, time, direction_eq), np.full(direction_eq.shape[:-1], ground)
-    without_towns = {**values, "town_mag_arcsec2": NO_TOWN_MAG}
     # The sky itself is smooth: every second node suffices.
-    coarse = direction_eq[::2, ::2] if direction_eq.ndim == 3 else direction_eq
+    is_fine = direction_eq.shape[:2] == FINE_GRID[::-1]
+    coarse = direction_eq[::2, ::2] if is_fine else direction_eq
+    if crossing is None:
+        sky = sky_radiance_at(values, scene, time, coarse)
+        return with_halfway_nodes(sky) if is_fine else sky, np.full(direction_eq.shape[:-1], ground)
+    without_towns = {**values, "town_mag_arcsec2": NO_TOWN_MAG}
     sky = sky_radiance_at(without_towns, scene, time, coarse)
     has_towns = float(values["town_mag_arcsec2"]) < NO_TOWN_MAG
     town = sky_radiance_at(values, scene, time, coarse) - sky if has_towns else np.zeros_like(sky)
-    if direction_eq.ndim == 3:
-        sky, town = _between_nodes(sky), _between_nodes(town)
+    if is_fine:
+        sky, town = with_halfway_nodes(sky), with_halfway_nodes(town)
     lights = _cloud_lights(without_towns, scene, time)
     if not is_below_cloud(scene):
         return sky + town, cloud_from_above(crossing, ground, lights)
@@ -212,16 +241,6 @@ def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float
     clouded = cloud_from_below(crossing, direction_eq @ moon.direction_eq, sky, town, lights)
     # The ground is lit by what the cloud leaves.
     return clouded, np.full(direction_eq.shape[:-1], ground)
-
-
-def _between_nodes(nodes: Float) -> Float:
-    """Return values at nodes, (r, c), and linear between them, (2 r - 1, 2 c - 1)."""
-    for axis in (0, 1):
-        nodes = np.moveaxis(nodes, axis, 0)
-        finer = np.empty((2 * len(nodes) - 1, *nodes.shape[1:]))
-        finer[::2], finer[1::2] = nodes, (nodes[1:] + nodes[:-1]) / 2
-        nodes = np.moveaxis(finer, 0, axis)
-    return nodes
 
 
 def _cloud_lights(values: Values, scene: Scene, time: int) -> CloudLights:
@@ -291,7 +310,23 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
         scene.shutter.profile,
         _drawn_mag(scene) if values["galaxy"] else None,
         float(scene.sensor.flux_of_magnitude_dn(0.0, 1.0)),
+        tuple(FLARE.values(scene.sensor).items()),
     )
+
+
+def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
+    by_quads = _grid(scene) == FINE_GRID and interpolates_by_quads(scene.camera, FINE_GRID)
+    return {"SKY_BY_QUADS": int(by_quads), "SKY_SPAN_PX": _span_px(scene)}
+
+
+def _span_px(scene: Scene) -> int:
+    """Return the width of the spans of pixels between two values of the texture of rows, or 0 with ground in view."""
+    if _grid(scene) != FINE_GRID or scene.shutter.profile is not None:
+        return 0
+    lowest = (node_rays(scene.camera, FINE_GRID) @ (scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1])).min()
+    if lowest <= scene.sine_horizon:
+        return 0
+    return 4 if interpolates_by_quads(scene.camera, FINE_GRID) else 16 if scene.sensor.bit_depth <= 8 else 8
 
 
 def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
@@ -351,29 +386,52 @@ NATURAL_SKY = Effect(
         ),
     ),
     stage=Stage.SKY_RADIANCE,
-    textures=(EffectTexture("sky_signal", _texels, _depends_on),),
+    textures=(
+        EffectTexture("sky_signal", _texels, _depends_on),
+        EffectTexture("sky_of_spans", _row_texels, _depends_on),
+    ),
     truth=_truth,
     is_active=_is_active,
+    options=_options,
     glsl="""\
-// Sky and ground, DN a pixel, and the sine of the altitude above the horizon, at nodes from edge to edge of the image.
+#if SKY_SPAN_PX
+// Sky and flare, DN a pixel, at the first column of a span of pixels and at that of the next one: one fetch.
+uniform sampler2D sky_of_spans;
+
+float span_of(uvec2 quad) {
+    if (float(SKY_SPAN_PX) < SPAN_PX)
+        return float(quad.x / uint(SKY_SPAN_PX / 4));
+    return floor(floor(gl_FragCoord.x) * (SPAN_PX / float(SKY_SPAN_PX)));
+}
+
+vec4 sky_span(uvec2 quad) {
+    vec2 size = vec2(textureSize(sky_of_spans, 0));
+    float row = (floor(gl_FragCoord.y) + 0.5) / image_px.y * (size.y - 1.0);
+    return textureLod(sky_of_spans, (vec2(span_of(quad), row) + 0.5) / size, 0.0);
+}
+
+vec4 in_span(uvec2 quad, vec2 ends_dn) {
+    return mix(ends_dn.xxxx, ends_dn.yyyy, columns_px(quad) / float(SKY_SPAN_PX) - span_of(quad));
+}
+
+vec4 natural_sky(vec4 signal_dn, uvec2 quad) {
+    return signal_dn + in_span(quad, sky_span(quad).xy);
+}
+#else
+// Sky and ground, DN a pixel, the sine of the altitude above the horizon, and flare, DN a pixel.
 uniform sampler2D sky_signal;
 
-vec3 sky_signal_at(vec2 pixel) {
-    vec2 nodes = vec2(textureSize(sky_signal, 0));
-    return textureLod(sky_signal, (pixel / image_px * (nodes - 1.0) + 0.5) / nodes, 0.0).rgb;
+vec4 sky_at(uvec2 quad, bool last) {
+    return textureLod(sky_signal, node_of(textureSize(sky_signal, 0), quad, bool(SKY_BY_QUADS), last), 0.0);
 }
 
-// Interpolated along all pixels of a fragment: two fetches for 16 pixels, which the compiler shares between four quads.
 vec4 natural_sky(vec4 signal_dn, uvec2 quad) {
-    float span_px = SIXTEEN_BITS == 1 ? 8.0 : 16.0;
-    vec2 first = vec2(span_px * floor(gl_FragCoord.x), floor(gl_FragCoord.y)) + 0.5;
-    vec2 last = vec2(min(first.x + span_px, image_px.x), first.y);
-    vec3 left = sky_signal_at(first), right = sky_signal_at(last);
-    vec4 along = (columns_px(quad) + 0.5 - first.x) / (last.x - first.x);
-    vec4 above = mix(vec4(left.z), vec4(right.z), along);
-    vec4 sky = mix(vec4(left.x), vec4(right.x), along);
-    vec4 ground = mix(vec4(left.y), vec4(right.y), along);
+    vec4 first = sky_at(quad, false), last = sky_at(quad, true);
+    vec4 sky = between_nodes(quad, bool(SKY_BY_QUADS), first.x, last.x);
+    vec4 ground = between_nodes(quad, bool(SKY_BY_QUADS), first.y, last.y);
+    vec4 above = between_nodes(quad, bool(SKY_BY_QUADS), first.z, last.z);
     return signal_dn + mix(ground, sky, step(0.0, above));
 }
+#endif
 """,
 )

@@ -2,6 +2,8 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import ExitStack
+from itertools import count
+from types import MappingProxyType
 from typing import NamedTuple
 
 import moderngl
@@ -26,7 +28,7 @@ class DevelopPass:
     """Applies the effects to the noiseless signal: sky, noise, quantisation and others.
 
     The shader is composed of the GLSL of the active effects in the order of their stages; each combination of active
-    effects is compiled when it is first used.
+    effects and their options is compiled when it is first used.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ class DevelopPass:
     def __init__(self, context: moderngl.Context, effects: Sequence[Effect] = EFFECTS) -> None:
         self._context = context
         self._effects = tuple(effects)
-        self._programs: dict[tuple[PixelType, tuple[Effect, ...]], _Program] = {}
+        self._programs: dict[tuple[PixelType, tuple[Effect, ...], tuple[tuple[str, int], ...]], _Program] = {}
         self._textures: dict[tuple[str, str], _Texture] = {}
         for dtype in (np.uint8, np.uint16):
             self._program(dtype, _in_this_pass(Sensor(), self._effects))
@@ -90,7 +92,7 @@ class DevelopPass:
             If an effect declares a uniform and gives no value for it.
         """
         active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
-        program = self._program(dtype, active)
+        program = self._program(dtype, active, _options(active, scene))
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
             "signal_border_px": guard_band_px,
@@ -99,14 +101,13 @@ class DevelopPass:
             "noise_seed": seed,
         }
         signal.use(location=0)
-        location = 1
+        units = count(1)
         for effect in active:
             values = effect.values(scene.sensor)
             uniforms |= effect.uniforms(values, scene)
-            for texture in effect.textures:
-                self._texture(effect, texture, values, scene).use(location=location)
-                uniforms[texture.sampler] = location
-                location += 1
+            for texture in (read for read in effect.textures if read.sampler in program.names):
+                uniforms[texture.sampler] = unit = next(units)
+                self._texture(effect, texture, values, scene).use(location=unit)
         if missing := set(program.names.values()) - uniforms.keys():
             raise RenderError(f"no effect gives a value to the uniform {min(missing)} of the develop shader")
         set_uniforms(program.program, **{name: uniforms[given] for name, given in program.names.items()})
@@ -114,8 +115,11 @@ class DevelopPass:
         image.use()
         program.whole_image.render(moderngl.TRIANGLES, vertices=3)
 
-    def _program(self, dtype: PixelType, active: tuple[Effect, ...]) -> "_Program":
-        if (dtype, active) not in self._programs:
+    def _program(
+        self, dtype: PixelType, active: tuple[Effect, ...], options: Mapping[str, int] = MappingProxyType({})
+    ) -> "_Program":
+        key = dtype, active, tuple(options.items())
+        if key not in self._programs:
             sources = composed_sources(active)
             program = linked(
                 self._context,
@@ -123,12 +127,13 @@ class DevelopPass:
                 "develop.frag",
                 generated=sources.by_name,
                 SIXTEEN_BITS=int(dtype is np.uint16),
+                **options,
             )
             names = {
                 name: sources.numbers.get(name, name) for name in program if isinstance(program[name], moderngl.Uniform)
             }
-            self._programs[dtype, active] = _Program(program, self._context.vertex_array(program, []), names)
-        return self._programs[dtype, active]
+            self._programs[key] = _Program(program, self._context.vertex_array(program, []), names)
+        return self._programs[key]
 
     def _texture(self, effect: Effect, texture: EffectTexture, values: Values, scene: Scene) -> moderngl.Texture:
         key, depends_on = (effect.name, texture.sampler), texture.depends_on(values, scene)
@@ -169,6 +174,13 @@ class _Program(NamedTuple):
 class _Texture(NamedTuple):
     texture: moderngl.Texture
     depends_on: Hashable
+
+
+def _options(effects: Sequence[Effect], scene: Scene) -> Mapping[str, int]:
+    options: dict[str, int] = {}
+    for effect in effects:
+        options |= effect.options(effect.values(scene.sensor), scene)
+    return options
 
 
 def _in_this_pass(sensor: Sensor, effects: Sequence[Effect], *, noiseless: bool = False) -> tuple[Effect, ...]:
