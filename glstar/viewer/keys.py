@@ -1,12 +1,13 @@
 """The table of keys, from which menus, key bindings, the help window and the table in the manual are made."""
 
+import sys
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
 from glstar.viewer.overlays import Overlay
 
-__all__ = ["KEYS", "MENUS", "Action", "AnyAction", "KeyBinding", "key_of", "markdown"]
+__all__ = ["KEYS", "MENUS", "Action", "AnyAction", "KeyBinding", "key_of", "markdown", "shown_chord"]
 
 
 class Action(StrEnum):
@@ -82,6 +83,7 @@ class Action(StrEnum):
     SMALLER_TEXT = "smaller text"
     HELP = "help"
     MANUAL = "manual"
+    TOUR = "tour"
     REPORT = "report"
 
 
@@ -186,6 +188,7 @@ KEYS: Final = (
     KeyBinding(Action.PALETTE, "Help", "Search all commands", ("Ctrl+P",)),
     KeyBinding(Action.HELP, "Help", "These keys", ("F1", "Shift+/")),
     KeyBinding(Action.MANUAL, "Help", "Manual", ("Shift+F1",)),
+    KeyBinding(Action.TOUR, "Help", "Tour of the window in six steps"),
     KeyBinding(Action.REPORT, "Help", "Report a problem: versions, flight and settings to the clipboard"),
 )
 
@@ -202,6 +205,23 @@ def key_of(action: AnyAction) -> KeyBinding:
     KeyBinding
     """
     return next(key for key in KEYS if key.action is action)
+
+
+def shown_chord(chord: str, system: str = sys.platform) -> str:
+    """Return a chord as this system names its keys: imgui takes the command key for Ctrl on macOS.
+
+    Parameters
+    ----------
+    chord : str
+        Such as ``"Ctrl+Left"``.
+    system : str
+        As `sys.platform`.
+
+    Returns
+    -------
+    str
+    """
+    return chord.replace("Ctrl", "Cmd").replace("Alt", "Option") if system == "darwin" else chord
 
 
 def markdown() -> str:

@@ -127,6 +127,9 @@ class Viewer:
             self.session.shown_overlays = set(self._memory.overlays)
         self.interface.recent = self._memory.recent
         self.interface.text_scale = resized_text(self._memory.text_scale, 0)
+        if self._memory.file is not None and not self._memory.has_toured:
+            self._memory.has_toured = True
+            self.interface.tour.ask()
         self._last_frame_s = time.perf_counter()
         self._full_screen = False
         self._titled: str | None = None

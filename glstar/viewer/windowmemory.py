@@ -34,6 +34,8 @@ class WindowMemory:
         None for the default.
     text_scale : float
         Size of the text; 1 at first.
+    has_toured : bool
+        Whether the tour of the window has been shown.
     """
 
     file: Path | None = None
@@ -42,6 +44,7 @@ class WindowMemory:
     night: bool = False
     overlays: frozenset[Overlay] | None = None
     text_scale: float = 1.0
+    has_toured: bool = False
 
     @classmethod
     def load(cls, file: Path) -> "WindowMemory":
@@ -70,6 +73,8 @@ class WindowMemory:
             night=stored.get("night") is True,
             overlays=_overlays(overlays) if isinstance(overlays, list) else None,
             text_scale=float(text_scale) if isinstance(text_scale, int | float) else 1.0,
+            # Who has used the window before there was a tour needs none.
+            has_toured=stored.get("has_toured", bool(stored)) is True,
         )
 
     def opened(self, flight: Path) -> None:
@@ -94,6 +99,7 @@ class WindowMemory:
             "night": self.night,
             "overlays": overlays,
             "text_scale": self.text_scale,
+            "has_toured": self.has_toured,
         }
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from glstar.viewer.keys import KEYS, AnyAction, KeyBinding
+from glstar.viewer.keys import KEYS, AnyAction, KeyBinding, shown_chord
 from glstar.viewer.session import Session
 from glstar.viewer.ui.searchwindow import SearchWindow
 
@@ -57,4 +57,4 @@ def matching_actions(query: str) -> list[KeyBinding]:
 
 
 def _line(key: KeyBinding) -> str:
-    return f"{key.menu}: {key.label}" + (f"   ({key.chords[0]})" if key.chords else "")
+    return f"{key.menu}: {key.label}" + (f"   ({shown_chord(key.chords[0])})" if key.chords else "")

@@ -7,7 +7,7 @@ from imgui_bundle import ImVec2, imgui
 
 from glstar.errors import ConfigError
 from glstar.export.images import ImageFormat
-from glstar.viewer.keys import KEYS, MENUS
+from glstar.viewer.keys import KEYS, MENUS, shown_chord
 from glstar.viewer.missing import MissingFromLink, MissingFromLog
 from glstar.viewer.saving import file_stem, save_range
 from glstar.viewer.session import Session
@@ -188,7 +188,7 @@ def draw_help(is_open: bool) -> bool:
             imgui.text_colored(accent(), menu)
             rows += 1
             for key in (key for key in KEYS if key.menu == menu and key.chords):
-                imgui.text_disabled("  " + ", ".join(key.chords))
+                imgui.text_disabled("  " + ", ".join(map(shown_chord, key.chords)))
                 imgui.same_line(130.0 * scale)
                 imgui.text(key.label)
                 rows += 1

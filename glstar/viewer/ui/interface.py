@@ -12,7 +12,7 @@ from glstar.errors import GlstarError
 from glstar.render.opengl.objects import Context, Framebuffer
 from glstar.viewer.actions import is_on, perform
 from glstar.viewer.display import Display
-from glstar.viewer.keys import KEYS, MENUS, Action, AnyAction
+from glstar.viewer.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.notifications import Notification
 from glstar.viewer.pictures import PictureAction
 from glstar.viewer.problemreport import save_problem_report
@@ -31,10 +31,13 @@ from glstar.viewer.ui.manualwindow import ManualWindow
 from glstar.viewer.ui.panels import OBJECT, Panels
 from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import apply_theme, load_font, resized_text
+from glstar.viewer.ui.tour import Tour
 from glstar.viewer.ui.videodialog import VideoDialog
 from glstar.viewer.ui.welcome import draw_welcome
 
 __all__ = ["Interface"]
+
+_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour
 
 _ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
@@ -74,6 +77,7 @@ class Interface:
         The star, constellation or body that the user has selected.
     files : FileChooser
     keyboard : Keyboard
+    tour : Tour
     """
 
     def __init__(
@@ -109,17 +113,20 @@ class Interface:
         has_layout = layout is not None and layout.exists()
         self._panels = Panels(session, self._image, self.selection, self.perform, has_layout=has_layout)
         self.files = FileChooser(native=native_dialogs)
-        self.keyboard = Keyboard()
+        self.keyboard, self.tour = Keyboard(), Tour()
         self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
         self._connect, self._palette = ConnectDialog(), CommandPalette()
-        self._dialogs: dict[AnyAction, FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette] = {
+        self._dialogs: dict[
+            AnyAction, FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour
+        ] = {
             Action.PALETTE: self._palette,
             Action.FIND: self._find,
             Action.CONNECT: self._connect,
             Action.EXPORT: self._exports,
             Action.VIDEO_OF_RANGE: self._videos,
+            Action.TOUR: self.tour,
         }
         self._history, self._initial = SettingsHistory(), session.config
         self._help = False
@@ -163,6 +170,7 @@ class Interface:
         self._videos.draw(session)
         self._missing.draw(session)
         self._manual.draw()
+        self.tour.draw()
         if self._find.draw(session):
             self._panels.show(OBJECT)
         self._help = draw_help(self._help)
@@ -215,7 +223,7 @@ class Interface:
         if perform(action, session) or self._ask_for_path(action) or self._take_earlier_settings(action):
             return
         match action:
-            case Action.PALETTE | Action.FIND | Action.CONNECT | Action.EXPORT | Action.VIDEO_OF_RANGE:
+            case action if action in self._dialogs:
                 self._dialogs[action].ask(session)
             case Action.SAVE_PICTURE | Action.SAVE_PLAIN_PICTURE | Action.COPY_PICTURE:
                 self.picture = PictureAction(action)
@@ -281,7 +289,7 @@ class Interface:
         for menu in MENUS:
             if imgui.begin_menu(menu):
                 for key in (key for key in KEYS if key.menu == menu):
-                    shortcut = key.chords[0] if key.chords else ""
+                    shortcut = shown_chord(key.chords[0]) if key.chords else ""
                     if imgui.menu_item(key.label, shortcut, is_on(key.action, self.session))[0]:
                         self.perform(key.action)
                 imgui.end_menu()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.viewer.actions import is_on
 from glstar.viewer.flightlines import FlightLines
-from glstar.viewer.keys import KEYS, AnyAction
+from glstar.viewer.keys import KEYS, AnyAction, shown_chord
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.playhead import PlayHead
 from glstar.viewer.saving import save_comparison
@@ -223,7 +223,7 @@ class Panels:
         for key in KEYS:
             if key.menu == "Overlays":
                 changed, _ = imgui.checkbox(key.label, is_on(key.action, self._session))
-                imgui.set_item_tooltip(f"key {key.chords[0]}")
+                imgui.set_item_tooltip(f"key {shown_chord(key.chords[0])}")
                 if changed:
                     self._perform(key.action)
 

@@ -57,6 +57,7 @@ def _draw_items(session: Session) -> None:
         _draw_link(session, session.live)
     if session.loaded is not None:
         _draw_time(session.loaded)
+        _draw_image_time(session, session.loaded)
     scene = session.scene
     if scene is not None:
         _item(
@@ -87,6 +88,17 @@ def _draw_time(loaded: LoadedFlight) -> None:
         grey = imgui.get_style_color_vec4(imgui.Col_.text_disabled)
         _item(f"x{head.speed:g}{'' if head.playing else ' paused'}", None if head.playing else grey)
         _item(str(head.mode))
+
+
+def _draw_image_time(session: Session, loaded: LoadedFlight) -> None:
+    """Draw when the real image that is compared was taken, by the camera's clock."""
+    image = session.comparison.image_at(loaded.head.utc_s)
+    if image is not None:
+        _item(f"real {format_utc(image.time.utc_s)[11:-4]}Z", accent())
+        imgui.set_item_tooltip(
+            f"{image.path.name}: {format_utc(image.time.utc_s)[:-4]}Z by {image.time.source}\n"
+            f"camera clock - log clock = {session.comparison.ahead_s:+.3f} s"
+        )
 
 
 def _draw_conditions(conditions: Conditions | None) -> None:
