@@ -47,10 +47,13 @@ class SampledPaths:
         Columns and rows, px; NaN behind the camera and below the horizon.
     time_fraction : (n,) float64
         Fraction of the exposure that each sample represents.
+    is_at_rest : bool
+        Whether the stars do not move during a sample, as in sub-exposures.
     """
 
     xy_px: Float
     time_fraction: Float
+    is_at_rest: bool = False
 
     @property
     def bounds_px(self) -> Float:

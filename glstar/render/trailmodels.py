@@ -146,7 +146,7 @@ class SubExposures:
         """Yield the positions in each sub-exposure: see `TrailModel.star_paths`."""
         for block in self.pointing.blocks(len(np.asarray(direction_eq))):
             xy = camera.project(block.to_camera(direction_eq))
-            yield SampledPaths(np.moveaxis(xy, -1, 0), np.full(len(block), 1 / len(self)))
+            yield SampledPaths(np.moveaxis(xy, -1, 0), np.full(len(block), 1 / len(self)), is_at_rest=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

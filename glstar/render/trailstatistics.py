@@ -65,14 +65,14 @@ class TrailStatistics:
         directions = scene.stars.direction_eq[scene.visible]
         recorded = np.zeros(len(directions))
         for xy, _, weight in recorded_samples(scene, directions):
-            touching = (weight > 0) & scene.camera.contains(xy, scene.listed.truncation_radius_px)
-            on_image = (weight > 0) & scene.camera.contains(xy)
+            outside_px = scene.camera.distance_outside_px(xy)
+            touching, on_image = _parts_inside(outside_px, scene.listed.truncation_radius_px)
             recorded += weight.sum(axis=0)
             self.touching += (weight * touching).sum(axis=0)
             self.on_image += (weight * on_image).sum(axis=0)
-            self.sum_xy += np.where(touching, weight * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
+            self.sum_xy += np.where(touching > 0, weight * touching * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
             if saturation is not None:
-                self.saturated |= saturation.crossed_by(xy, on_image)
+                self.saturated |= saturation.crossed_by(xy, (weight > 0) & (outside_px < 0))
         recorded = np.maximum(recorded, 1e-12)
         self.touching /= recorded
         self.on_image /= recorded
@@ -81,12 +81,14 @@ class TrailStatistics:
     def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
         """Add the sampled paths of stars that are on the image for a part of the time."""
         radius_px = scene.listed.truncation_radius_px[stars]
+        is_at_rest = isinstance(paths, SampledPaths) and paths.is_at_rest
         for xy, time_fraction in paths.samples(stars):
-            touching = scene.camera.contains(xy, radius_px)
+            outside_px = scene.camera.distance_outside_px(xy)
+            touching, on_image = _parts_inside(outside_px, radius_px, is_at_rest=is_at_rest)
             self.touching[stars] += time_fraction @ touching
-            self.on_image[stars] += time_fraction @ scene.camera.contains(xy)
+            self.on_image[stars] += time_fraction @ on_image
             for axis, sums in enumerate(self.sum_xy):
-                sums[stars] += time_fraction @ np.where(touching, xy[..., axis], 0.0)
+                sums[stars] += time_fraction @ np.where(touching > 0, touching * xy[..., axis], 0.0)
 
     def chosen_nodes_px(self, stars: NDArray[np.intp]) -> Float | None:
         """Return the `ConicPaths.nodes_px` of some stars over the whole exposure; None where paths are sampled."""
@@ -100,6 +102,37 @@ class TrailStatistics:
         """Mean position of each star while it touches the image, (k, 2) px; NaN if it never does."""
         touching = np.where(self.touching > 0, self.touching, np.nan)
         return (self.sum_xy / touching).T
+
+
+def _parts_inside(
+    outside_px: Float, radius_px: Float, *, is_at_rest: bool = False
+) -> tuple[Float | Mask, Float | Mask]:
+    """Return the parts of samples of paths, 0 to 1, that are within a radius of the image, and on it.
+
+    Parameters
+    ----------
+    outside_px : (n, m) float64
+        `Camera.distance_outside_px` of n consecutive samples; NaN where a star is not visible.
+    radius_px : (m,) float64
+    is_at_rest : bool
+        `SampledPaths.is_at_rest`.
+
+    Returns
+    -------
+    within, on_image : (n, m) float64 or bool
+
+    Notes
+    -----
+    A sample stands for the path from halfway to the one before to halfway to the next, unless the star is at rest.
+    """
+    if is_at_rest or len(outside_px) == 1:
+        return outside_px < radius_px, outside_px < 0
+    # Beside a sample that is not visible, all of it or nothing.
+    step_px = np.maximum(np.nan_to_num(np.abs(np.gradient(outside_px, axis=0))), 1e-9)
+    inside = (np.clip(0.5 - (outside_px - border_px) / step_px, 0.0, 1.0) for border_px in (radius_px, 0.0))
+    hidden = np.isnan(outside_px)
+    within, on_image = (np.where(hidden, 0.0, part) for part in inside)
+    return within, on_image
 
 
 def _misses(camera: Camera, bounds_px: Float, radius_px: Float) -> Mask:
