@@ -123,7 +123,7 @@ def _parts_inside(
 
     Notes
     -----
-    A sample stands for the path from halfway to the one before to halfway to the next, unless the star is at rest.
+    A sample represents the path from halfway to the one before to halfway to the next, unless the star is at rest.
     """
     if is_at_rest or len(outside_px) == 1:
         return outside_px < radius_px, outside_px < 0
