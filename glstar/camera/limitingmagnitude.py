@@ -43,7 +43,7 @@ def noise_equivalent_area_px2(sensor: Sensor) -> float:
     return 1 / squared
 
 
-def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: float = 0.0) -> float:
+def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: float = 0.0, frames: int = 1) -> float:
     """Return the magnitude of a star that a matched filter finds with a signal-to-noise ratio of 5.
 
     Valid for both noise models.  Row noise, fixed patterns, a colour mosaic and processing in the camera are not in it.
@@ -52,11 +52,13 @@ def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: 
     ----------
     sensor : Sensor
     duration_s : float
-        Exposure time, s.
+        Exposure time, s; of each short exposure of a stacked image.
     area_px2 : float
         Noise-equivalent area of the star or of its trail, px^2.
     sky_dn : float
         Signal per pixel of a sky that the sensor's own background does not have, DN; with shot noise in electrons.
+    frames : int
+        Number of short exposures in the image, whose ratio is sqrt(frames) times that of one.
 
     Returns
     -------
@@ -74,6 +76,7 @@ def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: 
     if is_full or sensor.background_mean_dn(duration_s) + sky_dn >= sensor.saturation_dn:
         return nan
     variance_dn2 = sensor.background_std_dn(duration_s) ** 2 + dn_per_e * sky_dn + _QUANTISATION_VARIANCE_DN2
-    shot_dn = LIMITING_SNR**2 * dn_per_e
-    flux_dn = (shot_dn + sqrt(shot_dn**2 + 4 * LIMITING_SNR**2 * area_px2 * variance_dn2)) / 2
+    squared_snr = LIMITING_SNR**2 / frames
+    shot_dn = squared_snr * dn_per_e
+    flux_dn = (shot_dn + sqrt(shot_dn**2 + 4 * squared_snr * area_px2 * variance_dn2)) / 2
     return -2.5 * log10(flux_dn / float(sensor.flux_of_magnitude_dn(0.0, duration_s)))

@@ -93,10 +93,9 @@ def _limiting_magnitude(settings: Config, scene: "Scene | None") -> "LimitingMag
 
     if scene is not None:
         return limiting_magnitude(scene)
-    sensor = settings.sensor()
-    return LimitingMagnitude(
-        limiting_mag(sensor, settings.exposure.duration_s, noise_equivalent_area_px2(sensor)), math.nan
-    )
+    sensor, exposure = settings.sensor(), settings.exposure
+    area_px2 = noise_equivalent_area_px2(sensor)
+    return LimitingMagnitude(limiting_mag(sensor, exposure.duration_s, area_px2, frames=exposure.frames), math.nan)
 
 
 def _view_keys(scene: "Scene | None") -> dict[str, float | bool]:

@@ -158,8 +158,8 @@ def exposure_of(
     ----------
     time : ImageTime
     wanted : Exposure
-        The configured exposure: its rate, and its duration if the image's own is unknown or not used; of a stack the
-        first short exposure.
+        The configured exposure: its rate, and its duration if the image's own is unknown or not used.  A stacked image
+        has the configured durations, because its own may be that of each short exposure, or of all.
     reference : TimeReference
         The instant that the image's time refers to, if the source does not state it.
     ahead_s : float
@@ -172,11 +172,11 @@ def exposure_of(
     Exposure
         It may lie outside of the flight.
     """
-    duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
+    own_s = time.exposure_s if wanted.frames == 1 else None
+    duration_s = own_s if own_length and own_s is not None else wanted.duration_s
     # The time refers to the real exposure; if its duration is unknown, the configured one is used.
-    real_s = duration_s if time.exposure_s is None else time.exposure_s
-    wanted = wanted.first  # a real image is one exposure
-    start_utc_s = time.utc_s - ahead_s - time.fraction_before(reference) * (real_s + wanted.readout_s)
+    real = replace(wanted, duration_s=duration_s if own_s is None else own_s)
+    start_utc_s = time.utc_s - ahead_s - time.fraction_before(reference) * real.span_s
     return replace(wanted, start_utc_s=start_utc_s, duration_s=duration_s)
 
 

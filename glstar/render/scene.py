@@ -146,6 +146,15 @@ class Scene:
         return self.shutter.above_horizon(direction_eq, zenith, np.asarray(direction_eq @ zenith))
 
     @property
+    def white_dn(self) -> int:
+        """The largest digital number of the image: that of the sensor, times the exposures of a sum."""
+        return self.exposure.signal_factor * self.sensor.saturation_dn
+
+    def with_sensor(self, sensor: Sensor) -> Self:
+        """Return the scene with another sensor that leaves the same signal, also in its short exposures."""
+        return replace(self, sensor=sensor, shorts=tuple(short.with_sensor(sensor) for short in self.shorts))
+
+    @property
     def body_scene(self) -> "Scene | None":
         """The scene with the sources of the bodies as its stars; None without bodies."""
         if self.bodies is None:

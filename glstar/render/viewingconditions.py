@@ -12,6 +12,7 @@ from glstar.errors import RenderError
 from glstar.render.clouds import cloud_sheet
 from glstar.render.effects.cloudtexture import axis_transmission, frame_transmission, sky_fraction
 from glstar.render.effects.naturalsky import natural_sky_dn
+from glstar.render.rowtimes import recorded_times
 from glstar.render.scene import Scene
 from glstar.render.trailpeaks import trail_peaks
 from glstar.sky.bodies import Body, observed_bodies
@@ -223,11 +224,13 @@ def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     extinction = None if is_ground else scene.extinction_mag(sine)
     extinction_mag = 0.0 if extinction is None else float(extinction)
     sky_dn = natural_sky_dn(scene)
-    sensor, duration_s = scene.sensor, scene.exposure.duration_s
+    sensor, duration_s, frames = scene.sensor, scene.exposure.duration_s, scene.exposure.frames
     rest_px2 = noise_equivalent_area_px2(sensor)
-    at_rest_mag = limiting_mag(sensor, duration_s, rest_px2, sky_dn=sky_dn)
+    at_rest_mag = limiting_mag(sensor, duration_s, rest_px2, sky_dn=sky_dn, frames=frames)
     trail_px2 = nan if is_ground else _trail_area_px2(scene, axis, rest_px2)
-    trail_mag = limiting_mag(sensor, duration_s, trail_px2, sky_dn=sky_dn) if isfinite(trail_px2) else nan
+    trail_mag = nan
+    if isfinite(trail_px2):
+        trail_mag = limiting_mag(sensor, duration_s, trail_px2, sky_dn=sky_dn, frames=frames)
     cloud = 1.0 if is_ground else axis_transmission(scene)
     lost_mag = extinction_mag - 2.5 * log10(max(cloud, 1e-30))
     has_cloud = cloud_sheet(sensor, scene.motion) is not None
@@ -241,7 +244,8 @@ def _trail_area_px2(scene: Scene, direction_eq: Float, rest_px2: float) -> float
     `trail_peaks` has that of the core's Gaussian.  The area of a star at rest grows with the square of the width, that
     of a long trail with the width.
     """
+    recorded = recorded_times(scene, direction_eq[np.newaxis]) if scene.exposure.readout_s else None
     core_px2 = 4 * pi * scene.sensor.core.effective_sigma_px**2
-    area_px2 = float(trail_peaks(scene, direction_eq[np.newaxis]).area_px2[0])
+    area_px2 = float(trail_peaks(scene, direction_eq[np.newaxis], recorded=recorded).area_px2[0])
     concentration = min(core_px2 / area_px2, 1.0)
     return float(area_px2 * sqrt(rest_px2 / core_px2) ** (1 + concentration))

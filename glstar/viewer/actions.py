@@ -107,7 +107,7 @@ def fit_stretch(session: Session) -> None:
     """
     pixels = session.image.pixels
     if pixels is not None and session.scene is not None:
-        session.stretch = session.stretch.fitted(pixels, session.scene.sensor.saturation_dn)
+        session.stretch = session.stretch.fitted(pixels, session.scene.white_dn)
 
 
 def _next_colours(session: Session) -> None:

@@ -71,7 +71,7 @@ class PanelContent:
             real = _blank(scene.camera.width_px, scene.camera.height_px)
         return cls(
             image,
-            scene.sensor.saturation_dn,
+            scene.white_dn,
             real,
             comparison.mode,
             comparison.wipe,

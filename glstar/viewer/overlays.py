@@ -57,8 +57,8 @@ class DrawingInputs:
         Magnitude limit of star names.
     centroid_vmag_limit : float
         Magnitude limit of centroids.
-    pixels : (height, width) uint8 or uint16, or None
-        The developed image.
+    pixels : (height, width) uint8, uint16 or bool, or None
+        The developed image, or of a stacked one where a short exposure is saturated.
     beliefs : tuple of Belief
         Of the navigator.
     """
@@ -254,9 +254,10 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
     if pixels is not None:
         left, top, right, bottom = (round(edge) for edge in canvas.region)
         inside = pixels[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+        least = 1 if pixels.dtype == np.bool_ else scene.sensor.saturation_dn
         # Rows first, because most have no saturated pixel: over twice as fast as searching all pixels.
-        rows = np.flatnonzero(inside.max(axis=1, initial=0) >= scene.sensor.saturation_dn)
-        row, column = np.nonzero(inside[rows] >= scene.sensor.saturation_dn)
+        rows = np.flatnonzero(inside.max(axis=1, initial=0) >= least)
+        row, column = np.nonzero(inside[rows] >= least)
         xy = np.stack([column + max(left, 0), rows[row] + max(top, 0)], axis=1)
         xy = xy[:: max(1, -(-len(xy) // _MARKED_PIXELS))]
         canvas.mark(Mark.PIXEL, xy.astype(np.float64))
@@ -449,8 +450,9 @@ class Overlays:
         which : set of Overlay
         name_vmag_limit : float
             Magnitude limit of star names.
-        pixels : (height, width) uint8 or uint16, optional
-            The developed image, for saturated pixels; without it the stars whose peak should saturate are marked.
+        pixels : (height, width) uint8, uint16 or bool, optional
+            The developed image, or of a stacked one where a short exposure is saturated; without it the stars whose
+            peak should saturate are marked.
         region : ImageRegion, optional
             The visible part of the image: lines end and grids are labelled at its edge.  By default the complete image.
         zoom : float

@@ -51,7 +51,7 @@ def save_frame(session: Session) -> None:
     flight = loaded.flight
     if loaded.is_live and image.simulator is not None:
         flight = image.simulator.flight
-    keys = {f"exposure.{name}": getattr(exposure, name) for name in ("duration_s", "rate_hz", "readout_s")}
+    keys = {f"exposure.{name}": getattr(exposure, name) for name in ("duration_s", "rate_hz", "readout_s", "frames")}
     start_s = 0.0 if number is not None else round(exposure.start_utc_s - flight.attitude.first_s, 6)
     named_s = exposure.start_utc_s - loaded.head.origin_s
     directory = unused_path(session.output / f"{file_stem(session)}-{named_s:.3f}s")
@@ -175,7 +175,7 @@ def save_comparison(session: Session) -> None:
         wipe=comparison.wipe,
         phase=comparison.phase,
         stretch=session.stretch,
-        saturation_dn=session.scene.sensor.saturation_dn,
+        saturation_dn=session.scene.white_dn,
         real_black=comparison.real_black,
         real_gain=comparison.real_gain,
     )

@@ -211,6 +211,20 @@ class CutOut:
     measured_dn: Float
     expected_dn: Float
 
+    def saturated(self, tested: Pixels, saturation_dn: int) -> NDArray[np.bool_]:
+        """Return which of its pixels are saturated, (n, m).
+
+        Parameters
+        ----------
+        tested : (height, width) uint8, uint16 or bool
+            The image, or of a stacked one where a short exposure is saturated.
+        saturation_dn : int
+            The largest digital number of the sensor.
+        """
+        rows, columns = self.pixels.shape
+        around = tested[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns]
+        return np.asarray(around >= (1 if around.dtype == np.bool_ else saturation_dn))
+
 
 def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
     """Return the surroundings of a star in the middle of its exposure.
@@ -233,14 +247,17 @@ def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: flo
     -----
     The expected profile is that of a star that moves uniformly on a straight line.
     """
-    times = 0.5 + _SPEED_FRACTION * np.array([-0.5, 0.0, 0.5])
+    # Of a stacked image, in the short exposure nearest to the middle: between two of them the star jumps.
+    count = max(len(scene.shorts), 1)
+    fraction = _SPEED_FRACTION / count
+    times = (count // 2 + 0.5) / count + fraction * np.array([-0.5, 0.0, 0.5])
     before, middle, after = recorded_positions(scene, direction_eq[np.newaxis], times)[:, 0]
     if not scene.camera.contains(middle):
         return None
     column, row = np.rint(middle).astype(int).tolist()
     left, top = max(column - _CUT_OUT_PX, 0), max(row - _CUT_OUT_PX, 0)
     around = pixels[top : row + _CUT_OUT_PX + 1, left : column + _CUT_OUT_PX + 1]
-    velocity = (after - before) / _SPEED_FRACTION
+    velocity = (after - before) / fraction
     trail_px = float(np.hypot(*velocity))
     trail_px = trail_px if np.isfinite(trail_px) else 0.0
     across = np.array([-velocity[1], velocity[0]]) / trail_px if trail_px > 1e-3 else np.array([1.0, 0.0])
@@ -255,7 +272,7 @@ def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: flo
         top_px=top,
         offset_px=offset_px,
         measured_dn=_bilinear(around, profile_px),
-        expected_dn=_bilinear(np.minimum(expected_dn, scene.sensor.saturation_dn), profile_px),
+        expected_dn=_bilinear(np.minimum(expected_dn, scene.white_dn), profile_px),
     )
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -98,6 +97,7 @@ class SimulatedImage:
         # The image shown: one reference, because the composing thread reads it.
         self._shown: _Drawing | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
+        self._saturated: NDArray[np.bool_] | None = None
 
     def update(self, request: ImageRequest, *, playing: bool) -> bool:
         """Draw the requested image, unless it is drawn already.
@@ -169,6 +169,8 @@ class SimulatedImage:
         request, scene = self._shown
         with self._times.span("drawing"):
             self.texture = self.renderer.developed_texture()
+            stacked = self.renderer.stack.frame
+            self._saturated = None if stacked is None else stacked.saturated
         self._times.new_image()
         self.scene, self.number, self.error = scene, request.number, ""
 
@@ -177,17 +179,14 @@ class SimulatedImage:
             return self._composed(request)
 
     def _composed(self, request: ImageRequest) -> Scene:
-        """Return the scene; if only noise or quantisation changed, the last scene with the new sensor.
-
-        Of a stacked image it is that of the first short exposure.
-        """
+        """Return the scene; if only noise or quantisation changed, the last scene with the new sensor."""
         last, simulator = self._shown, request.simulator
         if last is not None and last.request.exposure == request.exposure:
             before = last.request.simulator
             same = all(_are_equal(getattr(before, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES)
             if same and last.scene.sensor.leaves_same_signal(simulator.sensor):
-                return replace(last.scene, sensor=simulator.sensor)
-        return simulator.scene(request.exposure.first)
+                return last.scene.with_sensor(simulator.sensor)
+        return simulator.scene(request.exposure)
 
     @property
     def simulator(self) -> Simulator | None:
@@ -213,6 +212,12 @@ class SimulatedImage:
             read = np.frombuffer(self.texture.read(alignment=1), self.texture.dtype)
             self._pixels = self.scene, read.reshape(height_px, width_px)
         return self._pixels[1]
+
+    @property
+    def tested(self) -> NDArray[Any] | None:
+        """What says where the image is saturated: `pixels`, or, (height, width) bool, where a short exposure is."""
+        pixels = self.pixels
+        return pixels if pixels is None or self._saturated is None else self._saturated
 
     def clear(self) -> None:
         """Show no image until the next one is drawn."""

@@ -54,6 +54,13 @@ def test_a_star_of_the_limiting_magnitude_has_snr_5_in_electrons(sky_e: float) -
     assert float(with_sky.signal_to_noise(flux_e, 30.0, 2.0)) == pytest.approx(5.0, rel=1e-4)
 
 
+def test_a_sum_of_short_exposures_goes_deeper_by_the_square_root_of_their_number() -> None:
+    model = ElectronModel(gain_dn_per_e=7.0, black_level_dn=100.0, sky_e_per_s=40.0)
+    sensor = Sensor(bit_depth=16, electrons=model)
+    flux_e = float(sensor.flux_of_magnitude_dn(limiting_mag(sensor, 2.0, 30.0, frames=9), 2.0)) / 7.0
+    assert 3.0 * float(model.signal_to_noise(flux_e, 30.0, 2.0)) == pytest.approx(5.0, rel=1e-4)
+
+
 def test_nothing_is_seen_in_a_background_that_saturates() -> None:
     model = ElectronModel(full_well_e=1000.0)
     assert np.isnan(limiting_mag(Sensor(bit_depth=12, electrons=model), 1.0, 20.0, sky_dn=0.47 * 1100))

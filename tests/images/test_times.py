@@ -196,6 +196,15 @@ def test_damaged_exif_raises_no_exception(tmp_path_factory: pytest.TempPathFacto
     assert found is None or found.utc_s > 0
 
 
+@pytest.mark.parametrize(("reference", "before_s"), [("start", 0.0), ("middle", 0.24), ("end", 0.48)])
+def test_the_time_of_a_stacked_image_is_that_of_all_short_exposures(reference: str, before_s: float) -> None:
+    stack = Exposure(0.0, 0.1, frames=3, gap_s=0.05, readout_s=0.08)
+    taken = ImageTime(1e9, "EXIF", exposure_s=0.3)
+    shutter = exposure_of(taken, stack, reference=TimeReference(reference))
+    assert shutter.start_utc_s == pytest.approx(1e9 - before_s, rel=0, abs=1e-6)
+    assert (shutter.frames, shutter.duration_s) == (3, 0.1)
+
+
 def test_a_table_gives_files_their_times(tmp_path: Path) -> None:
     table = tmp_path / "images.csv"
     table.write_text(

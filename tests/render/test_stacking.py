@@ -155,9 +155,22 @@ def test_a_rolling_shutter_reads_an_exposure_before_the_next():
     assert error.value.key == "exposure.gap_s"
 
 
-def test_a_stack_is_not_developed_into_one_texture(renderer, simulator):
-    with pytest.raises(RenderError, match="stacked"):
-        renderer.develop(simulator.scene(STACK), seed=0)
+@pytest.mark.parametrize("stack", ["sum", "mean"])
+def test_a_stack_is_developed_into_one_texture(renderer, simulator, stack):
+    scene, single = simulator.scene(replace(STACK, stack=stack)), simulator.scene(STACK.first)
+    expected = renderer.render(scene, seed=3).pixels
+    with renderer.context, GLRenderer(renderer.context) as other:
+        texture = other.develop(scene, seed=3)
+        shown = np.frombuffer(texture.read(alignment=1), texture.dtype).reshape(expected.shape)
+        with pytest.raises(RenderError, match="stacked"):
+            other.read()
+        np.testing.assert_array_equal(other.stack.frame.pixels, expected)
+        other.develop(single, seed=3)
+        assert other.stack.frame is None
+        assert other.read().pixels.dtype == np.uint8
+        again = other.develop(scene, seed=3).read(alignment=1)
+    np.testing.assert_array_equal(shown, expected)
+    assert again == expected.tobytes()
 
 
 def test_a_star_of_several_draw_lists_is_listed_once(simulator):

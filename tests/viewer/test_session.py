@@ -59,6 +59,50 @@ def test_the_image_shown_equals_the_exporter_s_frame_bit_for_bit(viewer, small, 
     np.testing.assert_array_equal(session.renderer.read().pixels, expected)
 
 
+STACKED = {"exposure.duration_s": 0.1, "exposure.frames": 3, "exposure.gap_s": 0.05}
+
+
+@pytest.mark.parametrize("rolling", [{}, {"exposure.readout_s": 0.08}])
+def test_a_stacked_image_is_shown_and_saved_as_it_is_exported(make_viewer, small, log, tmp_path, rolling):
+    config = small.override(**STACKED, **rolling)
+    viewer = make_viewer(log, config=config)
+    session = viewer.session
+    session.head.seek_by(7.0)
+    viewer.frame(0.0)
+    shown, screen_dn = session.image.pixels.copy(), session.scene.white_dn
+    assert (shown.dtype, screen_dn) == (np.uint16, 3 * 255)
+    save_frame(session)
+    finish(viewer)
+    session.change(**{"sensor.sky_std_dn": 9.0})
+    viewer.frame(0.0)
+    before, after = (np.diff(np.percentile(each, [16, 84]))[0] for each in (shown, session.image.pixels))
+    assert after > 1.5 * before
+    session.change(**{"exposure.frames": 1})
+    viewer.frame(0.0)
+    assert session.image.pixels.dtype == np.uint8
+    (saved,) = (path for path in session.output.iterdir() if path.is_dir())
+    whole = exported(config, log, tmp_path / "whole")
+    name = "frame_000002.png"
+    np.testing.assert_array_equal(cv2.imread(str(whole / name), cv2.IMREAD_UNCHANGED), shown)
+    assert (saved / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_a_stack_that_plays_is_shown_in_every_frame(make_viewer, small, log):
+    viewer = make_viewer(log, config=small.override(**STACKED))
+    session = viewer.session
+    session.head.mode = Mode.SLIDING
+    session.head.toggle()
+    shown = set()
+    for _ in range(60):
+        viewer.frame(0.1)
+        shown.add(session.scene.exposure.stop_utc_s)
+        if len(shown) == 3:
+            break
+    assert len(shown) == 3
+    assert session.image.pixels.dtype == np.uint16
+    assert session.status == ""
+
+
 def test_a_saved_frame_equals_the_exporter_s_byte_for_byte(viewer, small, log, tmp_path):
     session = viewer.session
     session.head.seek_by(7.0)

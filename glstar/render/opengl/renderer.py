@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
-from types import TracebackType
 from typing import Self
 
 import moderngl
@@ -21,11 +20,11 @@ from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
+from glstar.render.opengl.stacktexture import StackTexture
 from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubExposurePass
 from glstar.render.opengl.targets import SignalTarget, Targets
 from glstar.render.opengl.trailpass import TrailPass
 from glstar.render.scene import Frame, Scene
-from glstar.render.stacking import stacked_frame
 from glstar.render.trailmodels import SAMPLE_SPACING_SIGMA, AnalyticSegments, SubExposures
 
 __all__ = ["GLRenderer"]
@@ -54,6 +53,8 @@ class GLRenderer:
     ----------
     driver : str
         Name and version of the driver.
+    stack : StackTexture
+        The image that was developed last if it is stacked.
 
     Raises
     ------
@@ -92,6 +93,8 @@ class GLRenderer:
         self._develop_pass = DevelopPass(context, self._effects)
         owned.callback(self._develop_pass.release)
         self._readback = Readback(context)
+        self.stack = StackTexture(context)
+        owned.callback(self.stack.release)
         owned.callback(self._drop_targets)
         owned.callback(self._readback.release)
         owned.callback(self._drop_distortion_pass)
@@ -143,8 +146,11 @@ class GLRenderer:
             closed.
         """
         if scene.shorts:
-            return stacked_frame(partial(self.render, light=light), scene, seed=seed)
-        self._developed(scene, seed)
+            return self.stack.drawn(self._drawn, scene, seed=seed, light=light)
+        return self._drawn(scene, seed=seed, light=light)
+
+    def _drawn(self, scene: Scene, *, seed: int, light: bool = False, noiseless: bool = False) -> Frame:
+        self._developed(scene, seed, noiseless=noiseless)
         return self.read(light=light)
 
     def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
@@ -182,7 +188,7 @@ class GLRenderer:
         self._exposed(scene)
 
     def develop(self, scene: Scene, *, seed: int) -> moderngl.Texture:
-        """Convert a scene's flux to digital numbers, after exposing it if necessary.
+        """Convert a scene's flux to digital numbers, after exposing it if necessary; a stacked image is drawn complete.
 
         Parameters
         ----------
@@ -201,11 +207,11 @@ class GLRenderer:
         RenderError
             As `expose`, or if the seed is invalid.
         """
-        self._developed(scene, seed)
+        self.begin_develop(scene, seed=seed)
         return self.developed_texture()
 
     def begin_develop(self, scene: Scene, *, seed: int, noiseless: bool = False) -> bool:
-        """Start to develop a scene, perhaps without noise, not waiting for it; `developed_texture` returns the image.
+        """Start to develop a scene, perhaps without noise, not waiting unless it is stacked: see `developed_texture`.
 
         Returns
         -------
@@ -213,7 +219,9 @@ class GLRenderer:
             Whether the texture of the previous image is still valid: not if the images differ in size or type.
         """
         before = self._targets
-        return self._developed(scene, seed, noiseless=noiseless) is before
+        draw = partial(self.stack.drawn, self._drawn) if scene.shorts else self._developed
+        draw(scene, seed=seed, noiseless=noiseless)
+        return self._targets is before
 
     def developed_texture(self) -> moderngl.Texture:
         """Return the image that was developed last as a texture, after waiting for it.
@@ -223,9 +231,9 @@ class GLRenderer:
         moderngl.Texture
             As `develop` returns it.
         """
-        targets = self._developed_last()
+        targets = None if self.stack.frame is not None and not self._closed else self._developed_last()
         with self._current:
-            texture = targets.display_texture()
+            texture = self.stack.uploaded() if targets is None else targets.display_texture()
             self._screen.use()
             return texture
 
@@ -242,6 +250,7 @@ class GLRenderer:
 
     def _exposed(self, scene: Scene) -> Targets:
         _require_single(scene, is_closed=self._closed)
+        self.stack.frame = None
         with self._current:
             targets = self._targets_for(scene)
             if targets.scene is None or not _have_same_light(scene, targets.scene):
@@ -321,6 +330,8 @@ class GLRenderer:
         targets = self._targets
         if self._closed or targets is None or targets.scene is None or targets.seed is None:
             raise RenderError("nothing has been developed yet")
+        if self.stack.frame is not None:
+            raise RenderError("a stacked image is not read from the GPU; GLRenderer.stack.frame has it")
         return targets
 
     def _expose_all(self, scene: Scene, targets: Targets) -> None:
@@ -382,14 +393,10 @@ class GLRenderer:
 
     def _guard_band_px(self, scene: Scene) -> int:
         """Return the width of the guard band around a pinhole's image; refuse sprites and images that are too large."""
-        camera, sensor = scene.camera, scene.sensor
         radius_px, brightest_mag = _largest(scene)
-        _refuse_large_sprites(sensor, radius_px, self._point_size_px)
-        # Wide enough for the brightest star, whether visible or not, and a multiple of 8 px: neither playback nor a
-        # slider creates new targets for every image.
-        brightest_dn = sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
-        guard_band_px = 8 * int(np.ceil((max(radius_px, float(sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
-        _refuse_large_image(camera, guard_band_px, self._texture_size_px)
+        _refuse_large_sprites(scene.sensor, radius_px, self._point_size_px)
+        guard_band_px = _wide_guard_band_px(scene, radius_px, brightest_mag)
+        _refuse_large_image(scene.camera, guard_band_px, self._texture_size_px)
         return guard_band_px
 
     def _distortion_pass_for(self, scene: Scene) -> DistortionPass:
@@ -421,9 +428,7 @@ class GLRenderer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
 
@@ -434,12 +439,21 @@ def _largest(scene: Scene) -> tuple[float, float]:
     return radius_px, min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
 
 
+def _wide_guard_band_px(scene: Scene, radius_px: float, brightest_mag: float) -> int:
+    """Return a width for the brightest star, whether visible or not.
+
+    It is a multiple of 8 px: neither playback nor a slider creates new targets for every image.
+    """
+    brightest_dn = scene.sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
+    return 8 * int(np.ceil((max(radius_px, float(scene.sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
+
+
 def _require_single(scene: Scene, *, is_closed: bool) -> None:
     """Raise if the renderer is closed, or a scene has several short exposures, which are drawn one at a time."""
     if is_closed:
         raise RenderError("this renderer is closed; make another")
     if scene.shorts:
-        raise RenderError("a stacked image is no single texture; develop each of Scene.shorts, or call render")
+        raise RenderError("a stacked image has no flux of its own; expose each of Scene.shorts, or call render")
 
 
 def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int) -> None:

@@ -71,7 +71,7 @@ class DisplayPanel:
             return
         implot.setup_axes("DN", "", 0, int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.auto_fit))
         implot.setup_axis_scale(int(implot.ImAxis_.y1), int(implot.Scale_.log10))
-        white_dn = session.config.sensor().saturation_dn
+        white_dn = _white_dn(session)
         real = session.real
         shown = {} if real is None else {"real": (real[1].pixels, white_dn / real[1].white_dn)}
         playing = session.head is not None and session.head.playing
@@ -98,6 +98,11 @@ class DisplayPanel:
         return counted[1]
 
 
+def _white_dn(session: Session) -> int:
+    """Return the largest digital number of images with the present settings."""
+    return session.config.exposure.signal_factor * session.config.sensor().saturation_dn
+
+
 def _drag_limits(session: Session, white_dn: int) -> None:
     """Draw the levels shown black and white as lines that can be dragged."""
     stretch, colour = session.stretch, accent()
@@ -112,7 +117,7 @@ def _drag_limits(session: Session, white_dn: int) -> None:
 
 def _draw_stretch(session: Session) -> None:
     stretch = session.stretch
-    white_dn = session.config.sensor().saturation_dn
+    white_dn = _white_dn(session)
     if imgui.button("Auto"):
         fit_stretch(session)
         stretch = session.stretch

@@ -173,7 +173,7 @@ class ImagePanel:
             scene,
             session.shown_overlays,
             name_vmag_limit=session.name_vmag_limit,
-            pixels=session.image.pixels if Overlay.SATURATED in session.shown_overlays else None,
+            pixels=session.image.tested if Overlay.SATURATED in session.shown_overlays else None,
             region=region,
             zoom=view.zoom,
             beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),

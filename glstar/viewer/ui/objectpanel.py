@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from numpy.typing import NDArray
 
 from glstar.sky.apparent import right_ascension_declination
 from glstar.sky.timescale import format_utc
@@ -47,17 +48,17 @@ def draw_object(session: Session, selection: Selection) -> None:
         return
     _draw_direction(found.vmag, place, direction_eq)
     imgui.separator()
-    pixels = session.image.pixels
+    pixels, tested = session.image.pixels, session.image.tested
     playing = session.head is not None and session.head.playing
-    if playing or pixels is None:
+    if playing or pixels is None or tested is None:
         imgui.text_disabled("Pause to measure it in the image.")
         return
-    truth = selection.star_truth(scene, pixels)
+    truth = selection.star_truth(scene, tested)
     if truth is not None:
         _draw_truth(truth)
         cut_out = star_cut_out(scene, pixels, direction_eq, truth.get("light_dn", truth["flux_dn"]))
         if cut_out is not None:
-            _draw_cut_out(cut_out, scene.sensor.saturation_dn, night=session.night)
+            _draw_cut_out(cut_out, cut_out.saturated(tested, scene.sensor.saturation_dn), night=session.night)
     if not place.on_image:
         _wrapped(place.message(found.name))
         if imgui.button("Go to when it is in the image"):
@@ -116,8 +117,8 @@ def _draw_truth(truth: dict[str, Any]) -> None:
     _table("##truth", rows)
 
 
-def _draw_cut_out(cut_out: CutOut, saturation_dn: int, *, night: bool) -> None:
-    """Draw the pixels around the star, and the profile across its trail beside the expected one."""
+def _draw_cut_out(cut_out: CutOut, is_saturated: NDArray[np.bool_], *, night: bool) -> None:
+    """Draw the pixels around the star, the saturated in a colour, and the profile across its trail and the expected."""
     rows, columns = cut_out.pixels.shape
     scale = imgui.get_style().font_scale_dpi
     cell = max(1.0, np.floor(_CUT_OUT_SIDE * scale / max(rows, columns)))
@@ -127,8 +128,7 @@ def _draw_cut_out(cut_out: CutOut, saturation_dn: int, *, night: bool) -> None:
     for row in range(rows):
         for column in range(columns):
             level = float(grey[row, column])
-            saturated = cut_out.pixels[row, column] >= saturation_dn
-            colour = _pixel_colour(level, saturated=saturated, night=night)
+            colour = _pixel_colour(level, saturated=bool(is_saturated[row, column]), night=night)
             corner = ImVec2(origin.x + column * cell, origin.y + row * cell)
             draw_list.add_rect_filled(
                 corner, ImVec2(corner.x + cell, corner.y + cell), imgui.color_convert_float4_to_u32(colour)

@@ -70,7 +70,7 @@ def _draw_numbers(
     if pixels is None or scene is None:
         return
     shown = pixels[first[1] : last[1], first[0] : last[0]]
-    bright = session.stretch(shown.astype(np.float32) / np.float32(scene.sensor.saturation_dn)) > _BRIGHT
+    bright = session.stretch(shown.astype(np.float32) / np.float32(scene.white_dn)) > _BRIGHT
     colours = [imgui.get_color_u32(which[session.night]) for which in (_ON_DARK, _ON_BRIGHT)]
     (left, top), (right, bottom) = session.view.to_screen([first, last - 1]) + corner
     across, down = (

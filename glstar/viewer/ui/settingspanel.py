@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 
 from imgui_bundle import ImVec4, imgui
 
-from glstar.camera.exposure import Readout, Trail
+from glstar.camera.exposure import Readout, Stack, Trail
 from glstar.camera.presets import camera_presets
 from glstar.camera.sensor import NoiseModel
 from glstar.camera.sensorpresets import sensor_presets
@@ -40,6 +40,8 @@ _EXPOSURE: Final = {
     "exposure.readout_s": Control("Readout", 0.0, 0.3, "%.4f s"),
     "exposure.rate_hz": Control("Sub-exposures", 10.0, 2000.0, "%.0f /s", logarithmic=True),
 }
+_FRAMES: Final = Control("Stacked", 1.0, 16.0, "%.0f")
+_GAP: Final = Control("Gap", 0.0, 1.0, "%.4f s")
 _SENSOR: Final = {
     "sensor.reference_vmag": Control("Reference star", -1.5, 8.0, "V %.2f"),
     "sensor.reference_peak_dn": Control("Peak of that star", 1.0, 65535.0, "%.0f DN", logarithmic=True),
@@ -81,6 +83,10 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
         if config.exposure.readout_s:
             _choice("exposure.readout", "Rows open", config.exposure.readout, get_args(Readout), changes)
         _choice("exposure.trail", "Trails", config.exposure.trail, get_args(Trail), changes)
+        _slider("exposure.frames", _FRAMES, config.exposure.frames, changes, integer=True)
+        if config.exposure.frames > 1:
+            _slider("exposure.gap_s", _GAP, config.exposure.gap_s, changes)
+            _choice("exposure.stack", "Added or averaged", config.exposure.stack, get_args(Stack), changes)
     if _heading("Camera"):
         _camera(config, changes)
     if _heading("Sensor"):

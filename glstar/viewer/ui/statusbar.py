@@ -5,6 +5,7 @@ from typing import Final
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from glstar.render.scene import Scene
 from glstar.sky.timescale import format_utc
 from glstar.viewer.currentconditions import Conditions
 from glstar.viewer.exporting import BackgroundExport
@@ -60,11 +61,7 @@ def _draw_items(session: Session) -> None:
         _draw_image_time(session, session.loaded)
     scene = session.scene
     if scene is not None:
-        _item(
-            f"{scene.exposure.duration_s:g} s in {len(scene.trails)} segments"
-            if scene.exposure.trail == "analytic"
-            else f"{scene.exposure.duration_s:g} s in {len(scene.trails.pointing)} sub-exposures"
-        )
+        _item(_exposure_text(scene))
         _item(f"{scene.visible.size} stars")
         _item(f"{100 * session.view.zoom:.0f} %")
     _draw_conditions(session.conditions)
@@ -75,6 +72,13 @@ def _draw_items(session: Session) -> None:
     if session.video is not None:
         _draw_video(session.video)
     _draw_driver(session)
+
+
+def _exposure_text(scene: Scene) -> str:
+    """Return how long the scene is exposed, and in how many parts."""
+    times = f"{len(scene.shorts)} x " if scene.shorts else ""
+    parts = "segments" if scene.exposure.trail == "analytic" else "sub-exposures"
+    return f"{times}{scene.exposure.duration_s:g} s in {len(scene.trails)} {parts}"
 
 
 def _draw_time(loaded: LoadedFlight) -> None:
