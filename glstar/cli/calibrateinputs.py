@@ -12,7 +12,8 @@ from glstar.calibrate import Label, Photograph, ReferenceStars
 from glstar.camera.model import Camera
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
-from glstar.rotation import matrix_from_euler, matrix_from_quaternion
+from glstar.flight import AttitudeTrack
+from glstar.rotation import matrix_from_euler, matrix_from_quaternion, turn_between
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
@@ -36,6 +37,8 @@ _DEFAULT_UTC_S: Final = parse_utc("2020-01-01T00:00:00Z")
 _ALL_STARS_VMAG: Final = 99.0
 # An image is the config's camera, binned, if the ratios of its sides agree to this fraction.
 _SAME_ASPECT: Final = 0.01
+# Turns during the readout that are smaller than this, deg, are below half a pixel of most cameras.
+_LEAST_TURN_DEG: Final = 0.01
 # Older files name the last column ``hr``.
 _LABEL_COLUMNS: Final = ("x", "y", "star_id")
 # Largest label file, bytes; a label has about 30.
@@ -52,11 +55,14 @@ class Reference:
     C_body_ned : (3, 3) float64 or None
         The given attitude; None if it is unknown.
     catalogue : StarCatalogue
+    notes : tuple of str
+        Remarks for the user: what the flight says that the calibration leaves out.
     """
 
     stars: ReferenceStars
     C_body_ned: NDArray[np.float64] | None
     catalogue: StarCatalogue
+    notes: tuple[str, ...] = ()
 
 
 def exposures_of(exposures: list[float] | None, images: int) -> list[float | None]:
@@ -155,7 +161,9 @@ def references(
         utc_s = None if camera_utc_s is None else camera_utc_s - ahead_s
         C_body_ned: NDArray[np.float64] | None = None
         site: Site | None = None
+        notes: tuple[str, ...] = ()
         if recorded is not None and utc_s is not None:
+            notes = _readout_notes(recorded.attitude, utc_s, settings.exposure.readout_s)
             C_body_ned = matrix_from_quaternion(recorded.attitude.at([utc_s]))[0]
             site = recorded.position.at(utc_s)
         if site_deg is not None:
@@ -171,8 +179,21 @@ def references(
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
             found.append(Reference(stars, None, catalogue))
         else:
-            found.append(Reference(ReferenceStars.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue))
+            found.append(Reference(ReferenceStars.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue, notes))
     return found
+
+
+def _readout_notes(attitude: AttitudeTrack, utc_s: float, readout_s: float) -> tuple[str, ...]:
+    """Return the remark that the camera turned while a rolling shutter read the image; none if it hardly did."""
+    between_s = np.clip([utc_s - readout_s / 2, utc_s + readout_s / 2], attitude.first_s, attitude.last_s)
+    turn_deg = float(np.rad2deg(np.linalg.norm(turn_between(*attitude.at(between_s)))))
+    if turn_deg < _LEAST_TURN_DEG:
+        return ()
+    return (
+        f"the aircraft turned by {turn_deg:.2f} deg while the rolling shutter read the image ({1e3 * readout_s:g} ms),"
+        " which the fitted camera and attitude contain: a photograph is calibrated with one attitude for all rows. Take"
+        " a photograph at rest; glstar compare --fit-readout measures the readout time",
+    )
 
 
 def read_labels(path: Path) -> list[Label]:

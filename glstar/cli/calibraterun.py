@@ -171,6 +171,7 @@ def _calibrated(
     image, detected, reference, matches = part.image, part.detected, part.reference.stars, part.matches
     if not lens_is_fitted:
         matches = fit_lens(detected, reference, matches, lens=cast("LensChoice", options.lens))
+    matches = replace(matches, notes=(*matches.notes, *part.reference.notes))
     geometry = calibrate_geometry(image, detected, reference, matches, method=part.method)
     if options.geometry_only:
         return geometry

@@ -105,6 +105,18 @@ def test_the_sensor_of_an_exported_frame_is_recovered(ground: Path, tmp_path: Pa
     assert found["notes"] == []
 
 
+def test_a_turn_during_the_readout_of_a_rolling_shutter_is_noted(ground: Path, tmp_path: Path) -> None:
+    rows = [f"{1710068400 + k * 0.1:.1f},-4,3,{70 + 0.5 * (k * 0.1 - 5.25)},-34.93,138.60" for k in range(101)]
+    header = "utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg"
+    (tmp_path / "turning.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    (tmp_path / "rolling.toml").write_text(SETTINGS + "[exposure]\nreadout_s = 0.08\n", encoding="utf-8")
+    flight = ("-c", tmp_path / "rolling.toml", "--flight", tmp_path / "turning.csv", "--utc", UTC)
+    found = calibrated(ground, tmp_path / "rolling.toml.out.toml", *flight, "--geometry-only")
+    (note,) = found["notes"]
+    assert "turned by 0.04 deg while the rolling shutter read the image (80 ms)" in note
+    assert "glstar compare --fit-readout" in note
+
+
 def test_the_twin_of_a_frame_is_like_the_frame(ground: Path, tmp_path: Path) -> None:
     flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC, "--twin")
     found = calibrated(ground, tmp_path / "twin.toml", *flight)
