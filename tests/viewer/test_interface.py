@@ -401,9 +401,13 @@ def test_text_is_scaled_only_once(content_scale, framebuffer_px, window_units, s
     assert text_scale(content_scale, framebuffer_px, window_units) == pytest.approx(scale)
 
 
-@pytest.mark.parametrize("size", [(800, 600), (1280, 800)])
-def test_no_control_is_cut_off(small, log, tmp_path, size):
-    surface = HeadlessSurface(size)
+@pytest.mark.parametrize(("size", "scale"), [((800, 600), 1.0), ((1280, 800), 1.0), ((1920, 1200), 1.5)])
+def test_no_control_is_cut_off(small, log, tmp_path, size, scale):
+    class Scaled(HeadlessSurface):
+        pass
+
+    Scaled.scale = scale
+    surface = Scaled(size)
     with Viewer(surface, small, output=tmp_path / "saved") as viewer:
         viewer.open(log)
         viewer.session.wait_for_flight()
