@@ -13,7 +13,7 @@ import exifread
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.pixelpattern import read_map
+from glstar.camera.photofile import decode_photo
 from glstar.errors import CalibrationError
 from glstar.system.imagesize import size_error
 
@@ -33,7 +33,6 @@ logging.getLogger("exifread").addHandler(logging.NullHandler())
 # First characters of a FITS file, and its exposure, s.
 _FITS_BEGIN: Final = b"SIMPLE  ="
 _FITS_EXPOSURE: Final = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
-_LARGEST: Final = 65535
 
 # Smallest side of an image of stars.
 _LEAST_SIDE_PX: Final = 32
@@ -68,19 +67,23 @@ class Photograph:
         return int(2**self.bit_depth - 1)
 
 
-def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None) -> Photograph:
+def read_image(
+    path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None, demosaiced: bool = True
+) -> Photograph:
     """Return an image as one channel.
 
     Parameters
     ----------
     path : path-like
-        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; or FITS of
-        one channel.
+        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; DNG, HEIC;
+        or FITS of one channel.
     channel : {"value", "red", "green", "blue", "mean"}
         Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
     bit_depth : int, optional
         Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits.  By default 8;
-        for a 16-bit file the depth whose largest number occurs in the image, else 16.
+        for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG states it.
+    demosaiced : bool
+        Whether a DNG's mosaic becomes a colour image.
 
     Returns
     -------
@@ -106,21 +109,27 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     too_large = size_error(content)
     if too_large is not None:
         raise CalibrationError(too_large, path=path)
-    pixels = _decoded(content, path)
+    pixels, white_dn = _decoded(content, path, demosaiced=demosaiced)
     grey, name = _one_channel(pixels, channel)
     if min(grey.shape) < _LEAST_SIDE_PX:
         message = f"is an image of {grey.shape[1]} x {grey.shape[0]} px; a star field needs {_LEAST_SIDE_PX} or more"
         raise CalibrationError(message, path=path)
-    depth = _depth_of(pixels) if bit_depth is None else bit_depth
+    stated = _depth_of(pixels) if white_dn is None else white_dn.bit_length()
+    depth = stated if bit_depth is None else bit_depth
     if grey.max() > 2**depth - 1:
         message = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
         raise CalibrationError(message, path=path)
     return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(content))
 
 
-def _decoded(content: bytes, path: Path) -> NDArray[Any]:
-    if content.startswith(_FITS_BEGIN):
-        return _decoded_fits(path)
+def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> tuple[NDArray[Any], int | None]:
+    """Return the pixels, and the digital number at which they saturate if the file says so."""
+    try:
+        photo = decode_photo(content, demosaiced=demosaiced, upright=True)
+    except ValueError as error:
+        raise CalibrationError(str(error), path=path) from error
+    if photo is not None:
+        return photo.pixels, photo.white_dn
     # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore the EXIF orientation.
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     try:
@@ -128,23 +137,11 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise CalibrationError("is no image that can be read; JPEG, PNG, TIFF and FITS can", path=path)
+        raise CalibrationError("is no image that can be read; JPEG, PNG, TIFF, DNG, HEIC and FITS can", path=path)
     if pixels.dtype not in (np.uint8, np.uint16):
         message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
         raise CalibrationError(message, path=path)
-    return np.asarray(pixels)
-
-
-def _decoded_fits(path: Path) -> NDArray[Any]:
-    """Return the whole numbers of a FITS file's first image, uint16."""
-    try:
-        pixels = read_map(str(path))
-    except ValueError as error:
-        raise CalibrationError(f"is no image that can be read: {error}", path=path) from error
-    if pixels.min() < 0 or pixels.max() > _LARGEST or (pixels != np.rint(pixels)).any():
-        message = f"holds numbers from {pixels.min():g} to {pixels.max():g}; a calibration needs a camera's own, whole"
-        raise CalibrationError(f"{message} and from 0 to {_LARGEST}", path=path)
-    return pixels.astype(np.uint16)
+    return np.asarray(pixels), None
 
 
 def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["Defects", "PixelPattern", "read_map"]
+__all__ = ["Defects", "PixelPattern", "read_fits", "read_map"]
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -259,7 +259,7 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
     if suffix == ".npy":
         pixels = np.load(file, allow_pickle=False)
     elif suffix in {".fits", ".fit", ".fts"}:
-        pixels = _read_fits(Path(file).read_bytes())
+        pixels = read_fits(Path(file).read_bytes())
     else:
         import cv2  # noqa: PLC0415 - when a map is used
 
@@ -273,8 +273,21 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
     return found
 
 
-def _read_fits(content: bytes) -> Float:
+def read_fits(content: bytes) -> Float:
     """Return the image of the first header unit of a FITS file, in physical values.
+
+    Parameters
+    ----------
+    content : bytes
+
+    Returns
+    -------
+    (height, width) float64
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, or no image of one channel.
 
     Notes
     -----

@@ -46,7 +46,7 @@ def calibrate_from_darks(
     images = []
     with progress_bar("images") as on_image:
         for number, path in enumerate(paths, start=1):
-            images.append(read_image(path, bit_depth=bit_depth))
+            images.append(read_image(path, bit_depth=bit_depth, demosaiced=False))
             on_image(number, len(paths))
     depths = {image.bit_depth for image in images}
     if bit_depth is None and len(depths) > 1:

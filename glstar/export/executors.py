@@ -245,8 +245,8 @@ def _pipeline(
         return in_progress.popleft(), renderer.end_read()
 
     def encode(rendered: tuple[ComposedFrame, Frame]) -> T:
-        number = rendered[0].number
-        return use(task.encode(*rendered, on_pixels=None if on_pixels is None else partial(on_pixels, number)))
+        publish = None if on_pixels is None else partial(on_pixels, rendered[0].number)
+        return use(task.encode(*rendered, on_pixels=publish))
 
     if encoder_threads is None:
         encoder_threads = available_processors()

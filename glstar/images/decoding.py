@@ -10,15 +10,17 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from glstar.camera.photofile import decode_photo, has_image_signature
 from glstar.errors import ImagesError
 from glstar.system.imagesize import size_error
 
-__all__ = ["FittedImage", "Grey", "fit", "read_grey"]
+__all__ = ["FittedImage", "Grey", "fit", "is_image", "read_grey"]
 
 # Digital numbers of 8 or 16 bits.
 Grey = NDArray[np.unsignedinteger[Any]]
 
 _JPEG: Final = b"\xff\xd8\xff"
+_SIGNATURE_BYTES: Final = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,13 +50,34 @@ class FittedImage:
         return int(np.iinfo(self.pixels.dtype).max)
 
 
+def is_image(path: Path) -> bool:
+    """Return whether a file begins like an image that glstar reads.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    with path.open("rb") as file:
+        return has_image_signature(file.read(_SIGNATURE_BYTES))
+
+
 def read_grey(path: Path) -> Grey:
     """Return an image file as grey digital numbers, as the sensor has them: unrotated, unscaled.
 
     Parameters
     ----------
     path : Path
-        PNG, JPEG, TIFF or another format that OpenCV or tifffile reads, of 8 or 16 bits.
+        PNG, JPEG, TIFF or another format that OpenCV or tifffile reads, of 8 or 16 bits; DNG; HEIC; FITS of one
+        channel.
 
     Returns
     -------
@@ -80,7 +103,11 @@ def read_grey(path: Path) -> Grey:
     too_large = size_error(content)
     if too_large is not None:
         raise ImagesError(path, too_large)
-    pixels = _decoded(content)
+    try:
+        photo = decode_photo(content)
+    except ValueError as error:
+        raise ImagesError(path, str(error)) from error
+    pixels = _decoded(content) if photo is None else photo.pixels
     if pixels is None:
         raise ImagesError(path, "is broken, or of a kind that glstar does not read")
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):

@@ -14,10 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-import cv2
-
 from glstar.errors import ImagesError
-from glstar.images.decoding import FittedImage, fit, read_grey
+from glstar.images.decoding import FittedImage, fit, is_image, read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
 
 __all__ = ["RealImage", "RealImages", "choose_images", "find_images"]
@@ -356,7 +354,7 @@ def _as_image(path: Path, listed: dict[str, ImageTime]) -> RealImage | str:
     try:
         if path.stat().st_size == 0:
             return f"{path.name}: is empty (0 bytes)"
-        if not cv2.haveImageReader(str(path)):
+        if not is_image(path):
             return f"{path.name}: is not an image that glstar reads"
     except OSError as error:
         return f"{path.name}: cannot be read: {error.strerror or error}"

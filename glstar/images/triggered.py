@@ -4,10 +4,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
-
 from glstar.errors import ImagesError
 from glstar.flight import Flight
+from glstar.images.decoding import is_image
 from glstar.images.folder import RealImage
 from glstar.images.times import ImageTime
 
@@ -38,9 +37,7 @@ def triggered_images(paths: Sequence[Path], flight: Flight, *, delay_s: float = 
     files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
     if missing := [path for path in files if not path.exists()]:
         raise ImagesError(missing[0], "is neither an image nor a folder of images")
-    images = sorted(
-        (path for path in set(files) if path.is_file() and cv2.haveImageReader(str(path))), key=_natural_order
-    )
+    images = sorted((path for path in set(files) if path.is_file() and is_image(path)), key=_natural_order)
     if flight.triggers is None:
         raise ImagesError(
             paths[0],

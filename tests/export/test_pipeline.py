@@ -168,8 +168,9 @@ def test_a_frame_begun_for_a_failed_export_is_not_drawn_for_another(tmp_path):
                 raise MemoryError
             renderer.begun.append(composed)
 
-        def encode(self, composed, frame):
+        def encode(self, composed, frame, *, on_pixels):
             assert frame == composed
+            assert on_pixels is None
             return EncodedFrame(composed, b"", None, b"{}\n")
 
         def write(self, frame, write):

@@ -1,0 +1,175 @@
+"""Photographs in the formats of cameras that OpenCV does not read: DNG, HEIC and FITS."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.pixelpattern import read_fits
+from glstar.system.imagesize import MAX_MEGAPIXELS
+from glstar.system.installation import install_command
+
+__all__ = ["PhotoPixels", "decode_photo", "has_image_signature"]
+
+_FITS: Final = b"SIMPLE  ="
+_TIFF: Final = (b"II*\0", b"MM\0*")
+# The tag DNGVersion as an entry of a TIFF directory, of either byte order, and where the directory may lie.
+_DNG_TAGS: Final = (b"\x12\xc6\x01\x00\x04\x00\x00\x00", b"\xc6\x12\x00\x01\x00\x00\x00\x04")
+_HEAD_BYTES: Final = 1 << 16
+_HEIF_BRANDS: Final = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1", b"avif")
+# First bytes of the other formats that OpenCV reads.
+_SIGNATURES: Final = (
+    *(b"\x89PNG", b"\xff\xd8\xff", b"BM", b"GIF8", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51", b"\x76\x2f\x31\x01"),
+    *(b"#?RGBE", b"#?RADIANCE", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"P7", b"Pf", b"PF", b"\x59\xa6\x6a\x95"),
+    *(b"II+\0", b"MM\0+"),
+)
+_LARGEST_DN: Final = 65535
+# LibRaw's number of a rotation, and the quarter turns to the left that make the image upright.
+_QUARTER_TURNS: Final = {3: 2, 5: 1, 6: 3}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoPixels:
+    """The content of a photograph.
+
+    Attributes
+    ----------
+    pixels : (height, width) or (height, width, 3) uint8 or uint16
+        Grey, or blue, green and red, as OpenCV has them.
+    white_dn : int or None
+        The digital number at which the camera saturates; None if the file does not say so.
+    """
+
+    pixels: NDArray[Any]
+    white_dn: int | None = None
+
+
+def has_image_signature(start: bytes) -> bool:
+    """Return whether a file begins like an image of a format that glstar reads.
+
+    Parameters
+    ----------
+    start : bytes
+        At least the first 16 bytes.
+
+    Returns
+    -------
+    bool
+    """
+    is_webp = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
+    return start.startswith((*_SIGNATURES, *_TIFF, _FITS)) or is_webp or _is_heif(start)
+
+
+def decode_photo(content: bytes, *, demosaiced: bool = True, upright: bool = False) -> PhotoPixels | None:
+    """Return the pixels of a DNG, HEIC or FITS file.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+    demosaiced : bool
+        Whether a DNG's mosaic becomes a colour image, by bilinear interpolation of its digital numbers; black level and
+        white balance stay as they are.
+    upright : bool
+        Whether a DNG is rotated as it says that it was taken.
+
+    Returns
+    -------
+    PhotoPixels or None
+        None if the file is of another kind.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged or too large, or the library that reads it is not installed; the message continues "FILE: ".
+    """
+    if content.startswith(_FITS):
+        return PhotoPixels(_decoded_fits(content))
+    if content.startswith(_TIFF) and any(tag in content[:_HEAD_BYTES] for tag in _DNG_TAGS):
+        return _decoded_dng(content, demosaiced=demosaiced, upright=upright)
+    if _is_heif(content):
+        return PhotoPixels(_decoded_heif(content))
+    return None
+
+
+def _is_heif(start: bytes) -> bool:
+    return start[4:8] == b"ftyp" and start[8:12] in _HEIF_BRANDS
+
+
+def _decoded_fits(content: bytes) -> NDArray[np.uint16]:
+    """Return the whole numbers of a FITS file's first image."""
+    try:
+        pixels = read_fits(content)
+    except ValueError as error:
+        raise ValueError(f"is no image that can be read: {error}") from error
+    if pixels.min() < 0 or pixels.max() > _LARGEST_DN or (pixels != np.rint(pixels)).any():
+        raise ValueError(
+            f"holds numbers from {pixels.min():g} to {pixels.max():g}; glstar needs a camera's own, whole and from 0 to"
+            f" {_LARGEST_DN}"
+        )
+    return pixels.astype(np.uint16)
+
+
+def _decoded_dng(content: bytes, *, demosaiced: bool, upright: bool) -> PhotoPixels:
+    try:
+        import rawpy  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ValueError(f"is a DNG, which needs rawpy: {install_command('raw')}") from error
+    try:
+        with rawpy.imread(BytesIO(content)) as raw:
+            _refuse_large(raw.sizes.raw_width, raw.sizes.raw_height)
+            mosaic, white_dn = np.array(raw.raw_image_visible), int(raw.white_level)
+            quarters = _QUARTER_TURNS.get(raw.sizes.flip, 0) if upright else 0
+            pattern = "".join(raw.color_desc.decode()[int(n)] for n in np.asarray(raw.raw_pattern).ravel())
+    except rawpy.LibRawError as error:
+        raise ValueError(f"is a DNG that cannot be decoded ({error})") from error
+    if mosaic.ndim != 2 or mosaic.dtype != np.uint16:
+        raise ValueError("is a DNG without the camera's own numbers; glstar reads raw mosaics of up to 16 bits")
+    if demosaiced and len(set(pattern)) > 1:
+        mosaic = _bilinear(mosaic, pattern)
+    return PhotoPixels(np.ascontiguousarray(np.rot90(mosaic, quarters)), white_dn)
+
+
+def _bilinear(mosaic: NDArray[np.uint16], pattern: str) -> NDArray[np.uint16]:
+    """Return a mosaic as blue, green and red."""
+    import cv2  # noqa: PLC0415 - when a raw image is read
+
+    codes = {
+        "RGGB": cv2.COLOR_BayerRGGB2BGR,
+        "BGGR": cv2.COLOR_BayerBGGR2BGR,
+        "GRBG": cv2.COLOR_BayerGRBG2BGR,
+        "GBRG": cv2.COLOR_BayerGBRG2BGR,
+    }
+    if pattern not in codes:
+        raise ValueError(f"is a DNG with the mosaic {pattern or '?'}; glstar reads RGGB, BGGR, GRBG and GBRG")
+    return np.asarray(cv2.cvtColor(mosaic, codes[pattern]), dtype=np.uint16)
+
+
+def _decoded_heif(content: bytes) -> NDArray[Any]:
+    try:
+        import pillow_heif  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ValueError(f"is a HEIC image, which needs pillow-heif: {install_command('heic')}") from error
+    with _damage_of_heic_explained():
+        found = pillow_heif.open_heif(BytesIO(content), convert_hdr_to_8bit=False, bgr_mode=True)
+    _refuse_large(*found.size)
+    with _damage_of_heic_explained():
+        pixels = np.asarray(found)
+    return np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[..., :3])
+
+
+@contextmanager
+def _damage_of_heic_explained() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, RuntimeError, EOFError, SyntaxError, ValueError) as error:
+        raise ValueError(f"is a HEIC image that cannot be decoded ({error})") from error
+
+
+def _refuse_large(width_px: int, height_px: int) -> None:
+    if width_px * height_px > MAX_MEGAPIXELS * 1e6:
+        raise ValueError(f"has {width_px} x {height_px} px; glstar reads up to {MAX_MEGAPIXELS} megapixels")

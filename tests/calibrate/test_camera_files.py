@@ -1,0 +1,110 @@
+"""Photographs as DNG and HEIC, read by calibration and comparison."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pillow_heif
+import pytest
+
+from glstar.calibrate import detect_stars, identify_near, read_image
+from glstar.calibrate.photontransfer import images_in
+from glstar.camera.photofile import decode_photo, has_image_signature
+from glstar.camera.sensor import Sensor
+from glstar.errors import CalibrationError, ImagesError
+from glstar.images.decoding import is_image, read_grey
+from tests.support.dng import dng
+from tests.support.starphotos import StarPhoto
+
+COLOURS_DN = {"r": 1200, "g": 700, "b": 300}
+
+
+def mosaic_of(pattern: str, height_px: int = 64, width_px: int = 96) -> np.ndarray:
+    """Return the mosaic of an even colour."""
+    cell = np.array([COLOURS_DN[colour] for colour in pattern], np.uint16).reshape(2, 2)
+    return np.tile(cell, (height_px // 2, width_px // 2))
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "grbg", "gbrg"])
+def test_a_dng_keeps_the_colours_of_its_mosaic(tmp_path: Path, pattern: str) -> None:
+    path = tmp_path / "one.dng"
+    path.write_bytes(dng(mosaic_of(pattern), pattern))
+
+    for channel, colour in (("red", "r"), ("green", "g"), ("blue", "b"), ("value", "r")):
+        image = read_image(path, channel=channel)
+        assert (image.pixels_dn == COLOURS_DN[colour]).all()
+        assert (image.bit_depth, image.pixels_dn.shape) == (12, (64, 96))
+    assert (read_grey(path) == COLOURS_DN["r"]).all()
+    np.testing.assert_array_equal(read_image(path, demosaiced=False).pixels_dn, mosaic_of(pattern))
+    assert [found.name for found in images_in(tmp_path)] == ["one.dng"]
+
+
+def test_a_dng_is_upright_for_calibration_and_as_the_sensor_has_it_for_comparison(tmp_path: Path) -> None:
+    raw, path = mosaic_of("rggb"), tmp_path / "turned.dng"
+    raw[:20, :40] = 3000  # at the top left of the sensor
+    path.write_bytes(dng(raw, orientation=6))  # to be turned to the right
+
+    upright = read_image(path, demosaiced=False).pixels_dn
+
+    assert upright.shape == (96, 64)
+    np.testing.assert_array_equal(upright, np.rot90(raw, -1))
+    assert read_grey(path).shape == (64, 96)
+
+
+def test_stars_of_a_dng_give_the_camera(tmp_path: Path) -> None:
+    photo = StarPhoto.of(
+        Sensor(reference_peak_dn=30000.0, psf_sigma_px=1.4, sky_mean_dn=200.0, sky_std_dn=8.0, bit_depth=12)
+    )
+    path = tmp_path / "stars.dng"
+    path.write_bytes(dng(photo.image.pixels_dn))
+
+    image = read_image(path, channel="green")
+    stars = detect_stars(image)
+    matches = identify_near(stars, photo.reference, photo.solution)
+
+    assert abs(matches.solution.camera.fx_px / photo.lens.fx_px - 1) < 3e-4
+    assert image.bit_depth == 12
+
+
+def test_a_heic_of_a_telephone_is_read(tmp_path: Path) -> None:
+    rows = np.linspace(20, 200, 64).round().astype(np.uint8)
+    colours = np.stack([np.tile(rows[:, None], (1, 96)) // part for part in (1, 2, 4)], axis=-1)
+    path = tmp_path / "one.heic"
+    pillow_heif.from_bytes("RGB", (96, 64), colours.tobytes()).save(path, quality=100)
+
+    red, blue = read_image(path, channel="red"), read_image(path, channel="blue")
+
+    np.testing.assert_allclose(red.pixels_dn, colours[..., 0], rtol=0, atol=6)
+    np.testing.assert_allclose(blue.pixels_dn, colours[..., 2], rtol=0, atol=6)
+    assert red.bit_depth == 8
+    assert is_image(path)
+
+
+@pytest.mark.parametrize(
+    ("library", "extra", "content"),
+    [("rawpy", "raw", dng(mosaic_of("rggb"))), ("pillow_heif", "heic", b"\0\0\0\x1cftypheic" + bytes(40))],
+)
+def test_a_missing_library_is_named_with_its_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: str, extra: str, content: bytes
+) -> None:
+    path = tmp_path / "photo"
+    path.write_bytes(content)
+    monkeypatch.setitem(sys.modules, library, None)
+
+    with pytest.raises(CalibrationError, match=rf"needs .*: pip install .*\[{extra}\]"):
+        read_image(path)
+    with pytest.raises(ImagesError, match=rf"needs .*: pip install .*\[{extra}\]"):
+        read_grey(path)
+
+
+def test_damaged_files_are_one_clear_line(tmp_path: Path) -> None:
+    heic = tmp_path / "one.heic"
+    pillow_heif.from_bytes("RGB", (96, 64), bytes(96 * 64 * 3)).save(heic)
+    for content in (dng(mosaic_of("rggb"))[:3000], heic.read_bytes()[:200]):
+        path = tmp_path / "cut"
+        path.write_bytes(content)
+        with pytest.raises(CalibrationError, match="cannot be decoded"):
+            read_image(path)
+    assert decode_photo(b"\x89PNG\r\n\x1a\n") is None
+    assert not has_image_signature(b"RIFF\0\0\0\0WAVEfmt ")
+    assert has_image_signature(b"RIFF\0\0\0\0WEBPVP8 ")
