@@ -14,6 +14,7 @@ from glstar.export.navfile import estimates
 from glstar.flight import AttitudeTrack, Flight
 from glstar.render.simulator import Simulator
 from glstar.sky.timescale import CLOCK_GRAIN_S
+from glstar.viewer.attitudechoices import AttitudeFinder
 from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.liveflight import Buffered
 from glstar.viewer.missing import SITE_KEYS, MissingFromLog, flight_keys
@@ -48,6 +49,8 @@ class LoadedFlight:
     estimate : AttitudeTrack or None
         What the aircraft estimated, if ``[navigator]`` names another message of the log.
     head : PlayHead
+    read_with : Config
+        The settings with which the log was read; `config` changes later.
     """
 
     path: Path | None
@@ -59,8 +62,10 @@ class LoadedFlight:
     overlays: Overlays
     estimate: AttitudeTrack | None = None
     head: PlayHead = field(init=False)
+    read_with: Config = field(init=False)
 
     def __post_init__(self) -> None:
+        self.read_with = self.config
         attitude = self.flight.attitude
         self.head = PlayHead(attitude.first_s, attitude.last_s, self.config.exposure, grows=self.is_live)
 
@@ -134,6 +139,25 @@ class LoadedFlight:
         if config.sky.catalogue != before.sky.catalogue:
             self.overlays = Overlays(self.simulator.sky.catalogue)
         self.config = config
+
+    def as_read(self, config: Config) -> Config:
+        """Return settings with the ``[flight]`` and ``navigator.attitude`` with which the log was read.
+
+        Parameters
+        ----------
+        config : Config
+
+        Returns
+        -------
+        Config
+        """
+        present, wanted = config.flight, self.read_with.flight
+        differing = [key for key in type(wanted).model_fields if getattr(present, key) != getattr(wanted, key)]
+        before = {f"flight.{key}": getattr(wanted, key) for key in differing}
+        if config.navigator.attitude != self.read_with.navigator.attitude:
+            before["navigator.attitude"] = self.read_with.navigator.attitude
+        unset = [key for key, value in before.items() if value is None]
+        return config.without(*unset).override(**before)
 
     def extend_to(self, utc_s: float, buffered: Buffered | None) -> None:
         """Extend a live flight to its latest attitude.
@@ -226,6 +250,8 @@ class FlightLoader:
         The site typed last, by key of ``[flight]``: the initial contents of the dialog.
     sampler : SkySampler
         Computes the curves of the timeline that need simulated exposures.
+    finder : AttitudeFinder
+        Finds the attitudes among which the user can choose.
     """
 
     def __init__(self) -> None:
@@ -235,7 +261,7 @@ class FlightLoader:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
         self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
         self.typed_site: dict[str, str] = {}
-        self.sampler = SkySampler()
+        self.sampler, self.finder = SkySampler(), AttitudeFinder()
         # The UTC typed last for each log.
         self._typed_utc: dict[Path, str] = {}
 
@@ -246,8 +272,8 @@ class FlightLoader:
 
     @property
     def works(self) -> bool:
-        """Whether a flight is being loaded, or curves are being computed."""
-        return self.is_busy or self.sampler.is_busy
+        """Whether a flight is being loaded, or curves or attitudes of the log are being computed."""
+        return self.is_busy or self.sampler.is_busy or self.finder.is_busy
 
     @property
     def is_done(self) -> bool:
@@ -270,7 +296,26 @@ class FlightLoader:
             Dotted keys of the config that hold for this log only.
         """
         self.missing, self.last_opened = None, path
+        self.drop()
         self._pending = path, given, self._thread.submit(LoadedFlight.read, path, config, given)
+
+    def follow(self, loaded: LoadedFlight, config: Config, given: Mapping[str, Any]) -> None:
+        """Begin to read the log shown again, unless it was read with the same settings.
+
+        Parameters
+        ----------
+        loaded : LoadedFlight
+            From a log.
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+        """
+        read = loaded.read_with
+        assert loaded.path is not None
+        if config.flight == read.flight and config.navigator.attitude == read.navigator.attitude:
+            self.drop()
+        else:
+            self.read(loaded.path, config, given)
 
     def make(self, config: Config, flight: Flight) -> None:
         """Begin to load a flight received from a link.
@@ -334,9 +379,12 @@ class FlightLoader:
 
     def drop(self) -> None:
         """Forget the flight that is being loaded."""
+        if self._pending is not None:
+            self._pending[2].cancel()
         self._pending = None
 
     def close(self) -> None:
         """End the thread."""
         self.sampler.close()
+        self.finder.close()
         self._thread.shutdown(wait=True, cancel_futures=True)

@@ -104,12 +104,11 @@ class Session:
         self.image = SimulatedImage(renderer, self.times)
         self.notifications = Notifications(clock)
         self.notify = self.notifications.add
-        self.view = ImageView()
+        self.view, self.navigator = ImageView(), NavigatorView()
         self.stretch = Stretch.for_sensor(config.sensor())
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
         self.night, self.name_vmag_limit = False, 3.0
         self.comparison = ComparisonState(clock)
-        self.navigator = NavigatorView()
         self.export: BackgroundExport | None = None
         self.video: Video | None = None
         # Reason why the flight opened last could not be loaded.
@@ -355,6 +354,8 @@ class Session:
             except (GlstarError, OSError) as error:
                 if self.loader.missing is None:
                     self.notify(str(error), is_error=True)
+                    if self.loaded is not None and path == self.loaded.path:
+                        self.use(self.loaded.as_read(self.config))
                 if self.loaded is None:
                     self._opening_error = str(error)
             except MemoryError:
@@ -426,7 +427,7 @@ class Session:
             self.stretch = self.stretch.for_white(before.sensor().saturation_dn, config.sensor().saturation_dn)
             if config.flight != before.flight or config.navigator.attitude != before.navigator.attitude:
                 if loaded.path is not None:
-                    self.loader.read(loaded.path, config, self._given)
+                    self.loader.follow(loaded, config, self._given)
                 elif config.flight != before.flight:
                     self.notify("[flight] of the settings is for logs; the flags of glstar live are for links")
         self.config = config

@@ -14,6 +14,7 @@ from glstar.viewer.aircraftstate import AircraftState, aircraft_state, ground_tr
 from glstar.viewer.belief import Belief
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.session import Session
+from glstar.viewer.ui.attitudecontrols import draw_attitude_controls
 from glstar.viewer.ui.theme import error
 
 __all__ = ["FlightPanel"]
@@ -57,6 +58,7 @@ class FlightPanel:
         ----------
         session : Session
         """
+        draw_attitude_controls(session)
         loaded, scene = session.loaded, session.scene
         if loaded is None or scene is None or session.head is None:
             imgui.text_disabled("no flight")
