@@ -13,6 +13,7 @@ from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
 from glstar.sky.geodesy import north_east_down_m
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 from glstar.sky.site import Site
+from glstar.viewer.imageazimuths import image_azimuths_rad
 
 __all__ = ["AircraftState", "aircraft_state", "ground_track_m"]
 
@@ -39,6 +40,8 @@ class AircraftState:
         Direction of the optical axis.
     lowest_altitude_rad : float
         Altitude of the lowest corner of the image, without refraction.
+    image_azimuths_rad : tuple of float
+        Azimuths that the image covers: the first, and the extent clockwise; see `image_azimuths_rad`.
     """
 
     roll_rad: float
@@ -50,6 +53,7 @@ class AircraftState:
     camera_azimuth_rad: float
     camera_altitude_rad: float
     lowest_altitude_rad: float
+    image_azimuths_rad: tuple[float, float]
 
     @property
     def view(self) -> str:
@@ -92,6 +96,7 @@ def aircraft_state(simulator: Simulator, utc_s: float) -> AircraftState:
         camera_azimuth_rad=float(azimuth_rad),
         camera_altitude_rad=float(altitude_rad),
         lowest_altitude_rad=float(np.fmin.reduce(corner_rad)),
+        image_azimuths_rad=image_azimuths_rad(camera, C_camera_ned),
     )
 
 

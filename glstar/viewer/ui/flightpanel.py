@@ -35,6 +35,7 @@ _LINES: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0
 _AIRCRAFT: Final[tuple[Colour, Colour]] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
 _BELIEF: Final[tuple[Colour, Colour]] = ((1.0, 0.77, 0.25, 0.9), (1.0, 0.0, 0.0, 0.9))
 _TRACK: Final[tuple[Colour, Colour]] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
+_IMAGE: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.45), (0.85, 0.0, 0.0, 0.45))
 _NO_INPUT: Final = int(
     implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.equal
 )
@@ -78,7 +79,7 @@ class FlightPanel:
             imgui.text_disabled("a fixed position: there is no ground track")
 
     def _draw_map(self, loaded: LoadedFlight, state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
-        """Draw the ground track, the aircraft with its heading, and the azimuth of the camera."""
+        """Draw the ground track, the aircraft with its heading, and the azimuths of the camera and its image."""
         if self._track_of is not loaded or self._origin is None or loaded.is_live:
             self._track_of = loaded
             self._origin = loaded.flight.position.at(float(loaded.flight.position.utc_s[0]))
@@ -100,10 +101,24 @@ class FlightPanel:
                 )
                 x, y = (np.ascontiguousarray(column) for column in ends.T)
                 implot.plot_line(label, x, y, implot.Spec(line_color=ImVec4(*colour), line_weight=2.0))
+            _plot_image_azimuths(state, np.array([east, north]), length_m, night=night)
             for belief in beliefs:
                 if belief.offset_km is not None:
                     _plot_position(belief, 1000 * np.array(belief.offset_km) + [north, east], night=night)
             implot.end_plot()
+
+
+def _plot_image_azimuths(state: AircraftState, east_north_m: Float, length_m: float, *, night: bool) -> None:
+    """Draw the azimuths that the image covers as a sector; as a circle if the zenith or the nadir is in the image."""
+    first_rad, extent_rad = state.image_azimuths_rad
+    if isnan(extent_rad):
+        return
+    azimuth_rad = np.linspace(first_rad, first_rad + extent_rad, 73)
+    outline_m = east_north_m + length_m * np.column_stack([np.sin(azimuth_rad), np.cos(azimuth_rad)])
+    if extent_rad < 2 * np.pi:
+        outline_m = np.vstack([east_north_m, outline_m, east_north_m])
+    east_m, north_m = (np.ascontiguousarray(column) for column in outline_m.T)
+    implot.plot_line("image", east_m, north_m, implot.Spec(line_color=ImVec4(*_IMAGE[night])))
 
 
 def _plot_position(belief: Belief, north_east_m: Float, *, night: bool) -> None:
@@ -179,6 +194,16 @@ def _draw_aircraft(draw_list: imgui.ImDrawList, centre: Float, width: float, col
     draw_list.add_circle_filled(ImVec2(*centre), 3.0, colour)
 
 
+def _azimuths(state: AircraftState) -> str:
+    """Return the azimuths that the image covers."""
+    first_rad, extent_rad = state.image_azimuths_rad
+    if extent_rad >= 2 * np.pi:
+        return "all around"
+    if isnan(extent_rad):
+        return "not known: the border of the image is beyond the lens"
+    return f"{degrees(first_rad):.1f}° to {degrees(first_rad + extent_rad) % 360:.1f}°"
+
+
 def _draw_numbers(state: AircraftState, beliefs: Sequence[Belief]) -> None:
     site = state.site
     rows = [
@@ -186,6 +211,7 @@ def _draw_numbers(state: AircraftState, beliefs: Sequence[Belief]) -> None:
         ("latitude, longitude", f"{degrees(site.latitude_rad):.5f}°  {degrees(site.longitude_rad):.5f}°"),
         ("height", f"{site.height_m:.1f} m"),
         ("camera alt, az", f"{degrees(state.camera_altitude_rad):+.2f}°  {degrees(state.camera_azimuth_rad):.2f}°"),
+        ("image az", _azimuths(state)),
     ]
     if not isnan(state.ground_speed_m_per_s):
         rows.insert(3, ("speed, climb", f"{state.ground_speed_m_per_s:.1f} m/s  {state.climb_m_per_s:+.1f} m/s"))
