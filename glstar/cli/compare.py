@@ -203,11 +203,9 @@ def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -
 
     fitted, path = comparison.alignment, output / "aligned.toml"
     assert fitted is not None
-    mount = fitted.mount
-    angles = {"yaw_deg": mount.yaw_rad, "pitch_deg": mount.pitch_rad, "roll_deg": mount.roll_rad}
     aligned = settings.override(
         **{"flight.time_offset_s": settings.flight.time_offset_s - fitted.delay_s},
-        **{f"mount.{key}": float(np.rad2deg(angle)) for key, angle in angles.items()},
+        **fitted.mount_keys,
         **_fitted_readout(settings, fitted),
     )
     with explain_disk_errors(path):

@@ -126,6 +126,12 @@ class Alignment:
     notes: tuple[str, ...]
 
     @property
+    def mount_keys(self) -> dict[str, float]:
+        """The fitted angles of the mount as settings: dotted keys, deg."""
+        angles = {"yaw_deg": self.mount.yaw_rad, "pitch_deg": self.mount.pitch_rad, "roll_deg": self.mount.roll_rad}
+        return {f"mount.{key}": float(np.rad2deg(angle)) for key, angle in angles.items()}
+
+    @property
     def opens_opposite(self) -> bool:
         """Whether the rows open in the opposite direction of the given one, beyond the error of the fit."""
         return self.fitted_readout and self.readout_s < -_SIGNIFICANT * self.readout_std_s

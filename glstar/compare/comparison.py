@@ -12,12 +12,14 @@ from glstar.compare.pairs import Cutouts, Measures, Pair, Pairing
 from glstar.compare.summary import by_star, summarize
 from glstar.errors import ImagesError
 
-__all__ = ["Collector", "ComparedImage", "Comparison", "RejectedImage", "rejection"]
+__all__ = ["Collector", "ComparedImage", "Comparison", "RejectedImage", "chance", "rejection"]
 
 # Number of best and of worst pairs that are kept with their cutouts.
 _SHOWN_PAIRS: Final = 8
 # An image counts as identified if 3 of its predicted stars and a tenth of them are found, or half of fewer than 6: a
 # single match among many predictions is chance.
+# Trails found by chance: at most this fraction of those predicted, and at least this scatter about a common motion, px.
+_MOST_BY_CHANCE, _CHANCE_SCATTER_PX = 0.5, 1.2
 _MANY_PREDICTED, _MIN_FOUND, _MIN_FOUND_FRACTION = 6, 3, 0.1
 # An image without found stars is reported as saturated above this fraction of saturated pixels.
 _SATURATED_FRACTION: Final = 0.3
@@ -175,6 +177,33 @@ def _nothing_paired(left_out: Sequence[RejectedImage]) -> str:
     counted = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
     first = next((one for one in left_out if one.kind == kinds.most_common(1)[0][0]), None) if left_out else None
     return f"no star of any image could be paired: {counted}; {first.file}: {first.reason}" if first else "no image"
+
+
+def chance(pairing: Pairing) -> tuple[str, str] | None:
+    """Return why the trails that were found in an image are no evidence of its stars.
+
+    Parameters
+    ----------
+    pairing : Pairing
+
+    Returns
+    -------
+    (str, str) or None
+        Kind and reason, as in `RejectedImage`; None if the trails move together, or most of them were found.
+
+    Notes
+    -----
+    Other stars in the search windows scatter over these: by 1.3 to 2.8 px per axis in images of another part of the
+    sky, where up to 36 % of the windows had one.  The same stars scatter by less than 0.1 px if attitude and lens are
+    right.
+    """
+    predicted, found = len(pairing.trails), len(pairing.found_indices)
+    if found >= _MOST_BY_CHANCE * predicted or not pairing.scatter_px > _CHANCE_SCATTER_PX:
+        return None
+    return "without a star found", (
+        f"of {predicted} predicted trails {found} could be found, and these scatter by {pairing.scatter_px:.1f} px:"
+        " other stars, by chance; another time, or a camera that points elsewhere (--search-angle)"
+    )
 
 
 def rejection(pairing: Pairing, sky: SubtractedImage) -> tuple[str, str] | None:

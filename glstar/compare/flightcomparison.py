@@ -15,7 +15,7 @@ from glstar.camera.sensor import Sensor
 from glstar.compare.alignment import Alignment, fit_alignment
 from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
 from glstar.compare.coarsealignment import likely_readout, likely_start
-from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, rejection
+from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, chance, rejection
 from glstar.compare.pairs import Pairing, measure, pair_trails
 from glstar.compare.predictedtrails import Trails, predicted_trails
 from glstar.errors import ConfigError, ImagesError
@@ -167,7 +167,7 @@ class FlightComparison:
             pairing = self._find_trails(number, mount, delay_s, readout_s)
             if pairing is None:
                 collected.reject(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
-            elif (reason := rejection(pairing, sky)) is not None:
+            elif (reason := rejection(pairing, sky) or chance(pairing)) is not None:
                 collected.reject(image.path.name, *reason)
             else:
                 trails = pairing.trails

@@ -1,5 +1,6 @@
 """Pairing of simulated trails with those of a real image, and their differences: eqs (44)-(46) and more."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,6 +29,8 @@ _SECOND_WINDOW_PX: Final = 3.0
 # A trail is an outlier beyond this many times the scatter, and this many px, from the common motion.
 _OUTLIER_SCATTERS: Final = 6.0
 _OUTLIER_PX: Final = 1.0
+# Median of the distance from the middle of a Gaussian in two dimensions, in standard deviations per axis.
+_RAYLEIGH_MEDIAN: Final = 1.1774
 # Relative damping of motions that the stars do not determine.
 _DAMPING: Final = 1e-9
 
@@ -59,12 +62,15 @@ class Pairing:
         Number of trails that were found but are outliers of the common motion; they do not count as found.
     motion : (m,) float64
         The small motion of the camera that fits the trails; see `Trails.jacobian`.
+    scatter_px : float
+        Standard deviation, per axis, of the trails that were found about that motion, px; NaN if none was.
     """
 
     trails: Trails
     found: tuple[FoundTrail | None, ...]
     astray: int
     motion: Float
+    scatter_px: float = np.nan
 
     @property
     def found_indices(self) -> list[int]:
@@ -238,7 +244,18 @@ def pair_trails(sky: SubtractedImage, trails: Trails, *, search_px: float, expec
     found = _found(sky, trails, expected_px, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
     motion, good = _common_motion(trails, found)
     astray = sum(trail is not None and not good[k] for k, trail in enumerate(found))
-    return Pairing(trails, tuple(trail if good[k] else None for k, trail in enumerate(found)), astray, motion)
+    kept = tuple(trail if good[k] else None for k, trail in enumerate(found))
+    return Pairing(trails, kept, astray, motion, _scatter_px(trails, kept, motion))
+
+
+def _scatter_px(trails: Trails, found: Sequence[FoundTrail | None], motion: Float) -> float:
+    """Return the standard deviation per axis of trails about a motion of the camera, px; NaN without trails."""
+    off = [
+        np.linalg.norm(trail.modes[:2] - turn @ motion)
+        for turn, trail in zip(trails.jacobian[:, :2, :3], found, strict=True)
+        if trail is not None
+    ]
+    return float(np.median(off)) / _RAYLEIGH_MEDIAN if off else np.nan
 
 
 def _first_found(sky: SubtractedImage, trails: Trails, search_px: float) -> list[FoundTrail | None]:
@@ -294,7 +311,7 @@ def _common_motion(trails: Trails, found: list[FoundTrail | None]) -> tuple[Floa
         A += np.diag(np.full(len(A), _DAMPING * max(np.trace(A), 1e-300)))
         motion = np.linalg.solve(A, np.einsum("k,kip,ki->p", w, P / scale, y)) / scale
         off = np.linalg.norm(y - P @ motion, axis=-1)
-        spread = float(np.median(off)) / 1.1774
+        spread = float(np.median(off)) / _RAYLEIGH_MEDIAN
         limit = max(_OUTLIER_SCATTERS * spread, _OUTLIER_PX)
         # Tukey's biweight: wrongly identified stars have no weight.
         weight = np.clip(1 - (off / (1.5 * limit + 3 * std)) ** 2, 0, None) ** 2 + 1e-9

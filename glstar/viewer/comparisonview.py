@@ -24,6 +24,7 @@ from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
 from glstar.images.times import TimeReference, exposure_of
 from glstar.sky.timescale import format_utc
 from glstar.system.durable import write_atomically
+from glstar.viewer.imagefit import ImageFit
 from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = [
@@ -223,6 +224,8 @@ class ComparisonState:
         The image that the user chose last, which is shown instead of others of the same time.
     error : str
         Why the folder opened last cannot be used; empty if it can.
+    fit : ImageFit or None
+        The fit of clock and mount that runs or was made last.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -238,6 +241,7 @@ class ComparisonState:
         self.real_gain = 1.0
         self.preferred: RealImage | None = None
         self.error = ""
+        self.fit: ImageFit | None = None
         self._clock = clock
         self._blinks_from_s = clock()
         self._opener = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-images")
@@ -285,10 +289,15 @@ class ComparisonState:
     @property
     def waiting(self) -> bool:
         """Whether a folder is being opened or an image decoded, so that the picture will change without an event."""
+        if self.fit is not None and self.fit.running:
+            return True
         return self._opening is not None or (self.images is not None and self.images.is_decoding)
 
     def close_images(self) -> None:
-        """Close the images; the settings stay."""
+        """Close the images and end their fit; the settings stay."""
+        if self.fit is not None:
+            self.fit.close()
+            self.fit = None
         if self.images is not None:
             self.images.close()
         self.images = self.preferred = None

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.compare import Comparison, FlightComparison, Search, compare_folders, write_comparison
 from glstar.compare.coarsealignment import likely_start
+from glstar.compare.comparison import chance
 from glstar.compare.comparisonfiles import alignment_json, comparison_json, comparison_table
 from glstar.errors import ImagesError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
@@ -385,3 +387,26 @@ def test_a_folder_without_counterparts_gives_a_one_line_error(tmp_path: Path, in
         compare_folders([image.path for image in injected.images], tmp_path / "sim")
     with pytest.raises(ImagesError, match="is not a folder of images"):
         compare_folders([injected.images[0].path], tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("turn_deg", [(60.0, 0.0, 0.0), (0.0, 90.0, 40.0), (-45.0, 45.0, 180.0)])
+def test_other_stars_near_the_predicted_trails_are_no_comparison(
+    injected: RealSet, renderer: GLRenderer, turn_deg: tuple[float, float, float]
+) -> None:
+    away = replace(simulator(flown(30)), mount=turned(Mount(), np.array(turn_deg)))
+
+    with pytest.raises(ImagesError, match=r"could be found|no predicted star"):
+        job(away, renderer, injected.images).run()
+
+
+@pytest.mark.parametrize(
+    ("found", "scatter_px", "is_chance"), [(9, 1.72, True), (9, 0.1, False), (20, 1.72, False), (0, np.nan, False)]
+)
+def test_a_few_trails_that_do_not_move_together_are_chance(found: int, scatter_px: float, is_chance: bool) -> None:
+    # 9 of 26 with 1.72 px: measured in an image of another part of the sky.
+    pairing = SimpleNamespace(trails=range(26), found_indices=range(found), scatter_px=scatter_px)
+
+    reason = chance(pairing)
+
+    assert (reason is not None) is is_chance
+    assert reason is None or "9 could be found, and these scatter by 1.7 px: other stars, by chance" in reason[1]

@@ -20,6 +20,7 @@ from glstar.viewer.skysearch import ObjectKind
 from glstar.viewer.timelinecurves import TimelineCurve
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.displaypanel import DisplayPanel
+from glstar.viewer.ui.fitpanel import FitPanel
 from glstar.viewer.ui.flightpanel import FlightPanel
 from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.linkpanel import draw_link
@@ -86,7 +87,7 @@ class Panels:
         self._timeline_of: PlayHead | None = None
         self._lines: FlightLines | None = None
         self._image_times: tuple[object, NDArray[np.float64]] = None, np.empty(0)
-        self._compare = ComparisonPanel(session.comparison)
+        self._compare, self._fit = ComparisonPanel(session.comparison), FitPanel()
         self._display_settings, self._flight = DisplayPanel(), FlightPanel()
         # The panels that share the right side, in the order of their tabs.
         self._right: dict[str, Callable[[], None]] = {
@@ -243,6 +244,7 @@ class Panels:
             session.head.seek(requests.seek_utc_s)
         if requests.save_view:
             save_comparison(session)
+        self._fit.draw(session)
 
 
 def _lay_out(dock: int, right_panels: list[str]) -> None:
