@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from glstar.cli.flightoptions import Flight, FlightFlags, flights_of, with_flight_flags
+from glstar.cli.imagefit import fit_images
 from glstar.cli.windowoptions import (
     Headless,
     Screenshot,
@@ -67,9 +68,7 @@ def view(
         raise typer.BadParameter(
             "without a window there is nothing to do but --screenshot or --play", param_hint="--headless"
         )
-    if stats is not None and play is None:
-        raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
-    _require_both(answers, answers_to)
+    _refuse_lone_options(answers, answers_to, stats, play)
     require_window_libraries()
     from glstar.cli.placedanswers import placed_answers  # noqa: PLC0415
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
@@ -81,6 +80,7 @@ def view(
     try:
         layout = None if headless or scripted else layout_of("viewer")
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
+            viewer.session.comparison.fit_images = fit_images
             script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
             is_scripted = script != Script(asks=True)
             if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
@@ -100,8 +100,10 @@ def view(
         surface.close()
 
 
-def _require_both(answers: Path | None, answers_to: Path | None) -> None:
-    """Refuse answers without their frames, and frames without answers."""
+def _refuse_lone_options(answers: Path | None, answers_to: Path | None, stats: Path | None, play: float | None) -> None:
+    """Refuse answers without their frames, frames without answers, and statistics of nothing."""
+    if stats is not None and play is None:
+        raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
     if (answers is None) != (answers_to is None):
         raise typer.BadParameter(
             "--answers FILE and --answers-to EXPORT belong together: an answer names a frame of an export",

@@ -24,7 +24,7 @@ from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
 from glstar.images.times import TimeReference, exposure_of
 from glstar.sky.timescale import format_utc
 from glstar.system.durable import write_atomically
-from glstar.viewer.imagefit import ImageFit
+from glstar.viewer.imagefit import FitImages, ImageFit
 from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = [
@@ -226,6 +226,8 @@ class ComparisonState:
         Why the folder opened last cannot be used; empty if it can.
     fit : ImageFit or None
         The fit of clock and mount that runs or was made last.
+    fit_images : callable or None
+        How to fit; None if the window cannot.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -242,6 +244,7 @@ class ComparisonState:
         self.preferred: RealImage | None = None
         self.error = ""
         self.fit: ImageFit | None = None
+        self.fit_images: FitImages | None = None
         self._clock = clock
         self._blinks_from_s = clock()
         self._opener = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-images")

@@ -1,11 +1,11 @@
 """The part of the Compare panel that fits clock and mount to the real images."""
 
 from dataclasses import replace
+from math import degrees
 
-import numpy as np
 from imgui_bundle import ImVec2, imgui
 
-from glstar.viewer.imagefit import FitResult, ImageFit
+from glstar.viewer.imagefit import FitRequest, FitResult, ImageFit
 from glstar.viewer.session import Session
 from glstar.viewer.ui.theme import error
 
@@ -26,7 +26,7 @@ class FitPanel:
         session : Session
         """
         comparison = session.comparison
-        if comparison.images is None or session.loaded is None:
+        if comparison.images is None or session.loaded is None or comparison.fit_images is None:
             return
         imgui.separator_text("Fit to the images")
         fit = comparison.fit
@@ -56,16 +56,18 @@ class FitPanel:
         comparison, loaded = session.comparison, session.loaded
         assert comparison.images is not None
         assert loaded is not None
+        assert comparison.fit_images is not None
         flight = replace(loaded.simulator.flight, time_offset_s=comparison.ahead_s)
-        comparison.fit = ImageFit(
+        request = FitRequest(
             loaded.simulator.with_flight(flight),
-            list(comparison.images),
+            tuple(comparison.images),
             session.config.exposure.starting_at(0.0),
-            reference=comparison.time_reference,
-            own_length=comparison.match_exposure,
-            fit_time=self._fits_time,
-            fit_mount=self._fits_mount,
+            comparison.time_reference,
+            comparison.match_exposure,
+            self._fits_time,
+            self._fits_mount,
         )
+        comparison.fit = ImageFit(request, comparison.fit_images)
 
     def _draw_result(self, session: Session, result: FitResult) -> None:
         for line in fit_report(result, session.comparison.ahead_s):
@@ -73,11 +75,9 @@ class FitPanel:
             imgui.text_unformatted(line)
             imgui.pop_text_wrap_pos()
         if imgui.button("Apply"):
-            alignment = result.alignment
-            if alignment.fitted_time:
-                session.comparison.offset_s -= alignment.delay_s
-            if alignment.fitted_mount:
-                session.change(**alignment.mount_keys)
+            session.comparison.offset_s += result.clock_change_s or 0.0
+            if result.mount_keys:
+                session.change(**result.mount_keys)
             session.comparison.fit = None
         imgui.set_item_tooltip("takes the clock and the mount; Ctrl+Z takes back the mount")
         imgui.same_line()
@@ -98,17 +98,17 @@ def fit_report(result: FitResult, ahead_s: float) -> list[str]:
     -------
     list of str
     """
-    fitted, lines = result.alignment, list[str]()
-    if fitted.fitted_time:
-        lines.append(f"camera clock - log clock {ahead_s - fitted.delay_s:+.4f} s, to {fitted.delay_std_s:.4f} s")
-    if fitted.fitted_mount:
-        turn, std = np.rad2deg(fitted.turn_rad), np.rad2deg(fitted.turn_std_rad)
-        angles = ", ".join(
-            f"{key.removeprefix('mount.').removesuffix('_deg')} {angle:.3f}" for key, angle in fitted.mount_keys.items()
+    lines = []
+    if result.clock_change_s is not None:
+        lines.append(
+            f"camera clock - log clock {ahead_s + result.clock_change_s:+.4f} s, to {result.clock_std_s:.4f} s"
         )
-        lines.append(f"mount {angles} deg")
-        lines.append(f"turned by {turn[0]:+.3f}, {turn[1]:+.3f}, {turn[2]:+.3f} deg, to {std.max():.3f} deg")
-    lines.append(f"{result.images} of {result.of} images, {fitted.stars} stars")
-    centroid = result.summary["centroid"]
-    lines.append(f"centroids {centroid['mean_px']:.2f} px apart on average, {centroid['median_px']:.2f} px median")
-    return [*lines, *fitted.notes]
+    if result.mount_keys:
+        angles = ", ".join(
+            f"{key.removeprefix('mount.').removesuffix('_deg')} {angle:.3f}" for key, angle in result.mount_keys.items()
+        )
+        turn = ", ".join(f"{degrees(angle):+.3f}" for angle in result.turn_rad)
+        lines += [f"mount {angles} deg", f"turned by {turn} deg, to {degrees(max(result.turn_std_rad)):.3f} deg"]
+    lines.append(f"{result.images} of {result.of} images, {result.stars} stars")
+    distance = f"mean {result.centroid_mean_px:.2f} px, median {result.centroid_median_px:.2f} px"
+    return [*lines, f"distance of centroids: {distance}", *result.notes]
