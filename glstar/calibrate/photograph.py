@@ -13,7 +13,7 @@ import exifread
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.photofile import decode_photo
+from glstar.camera.photofile import PhotoPixels, decode_photo
 from glstar.errors import CalibrationError
 from glstar.system.imagesize import size_error
 
@@ -109,7 +109,8 @@ def read_image(
     too_large = size_error(content)
     if too_large is not None:
         raise CalibrationError(too_large, path=path)
-    pixels, white_dn = _decoded(content, path, demosaiced=demosaiced)
+    photo = _decoded(content, path, demosaiced=demosaiced)
+    pixels, white_dn = photo.pixels, photo.white_dn
     grey, name = _one_channel(pixels, channel)
     if min(grey.shape) < _LEAST_SIDE_PX:
         message = f"is an image of {grey.shape[1]} x {grey.shape[0]} px; a star field needs {_LEAST_SIDE_PX} or more"
@@ -119,17 +120,16 @@ def read_image(
     if grey.max() > 2**depth - 1:
         message = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
         raise CalibrationError(message, path=path)
-    return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(content))
+    return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(photo.exif or content))
 
 
-def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> tuple[NDArray[Any], int | None]:
-    """Return the pixels, and the digital number at which they saturate if the file says so."""
+def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> PhotoPixels:
     try:
         photo = decode_photo(content, demosaiced=demosaiced, upright=True)
     except ValueError as error:
         raise CalibrationError(str(error), path=path) from error
     if photo is not None:
-        return photo.pixels, photo.white_dn
+        return photo
     # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore the EXIF orientation.
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     try:
@@ -141,7 +141,7 @@ def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> tuple[NDArray[A
     if pixels.dtype not in (np.uint8, np.uint16):
         message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
         raise CalibrationError(message, path=path)
-    return np.asarray(pixels), None
+    return PhotoPixels(np.asarray(pixels))
 
 
 def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:

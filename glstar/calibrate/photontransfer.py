@@ -26,7 +26,9 @@ _DEAD_RESPONSE: Final = 0.5
 # Flat fields brighter than this fraction of the range are not used: pixels saturate and their variance falls.
 _BRIGHTEST: Final = 0.8
 _MAD_TO_SIGMA: Final = 1.4826
-_SUFFIXES: Final = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".dng"})
+_SUFFIXES: Final = frozenset(
+    {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".dng", ".heic", ".heif"}
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -42,10 +42,13 @@ class PhotoPixels:
         Grey, or blue, green and red, as OpenCV has them.
     white_dn : int or None
         The digital number at which the camera saturates; None if the file does not say so.
+    exif : bytes
+        EXIF as a TIFF file has it, if it does not begin the file itself; empty if there is none.
     """
 
     pixels: NDArray[Any]
     white_dn: int | None = None
+    exif: bytes = b""
 
 
 def has_image_signature(start: bytes) -> bool:
@@ -92,7 +95,7 @@ def decode_photo(content: bytes, *, demosaiced: bool = True, upright: bool = Fal
     if content.startswith(_TIFF) and any(tag in content[:_HEAD_BYTES] for tag in _DNG_TAGS):
         return _decoded_dng(content, demosaiced=demosaiced, upright=upright)
     if _is_heif(content):
-        return PhotoPixels(_decoded_heif(content))
+        return _decoded_heif(content)
     return None
 
 
@@ -149,7 +152,7 @@ def _bilinear(mosaic: NDArray[np.uint16], pattern: str) -> NDArray[np.uint16]:
     return np.asarray(cv2.cvtColor(mosaic, codes[pattern]), dtype=np.uint16)
 
 
-def _decoded_heif(content: bytes) -> NDArray[Any]:
+def _decoded_heif(content: bytes) -> PhotoPixels:
     try:
         import pillow_heif  # noqa: PLC0415 - an extra
     except ImportError as error:
@@ -159,7 +162,11 @@ def _decoded_heif(content: bytes) -> NDArray[Any]:
     _refuse_large(*found.size)
     with _damage_of_heic_explained():
         pixels = np.asarray(found)
-    return np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[..., :3])
+    bits = int(found.info.get("bit_depth", 8))
+    if pixels.dtype == np.uint16:  # pillow-heif moves the bits of deeper images to the top of 16
+        pixels = pixels >> (16 - bits)
+    exif = (found.info.get("exif") or b"").removeprefix(b"Exif\0\0")
+    return PhotoPixels(np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[..., :3]), 2**bits - 1, exif)
 
 
 @contextmanager

@@ -4,10 +4,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import piexif
 import pillow_heif
 import pytest
+from PIL import Image
 
-from glstar.calibrate import detect_stars, identify_near, read_image
+from glstar.calibrate import Channel, detect_stars, identify_near, read_image
 from glstar.calibrate.photontransfer import images_in
 from glstar.camera.photofile import decode_photo, has_image_signature
 from glstar.camera.sensor import Sensor
@@ -66,18 +68,57 @@ def test_stars_of_a_dng_give_the_camera(tmp_path: Path) -> None:
     assert image.bit_depth == 12
 
 
-def test_a_heic_of_a_telephone_is_read(tmp_path: Path) -> None:
-    rows = np.linspace(20, 200, 64).round().astype(np.uint8)
-    colours = np.stack([np.tile(rows[:, None], (1, 96)) // part for part in (1, 2, 4)], axis=-1)
-    path = tmp_path / "one.heic"
-    pillow_heif.from_bytes("RGB", (96, 64), colours.tobytes()).save(path, quality=100)
+def heic(path: Path, orientation: int = 1) -> Path:
+    """Write a HEIC of red, green and blue 200, 120, 40 with a black right third, exposed for a quarter of a second."""
+    pixels = np.zeros((48, 96, 3), np.uint8)
+    pixels[:, :64] = 200, 120, 40
+    exif = piexif.dump(
+        {"0th": {piexif.ImageIFD.Orientation: orientation}, "Exif": {piexif.ExifIFD.ExposureTime: (1, 4)}}
+    )
+    pillow_heif.from_pillow(Image.fromarray(pixels)).save(path, quality=95, exif=exif)
+    return path
 
-    red, blue = read_image(path, channel="red"), read_image(path, channel="blue")
 
-    np.testing.assert_allclose(red.pixels_dn, colours[..., 0], rtol=0, atol=6)
-    np.testing.assert_allclose(blue.pixels_dn, colours[..., 2], rtol=0, atol=6)
-    assert red.bit_depth == 8
+@pytest.mark.parametrize(("channel", "expected"), [("red", 200), ("green", 120), ("blue", 40), ("value", 200)])
+def test_a_heic_of_a_telephone_is_read(tmp_path: Path, channel: Channel, expected: int) -> None:
+    path = heic(tmp_path / "one.heic")
+
+    image = read_image(path, channel=channel)
+
+    assert image.pixels_dn.shape == (48, 96)
+    np.testing.assert_allclose(image.pixels_dn[8:40, 8:56], expected, rtol=0, atol=3)
+    np.testing.assert_allclose(image.pixels_dn[8:40, 72:88], 0, rtol=0, atol=3)
+    assert (image.bit_depth, image.exposure_s) == (8, 0.25)
     assert is_image(path)
+
+
+def test_ten_bits_of_a_heic_are_read(tmp_path: Path) -> None:
+    pixels = np.full((64, 64, 3), 1023 << 6, np.uint16)
+    pixels[:, :32] = 300 << 6
+    pillow_heif.encode("RGB;16", (64, 64), pixels.tobytes(), tmp_path / "ten.heic", quality=-1, chroma=444)
+
+    image = read_image(tmp_path / "ten.heic")
+
+    np.testing.assert_allclose(image.pixels_dn[:, :32], 300, rtol=0, atol=3)
+    np.testing.assert_allclose(image.pixels_dn[:, 32:], 1023, rtol=0, atol=3)
+    assert (image.bit_depth, image.saturation_dn) == (10, 1023)
+
+
+def test_a_rotated_heic_is_upright(tmp_path: Path) -> None:
+    image = read_image(heic(tmp_path / "turned.heic", orientation=6))
+
+    assert image.pixels_dn.shape == (96, 48)
+    assert image.pixels_dn[20, 24] > 150 > image.pixels_dn[90, 24]
+
+
+def test_a_huge_photograph_is_refused_before_it_is_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("glstar.camera.photofile.MAX_MEGAPIXELS", 0.004)
+    raw = tmp_path / "one.dng"
+    raw.write_bytes(dng(mosaic_of("rggb")))
+
+    for path in (raw, heic(tmp_path / "one.heic")):
+        with pytest.raises(CalibrationError, match=r"has 96 x (48|64) px; glstar reads up to"):
+            read_image(path)
 
 
 @pytest.mark.parametrize(
