@@ -33,6 +33,7 @@ from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.simulatorstate import SIMULATOR_NAMES
+from glstar.link.status import GIMBAL_LACK
 
 if TYPE_CHECKING:
     from glstar.export.liveexport import LiveReport
@@ -229,6 +230,8 @@ def live(
         elapsed_s = time.monotonic() - start_s
         status = opened.status()
     _refuse_silence(status, elapsed_s)
+    if status.lacks_gimbal and report.get("drawn") == 0:
+        raise LinkError(status.endpoint, f"nothing was drawn: {GIMBAL_LACK}")
     summary = {"seconds": round(elapsed_s, 3), **_link_summary(status), **report}
     typer.echo(json.dumps(summary) if as_json else _text(summary))
 
@@ -279,7 +282,8 @@ def _refuse_silence(status: LinkStatus, elapsed_s: float) -> None:
 
 
 def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:
-    return Link(endpoint, settings.flight.options, sysid=settings.flight.sysid, **options)
+    on_gimbal = settings.gimbal.mode == "log"
+    return Link(endpoint, settings.flight.options, sysid=settings.flight.sysid, on_gimbal=on_gimbal, **options)
 
 
 def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_s: float | None) -> dict[str, object]:

@@ -21,6 +21,7 @@ module                holds
 ``history``           the samples of the last minutes
 ``requests``          heartbeats and message-rate requests, all that glstar sends of its own accord
 ``injection``         position fixes, sent only if the caller gives an `Injector`
+``linkgimbal``        the attitude of the gimbal that carries the camera
 ``simulatorstate``    the truth that a simulator sends beside the estimates
 ``quality``           damage, losses and floods
 ``recorder``          recording to a ``.tlog``

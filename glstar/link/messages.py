@@ -3,15 +3,21 @@
 from typing import Any, Final
 
 from glstar.link.endpoint import Endpoint
+from glstar.telemetry.gimbals import GIMBAL_MESSAGES
 from glstar.telemetry.suppressedoutput import suppressed_output
 
 __all__ = [
     "ATTITUDE",
     "ATTITUDE_QUATERNION",
     "EXTERNAL_POSITION_ESTIMATE",
+    "GIMBAL_DEVICE_STATUS",
+    "GIMBAL_NAMES",
+    "GIMBAL_NUMBERS",
     "GPS",
     "HEARTBEAT",
     "HIL_STATE",
+    "MOUNT_ORIENTATION",
+    "MOUNT_STATUS",
     "POSITION",
     "SIMSTATE",
     "SIM_STATE",
@@ -25,6 +31,10 @@ HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION, COMMAND_AC
 HIL_STATE: Final = 115
 # SIM_STATE and SIMSTATE: the same in ArduPilot, without a time.
 SIM_STATE, SIMSTATE = 108, 164
+# GIMBAL_DEVICE_ATTITUDE_STATUS, and what older autopilots send.
+GIMBAL_DEVICE_STATUS, MOUNT_ORIENTATION, MOUNT_STATUS = 285, 265, 158
+GIMBAL_NUMBERS: Final = dict(zip((GIMBAL_DEVICE_STATUS, MOUNT_ORIENTATION, MOUNT_STATUS), GIMBAL_MESSAGES, strict=True))
+GIMBAL_NAMES: Final = " or ".join(", ".join(GIMBAL_MESSAGES).rsplit(", ", 1))
 # MAV_CMD_EXTERNAL_POSITION_ESTIMATE.
 EXTERNAL_POSITION_ESTIMATE: Final = 43003
 

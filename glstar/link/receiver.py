@@ -11,14 +11,17 @@ import numpy as np
 from glstar.link.clock import BootClock
 from glstar.link.framing import Packet
 from glstar.link.history import History
+from glstar.link.linkgimbal import LinkGimbal
 from glstar.link.messages import (
     ATTITUDE,
     ATTITUDE_QUATERNION,
     COMMAND_ACK,
     EXTERNAL_POSITION_ESTIMATE,
+    GIMBAL_NUMBERS,
     GPS,
     HEARTBEAT,
     HIL_STATE,
+    MOUNT_STATUS,
     POSITION,
     SYSTEM_TIME,
     dialect,
@@ -79,6 +82,8 @@ class Receiver:
         What the autopilot estimates.
     simulator : SimulatorState or None
         The simulator's own state.
+    gimbal : LinkGimbal
+        The attitude of its gimbal.
     packets, lost : int
         Number of packets received, and of packets lost by the sequence numbers of all senders.
     chosen : (int, int) or None
@@ -100,6 +105,7 @@ class Receiver:
     ) -> None:
         self.clock, self.history = clock, History(keep_s)
         self.simulator = SimulatorState(keep_s) if with_simulator else None
+        self.gimbal = LinkGimbal(clock, keep_s)
         self.packets = self.lost = 0
         self.chosen: Sender | None = None
         self.attitude_arrival_s: float | None = None
@@ -150,6 +156,9 @@ class Receiver:
         self._count_lost(packet, arrival_s)
         number, sender = packet.number, packet.sender
         theirs = sender == self.chosen
+        if number in GIMBAL_NUMBERS:
+            self._on_gimbal(packet, arrival_s)
+            return
         if number not in {HEARTBEAT, SYSTEM_TIME} and not (theirs and number in self._handlers):
             return
         is_estimate = number in _NAMES and not (number == HIL_STATE and self.simulator is not None)
@@ -289,6 +298,7 @@ class Receiver:
             self.history.begin_boot(self.clock.utc_minus_boot_before_s)
             if self.simulator is not None:
                 self.simulator.begin_boot(self.clock.utc_minus_boot_before_s)
+            self.gimbal.begin_boot(self.clock.utc_minus_boot_before_s)
             self._aligned = False
             self._discard_jump(arrival_s)
         if self.clock.has_two_clocks and not had_two_clocks and self.chosen is not None:
@@ -351,6 +361,23 @@ class Receiver:
         self.attitude_arrival_s = arrival_s
         if self.simulator is not None:
             self.simulator.pair(boot_s, arrival_s)
+        self.gimbal.pair(self.sky_history.latest_boot_s, arrival_s)
+
+    def _on_gimbal(self, packet: Packet, arrival_s: float) -> None:
+        """Process the attitude of a gimbal, which a component of the autopilot's system sends."""
+        if self.chosen is None or packet.sender[0] != self.chosen[0]:
+            return
+        try:
+            message = self._decode(bytearray(packet.content))
+        except self._decode_error:
+            return
+        boot_s = None
+        if packet.sender == self.chosen and packet.number != MOUNT_STATUS:
+            boot_s = self._boot_s(message.time_boot_ms / 1000, arrival_s)
+            if boot_s is None:
+                return
+        component, autopilot = packet.sender[1], self.chosen[1]
+        self.gimbal.receive(packet.number, message, arrival_s, component=component, autopilot=autopilot, boot_s=boot_s)
 
     def _preferred(self) -> int:
         """Return the message from which attitude is read.

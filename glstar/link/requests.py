@@ -5,8 +5,11 @@ from typing import Any, Final
 from glstar.link.messages import (
     ATTITUDE,
     ATTITUDE_QUATERNION,
+    GIMBAL_DEVICE_STATUS,
     GPS,
     HIL_STATE,
+    MOUNT_ORIENTATION,
+    MOUNT_STATUS,
     POSITION,
     SIM_STATE,
     SIMSTATE,
@@ -32,8 +35,11 @@ _GRANTED_AFTER_REJECTION: Final = 0.7
 _TRIES: Final = 2
 
 _OTHERS_HZ: Final = {POSITION: 5.0, SYSTEM_TIME: 2.0, GPS: 1.0}
-# ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3.
-_STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SIM_STATE: 10, SYSTEM_TIME: 12}
+# The attitude of a gimbal is requested at this fraction of the aircraft's rate: both fit a radio.
+_GIMBAL_FRACTION: Final = 0.5
+# ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3
+# with the gimbal.
+_STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SIM_STATE: 10, SYSTEM_TIME: 12, GIMBAL_DEVICE_STATUS: 12}
 
 
 class Requests:
@@ -43,10 +49,12 @@ class Requests:
     ----------
     rate_hz : float
         Requested rate of the attitude, Hz.
+    wants_gimbal : bool
+        Whether the attitude of a gimbal is requested as well.
     """
 
-    def __init__(self, rate_hz: float) -> None:
-        self.rate_hz = rate_hz
+    def __init__(self, rate_hz: float, *, wants_gimbal: bool = False) -> None:
+        self.rate_hz, self.wants_gimbal = rate_hz, wants_gimbal
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
         self._heartbeat_s: float | None = None
@@ -111,6 +119,11 @@ class Requests:
             missing[SIM_STATE] = self.rate_hz
             if self._rounds >= _TRIES or rejected:
                 missing |= {HIL_STATE: self.rate_hz, SIMSTATE: self.rate_hz}
+        gimbal_hz = _GIMBAL_FRACTION * self.rate_hz
+        if self.wants_gimbal and receiver.gimbal.rate_hz(now_s) < _GRANTED * gimbal_hz:
+            missing[GIMBAL_DEVICE_STATUS] = gimbal_hz
+            if self._rounds >= _TRIES or rejected:
+                missing |= {MOUNT_ORIENTATION: gimbal_hz, MOUNT_STATUS: gimbal_hz}
         if not missing:
             self._rounds = 0
             return []

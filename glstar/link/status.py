@@ -4,12 +4,14 @@ from dataclasses import dataclass
 from typing import Final
 
 from glstar.link.endpoint import Endpoint
+from glstar.link.messages import GIMBAL_NAMES
 from glstar.link.simulatorstate import SIMULATOR_NAMES
 
-__all__ = ["LatestAttitude", "LinkEvent", "LinkStatus", "no_packets_message"]
+__all__ = ["GIMBAL_LACK", "LatestAttitude", "LinkEvent", "LinkStatus", "no_packets_message"]
 
 # More bytes without a packet are not MAVLink at this baud rate.
 _NOISE_BYTES: Final = 300
+GIMBAL_LACK: Final = f'no {GIMBAL_NAMES} now ([mount] gimbal = "level" or "none" needs none)'
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class LinkStatus:
         Size of the recording, bytes.
     lacks_simulator : bool
         Whether the sky is drawn from a simulator's own state, and none was received.
+    lacks_gimbal : bool
+        Whether the camera is on a gimbal whose attitude is not received, or not any more.
     """
 
     endpoint: str
@@ -79,6 +83,7 @@ class LinkStatus:
     position_source: str | None
     recorded_bytes: int
     lacks_simulator: bool = False
+    lacks_gimbal: bool = False
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -88,6 +93,8 @@ class LinkStatus:
             missing.append("no attitude yet")
         if self.lacks_simulator:
             missing.append(f"no {SIMULATOR_NAMES} yet (--truth estimator needs none)")
+        if self.lacks_gimbal:
+            missing.append(GIMBAL_LACK)
         if self.utc_source is None:
             missing.append("no UTC yet (--utc-now takes the computer's clock)")
         if self.position_source is None:

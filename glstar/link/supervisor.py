@@ -15,13 +15,15 @@ from threading import Condition, Event, Thread
 from types import TracebackType
 from typing import Final, Literal, Self
 
-from glstar.errors import ConfigError, LinkError
+from glstar.errors import ConfigError, LinkError, TelemetryError
 from glstar.flight import Flight
+from glstar.flight.gimbal import Gimbal
 from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer
 from glstar.link.history import Estimate
 from glstar.link.injection import Injector
+from glstar.link.linkgimbal import GIMBAL_TIMEOUT_S
 from glstar.link.messages import carried_rate_hz
 from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
@@ -73,6 +75,8 @@ class Link:
         Position fixes that are sent to the autopilot; without it only heartbeats and requests are sent.
     retry : bool
         Whether to try again if the link cannot be opened at first.
+    on_gimbal : bool
+        Whether the camera is on a gimbal, whose attitude is requested; see `follow_gimbal`.
 
     Attributes
     ----------
@@ -98,6 +102,7 @@ class Link:
         truth: Truth = "estimator",
         injector: Injector | None = None,
         retry: bool = False,
+        on_gimbal: bool = False,
     ) -> None:
         if options.interpolation == "gyro":
             raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
@@ -108,7 +113,7 @@ class Link:
         self._make_receiver = partial(Receiver, report=self._report, keep_s=keep_s, with_simulator=with_simulator)
         self._uses_computer_clock = utc_now
         self._receiver = self._make_receiver(_new_clock(options, utc_now=utc_now), sysid=sysid)
-        self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz)
+        self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz, wants_gimbal=on_gimbal)
         # Guards the receiver and the following attributes; notified when packets arrive.
         self._changed = Condition()
         self._state = "opening"
@@ -166,7 +171,11 @@ class Link:
         now_s = time.monotonic()
         with self._changed:
             receiver = self._receiver
-            arrival_s = receiver.attitude_arrival_s
+            arrival_s, is_live = receiver.attitude_arrival_s, self._state == "live"
+            lacks_gimbal = False
+            if self._requests.wants_gimbal and is_live and arrival_s is not None:
+                arrival_s = receiver.gimbal.arrival_s or arrival_s
+                lacks_gimbal = receiver.gimbal.arrival_s is None or now_s - arrival_s > GIMBAL_TIMEOUT_S
             return LinkStatus(
                 endpoint=self.endpoint.text,
                 state=self._state,
@@ -183,6 +192,7 @@ class Link:
                 position_source=self._position_source,
                 recorded_bytes=self.recording.bytes,
                 lacks_simulator=receiver.simulator is not None and receiver.simulator.source is None,
+                lacks_gimbal=lacks_gimbal,
             )
 
     def events(self, after: int = 0) -> list[LinkEvent]:
@@ -229,6 +239,17 @@ class Link:
         with self._changed:
             self._options = replace(self._options, site=site)
 
+    def follow_gimbal(self, on_gimbal: bool) -> None:
+        """Choose whether the camera is on a gimbal.
+
+        Parameters
+        ----------
+        on_gimbal : bool
+            Whether the flight ends at the latest attitude of the gimbal and is None without one; its `attitude` is then
+            that of the platform.
+        """
+        self._requests.wants_gimbal = on_gimbal
+
     def flight(self, last_s: float = inf) -> Flight | None:
         """Return the last minutes as a flight, up to the latest attitude, estimated or true.
 
@@ -269,6 +290,7 @@ class Link:
             position_source, estimate_source = self._position_source or "", receiver.attitude_source
             snapshot = receiver.sky_history.snapshot(last_s)
             estimated = None if simulator is None else receiver.history.snapshot(last_s)
+            gimbal = receiver.gimbal.samples(utc_minus_boot_s, last_s)
         # Outside the lock: the link continues to receive.
         flight = snapshot.flight(
             utc_minus_boot_s,
@@ -278,6 +300,8 @@ class Link:
             utc_source=utc_source,
             options=options,
         )
+        if flight is not None:
+            flight = self._carried(replace(flight, gimbal=None if gimbal is None else gimbal.over_utc(0.0)))
         if estimated is None:
             return flight, None
         return flight, estimated.estimate(utc_minus_boot_s, attitude_source=estimate_source, options=options)
@@ -325,7 +349,19 @@ class Link:
         return self._receiver.position_source if simulator is None else simulator.position_source
 
     def _latest(self) -> LatestAttitude | None:
-        return self._receiver.clock.dated(self._receiver.sky_history.latest_boot_s, self._receiver.attitude_arrival_s)
+        receiver = self._receiver
+        if self._requests.wants_gimbal:
+            return receiver.clock.dated(receiver.gimbal.latest_boot_s, receiver.gimbal.arrival_s)
+        return receiver.clock.dated(receiver.sky_history.latest_boot_s, receiver.attitude_arrival_s)
+
+    def _carried(self, flight: Flight) -> Flight | None:
+        """Return the flight of the gimbal's platform if the camera is on it; None if its attitude is not known."""
+        if not self._requests.wants_gimbal:
+            return flight
+        try:
+            return Gimbal("log").carried(flight)
+        except TelemetryError:
+            return None
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

@@ -2,14 +2,15 @@
 
 Messages and default rates:
 
-====================  =========================================================================
-HEARTBEAT             once a second: a fixed wing with a generic autopilot
-SYSTEM_TIME           twice a second, with the UTC of the flight
-ATTITUDE_QUATERNION   at the requested rate, each evaluated at the millisecond of its timestamp
-ATTITUDE              ten times a second
-GLOBAL_POSITION_INT   five times a second
-GPS_RAW_INT           once a second
-====================  =========================================================================
+=============================  =========================================================================
+HEARTBEAT                      once a second: a fixed wing with a generic autopilot
+SYSTEM_TIME                    twice a second, with the UTC of the flight
+ATTITUDE_QUATERNION            at the requested rate, each evaluated at the millisecond of its timestamp
+ATTITUDE                       ten times a second
+GLOBAL_POSITION_INT            five times a second
+GPS_RAW_INT                    once a second
+GIMBAL_DEVICE_ATTITUDE_STATUS  ten times a second, if the flight has the attitude of a gimbal
+=============================  =========================================================================
 
 It accepts MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_GET_MESSAGE_INTERVAL, MAV_CMD_REQUEST_MESSAGE and REQUEST_DATA_STREAM,
 has one parameter, its system number, and an empty mission.  In a gap of the flight it sends no attitude.
@@ -25,10 +26,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.errors import ConfigError
-from glstar.flight import Flight
+from glstar.errors import ConfigError, TelemetryError
+from glstar.flight import AttitudeTrack, Flight, GimbalAttitude
 from glstar.link.framing import Framer
-from glstar.link.messages import ATTITUDE, ATTITUDE_QUATERNION, GPS, HEARTBEAT, POSITION, SYSTEM_TIME, dialect
+from glstar.link.messages import (
+    ATTITUDE,
+    ATTITUDE_QUATERNION,
+    GIMBAL_DEVICE_STATUS,
+    GPS,
+    HEARTBEAT,
+    POSITION,
+    SYSTEM_TIME,
+    dialect,
+)
 from glstar.link.transport import Transport
 from glstar.rotation import conjugate, euler_from_quaternion
 
@@ -36,6 +46,7 @@ __all__ = ["PlayedFlight", "Vehicle"]
 
 Float = NDArray[np.float64]
 
+_GIMBAL_HZ: Final = 10.0
 _DEFAULT_HZ: Final = {HEARTBEAT: 1.0, SYSTEM_TIME: 2.0, ATTITUDE: 10.0, POSITION: 5.0, GPS: 1.0}
 # Messages in each of ArduPilot's data streams; the quaternion is in none.
 _STREAMS: Final = {2: (GPS,), 6: (POSITION,), 10: (ATTITUDE,), 12: (SYSTEM_TIME,)}
@@ -115,7 +126,11 @@ class Vehicle:
         self._boot_utc_s = track.first_s + start_s
         self._duration_s = track.last_s - self._boot_utc_s
         self._rates = track.rates()
-        self._default_s = {number: 1 / hz for number, hz in (_DEFAULT_HZ | {ATTITUDE_QUATERNION: rate_hz}).items()}
+        self._gimbal = None if flight.gimbal is None else _platform(flight.gimbal)
+        rates_hz = _DEFAULT_HZ | {ATTITUDE_QUATERNION: rate_hz}
+        if self._gimbal is not None:
+            rates_hz[GIMBAL_DEVICE_STATUS] = _GIMBAL_HZ
+        self._default_s = {number: 1 / hz for number, hz in rates_hz.items()}
         self._interval_s = dict(self._default_s)
         # Time since boot at which each message is due, s.
         self._due_s: dict[int, float] = {}
@@ -128,6 +143,8 @@ class Vehicle:
             ATTITUDE_QUATERNION: self._quaternion,
             POSITION: self._position,
         }
+        if self._gimbal is not None:
+            self._makers[GIMBAL_DEVICE_STATUS] = self._gimbal_status
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
         self._framer = Framer()
@@ -231,6 +248,19 @@ class Vehicle:
             return None
         angles_rad = (float(angle) for angle in euler_from_quaternion(q))
         return self._mavlink.MAVLink_attitude_message(boot_ms, *angles_rad, *self._turn_rate(boot_ms))
+
+    def _gimbal_status(self, boot_ms: int) -> Any:
+        gimbal, platform, utc_s = self._flight.gimbal, self._gimbal, self._utc_s(boot_ms)
+        assert gimbal is not None
+        assert platform is not None
+        if not platform.first_s <= utc_s <= platform.last_s or platform.gap_within(utc_s, utc_s) is not None:
+            return None
+        mavlink, is_earth = self._mavlink, gimbal.is_earth[np.searchsorted(gimbal.utc_s, utc_s, side="right") - 1]
+        frame = "EARTH" if is_earth else "VEHICLE"
+        flags = getattr(mavlink, f"GIMBAL_DEVICE_FLAGS_YAW_IN_{frame}_FRAME")
+        # The quaternion of the message is from the platform to the frame of reference.
+        q = conjugate(platform.at(utc_s)).tolist()
+        return mavlink.MAVLink_gimbal_device_attitude_status_message(0, 0, boot_ms, flags, q, 0, 0, 0, 0)
 
     def _position(self, boot_ms: int) -> Any:
         site, (north, east, down) = self._position_and_velocity(boot_ms)
@@ -339,3 +369,12 @@ class Vehicle:
             return
         self._interval_s[number] = max(interval_s, 1 / _FASTEST_HZ) if interval_s else self._default_s[number]
         self._due_s[number] = self._now_s
+
+
+def _platform(gimbal: GimbalAttitude) -> AttitudeTrack | None:
+    """Return the platform's attitude against its frame of reference, with gaps where that changes; None without one."""
+    changes = np.append(False, gimbal.is_earth[1:] != gimbal.is_earth[:-1])
+    try:
+        return AttitudeTrack.from_samples(gimbal.utc_s, gimbal.q_gimbal_reference, segment=np.cumsum(changes))
+    except TelemetryError:
+        return None

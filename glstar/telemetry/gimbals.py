@@ -18,11 +18,20 @@ from glstar.telemetry.tlogclock import VehicleClock
 from glstar.telemetry.tlogfile import COMPONENT, FIELDS_FROM, STAMP, SYSTEM, Packets, Sender
 from glstar.telemetry.ulogfile import Topics
 
-__all__ = ["gimbal_of_packets", "gimbal_of_topics", "yaw_is_earth"]
+__all__ = [
+    "GIMBAL_MESSAGES",
+    "GIMBAL_STATUS",
+    "gimbal_of_packets",
+    "gimbal_of_topics",
+    "gimbal_samples",
+    "yaw_is_earth",
+]
 
 Float = NDArray[np.float64]
 
 GIMBAL_STATUS: Final = "GIMBAL_DEVICE_ATTITUDE_STATUS"
+# The best one first: of several, only the first is used.
+GIMBAL_MESSAGES: Final = (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS")
 # Bits of GIMBAL_DEVICE_FLAGS.
 _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 
@@ -63,7 +72,7 @@ def gimbal_of_packets(packets: Packets, sender: Sender, clock: VehicleClock, boo
     """
     if packets.timestamps_are_utc(sender):
         return
-    for name in (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS"):
+    for name in GIMBAL_MESSAGES:
         rows = packets.message(name)
         rows = rows[rows[:, SYSTEM] == sender[0]] if len(rows) else rows
         rows = rows[clock.boot_of(rows) == boot] if len(rows) else rows
@@ -78,7 +87,7 @@ def gimbal_of_packets(packets: Packets, sender: Sender, clock: VehicleClock, boo
             clock_s = clock.read(rows)[0]
         else:
             clock_s = _on_own_clock(rows, clock)
-        samples = _status(clock_s, values, name) if name == GIMBAL_STATUS else _angles(clock_s, values, name)
+        samples = gimbal_samples(name, clock_s, values)
         if samples.clock_s.size > 1:
             yield GimbalSamples(samples.clock_s, samples.q_gimbal_reference, samples.is_earth, samples.source, boot)
             return
@@ -93,6 +102,26 @@ def _on_own_clock(rows: Float, clock: VehicleClock) -> Float:
     related: Float = own_s + np.min(clock.on_arrival(rows) - own_s)
     assert related.shape == rows[:, STAMP].shape
     return related
+
+
+def gimbal_samples(name: str, clock_s: Float, values: Float) -> GimbalSamples:
+    """Return the attitudes in the fields of MAVLink messages of a gimbal; invalid ones are left out.
+
+    Parameters
+    ----------
+    name : str
+        One of `GIMBAL_MESSAGES`.
+    clock_s : (n,) float64
+        Times of the messages, s.
+    values : (n, k) float64
+        The flags and the quaternion from the platform to the frame of reference of GIMBAL_DEVICE_ATTITUDE_STATUS; roll,
+        pitch and yaw of MOUNT_ORIENTATION, deg; or pitch, roll and yaw of MOUNT_STATUS, 0.01 deg.
+
+    Returns
+    -------
+    GimbalSamples
+    """
+    return _status(clock_s, values, name) if name == GIMBAL_STATUS else _angles(clock_s, values, name)
 
 
 def _status(clock_s: Float, values: Float, name: str) -> GimbalSamples:

@@ -196,6 +196,7 @@ class Session:
 
     def _poll_link(self, live: LiveFlight) -> None:
         """Take new events and attitudes of the link; load its flight when it begins, extend it later."""
+        live.link.follow_gimbal(self.config.gimbal.mode == "log")
         latest = live.poll()
         for event in live.new_events():
             self.notify(event.message)
@@ -245,7 +246,9 @@ class Session:
         if loaded is None:
             return live.lacking if self._shows_link and live is not None else ""
         if (stale_s := self.stale_s) is not None and live is not None:
-            return f"no attitude for {stale_s:.0f} s: this sky is out of date\n{live.status.problem or ''}".strip()
+            of_what = " of the gimbal" if live.status.lacks_gimbal else ""
+            message = f"no attitude{of_what} for {stale_s:.0f} s: this sky is out of date"
+            return f"{message}\n{live.status.problem or ''}".strip()
         return _status_at(loaded, self.comparison, self.image.gap)
 
     @property
