@@ -93,12 +93,13 @@ def test_the_platform_has_the_attitude_that_the_gimbal_states(kind: str) -> None
 def test_an_attitude_later_than_the_aircrafts_waits_for_it() -> None:
     heard, plane = listening()
     heard.receive(plane.angles(100.00), 5.000)
-    heard.receive(status(plane, 100.01), 5.010)
-    assert heard.gimbal.latest_boot_s is None
+    heard.receive(status(plane, 100.03), 5.010)
     heard.receive(plane.angles(100.02), 5.020)
+    assert heard.gimbal.latest_boot_s is None
+    heard.receive(plane.angles(100.04), 5.040)
 
-    assert heard.gimbal.latest_boot_s == pytest.approx(100.01, rel=0, abs=1e-9)
-    assert heard.gimbal.arrival_s == 5.020
+    assert heard.gimbal.latest_boot_s == pytest.approx(100.03, rel=0, abs=1e-9)
+    assert heard.gimbal.arrival_s == 5.040
 
 
 def test_the_best_message_is_used_until_it_falls_silent() -> None:
