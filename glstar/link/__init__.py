@@ -18,6 +18,7 @@ module                holds
 ``supervisor``        `Link`, the thread that owns a link; ``status``: its status and events
 ``receiver``          attitude, position and time of one autopilot, from packets
 ``clock``             UTC from the time since boot
+``received``          `Received`, a copy of them all, and the flight that it makes
 ``history``           the samples of the last minutes
 ``requests``          heartbeats and message-rate requests, all that glstar sends of its own accord
 ``injection``         position fixes, sent only if the caller gives an `Injector`

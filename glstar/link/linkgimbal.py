@@ -25,12 +25,12 @@ from glstar.link.messages import GIMBAL_NUMBERS, MOUNT_ORIENTATION, MOUNT_STATUS
 from glstar.telemetry.gimbals import GIMBAL_MESSAGES, GIMBAL_STATUS, gimbal_samples
 from glstar.telemetry.source import GimbalSamples
 
-__all__ = ["GIMBAL_TIMEOUT_S", "LinkGimbal"]
+__all__ = ["LinkGimbal"]
 
 Float = NDArray[np.float64]
 
 # A worse message, or another gimbal, is used if the better one has not been received for this time, s.
-GIMBAL_TIMEOUT_S: Final = 2.0
+_TIMEOUT_S: Final = 2.0
 # Window in which the rate is counted, s.
 _WINDOW_S: Final = 2.0
 # Largest numbers of attitudes: ten minutes at 50 Hz; and of those that wait for the aircraft's, ten seconds at 100 Hz.
@@ -89,6 +89,16 @@ class LinkGimbal:
             self._arrivals.popleft()
         return len(self._arrivals) / _WINDOW_S
 
+    def is_silent(self, now_s: float) -> bool:
+        """Return whether there is no attitude, or none of the last two seconds.
+
+        Parameters
+        ----------
+        now_s : float
+            Time by `time.monotonic`, s.
+        """
+        return self.arrival_s is None or now_s - self.arrival_s > _TIMEOUT_S
+
     def receive(
         self, number: int, message: Any, arrival_s: float, *, component: int, autopilot: int, boot_s: float | None
     ) -> None:
@@ -108,7 +118,7 @@ class LinkGimbal:
         """
         rank = list(GIMBAL_NUMBERS).index(number), component != autopilot, component
         is_worse = self._used is not None and rank > self._used
-        if is_worse and self._arrivals and arrival_s - self._arrivals[-1] < GIMBAL_TIMEOUT_S:
+        if is_worse and self._arrivals and arrival_s - self._arrivals[-1] < _TIMEOUT_S:
             return
         if rank != self._used:
             self._used, self._gimbal_clock = rank, BootClock()

@@ -15,18 +15,17 @@ from threading import Condition, Event, Thread
 from types import TracebackType
 from typing import Final, Literal, Self
 
-from glstar.errors import ConfigError, LinkError, TelemetryError
+from glstar.errors import ConfigError, LinkError
 from glstar.flight import Flight
-from glstar.flight.gimbal import Gimbal
 from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer
 from glstar.link.history import Estimate
 from glstar.link.injection import Injector
-from glstar.link.linkgimbal import GIMBAL_TIMEOUT_S
 from glstar.link.messages import carried_rate_hz
 from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
+from glstar.link.received import Received
 from glstar.link.recorder import LinkRecording, Recorder
 from glstar.link.requests import Requests
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus, no_packets_message
@@ -171,11 +170,9 @@ class Link:
         now_s = time.monotonic()
         with self._changed:
             receiver = self._receiver
-            arrival_s, is_live = receiver.attitude_arrival_s, self._state == "live"
-            lacks_gimbal = False
-            if self._requests.wants_gimbal and is_live and arrival_s is not None:
-                arrival_s = receiver.gimbal.arrival_s or arrival_s
-                lacks_gimbal = receiver.gimbal.arrival_s is None or now_s - arrival_s > GIMBAL_TIMEOUT_S
+            arrival_s, lacks_gimbal = receiver.attitude_arrival_s, False
+            if self._requests.wants_gimbal and self._state == "live" and arrival_s is not None:
+                arrival_s, lacks_gimbal = receiver.gimbal.arrival_s or arrival_s, receiver.gimbal.is_silent(now_s)
             return LinkStatus(
                 endpoint=self.endpoint.text,
                 state=self._state,
@@ -281,30 +278,12 @@ class Link:
             None if the flight itself is the autopilot's estimate, or its attitude is not known yet.
         """
         with self._changed:
-            receiver = self._receiver
-            utc_minus_boot_s, utc_source = receiver.clock.utc_minus_boot_s, receiver.clock.source or ""
-            if utc_minus_boot_s is None:
-                return None, None
-            simulator, options = receiver.simulator, self._options
-            attitude_source = (simulator and simulator.source) or receiver.attitude_source
-            position_source, estimate_source = self._position_source or "", receiver.attitude_source
-            snapshot = receiver.sky_history.snapshot(last_s)
-            estimated = None if simulator is None else receiver.history.snapshot(last_s)
-            gimbal = receiver.gimbal.samples(utc_minus_boot_s, last_s)
+            received = Received.of(self._receiver, last_s, with_gimbal=self._requests.wants_gimbal)
+            position_source, options = self._position_source or "", self._options
         # Outside the lock: the link continues to receive.
-        flight = snapshot.flight(
-            utc_minus_boot_s,
-            name=self.endpoint.text,
-            attitude_source=attitude_source,
-            position_source=position_source,
-            utc_source=utc_source,
-            options=options,
-        )
-        if flight is not None:
-            flight = self._carried(replace(flight, gimbal=None if gimbal is None else gimbal.over_utc(0.0)))
-        if estimated is None:
-            return flight, None
-        return flight, estimated.estimate(utc_minus_boot_s, attitude_source=estimate_source, options=options)
+        if received is None:
+            return None, None
+        return received.flight(self.endpoint.text, position_source, options), received.estimate(options)
 
     def latest(self) -> LatestAttitude | None:
         """Return the times of the latest attitude; None if there is none, or no UTC.
@@ -353,15 +332,6 @@ class Link:
         if self._requests.wants_gimbal:
             return receiver.clock.dated(receiver.gimbal.latest_boot_s, receiver.gimbal.arrival_s)
         return receiver.clock.dated(receiver.sky_history.latest_boot_s, receiver.attitude_arrival_s)
-
-    def _carried(self, flight: Flight) -> Flight | None:
-        """Return the flight of the gimbal's platform if the camera is on it; None if its attitude is not known."""
-        if not self._requests.wants_gimbal:
-            return flight
-        try:
-            return Gimbal("log").carried(flight)
-        except TelemetryError:
-            return None
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

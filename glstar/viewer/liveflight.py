@@ -181,6 +181,11 @@ class LiveFlight:
         age_s = self.status.age_s
         return age_s if age_s is not None and age_s > _STALE_S else None
 
+    def stale_message(self, age_s: float) -> str:
+        """Return that the sky is out of date, by the age of the latest attitude, s."""
+        of_gimbal = " of the gimbal" if self.status.lacks_gimbal else ""
+        return f"no attitude{of_gimbal} for {age_s:.0f} s: this sky is out of date"
+
     @property
     def lacking(self) -> str:
         """A message that says why no sky can be drawn yet."""

@@ -246,9 +246,7 @@ class Session:
         if loaded is None:
             return live.lacking if self._shows_link and live is not None else ""
         if (stale_s := self.stale_s) is not None and live is not None:
-            of_what = " of the gimbal" if live.status.lacks_gimbal else ""
-            message = f"no attitude{of_what} for {stale_s:.0f} s: this sky is out of date"
-            return f"{message}\n{live.status.problem or ''}".strip()
+            return f"{live.stale_message(stale_s)}\n{live.status.problem or ''}".strip()
         return _status_at(loaded, self.comparison, self.image.gap)
 
     @property

@@ -41,7 +41,7 @@ def yaw_rad(utc_s: float) -> float:
 
 
 class AutopilotWithGimbal(SimulatedAutopilot):
-    """Sends the attitude of a gimbal too, with a clock of the gimbal's own, until it is told to be silent."""
+    """Sends the attitude of a gimbal too, until `silent` is set."""
 
     def __init__(self, port: int) -> None:
         super().__init__(port, None)
