@@ -24,8 +24,8 @@ from glstar.link.history import Estimate
 from glstar.link.injection import Injector
 from glstar.link.messages import carried_rate_hz
 from glstar.link.quality import Quality
-from glstar.link.receiver import Receiver
 from glstar.link.received import Received
+from glstar.link.receiver import Receiver
 from glstar.link.recorder import LinkRecording, Recorder
 from glstar.link.requests import Requests
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus, no_packets_message
