@@ -27,6 +27,7 @@ from glstar.link.messages import (
     dialect,
 )
 from glstar.link.simulatorstate import SIMULATOR_MESSAGES, SimulatorState
+from glstar.link.status import LatestAttitude
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.site import HEIGHTS_M
 from glstar.telemetry.samplevalidation import UNIT_TOLERANCE, YEAR_2010_S
@@ -205,6 +206,12 @@ class Receiver:
     def sky_history(self) -> History:
         """The history that the sky is drawn from: the simulator's own state if it is kept, else the estimates."""
         return self.history if self.simulator is None else self.simulator.history
+
+    def latest(self, *, of_gimbal: bool) -> LatestAttitude | None:
+        """Return the times of the latest attitude of the sky, or of the gimbal; None if there is none, or no UTC."""
+        if of_gimbal:
+            return self.clock.dated(self.gimbal.latest_boot_s, self.gimbal.arrival_s)
+        return self.clock.dated(self.sky_history.latest_boot_s, self.attitude_arrival_s)
 
     @property
     def systems(self) -> tuple[int, ...]:

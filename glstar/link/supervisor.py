@@ -328,10 +328,7 @@ class Link:
         return self._receiver.position_source if simulator is None else simulator.position_source
 
     def _latest(self) -> LatestAttitude | None:
-        receiver = self._receiver
-        if self._requests.wants_gimbal:
-            return receiver.clock.dated(receiver.gimbal.latest_boot_s, receiver.gimbal.arrival_s)
-        return receiver.clock.dated(receiver.sky_history.latest_boot_s, receiver.attitude_arrival_s)
+        return self._receiver.latest(of_gimbal=self._requests.wants_gimbal)
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

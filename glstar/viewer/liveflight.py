@@ -82,14 +82,20 @@ class LiveFlight:
         self._reported_conditions = False
         self._counted_s = 0.0
 
-    def poll(self) -> LatestAttitude | None:
+    def poll(self, *, on_gimbal: bool = False) -> LatestAttitude | None:
         """Update the status and the epoch.
+
+        Parameters
+        ----------
+        on_gimbal : bool
+            Whether the camera is on the gimbal; see `Link.follow_gimbal`.
 
         Returns
         -------
         LatestAttitude or None
             The latest attitude; None without attitude or UTC.
         """
+        self.link.follow_gimbal(on_gimbal)
         self.status = self.link.status()
         latest = self.link.latest()
         if latest is not None:

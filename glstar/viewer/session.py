@@ -196,8 +196,7 @@ class Session:
 
     def _poll_link(self, live: LiveFlight) -> None:
         """Take new events and attitudes of the link; load its flight when it begins, extend it later."""
-        live.link.follow_gimbal(self.config.gimbal.mode == "log")
-        latest = live.poll()
+        latest = live.poll(on_gimbal=self.config.gimbal.mode == "log")
         for event in live.new_events():
             self.notify(event.message)
         if not self._shows_link or latest is None or self.loader.is_busy:
