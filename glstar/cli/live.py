@@ -301,6 +301,8 @@ def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_
         layout = layout_of("live") if script == Script(overlays=overlays) else None
         viewer = stack.enter_context(Viewer(surface, settings, layout=layout))
         viewer.follow(link, on_event=_log)
+        if overlays is not None:
+            viewer.session.shown_overlays = set(overlays)
         if window.answers is not None:
             show = viewer.session.navigator.add
             stack.enter_context(ShownAnswers(window.answers, settings, show, _log))

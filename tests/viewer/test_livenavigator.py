@@ -118,3 +118,15 @@ def test_the_cameras_clock_error_is_taken_from_the_time_of_an_answer(small) -> N
         source.take(parse_answer("answers", 3, '{"frame": 3}'))
     with pytest.raises(Exception, match="utc is 'noon', not a UTC"):
         parse_answer("answers", 4, '{"utc": "noon"}')
+
+
+def test_the_overlays_of_the_command_line_are_shown_in_a_window_that_stays_open(monkeypatch) -> None:
+    shown = []
+    monkeypatch.setattr("glstar.cli.live.surface_of", lambda size, headless: HeadlessSurface(size))
+    monkeypatch.setattr(Viewer, "run", lambda viewer: shown.append(set(viewer.session.shown_overlays)))
+    port = free_port()
+    with simulated(port):
+        words = f"live udpin:127.0.0.1:{port} --truth sim_state --size 900x600 --show".split()
+        result = CliRunner().invoke(app, [*words, "estimate and answer,star names"])
+
+    assert shown == [{Overlay.NAVIGATOR, Overlay.STAR_NAMES}], result.output
