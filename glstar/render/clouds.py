@@ -1,16 +1,17 @@
 """Clouds over a scene: the transmission of a sheet of cloud for stars during an exposure, and for pixels."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
+from glstar.flight import Flight
 from glstar.render.cameramotion import CameraMotion
-from glstar.render.pointing import Pointing
 from glstar.sky.cloudsheet import CloudSheet, SheetCrossing
 
 __all__ = ["CLOUD_DEFAULTS", "CloudPassage", "cloud_passage", "cloud_sheet", "horizontal_axes", "sheet_crossing"]
@@ -29,6 +30,8 @@ CLOUD_DEFAULTS: Final[dict[str, float | int]] = {
 }
 # The transmission is computed whenever the sheet has moved by this part of its smallest structures.
 _STEP_CELLS: Final = 0.125
+# Lines of sight whose crossings are computed at once: more of them fall out of the processor's cache.
+_MOST_CROSSINGS: Final = 8192
 # Times of an exposure at which it is computed, at least and at most.
 _MIN_TIMES, _MAX_TIMES = 5, 513
 # Grid of the origin of the sheet's coordinates, rad: it stays during a flight, also of a live one that drops its start.
@@ -53,16 +56,25 @@ def cloud_sheet(sensor: Sensor, motion: CameraMotion | None) -> CloudSheet | Non
     keys = {name: sensor.effects.get(f"cloud.{name}", default) for name, default in CLOUD_DEFAULTS.items()}
     if motion is None or not keys["coverage"] or not keys["optical_depth"]:
         return None
-    latitude_rad, longitude_rad, _ = motion.flight.position.coordinates(np.array([motion.flight.attitude.first_s]))
+    latitude_rad, longitude_rad = _origin_rad(motion.flight)
     wind_from_rad = float(np.deg2rad(float(keys.pop("wind_from_deg"))))
     seed = int(keys.pop("seed"))
     return CloudSheet(
         **{name: float(value) for name, value in keys.items()},
         seed=seed,
         wind_from_rad=wind_from_rad,
-        latitude_rad=float(np.rint(latitude_rad[0] / _ORIGIN_RAD) * _ORIGIN_RAD),
-        longitude_rad=float(np.rint(longitude_rad[0] / _ORIGIN_RAD) * _ORIGIN_RAD),
+        latitude_rad=latitude_rad,
+        longitude_rad=longitude_rad,
     )
+
+
+# Each frame asks a dozen times.
+@lru_cache(maxsize=8)
+def _origin_rad(flight: Flight) -> tuple[float, float]:
+    """Return the origin of the sheet's coordinates: latitude and longitude of the start of a flight, rounded."""
+    latitude_rad, longitude_rad, _ = flight.position.coordinates(np.array([flight.attitude.first_s]))
+    latitude, longitude = (float(np.rint(of[0] / _ORIGIN_RAD) * _ORIGIN_RAD) for of in (latitude_rad, longitude_rad))
+    return latitude, longitude
 
 
 def horizontal_axes(zenith_eq: Float) -> tuple[Float, Float]:
@@ -70,15 +82,15 @@ def horizontal_axes(zenith_eq: Float) -> tuple[Float, Float]:
 
     Parameters
     ----------
-    zenith_eq : (3,) float64
-        Unit vector to the zenith, true equator and equinox.
+    zenith_eq : (..., 3) float64
+        Unit vectors to the zenith, true equator and equinox.
 
     Returns
     -------
-    east_eq, north_eq : (3,) float64
+    east_eq, north_eq : (..., 3) float64
     """
-    north = np.array([0.0, 0.0, 1.0]) - zenith_eq[2] * zenith_eq
-    north /= np.linalg.norm(north)
+    north = np.array([0.0, 0.0, 1.0]) - zenith_eq[..., 2:] * zenith_eq
+    north /= np.linalg.norm(north, axis=-1, keepdims=True)
     return np.cross(north, zenith_eq), north
 
 
@@ -109,7 +121,17 @@ def sheet_crossing(
     SheetCrossing
     """
     east_eq, north_eq = horizontal_axes(zenith_eq)
-    east, north = direction_eq @ east_eq, direction_eq @ north_eq
+    return _crossed(sheet, sine, direction_eq @ east_eq, direction_eq @ north_eq, site, utc_s)
+
+
+def _crossed(
+    sheet: CloudSheet,
+    sine: Float,
+    east: Float,
+    north: Float,
+    site: tuple[ArrayLike, ArrayLike, ArrayLike],
+    utc_s: ArrayLike,
+) -> SheetCrossing:
     length = np.maximum(np.hypot(east, north), 1e-12)
     return sheet.crossed(sine, east / length, north / length, site, utc_s)
 
@@ -192,21 +214,21 @@ def cloud_passage(
     ends_s = np.array([exposure.start_utc_s, exposure.stop_utc_s])
     times_s = np.linspace(ends_s[0], ends_s[1], max(least_times, _count(sheet, motion, ends_s)))
     (pointing,) = motion.pointings(times_s)
-    sites = np.stack(motion.flight.position.coordinates(times_s), axis=1)
-    passed = [
-        _transmission(sheet, pointing[k : k + 1], direction_eq, (lat, lon, height), float(utc_s))
-        for k, (utc_s, (lat, lon, height)) in enumerate(zip(times_s, sites.tolist(), strict=True))
-    ]
-    return CloudPassage(np.stack(passed))
-
-
-def _transmission(
-    sheet: CloudSheet, pointing: Pointing, direction_eq: Float, site: tuple[float, float, float], utc_s: float
-) -> Float:
-    if site[2] >= sheet.height_m:
-        return np.ones(len(direction_eq))
-    sine = pointing.sine_apparent_altitude(direction_eq)[0]
-    return sheet_crossing(sheet, sine, direction_eq, pointing.zenith_eq[0], site, utc_s).transmission
+    site = motion.flight.position.coordinates(times_s)
+    transmission = np.ones((len(times_s), len(direction_eq)))
+    below = np.flatnonzero(site[2] < sheet.height_m)
+    for some in np.array_split(below, ceil(below.size * len(direction_eq) / _MOST_CROSSINGS)) if below.size else ():
+        latitude_rad, longitude_rad, height_m, utc_s = (of[some, np.newaxis] for of in (*site, times_s))
+        east_eq, north_eq = horizontal_axes(pointing.zenith_eq[some])
+        transmission[some] = _crossed(
+            sheet,
+            pointing[some].sine_apparent_altitude(direction_eq),
+            east_eq @ direction_eq.T,
+            north_eq @ direction_eq.T,
+            (latitude_rad, longitude_rad, height_m),
+            utc_s,
+        ).transmission
+    return CloudPassage(transmission)
 
 
 def _count(sheet: CloudSheet, motion: CameraMotion, ends_s: Float) -> int:

@@ -45,7 +45,7 @@ class Pointing:
     def __len__(self) -> int:
         return len(self.C_camera_eq)
 
-    def __getitem__(self, times: slice) -> "Pointing":
+    def __getitem__(self, times: slice | NDArray[np.intp]) -> "Pointing":
         return replace(
             self,
             C_camera_eq=self.C_camera_eq[times],

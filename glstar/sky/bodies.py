@@ -200,12 +200,13 @@ class _Observer:
 
     def _as_seen(self, name: str) -> tuple[Float, Float]:
         """Return where a body was, and where the Sun was, when the light left that arrives now: (3,) km."""
-        days = 0.0
-        for _ in range(_LIGHT_TIME_ITERATIONS):
+        then, earth = self._tt, self._earth
+        position_km = _barycentric_km(name, then, earth)
+        for _ in range(_LIGHT_TIME_ITERATIONS - 1):
+            days = float(np.linalg.norm(position_km - self._position_km)) / LIGHT_KM_PER_DAY
             then = self._tt[0], self._tt[1] - days
             earth = earth_state(then)
             position_km = _barycentric_km(name, then, earth)
-            days = float(np.linalg.norm(position_km - self._position_km)) / LIGHT_KM_PER_DAY
         return position_km, earth.sun_km
 
     def _apparent(self, name: str, from_observer_km: Float, from_sun_km: Float) -> Float:
@@ -245,7 +246,7 @@ def _barycentric_km(name: str, tt: JulianDate, earth: EarthState) -> Float:
 
 def _position_angle_rad(direction_eq: Float, towards_eq: Float) -> float:
     """Return the position angle at a direction of the projection of a vector, north through east, 0 to 2 pi."""
-    x, y, _ = direction_eq
+    x, y, z = direction_eq
     east = np.array([-y, x, 0.0])
-    north = np.cross(direction_eq, east)
+    north = np.array([-z * x, -z * y, x * x + y * y])
     return atan2(float(towards_eq @ east), float(towards_eq @ north)) % (2 * pi)

@@ -13,7 +13,7 @@ Float = NDArray[np.float64]
 
 # Mean radius of the Earth, m.
 _EARTH_RADIUS_M: Final = 6371008.8
-# Cells along a side of the periodic field, and its side in units of the largest structures.
+# Cells along a side of the periodic field, a power of two, and its side in units of the largest structures.
 _CELLS: Final = 1024
 _PERIOD_SCALES: Final = 16.0
 # Power per area falls as the wave number to minus this power: that of the light of clouds below some 500 m, which is
@@ -87,21 +87,21 @@ class CloudSheet:
         """Size of the smallest structures, m."""
         return self.scale_m * _PERIOD_SCALES / _CELLS
 
-    def depth_at(self, east_m: ArrayLike, north_m: ArrayLike, utc_s: float) -> Float:
+    def depth_at(self, east_m: ArrayLike, north_m: ArrayLike, utc_s: ArrayLike) -> Float:
         """Return the vertical optical depth at some places of the sheet.
 
         Parameters
         ----------
         east_m, north_m : (...) array_like
             From the origin, m.
-        utc_s : float
+        utc_s : (...) array_like
             UTC seconds since 1970.
 
         Returns
         -------
         (...) float64
         """
-        drift_m = self.wind_m_s * utc_s
+        drift_m = self.wind_m_s * np.asarray(utc_s)
         x = (np.asarray(east_m) + drift_m * np.sin(self.wind_from_rad)) / self.cell_m
         y = (np.asarray(north_m) + drift_m * np.cos(self.wind_from_rad)) / self.cell_m
         field, levels = _field(self.seed)
@@ -109,7 +109,12 @@ class CloudSheet:
         return np.asarray(self.optical_depth * -np.expm1(-np.maximum(above, 0.0) / self.edge))
 
     def crossed(
-        self, sine_altitude: Float, east: Float, north: Float, site: tuple[float, float, float], utc_s: float
+        self,
+        sine_altitude: Float,
+        east: Float,
+        north: Float,
+        site: tuple[ArrayLike, ArrayLike, ArrayLike],
+        utc_s: ArrayLike,
     ) -> SheetCrossing:
         """Return where lines of sight cross the sheet, upwards or downwards.
 
@@ -119,9 +124,9 @@ class CloudSheet:
             Sines of apparent altitudes.
         east, north : (...) float64
             Sine and cosine of the azimuth.
-        site : tuple of float
-            Latitude and longitude, rad, and height, m, of the observer.
-        utc_s : float
+        site : tuple of array_like
+            Latitude and longitude, rad, and height, m, of observers: all of them below the sheet, or all above it.
+        utc_s : (...) array_like
             UTC seconds since 1970.
 
         Returns
@@ -129,13 +134,13 @@ class CloudSheet:
         SheetCrossing
             On a sphere, with straight lines of sight.
         """
-        latitude_rad, longitude_rad, height_m = site
+        latitude_rad, longitude_rad, height_m = (np.asarray(of, dtype=np.float64) for of in site)
         radius_m, above_m = _EARTH_RADIUS_M + height_m, self.height_m - height_m
         along = radius_m * sine_altitude
         square = along * along + above_m * (2 * radius_m + above_m)
         root = np.sqrt(np.maximum(square, 0.0))
         sheet_radius_m = radius_m + above_m
-        if above_m >= 0:  # the only positive solution, without cancellation
+        if np.all(above_m >= 0):  # the only positive solution, without cancellation
             crosses = sine_altitude > -1.0
             path_m = np.where(
                 along > 0, above_m * (2 * radius_m + above_m) / np.maximum(along + root, 1e-9), root - along
@@ -152,7 +157,7 @@ class CloudSheet:
         return SheetCrossing(np.where(crosses, depth, 0.0), slant)
 
 
-def _wrapped(angle_rad: float) -> float:
+def _wrapped(angle_rad: Float) -> Float:
     return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -175,9 +180,12 @@ def _spline(field: Float, x: Float, y: Float) -> Float:
     (column, across), (row, down) = _taps(x), _taps(y)
     total = np.zeros(np.shape(x))
     first = row * (_CELLS + 2) + column
-    for k, weight in enumerate(down):
-        for j, other in enumerate(across):
-            total += weight * other * field.take(first + k * (_CELLS + 2) + j)
+    for weight in down:
+        along = across[0] * field.take(first)
+        along += across[1] * field.take(first + 1)
+        along += across[2] * field.take(first + 2)
+        total += weight * along
+        first += _CELLS + 2
     return total
 
 
@@ -186,4 +194,4 @@ def _taps(x: Float) -> tuple[NDArray[np.intp], tuple[Float, Float, Float]]:
     nearest = np.floor(x + 0.5)
     t = x - nearest
     weights = 0.5 * (0.5 - t) ** 2, 0.75 - t * t, 0.5 * (0.5 + t) ** 2
-    return (nearest % _CELLS).astype(np.intp), weights
+    return nearest.astype(np.intp) & (_CELLS - 1), weights

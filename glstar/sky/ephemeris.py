@@ -5,7 +5,6 @@ ERFA's series of the planets (`plan94`) are up to 90" from the Jet Propulsion La
 numbers; `tests/scripts/make_ephemeris.py` wrote it.  Outside these years, the series are used without corrections.
 """
 
-import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -71,9 +70,8 @@ def earth_state(tt: JulianDate) -> EarthState:
     -------
     EarthState
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)  # before 1900 and after 2100 it is a little worse
-        heliocentric, barycentric = erfa.epv00(*tt)
+    # The status only says that it is a little worse before 1900 and after 2100.
+    heliocentric, barycentric, _ = erfa.ufunc.epv00(*tt)
     return EarthState(
         np.asarray(heliocentric["p"], dtype=np.float64) * AU_KM,
         np.asarray(barycentric["p"], dtype=np.float64) * AU_KM,
@@ -96,9 +94,8 @@ def planet_km(name: str, tt: JulianDate) -> Float:
     (3,) float64
         km.  Of Jupiter and Saturn it is the barycentre of the planet and its moons: at most 0.1" beside the planet.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)
-        series = np.asarray(erfa.plan94(*tt, PLANETS[name])["p"], dtype=np.float64) * AU_KM
+    position_velocity, _ = erfa.ufunc.plan94(*tt, PLANETS[name])  # the status: as of `earth_state`
+    series = np.asarray(position_velocity["p"], dtype=np.float64) * AU_KM
     return series + _corrections()[name.lower()].at(tt)
 
 

@@ -89,14 +89,17 @@ def _sources(values: Values, scene: Scene) -> list[_Source]:
     """Return the bodies above the horizon, and the lamp."""
     found: list[_Source] = []
     mag_0_dn = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
-    for body in bodies_of(scene, _SOURCES):
-        in_camera = scene.shutter[1:2].to_camera(body.direction_eq[np.newaxis])[0, 0]
-        if np.isnan(in_camera).any():
+    bodies = bodies_of(scene, _SOURCES)
+    directions_eq = np.array([body.direction_eq for body in bodies]).reshape(-1, 3)
+    in_camera = scene.shutter[1:2].to_camera(directions_eq)[0]
+    passed = transmission_towards(scene, directions_eq)
+    for k, body in enumerate(bodies):
+        if np.isnan(in_camera[k]).any():
             continue
         extinction = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
         mag = body.vmag + (0.0 if extinction is None else float(extinction))
-        passed = float(transmission_towards(scene, body.direction_eq[np.newaxis])[0])
-        found.append(_Source(in_camera / np.linalg.norm(in_camera), mag_0_dn * float(brightness_ratio(mag)) * passed))
+        flux_dn = mag_0_dn * float(brightness_ratio(mag)) * float(passed[k])
+        found.append(_Source(in_camera[k] / np.linalg.norm(in_camera[k]), flux_dn))
     lamp_mag = float(values["lamp_mag"])
     if lamp_mag < _NO_LAMP_MAG:
         azimuth, altitude = (np.deg2rad(float(values[f"lamp_{name}_deg"])) for name in ("azimuth", "altitude"))
