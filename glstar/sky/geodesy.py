@@ -10,12 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.sky.horizon import C_ned_eq
 from glstar.sky.site import Site
 
-__all__ = ["geocentric_m", "north_east_down_m", "surface_offset_km"]
+__all__ = ["geocentric_m", "geodetic", "local_ned_m", "north_east_down_m", "semi_axes_m", "surface_offset_km"]
 
 Float = NDArray[np.float64]
 
 # ERFA's number of the ellipsoid.
 _WGS84: Final = 1
+
+
+def semi_axes_m() -> Float:
+    """Return the semi-axes of the WGS84 ellipsoid along the axes of ITRS, m: (3,) float64."""
+    equator_m, flattening = erfa.eform(_WGS84)
+    return np.array([equator_m, equator_m, equator_m * (1 - flattening)])
 
 
 def geocentric_m(latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
@@ -52,10 +58,44 @@ def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: Arra
     (..., 3) float64
         North, east and down, m, in the plane that is tangent to the ellipsoid at the origin.
     """
-    chord_m = geocentric_m(latitude_rad, longitude_rad, height_m) - geocentric_m(
-        origin.latitude_rad, origin.longitude_rad, origin.height_m
-    )
+    return local_ned_m(origin, geocentric_m(latitude_rad, longitude_rad, height_m))
+
+
+def local_ned_m(origin: Site, position_m: ArrayLike) -> Float:
+    """Return geocentric positions in the local frame of a site.
+
+    Parameters
+    ----------
+    origin : Site
+    position_m : (..., 3) array_like
+        In the terrestrial frame ITRS, m.
+
+    Returns
+    -------
+    (..., 3) float64
+        As of `north_east_down_m`.
+    """
+    chord_m = np.asarray(position_m) - geocentric_m(origin.latitude_rad, origin.longitude_rad, origin.height_m)
     return np.asarray(chord_m @ C_ned_eq(origin.latitude_rad, origin.longitude_rad).T)
+
+
+def geodetic(position_m: ArrayLike) -> tuple[Float, Float, Float]:
+    """Return where geocentric positions are: the inverse of `geocentric_m`.
+
+    Parameters
+    ----------
+    position_m : (..., 3) array_like
+        In the terrestrial frame ITRS, m.
+
+    Returns
+    -------
+    latitude_rad, longitude_rad : (...) float64
+        WGS84, rad.
+    height_m : (...) float64
+        Above the ellipsoid, m.
+    """
+    longitude_rad, latitude_rad, height_m = erfa.gc2gd(_WGS84, position_m)
+    return latitude_rad, longitude_rad, height_m
 
 
 def surface_offset_km(origin: Site, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:

@@ -19,12 +19,11 @@ __all__ = ["AircraftState", "aircraft_state", "ground_track_m"]
 
 Float = NDArray[np.float64]
 
-# ERFA's number of the WGS84 ellipsoid.
 # Interval over which speeds are measured, s: GPS positions come five times a second at most.
 _SPEED_INTERVAL_S: Final = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class AircraftState:
     """The aircraft at one time.
 
@@ -42,6 +41,8 @@ class AircraftState:
         Altitude of the lowest corner of the image, without refraction.
     image_azimuths_rad : tuple of float
         Azimuths that the image covers: the first, and the extent clockwise; see `image_azimuths_rad`.
+    C_camera_ned : (3, 3) float64
+        Rotation from north, east, down to the camera frame.
     """
 
     roll_rad: float
@@ -54,6 +55,7 @@ class AircraftState:
     camera_altitude_rad: float
     lowest_altitude_rad: float
     image_azimuths_rad: tuple[float, float]
+    C_camera_ned: Float
 
     @property
     def view(self) -> str:
@@ -97,6 +99,7 @@ def aircraft_state(simulator: Simulator, utc_s: float) -> AircraftState:
         camera_altitude_rad=float(altitude_rad),
         lowest_altitude_rad=float(np.fmin.reduce(corner_rad)),
         image_azimuths_rad=image_azimuths_rad(camera, C_camera_ned),
+        C_camera_ned=C_camera_ned,
     )
 
 

@@ -58,6 +58,8 @@ class Belief:
         Position minus the true one, north and east, along the surface.
     ellipse : (float, float, float) or None
         See `PlacedAnswer`.
+    lacking : str
+        Why there are no errors; empty if there are.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Belief:
     pitch_rad: float | None = None
     offset_km: tuple[float, float] | None = None
     ellipse: tuple[float, float, float] | None = None
+    lacking: str = ""
 
     @property
     def error(self) -> AttitudeError | None:
@@ -77,13 +80,13 @@ class Belief:
 
     @property
     def figures(self) -> str:
-        """The errors in one line, such as ``"24.0' across, roll +0.10 deg, 44.5 km"``."""
+        """The errors in one line, such as ``"24.0' across, roll +0.10 deg, 44.5 km"``, or why there are none."""
         parts = []
         if (error := self.error) is not None:
             parts += [f"{angle_label(error.boresight_rad)} across, roll {degrees(error.roll_rad):+.2f}\N{DEGREE SIGN}"]
         if self.offset_km is not None:
             parts.append(f"{hypot(*self.offset_km):.1f} km")
-        return ", ".join(parts) or "no attitude and no position"
+        return ", ".join(parts) or self.lacking or "no attitude and no position"
 
 
 def angle_label(angle_rad: float) -> str:

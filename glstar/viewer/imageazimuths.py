@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 
-__all__ = ["image_azimuths_rad"]
+__all__ = ["image_azimuths_rad", "image_border"]
 
 Float = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, floa
     extent_rad : float
         Clockwise from there, seen from above; 2 pi if the zenith or the nadir is in the image.
     """
-    directions = _border(camera) @ C_camera_ned
+    directions = image_border(camera) @ C_camera_ned
     if not np.isfinite(directions).all():
         return np.nan, np.nan
     if camera.contains(camera.project(_UP_AND_DOWN_NED @ C_camera_ned.T)).any():
@@ -47,8 +47,18 @@ def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, floa
 
 
 @lru_cache(maxsize=2)
-def _border(camera: Camera) -> Float:
-    """Return vectors along the border of the image, in order: (n, 3) float64, camera frame."""
+def image_border(camera: Camera) -> Float:
+    """Return directions along the border of an image.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    (n, 3) float64
+        Vectors in the camera frame, in order; NaN beyond the limit of the lens.
+    """
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom], [-0.5, -0.5]])
     along = np.linspace(0.0, 1.0, _POINTS, endpoint=False)[:, np.newaxis]

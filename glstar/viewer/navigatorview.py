@@ -167,7 +167,7 @@ def _answered(answer: PlacedAnswer, simulator: Simulator, scene: Scene) -> Belie
     name, attitude = f"answer {answer.frame}", simulator.flight.attitude
     is_inside = attitude.first_s <= answer.utc_s <= attitude.last_s
     if not is_inside or attitude.gap_within(answer.utc_s, answer.utc_s) is not None:
-        return Belief(f"{name} (no truth at its time)")
+        return Belief(name, lacking="no truth at its time")
     C_camera_estimated = offset_km = None
     if answer.C_camera_icrs is not None:
         C_camera_eq = simulator.pointing(np.array([answer.utc_s])).C_camera_eq[0]

@@ -280,11 +280,16 @@ def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:
 
 
 def _draw_beliefs(canvas: Canvas, inputs: DrawingInputs) -> None:
-    """Draw an arrow from the optical axis to the direction that a navigator estimates for it."""
+    """Draw an arrow from the optical axis to the direction that a navigator estimates for it.
+
+    A belief without an attitude is written at the axis.
+    """
     camera = canvas.camera
     centre = np.array([camera.cx_px, camera.cy_px])
     for belief in inputs.beliefs:
         if belief.C_camera_estimated is None:
+            where = "; position only: on the map" if belief.offset_km is not None else ""
+            canvas.label(f"{belief.name}: {belief.figures}{where}", centre.tolist(), (0.5, 1.0))
             continue
         axis = belief.C_camera_estimated[:, 2]
         sideways = np.array([camera.fx_px * axis[0] + camera.skew_px * axis[1], camera.fy_px * axis[1]])

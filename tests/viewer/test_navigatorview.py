@@ -13,6 +13,7 @@ from glstar.errors import AnswersError, ExportError
 from glstar.rotation import matrix_from_quaternion, multiply, quaternion_from_matrix, quaternion_from_turn
 from glstar.system.resources import asset
 from glstar.viewer.actions import perform
+from glstar.viewer.belief import PlacedAnswer
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.shapes import Mark
 from tests.support.windowinput import screen
@@ -156,6 +157,27 @@ def test_an_arrow_leads_to_the_direction_that_the_answer_believes_in(make_viewer
     )
     [label] = shapes.labels
     assert label.text == ("answer 0: 2.02\N{DEGREE SIGN} across, roll +0.50\N{DEGREE SIGN}, 55.5 km",)
+
+
+@pytest.mark.parametrize(
+    ("later_s", "text"),
+    [
+        (0.0, "answer a: 55.5 km; position only: on the map"),
+        (-1000.0, "answer a: no truth at its time"),
+    ],
+)
+def test_an_answer_without_attitude_is_written_at_the_axis(viewer, later_s, text):
+    session = viewer.session
+    place = radians(-34.93 + NORTH_DEG), radians(138.6)
+    session.navigator.answers = (PlacedAnswer(session.head.first_s + later_s, "a", position_rad=place),)
+
+    shapes = session.loaded.overlays.shapes(
+        session.scene, {Overlay.NAVIGATOR}, name_vmag_limit=0.0, beliefs=beliefs(viewer)
+    )
+
+    assert not shapes.marks
+    [label] = shapes.labels
+    assert label.text == (text,)
 
 
 def test_the_estimated_horizon_is_drawn_where_the_estimate_has_it(make_viewer, small, tmp_path):

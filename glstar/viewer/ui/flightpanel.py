@@ -5,52 +5,36 @@ from math import cos, degrees, isnan, sin
 from typing import Final
 
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
-from glstar.sky.geodesy import north_east_down_m
-from glstar.sky.site import Site
-from glstar.viewer.aircraftstate import AircraftState, aircraft_state, ground_track_m
+from glstar.viewer.aircraftstate import AircraftState, aircraft_state
 from glstar.viewer.belief import Belief
-from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.session import Session
 from glstar.viewer.ui.attitudecontrols import draw_attitude_controls
+from glstar.viewer.ui.flightcolours import AIRCRAFT, BELIEF, LINES, Colour
+from glstar.viewer.ui.flightmap import FlightMap
 from glstar.viewer.ui.theme import error
 
 __all__ = ["FlightPanel"]
 
 Float = NDArray[np.float64]
-Colour = tuple[float, float, float, float]
 
-# Height of the artificial horizon and of the map, screen px, and the pitch that half its height shows, deg.
+# Height of the artificial horizon, screen px, and the pitch that half of it shows, deg.
 _HORIZON_PX: Final = 150.0
-_MAP_PX: Final = 200.0
 _HALF_PITCH_DEG: Final = 30.0
 # Lines of the pitch ladder: every 10 deg.
 _LADDER_DEG: Final = (-60, -50, -40, -30, -20, -10, 10, 20, 30, 40, 50, 60)
 # Sky, ground, lines and aircraft by day and by night.
 _SKY: Final[tuple[Colour, Colour]] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 1.0))
 _GROUND: Final[tuple[Colour, Colour]] = ((0.36, 0.26, 0.16, 1.0), (0.08, 0.0, 0.0, 1.0))
-_LINES: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0, 0.9))
-_AIRCRAFT: Final[tuple[Colour, Colour]] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
-_BELIEF: Final[tuple[Colour, Colour]] = ((1.0, 0.77, 0.25, 0.9), (1.0, 0.0, 0.0, 0.9))
-_TRACK: Final[tuple[Colour, Colour]] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
-_IMAGE: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.45), (0.85, 0.0, 0.0, 0.45))
-_NO_INPUT: Final = int(
-    implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.equal
-)
-# Length of the lines of heading and camera on the map, as a fraction of its extent, and its smallest extent, m.
-_POINTER_FRACTION: Final = 0.15
-_MIN_EXTENT_M: Final = 50.0
 
 
 class FlightPanel:
     """Draws the state of the aircraft at the play head."""
 
     def __init__(self) -> None:
-        self._track_of: LoadedFlight | None = None
-        self._origin: Site | None = None
-        self._track_m: Float = np.empty((0, 2))
+        self._map = FlightMap()
 
     def draw(self, session: Session) -> None:
         """Draw the panel into the current imgui window.
@@ -73,66 +57,7 @@ class FlightPanel:
         beliefs = session.navigator.beliefs(loaded, session.image.simulator, scene)
         _draw_horizon(state, beliefs, night=session.night)
         _draw_numbers(state, beliefs)
-        if len(loaded.flight.position.utc_s) > 1 or any(belief.offset_km is not None for belief in beliefs):
-            self._draw_map(loaded, state, beliefs, night=session.night)
-        else:
-            imgui.text_disabled("a fixed position: there is no ground track")
-
-    def _draw_map(self, loaded: LoadedFlight, state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
-        """Draw the ground track, the aircraft with its heading, and the azimuths of the camera and its image."""
-        if self._track_of is not loaded or self._origin is None or loaded.is_live:
-            self._track_of = loaded
-            self._origin = loaded.flight.position.at(float(loaded.flight.position.utc_s[0]))
-            self._track_m = ground_track_m(loaded.flight, self._origin)
-        site = state.site
-        north, east, _ = north_east_down_m(self._origin, site.latitude_rad, site.longitude_rad, site.height_m).tolist()
-        length_m = _POINTER_FRACTION * max(float(np.ptp(self._track_m, axis=0).max()), _MIN_EXTENT_M)
-        if implot.begin_plot("##map", ImVec2(-1, _MAP_PX * imgui.get_style().font_scale_dpi), _NO_INPUT):
-            fit = int(implot.AxisFlags_.auto_fit)
-            implot.setup_axes("m east", "m north", fit, fit)
-            east_m, north_m = (np.ascontiguousarray(column) for column in self._track_m.T)
-            implot.plot_line("track", east_m, north_m, implot.Spec(line_color=ImVec4(*_TRACK[night])))
-            for label, azimuth_rad, colour in (
-                ("heading", state.yaw_rad, _AIRCRAFT[night]),
-                ("camera", state.camera_azimuth_rad, _LINES[night]),
-            ):
-                ends = np.array(
-                    [[east, north], [east + length_m * sin(azimuth_rad), north + length_m * cos(azimuth_rad)]]
-                )
-                x, y = (np.ascontiguousarray(column) for column in ends.T)
-                implot.plot_line(label, x, y, implot.Spec(line_color=ImVec4(*colour), line_weight=2.0))
-            _plot_image_azimuths(state, np.array([east, north]), length_m, night=night)
-            for belief in beliefs:
-                if belief.offset_km is not None:
-                    _plot_position(belief, 1000 * np.array(belief.offset_km) + [north, east], night=night)
-            implot.end_plot()
-
-
-def _plot_image_azimuths(state: AircraftState, east_north_m: Float, length_m: float, *, night: bool) -> None:
-    """Draw the azimuths that the image covers as a sector; as a circle if the zenith or the nadir is in the image."""
-    first_rad, extent_rad = state.image_azimuths_rad
-    if isnan(extent_rad):
-        return
-    azimuth_rad = np.linspace(first_rad, first_rad + extent_rad, 73)
-    outline_m = east_north_m + length_m * np.column_stack([np.sin(azimuth_rad), np.cos(azimuth_rad)])
-    if extent_rad < 2 * np.pi:
-        outline_m = np.vstack([east_north_m, outline_m, east_north_m])
-    east_m, north_m = (np.ascontiguousarray(column) for column in outline_m.T)
-    implot.plot_line("image", east_m, north_m, implot.Spec(line_color=ImVec4(*_IMAGE[night])))
-
-
-def _plot_position(belief: Belief, north_east_m: Float, *, night: bool) -> None:
-    """Draw a position with its error ellipse on the map."""
-    colour = ImVec4(*_BELIEF[night])
-    spec = implot.Spec(marker=int(implot.Marker_.cross), marker_size=5.0, marker_line_color=colour, line_color=colour)
-    implot.plot_scatter(belief.name, north_east_m[1:].copy(), north_east_m[:1].copy(), spec)
-    if belief.ellipse is not None:
-        major_km, minor_km, azimuth_rad = belief.ellipse
-        angle = np.linspace(0.0, 2 * np.pi, 73)
-        along, across = 1000 * major_km * np.cos(angle), 1000 * minor_km * np.sin(angle)
-        north_m = north_east_m[0] + along * cos(azimuth_rad) - across * sin(azimuth_rad)
-        east_m = north_east_m[1] + along * sin(azimuth_rad) + across * cos(azimuth_rad)
-        implot.plot_line("its ellipse", east_m, north_m, implot.Spec(line_color=colour))
+        self._map.draw(loaded, state, beliefs, night=session.night)
 
 
 def _draw_horizon(state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
@@ -160,7 +85,7 @@ def _draw_horizon(state: AircraftState, beliefs: Sequence[Belief], *, night: boo
         ImVec2(*(left + down * extent)),
         imgui.get_color_u32(_GROUND[night]),
     )
-    lines = imgui.get_color_u32(_LINES[night])
+    lines = imgui.get_color_u32(LINES[night])
     draw_list.add_line(ImVec2(*left), ImVec2(*right), lines, 1.5)
     for ladder_deg in _LADDER_DEG:
         rung = on_horizon - down * ladder_deg * px_per_deg
@@ -173,8 +98,8 @@ def _draw_horizon(state: AircraftState, beliefs: Sequence[Belief], *, night: boo
             along, down = _horizon_axes(belief.roll_rad)
             at = centre + down * degrees(belief.pitch_rad) * px_per_deg
             ends = ImVec2(*(at - along * extent)), ImVec2(*(at + along * extent))
-            draw_list.add_line(*ends, imgui.get_color_u32(_BELIEF[night]), 2.0)
-    _draw_aircraft(draw_list, centre, width, imgui.get_color_u32(_AIRCRAFT[night]))
+            draw_list.add_line(*ends, imgui.get_color_u32(BELIEF[night]), 2.0)
+    _draw_aircraft(draw_list, centre, width, imgui.get_color_u32(AIRCRAFT[night]))
     heading = f"{degrees(state.yaw_rad) % 360:05.1f}°"
     draw_list.add_text(ImVec2(centre[0] - imgui.calc_text_size(heading).x / 2, origin.y + 2), lines, heading)
     draw_list.pop_clip_rect()

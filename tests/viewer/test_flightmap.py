@@ -1,0 +1,189 @@
+"""The map of the panel Flight: coast, graticule and footprint against closed forms, and the map in the window."""
+
+from math import acos, cos, radians, sin, sqrt, tan
+
+import numpy as np
+import pytest
+from imgui_bundle import imgui
+
+from glstar.camera.model import Camera
+from glstar.sky.geodesy import geodetic, local_ned_m
+from glstar.sky.site import Site
+from glstar.system.resources import asset
+from glstar.viewer.coastlines import Coastlines, MapLimits, graticule
+from glstar.viewer.footprint import ground_footprint
+from tests.support.windowinput import press, screen
+from tests.viewer.test_flightpanel import _pixels_of, _write
+
+EQUATOR_M, E2 = 6378137.0, 0.00669437999014
+CAMERA = Camera(width_px=400, height_px=300, fx_px=400.0, fy_px=400.0, cx_px=199.5, cy_px=149.5)
+HEIGHT_M, GROUND_M = 1200.0, 200.0
+# The side of the map in a window of 900 x 600, and colours of its lines by day.
+COAST, FOOTPRINT = (0.50, 0.62, 0.50), (0.95, 0.55, 0.35)
+MIDDLE = (780.0, 480.0)
+
+
+def _looking_east(depression_deg: float) -> np.ndarray:
+    """Return the rotation from north, east, down of a camera that looks east and down, its right to the south."""
+    s, c = sin(radians(depression_deg)), cos(radians(depression_deg))
+    return np.array([[-1.0, 0.0, 0.0], [0.0, -s, c], [0.0, c, s]])
+
+
+def test_rays_meet_flat_ground_where_trigonometry_says():
+    site = Site(radians(-35.0), radians(138.6), GROUND_M + 100.0)
+    seen = ground_footprint(CAMERA, _looking_east(90.0), site, GROUND_M)
+    ned_m = local_ned_m(site, seen.border)
+    np.testing.assert_allclose(ned_m[:, 2], 100.0, rtol=0, atol=0.01)
+    # Half of the image is 200 px to the sides and 150 px along, at a focal length of 400 px.
+    assert np.abs(ned_m[:, 0]).max() == pytest.approx(50.0, rel=0, abs=0.01)
+    assert np.abs(ned_m[:, 1]).max() == pytest.approx(37.5, rel=0, abs=0.01)
+    np.testing.assert_allclose(local_ned_m(site, seen.axis), [0, 0, 100.0], rtol=0, atol=0.01)
+    assert not np.isfinite(seen.horizon).any()
+
+
+@pytest.mark.parametrize("depression_deg", [1.5, 5.0, 30.0])
+def test_along_the_equator_the_ground_is_a_circle(depression_deg):
+    site = Site(0.0, radians(10.0), HEIGHT_M)
+    seen = ground_footprint(CAMERA, _looking_east(depression_deg), site, GROUND_M)
+    latitude_rad, longitude_rad, height_m = geodetic(seen.axis)
+    delta = radians(depression_deg)
+    ratio = (EQUATOR_M + HEIGHT_M) / (EQUATOR_M + GROUND_M)
+    expected_rad = acos(ratio * cos(delta)) - delta  # the law of sines in the triangle with the Earth's centre
+    assert longitude_rad - radians(10.0) == pytest.approx(abs(expected_rad), rel=1e-8)
+    assert latitude_rad == pytest.approx(0.0, abs=1e-12)
+    assert height_m == pytest.approx(GROUND_M, abs=1e-3)
+
+
+def test_the_footprint_ends_at_the_horizon():
+    site = Site(0.0, radians(10.0), HEIGHT_M)
+    seen = ground_footprint(CAMERA, _looking_east(0.0), site, GROUND_M)
+    assert not np.isfinite(seen.axis).any()  # the horizon is 1 deg below the horizontal
+    on_horizon = seen.horizon[np.isfinite(seen.horizon).all(axis=1)]
+    _, east_m, _ = local_ned_m(site, on_horizon).T
+    # The tangent from outside of a circle; to the sides the camera sees 26.6 deg.
+    radius_m = EQUATOR_M + GROUND_M
+    farthest_m = sqrt((EQUATOR_M + HEIGHT_M) ** 2 - radius_m**2)
+    assert east_m.max() == pytest.approx(farthest_m, rel=1e-3)
+    assert east_m.min() == pytest.approx(farthest_m * cos(radians(26.57)), rel=0.02)
+    border_m = local_ned_m(site, seen.border[np.isfinite(seen.border).all(axis=1)])
+    # The lower edge of the image looks 20.56 deg down: 1000 m / tan.
+    assert border_m[:, 1].min() == pytest.approx((HEIGHT_M - GROUND_M) / tan(radians(20.556)), rel=2e-3)
+
+
+def test_the_sky_and_the_ground_itself_have_no_footprint():
+    up = ground_footprint(CAMERA, _looking_east(-40.0), Site(0.5, 0.1, HEIGHT_M), 0.0)
+    below = ground_footprint(CAMERA, _looking_east(40.0), Site(0.5, 0.1, 10.0), GROUND_M)
+    assert up.is_empty
+    assert below.is_empty
+
+
+# Capes by their coordinates in gazetteers, deg.
+CAPES = {
+    "Cape of Good Hope": (-34.357, 18.472),
+    "Cabo da Roca": (38.781, -9.500),
+    "Cape Byron": (-28.638, 153.636),
+    "Point Barrow": (71.388, -156.479),
+    "Cape Reinga": (-34.427, 172.681),
+}
+
+
+@pytest.mark.parametrize("cape", CAPES)
+def test_the_coast_passes_a_cape_and_is_drawn_only_near(cape):
+    coast = Coastlines(Site(*np.deg2rad(CAPES[cape])))
+    near_m = coast.within(MapLimits(-2e5, 2e5, -2e5, 2e5), 1.0)
+    assert np.nanmin(np.hypot(*near_m.T)) < 8000
+    assert len(near_m) < 3000
+
+
+@pytest.mark.parametrize("place", [(-23.7, 133.9), (0.0, -150.0), (40.0, -35.0)])
+def test_there_is_no_coast_inland_and_at_sea(place):
+    coast = Coastlines(Site(*np.deg2rad(place)))
+    assert not (np.hypot(*coast.within(MapLimits(-3e5, 3e5, -3e5, 3e5), 1.0).T) < 3e5).any()
+
+
+def test_the_coast_of_half_of_the_earth_is_drawn_coarsely():
+    coast = Coastlines(Site(0.2, 0.3))
+    whole_m = coast.within(MapLimits(-7e6, 7e6, -7e6, 7e6), 50_000.0)
+    assert len(whole_m) < 12_000
+    assert np.nanmax(np.hypot(*whole_m.T)) < 1.001 * EQUATOR_M
+    assert asset("coastlines.npz").stat().st_size < 100_000
+
+
+def test_the_graticule_lies_where_the_ellipsoid_has_it():
+    lines = {line.label: line for line in graticule(Site(0.0, radians(10.0)), MapLimits(-4e5, 4e5, -4e5, 4e5))}
+    assert {"2\N{DEGREE SIGN}N", "2\N{DEGREE SIGN}S", "8\N{DEGREE SIGN}E", "12\N{DEGREE SIGN}E"} <= set(lines)
+    meridian = lines["12\N{DEGREE SIGN}E"].xy_m
+    crossing = np.abs(meridian[:, 1]).argmin()
+    assert meridian[crossing, 0] == pytest.approx(EQUATOR_M * sin(radians(2.0)), rel=1e-5)
+    parallel = lines["2\N{DEGREE SIGN}N"].xy_m
+    middle = np.abs(parallel[:, 0]).argmin()
+    across_m = EQUATOR_M / sqrt(1 - E2 * sin(radians(2.0)) ** 2)
+    assert parallel[middle, 1] == pytest.approx(across_m * (1 - E2) * sin(radians(2.0)), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("origin_deg", "half_m", "wanted"),
+    [
+        ((89.99, 20.0), 5000.0, {"150\N{DEGREE SIGN}W", "30\N{DEGREE SIGN}E", "180\N{DEGREE SIGN}"}),
+        ((0.0, 179.9999), 5000.0, {"180.00\N{DEGREE SIGN}", "179.95\N{DEGREE SIGN}W", "179.95\N{DEGREE SIGN}E"}),
+        ((-34.93, 138.6), 500.0, {"34.930\N{DEGREE SIGN}S", "138.600\N{DEGREE SIGN}E"}),
+        ((-34.93, 138.6), 7e6, {"0\N{DEGREE SIGN}", "30\N{DEGREE SIGN}S", "150\N{DEGREE SIGN}E"}),
+    ],
+)
+def test_the_graticule_has_a_few_lines_anywhere(origin_deg, half_m, wanted):
+    lines = graticule(Site(*np.deg2rad(origin_deg)), MapLimits(-half_m, half_m, -half_m, half_m))
+    labels = {(line.label, line.is_parallel) for line in lines}
+    assert wanted <= {label for label, _ in labels}
+    assert len(lines) == len(labels) <= 20
+
+
+def _frames(viewer, count=3):
+    for _ in range(count):
+        viewer.frame(0.0)
+    return screen(viewer)[::-1].astype(int)
+
+
+def _show_flight(viewer):
+    imgui.set_window_focus("Flight")
+    return _frames(viewer, 4)
+
+
+def test_the_wheel_zooms_out_to_the_coast_and_a_double_click_returns(make_viewer, tmp_path):
+    viewer = make_viewer(_write(tmp_path / "north.csv", north_deg_per_s=1e-4))
+    first = _show_flight(viewer)
+    assert len(_pixels_of(first, COAST)[0]) == 0
+    io = imgui.get_io()
+    io.add_mouse_pos_event(*MIDDLE)
+    _frames(viewer)  # as a hand moves the mouse
+    for _ in range(85):
+        io.add_mouse_wheel_event(0.0, -1.0)
+        viewer.frame(0.0)
+    assert len(_pixels_of(_frames(viewer), COAST)[0]) > 30
+    for down in (True, False, True, False):
+        io.add_mouse_button_event(0, down)
+        viewer.frame(0.0)
+    io.add_mouse_pos_event(2.0, 2.0)
+    again = _frames(viewer)
+    assert len(_pixels_of(again, COAST)[0]) == 0
+    np.testing.assert_array_equal(again[400:580, 680:], first[400:580, 680:])
+
+
+def test_a_camera_that_looks_down_shows_its_footprint(make_viewer, small, tmp_path):
+    log = _write(tmp_path / "climbing.csv", north_deg_per_s=1e-4, climb=10.0)
+    viewer = make_viewer(log, config=small.override(**{"mount.pitch_deg": -90.0}))
+    viewer.session.head.seek(viewer.session.head.first_s + 8.0)
+    seen = _show_flight(viewer)
+    assert len(_pixels_of(seen, FOOTPRINT)[0]) > 10
+    press(viewer, "N")
+    assert _frames(viewer)[..., 1:].max() == 0
+
+
+def test_a_fixed_position_is_shown_with_its_coast(make_viewer, tmp_path):
+    path = tmp_path / "fixed.csv"
+    path.write_text("utc_s,roll_deg,pitch_deg,yaw_deg\n" + "".join(f"{1710068400 + t},0,0,{t}\n" for t in range(10)))
+    viewer = make_viewer(None)
+    viewer.session.change(**{"flight.latitude_deg": -34.93, "flight.longitude_deg": 138.6})
+    viewer.open(path)
+    viewer.session.wait_for_flight()
+    _frames(viewer)
+    assert len(_pixels_of(_show_flight(viewer), COAST)[0]) > 30
