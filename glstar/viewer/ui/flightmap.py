@@ -1,4 +1,4 @@
-"""The map of the panel Flight: coast, graticule, ground track, and where the camera looks."""
+"""The map of the panel Flight: coast, graticule, ground track, and the direction of the camera."""
 
 from collections.abc import Sequence
 from math import ceil, cos, degrees, floor, hypot, isnan, log10, sin
@@ -73,12 +73,12 @@ class FlightMap:
         """
         self._take(loaded, state.site)
         here = self._east_north_m(state.site)
-        believed = [
+        places = [
             (belief, 1000 * np.array(belief.offset_km)[::-1] + here)
             for belief in beliefs
             if belief.offset_km is not None
         ]
-        shown = self._fitted_limits(np.vstack([self._track_m, here, *(place for _, place in believed)]))
+        shown = self._fitted_limits(np.vstack([self._track_m, here, *(place for _, place in places)]))
         if self._is_hovered and (imgui.get_io().mouse_wheel != 0 or imgui.is_mouse_dragging(0)):
             self._is_fitted = False
         footprint = self._footprint(loaded, state)
@@ -99,7 +99,7 @@ class FlightMap:
             _plot_pointers(state, here, length_m, night=night)
             if footprint is not None:
                 self._draw_footprint(footprint, night=night)
-            for belief, place in believed:
+            for belief, place in places:
                 _plot_position(belief, place, night=night)
             _draw_scale(_LABELS[night])
             self._is_hovered = implot.is_plot_hovered()
@@ -166,7 +166,7 @@ class FlightMap:
         return self._lowest_m if self._typed_ground_m is None else self._typed_ground_m
 
     def _footprint(self, loaded: LoadedFlight, state: AircraftState) -> Footprint | None:
-        """Return the ground that the image shows; None if the camera looks above the horizon."""
+        """Return the ground that the image shows; None if the image is above the horizon."""
         if not state.view:
             return None
         return ground_footprint(loaded.simulator.camera, state.C_camera_ned, state.site, self._ground_m)
