@@ -23,15 +23,15 @@ COAST, FOOTPRINT = (0.50, 0.62, 0.50), (0.95, 0.55, 0.35)
 MIDDLE = (780.0, 480.0)
 
 
-def _looking_east(depression_deg: float) -> np.ndarray:
-    """Return the rotation from north, east, down of a camera that looks east and down, its right to the south."""
+def _pointing_east(depression_deg: float) -> np.ndarray:
+    """Return the rotation from north, east, down of a camera that points east and down, its right to the south."""
     s, c = sin(radians(depression_deg)), cos(radians(depression_deg))
     return np.array([[-1.0, 0.0, 0.0], [0.0, -s, c], [0.0, c, s]])
 
 
 def test_rays_meet_flat_ground_where_trigonometry_says():
     site = Site(radians(-35.0), radians(138.6), GROUND_M + 100.0)
-    seen = ground_footprint(CAMERA, _looking_east(90.0), site, GROUND_M)
+    seen = ground_footprint(CAMERA, _pointing_east(90.0), site, GROUND_M)
     ned_m = local_ned_m(site, seen.border)
     np.testing.assert_allclose(ned_m[:, 2], 100.0, rtol=0, atol=0.01)
     # Half of the image is 200 px to the sides and 150 px along, at a focal length of 400 px.
@@ -44,7 +44,7 @@ def test_rays_meet_flat_ground_where_trigonometry_says():
 @pytest.mark.parametrize("depression_deg", [1.5, 5.0, 30.0])
 def test_along_the_equator_the_ground_is_a_circle(depression_deg):
     site = Site(0.0, radians(10.0), HEIGHT_M)
-    seen = ground_footprint(CAMERA, _looking_east(depression_deg), site, GROUND_M)
+    seen = ground_footprint(CAMERA, _pointing_east(depression_deg), site, GROUND_M)
     latitude_rad, longitude_rad, height_m = geodetic(seen.axis)
     delta = radians(depression_deg)
     ratio = (EQUATOR_M + HEIGHT_M) / (EQUATOR_M + GROUND_M)
@@ -56,7 +56,7 @@ def test_along_the_equator_the_ground_is_a_circle(depression_deg):
 
 def test_the_footprint_ends_at_the_horizon():
     site = Site(0.0, radians(10.0), HEIGHT_M)
-    seen = ground_footprint(CAMERA, _looking_east(0.0), site, GROUND_M)
+    seen = ground_footprint(CAMERA, _pointing_east(0.0), site, GROUND_M)
     assert not np.isfinite(seen.axis).any()  # the horizon is 1 deg below the horizontal
     on_horizon = seen.horizon[np.isfinite(seen.horizon).all(axis=1)]
     _, east_m, _ = local_ned_m(site, on_horizon).T
@@ -66,13 +66,13 @@ def test_the_footprint_ends_at_the_horizon():
     assert east_m.max() == pytest.approx(farthest_m, rel=1e-3)
     assert east_m.min() == pytest.approx(farthest_m * cos(radians(26.57)), rel=0.02)
     border_m = local_ned_m(site, seen.border[np.isfinite(seen.border).all(axis=1)])
-    # The lower edge of the image looks 20.56 deg down: 1000 m / tan.
+    # The lower edge of the image is 20.56 deg down: 1000 m / tan.
     assert border_m[:, 1].min() == pytest.approx((HEIGHT_M - GROUND_M) / tan(radians(20.556)), rel=2e-3)
 
 
 def test_the_sky_and_the_ground_itself_have_no_footprint():
-    up = ground_footprint(CAMERA, _looking_east(-40.0), Site(0.5, 0.1, HEIGHT_M), 0.0)
-    below = ground_footprint(CAMERA, _looking_east(40.0), Site(0.5, 0.1, 10.0), GROUND_M)
+    up = ground_footprint(CAMERA, _pointing_east(-40.0), Site(0.5, 0.1, HEIGHT_M), 0.0)
+    below = ground_footprint(CAMERA, _pointing_east(40.0), Site(0.5, 0.1, 10.0), GROUND_M)
     assert up.is_empty
     assert below.is_empty
 
@@ -168,7 +168,7 @@ def test_the_wheel_zooms_out_to_the_coast_and_a_double_click_returns(make_viewer
     np.testing.assert_array_equal(again[400:580, 680:], first[400:580, 680:])
 
 
-def test_a_camera_that_looks_down_shows_its_footprint(make_viewer, small, tmp_path):
+def test_a_camera_that_points_down_shows_its_footprint(make_viewer, small, tmp_path):
     log = _write(tmp_path / "climbing.csv", north_deg_per_s=1e-4, climb=10.0)
     viewer = make_viewer(log, config=small.override(**{"mount.pitch_deg": -90.0}))
     viewer.session.head.seek(viewer.session.head.first_s + 8.0)
