@@ -144,7 +144,7 @@ class DaskExecutor:
         with self._explain_errors():
             futures = [
                 self._client.submit(_draw, self._name, chunk, **arguments, pure=False, retries=_RETRIES)
-                for chunk in split_into_chunks(numbers, threads)
+                for chunk in split_into_chunks(numbers, threads, task.frames.firsts)
             ]
             try:
                 for future in as_completed(futures, loop=self._client.loop):

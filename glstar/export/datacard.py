@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import degrees
+from math import degrees, dist
 from pathlib import Path
 from typing import Any, Final
 
@@ -104,7 +104,7 @@ class _Seen:
             "altitude of the optical axis, deg": degrees(float(np.arcsin(up))),
             f"stars with a signal-to-noise ratio of {_DETECTABLE_SNR:g} or more": len(detectable),
         }
-        lengths = [np.hypot(*np.subtract(s["end"], s["start"])) for s in detectable if s["start"] and s["end"]]
+        lengths = [dist(s["end"], s["start"]) for s in detectable if s["start"] and s["end"]]
         if lengths:
             quantities["median length of their trails, px"] = float(np.median(lengths))
         for name, value in quantities.items():

@@ -123,7 +123,12 @@ class DataSetFrames:
     def numbers(self) -> NDArray[np.int64]:
         """Frame numbers, (n,) int64, increasing."""
         left_out = np.array([frame.number for frame in self.skipped], dtype=np.int64)
-        return np.setdiff1d(np.arange(self._firsts[-1]), left_out, assume_unique=True)
+        return np.setdiff1d(np.arange(self._bounds[-1]), left_out, assume_unique=True)
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """First frame number of each sample of each flight, (m,) int64, increasing."""
+        return self._bounds[:-1]
 
     @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
@@ -159,10 +164,10 @@ class DataSetFrames:
 
     def shot(self, number: int) -> Shot:
         """Return when and how the camera exposes a frame; see `Frames`."""
-        which = int(np.searchsorted(self._firsts, number, side="right")) - 1
+        which = int(np.searchsorted(self._bounds, number, side="right")) - 1
         settings = self._settings(which)
         simulator, exposure = self._simulator(which)
-        nth, start_s = number - int(self._firsts[which]), settings.get(START, self.start_s)
+        nth, start_s = number - int(self._bounds[which]), settings.get(START, self.start_s)
         first_s, index = simulator.flight.attitude.first_s, which // len(self.config.sweep)
         shift_s = first_s - self.flights[index].attitude.first_s
         if exposure.at == "camera":
@@ -182,7 +187,7 @@ class DataSetFrames:
         return self.config.sweep.sample(sample, salt=flight)
 
     @property
-    def _firsts(self) -> NDArray[np.int64]:
+    def _bounds(self) -> NDArray[np.int64]:
         """First frame number of each sample, followed by the end of the last sample."""
         return self._planned[0]
 

@@ -256,7 +256,7 @@ def _pipeline(
         renderer.forget()
 
 
-def split_into_chunks(numbers: NDArray[np.int64], workers: int) -> list[NDArray[np.int64]]:
+def split_into_chunks(numbers: NDArray[np.int64], workers: int, firsts: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Divide frames into chunks, each drawn by one worker at a time.
 
     Parameters
@@ -264,11 +264,21 @@ def split_into_chunks(numbers: NDArray[np.int64], workers: int) -> list[NDArray[
     numbers : (n,) int64
     workers : int
         Number of workers.
+    firsts : (m,) int64
+        `Frames.firsts`.  A chunk ends before one of them where it can, because each worker that draws frames of a
+        sample prepares its flight and its stars: with chunks that end elsewhere, two workers prepare each sample.
 
     Returns
     -------
     list of (m,) int64
-        In order.
+        In order; half as long to one and a half times as long as equal parts, but for the last.
     """
     size = min(max(1, -(-len(numbers) // (_CHUNKS_PER_WORKER * workers))), _MAX_CHUNK_FRAMES)
-    return [numbers[first : first + size] for first in range(0, len(numbers), size)]
+    ends = np.unique(np.searchsorted(numbers, firsts))
+    chunks, start = [], 0
+    while start < len(numbers):
+        near = ends[(ends >= start + (size + 1) // 2) & (ends <= start + min(3 * size // 2, _MAX_CHUNK_FRAMES))]
+        end = int(near[np.argmin(np.abs(near - start - size))]) if near.size else start + size
+        chunks.append(numbers[start:end])
+        start = end
+    return chunks

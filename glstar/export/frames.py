@@ -71,6 +71,11 @@ class Frames(Protocol):
         ...
 
     @property
+    def firsts(self) -> NDArray[np.int64]:
+        """First frame number of each simulator, (m,) int64, increasing: frames between two of them share one."""
+        ...
+
+    @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
         """Frames that are left out because their exposure spans a gap in the log."""
         ...
@@ -131,6 +136,11 @@ class FlightFrames:
     def numbers(self) -> NDArray[np.int64]:
         """Frame numbers, (n,) int64, increasing."""
         return np.array([planned.number for planned in self.plan.frames], dtype=np.int64)
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """Frame 0: one simulator has all frames."""
+        return np.zeros(1, dtype=np.int64)
 
     @property
     def skipped(self) -> tuple[SkippedFrame, ...]:

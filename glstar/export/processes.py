@@ -131,7 +131,7 @@ class ProcessExecutor:
 
     def _distribute(self, task: FrameTask, numbers: NDArray[np.int64], request: _Chunk) -> Iterator[_FrameDone]:
         """Distribute frames among the workers in chunks; yield an answer for each frame."""
-        chunks = deque(split_into_chunks(numbers, self.count))
+        chunks = deque(split_into_chunks(numbers, self.count, task.frames.firsts))
         deaths: Counter[int] = Counter()
         for worker in self._workers:
             with suppress(OSError):  # it has just died, which _receive reports

@@ -1,10 +1,11 @@
 """The ground truth of an export, read back."""
 
-import json
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import Any
+
+import orjson
 
 from glstar.errors import ExportError
 from glstar.render.truth import as_current_schema
@@ -62,7 +63,7 @@ def _listed(path: Path) -> set[str]:
 def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
     """Return one line as a dictionary."""
     try:
-        return as_current_schema(json.loads(line))
+        return as_current_schema(orjson.loads(line))
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ExportError(file, f"line {number} is not a frame of a truth file of glstar") from error
 

@@ -45,6 +45,10 @@ class _FrameBlock:
     skipped: tuple[SkippedFrame, ...] = ()
 
     @property
+    def firsts(self) -> NDArray[np.int64]:
+        return self.whole.firsts
+
+    @property
     def saturation_dn(self) -> int:
         return self.whole.saturation_dn
 
