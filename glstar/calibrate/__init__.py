@@ -17,7 +17,7 @@ from glstar.calibrate.calibrationreport import draw_geometry, draw_report, prepa
 from glstar.calibrate.combine import CombinedCalibration, StarTable, combine
 from glstar.calibrate.combinedreport import draw_combined
 from glstar.calibrate.detect import DetectedStars, detect_stars
-from glstar.calibrate.extinctionfit import above_air
+from glstar.calibrate.extinctionfit import above_air, above_air_together
 from glstar.calibrate.geometry import GeometryCalibration, calibrate_geometry
 from glstar.calibrate.labels import Label, identify_by_labels
 from glstar.calibrate.lensfit import CameraFit, fit_camera, fit_lens
@@ -58,6 +58,7 @@ __all__ = [
     "Twin",
     "TwinFigures",
     "above_air",
+    "above_air_together",
     "calibrate",
     "calibrate_geometry",
     "combine",

@@ -1,7 +1,7 @@
 """What the brightness of stars depends on besides their V magnitude: the camera's band, vignetting and tone."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +117,9 @@ def fit_brightness_terms(
     )  # fmt: skip
 
 
-def robust_fit(design: Float, values: Float, noise: Float) -> tuple[Float, Float, float]:
+def robust_fit(
+    design: Float, values: Float, noise: Float, *, same: NDArray[Any] | None = None
+) -> tuple[Float, Float, float]:
     """Return the parameters of a weighted least-squares fit with Huber's weights.
 
     Parameters
@@ -125,6 +127,8 @@ def robust_fit(design: Float, values: Float, noise: Float) -> tuple[Float, Float
     design : (n, m) float64
     values, noise : (n,) float64
         Magnitudes, and their standard errors besides the scatter.
+    same : (n,) array, optional
+        Equal for measurements of one star, whose deviations are its own; by default all stars differ.
 
     Returns
     -------
@@ -146,7 +150,11 @@ def robust_fit(design: Float, values: Float, noise: Float) -> tuple[Float, Float
         total = np.hypot(max(scatter, 0.01), noise)
         weight = np.minimum(1.0, _HUBER * total / np.maximum(np.abs(left), 1e-9)) / total**2
     inverse = np.linalg.pinv((design * weight[:, np.newaxis]).T @ design)
-    meat = (design * ((weight * left) ** 2)[:, np.newaxis]).T @ design
+    score = design * (weight * left)[:, np.newaxis]
+    if same is not None:
+        _, group = np.unique(same, return_inverse=True)
+        score = np.stack([np.bincount(group, weights=column) for column in score.T], axis=-1)
+    meat = score.T @ score
     free = max(len(values) - design.shape[1], 1)
     covariance = inverse @ meat @ inverse * len(values) / free
     return p, np.sqrt(np.diag(covariance)), float(scatter)

@@ -75,8 +75,12 @@ class Calibration:
     @property
     def fitted_peak_dn(self) -> Float:
         """Amplitude of each star by the fit, (n,) float64, DN."""
-        lost_mag = 0.0 if self.extinction_mag is None else self.extinction_mag
-        return self.brightness.peak_dn(self.stars.vmag + lost_mag)
+        return self.brightness.peak_dn(self.arriving_mag)
+
+    @property
+    def arriving_mag(self) -> Float:
+        """V of each star, dimmed by the extinction that was taken out, (n,) float64."""
+        return self.stars.vmag if self.extinction_mag is None else self.stars.vmag + self.extinction_mag
 
     @property
     def off_mag(self) -> Float:

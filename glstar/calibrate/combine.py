@@ -167,9 +167,15 @@ class CombinedCalibration:
         names = ", ".join(part.image.path.name for part in self.parts)
         head = [
             f"Calibrated by glstar {__version__} from {len(self.parts)} images ({names}): {len(self.table)} stars.",
+            *([] if self.air else ["reference_peak_dn has the extinction of that night in it: it is below the air."]),
             *(f"{note}." for note in self.notes),
         ]
         return calibration_toml(head, self.sensor, self.best.matches, star_brightness=star_brightness)
+
+    @property
+    def air(self) -> dict[str, Any] | None:
+        """The extinction that was taken out, for JSON; None if the reference brightness has the air in it."""
+        return self.parts[0].air
 
     def _lens_json(self) -> dict[str, Any]:
         if self.shared_lens is None:
@@ -192,6 +198,7 @@ class CombinedCalibration:
             "spread_mag": self.spread_mag,
             "repeat_mag": None if np.isnan(self.repeat_mag) else self.repeat_mag,
             "fainter_mag": self.fainter_mag.tolist(),
+            "extinction": self.air or {"reference_is": "below the air"},
             "notes": list(self.notes),
             **self._lens_json(),
             "images": [part.to_json() for part in self.parts],
@@ -204,7 +211,7 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
     Parameters
     ----------
     parts : tuple of Calibration
-        Two or more, each calibrated on its own; their exposures may differ.
+        Two or more, each calibrated on its own, all above the air or all below it; their exposures may differ.
     shared_lens : SharedLensFit, optional
         The lens fitted to all of them together.
 
@@ -304,14 +311,14 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
 def _measured_well(part: Calibration) -> Mask:
     """Return which stars of an image are measurable: not saturated, not blended, and above the noise."""
     stars = part.stars
-    bright = part.brightness.peak_dn(stars.vmag) >= _BRIGHT_ENOUGH * stars.noise_dn
+    bright = part.fitted_peak_dn >= _BRIGHT_ENOUGH * stars.noise_dn
     return np.asarray(~stars.saturated & ~stars.blended & bright & (stars.peak_dn > stars.noise_dn))
 
 
 def _off_mag(part: Calibration, first: Calibration) -> Float:
     """Return measured minus predicted magnitudes of stars, with the first image's sensor and the same exposure."""
     fraction = part.sensor.reference_exposure_s / first.sensor.reference_exposure_s
-    expected = first.brightness.peak_dn(part.stars.vmag) * fraction
+    expected = first.brightness.peak_dn(part.arriving_mag) * fraction
     return magnitude_difference(np.maximum(part.stars.peak_dn, 1e-3) / expected)
 
 
@@ -392,4 +399,7 @@ def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Fl
 
 
 def _of_each(parts: tuple[Calibration, ...]) -> tuple[str, ...]:
-    return tuple(f"{part.image.path.name}: {note}" for part in parts for note in part.notes)
+    """Return the notes that all images share, once, and then those of each image."""
+    shared = [note for note in parts[0].notes if all(note in part.notes for part in parts[1:])]
+    own = (f"{part.image.path.name}: {note}" for part in parts for note in part.notes if note not in shared)
+    return (*shared, *own)

@@ -60,12 +60,12 @@ def _brightness(axes: Any, combined: CombinedCalibration) -> None:
         good = ~stars.saturated & ~stars.blended & (stars.peak_dn > 0)
         # Scaled to the sensor's exposure, and by the magnitude offset of the image.
         peak_dn = stars.peak_dn * seconds / part.sensor.reference_exposure_s * 10 ** (0.4 * fainter)
-        axes.plot(stars.vmag[good], peak_dn[good], ".", ms=4, color=_colour(number), label=part.image.path.name)
+        axes.plot(part.arriving_mag[good], peak_dn[good], ".", ms=4, color=_colour(number), label=part.image.path.name)
     brightest, faintest = axes.get_xlim()
     m = np.linspace(brightest, faintest, 100)
     axes.plot(m, sensor.peak_dn(m, seconds), "k-", lw=1, label="eq. (37)")
     axes.set_yscale("log")
-    axes.set_xlabel("V magnitude")
+    axes.set_xlabel("V magnitude" if combined.air is None else "V magnitude, dimmed by the extinction")
     axes.set_ylabel(f"amplitude above the sky in {seconds:g} s, DN")
     axes.set_title("brightness on all images", fontsize=10)
     axes.grid(visible=True, alpha=0.3)
@@ -81,7 +81,7 @@ def _repeatability(axes: Any, histogram: Any, combined: CombinedCalibration) -> 
     after: list[float] = []
     for number, (part, fainter) in enumerate(zip(combined.parts, combined.fainter_mag, strict=True)):
         stars = part.stars
-        expected = combined.sensor.peak_dn(stars.vmag, part.sensor.reference_exposure_s)
+        expected = combined.sensor.peak_dn(part.arriving_mag, part.sensor.reference_exposure_s)
         row = np.array([place.get(int(star_id), -1) for star_id in stars.star_id])
         good = (row >= 0) & ~stars.saturated & ~stars.blended & (stars.peak_dn > stars.noise_dn)
         good &= table.images[row] > 1

@@ -1,5 +1,6 @@
-"""Extinction in one photograph: fitted to its stars, or given, and taken out of the reference brightness."""
+"""Extinction in photographs: fitted to its stars, or given, and taken out of the reference brightness."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -15,7 +16,7 @@ from glstar.sky.extinction import air_mass
 from glstar.sky.starcolours import USUAL_BV, star_colours
 from glstar.statistics import robust_std
 
-__all__ = ["AirTerm", "above_air"]
+__all__ = ["AirTerm", "above_air", "above_air_together"]
 
 Float = NDArray[np.float64]
 
@@ -91,30 +92,78 @@ def above_air(calibration: Calibration, zenith_mag: float | None = None) -> Cali
 
     Notes
     -----
-    Magnitudes measured minus fitted are a + k X + b (B - V) + c r^2, with X the air mass; b and c, which are centred
-    on the stars, keep band and vignetting out of k.
+    As `above_air_together` with one image.
     """
-    mass = _air_masses(calibration)
-    used = calibration.brightness.used & (calibration.stars.peak_dn > 0)
-    off_mag = calibration.off_mag
+    return above_air_together((calibration,), zenith_mag)[0]
+
+
+def above_air_together(parts: Sequence[Calibration], zenith_mag: float | None = None) -> tuple[Calibration, ...]:
+    """Return calibrations of photographs of one night, whose reference brightness is that above the air.
+
+    Parameters
+    ----------
+    parts : sequence of Calibration
+        Of images whose site, time and attitude are known.
+    zenith_mag : float, optional
+        Extinction per air mass, mag; by default one value is fitted to the stars of all images.
+
+    Returns
+    -------
+    tuple of Calibration
+        In the order of the images.
+
+    Raises
+    ------
+    CalibrationError
+        If a zenith is unknown, or the stars do not show the extinction.
+
+    Notes
+    -----
+    Magnitudes measured minus fitted are a + k X + b (B - V) + c r^2, with X the air mass; b and c, which are centred
+    on the stars, keep band and vignetting out of k.  Each image has an a of its own, for haze, and exposures that are
+    not quite those given.
+    """
+    masses = [_air_masses(part) for part in parts]
+    used = [part.brightness.used & (part.stars.peak_dn > 0) for part in parts]
     if zenith_mag is None:
-        offset_mag, error_mag, k, k_error = _fitted(calibration, mass, off_mag, used)
+        offsets, k, k_error = _fitted(parts, masses, used)
     else:
-        free = off_mag[used] - zenith_mag * mass[used]
-        offset_mag, k, k_error = float(np.median(free)), zenith_mag, None
-        error_mag = robust_std(free, offset_mag) * float(np.sqrt(np.pi / 2 / used.sum()))
-    brighter = float(10 ** (-0.4 * offset_mag))
-    left = off_mag[used] - offset_mag - k * mass[used]
-    air = AirTerm(k, k_error, float(mass[used].min()), float(mass[used].max()), int(used.sum()))
+        offsets = [_offset(part, zenith_mag * mass, some) for part, mass, some in zip(parts, masses, used, strict=True)]
+        k, k_error = zenith_mag, None
+    seen = np.concatenate([mass[some] for mass, some in zip(masses, used, strict=True)])
+    air = AirTerm(k, k_error, float(seen.min()), float(seen.max()), seen.size)
+    return tuple(
+        _taken_out(part, k * mass, some, *offset, air)
+        for part, mass, some, offset in zip(parts, masses, used, offsets, strict=True)
+    )
+
+
+def _offset(part: Calibration, lost_mag: Float, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the offset above the air and its standard error, mag."""
+    free = (part.off_mag - lost_mag)[used]
+    offset_mag = float(np.median(free))
+    return offset_mag, robust_std(free, offset_mag) * float(np.sqrt(np.pi / 2 / free.size))
+
+
+def _taken_out(
+    calibration: Calibration,
+    lost_mag: Float,
+    used: NDArray[np.bool_],
+    offset_mag: float,
+    error_mag: float,
+    air: AirTerm,
+) -> Calibration:
+    """Return a calibration with the extinction of each star taken out, and its offset above the air."""
+    left = (calibration.off_mag - offset_mag - lost_mag)[used]
     fit = replace(
         calibration.brightness,
-        reference_peak_dn=calibration.brightness.reference_peak_dn * brighter,
+        reference_peak_dn=calibration.brightness.reference_peak_dn * float(10 ** (-0.4 * offset_mag)),
         scatter_mag=robust_std(left, float(np.median(left))),
         error_mag=error_mag,
     )
     sensor = replace(calibration.sensor, reference_peak_dn=fit.reference_peak_dn)
     # What else the sensor lacks is measured again, because the air dims one side of the image, as vignetting does.
-    dimmed = replace(calibration.stars, vmag=calibration.stars.vmag + k * mass)
+    dimmed = replace(calibration.stars, vmag=calibration.stars.vmag + lost_mag)
     misfit = measure_misfit(calibration.image, calibration.detected, calibration.matches, sensor, fit, dimmed)
     before = calibration.misfit.notes(calibration.sensor, linear=fit.linear)
     kept = (note for note in calibration.notes if note not in before)
@@ -124,7 +173,7 @@ def above_air(calibration: Calibration, zenith_mag: float | None = None) -> Cali
         brightness=fit,
         misfit=misfit,
         notes=(air.note, *kept, *misfit.notes(sensor, linear=fit.linear)),
-        extinction_mag=k * mass,
+        extinction_mag=lost_mag,
         air=air.to_json(),
     )
 
@@ -147,23 +196,33 @@ def _air_masses(calibration: Calibration) -> Float:
 
 
 def _fitted(
-    calibration: Calibration, mass: Float, off_mag: Float, used: NDArray[np.bool_]
-) -> tuple[float, float, float, float]:
-    """Return the offset above the air and the extinction per air mass, each with its standard error, mag."""
-    low, high = np.percentile(mass[used], [5, 95])
-    if used.sum() < _LEAST_STARS or high - low < _LEAST_SPAN:
+    parts: Sequence[Calibration], masses: Sequence[Float], used: Sequence[NDArray[np.bool_]]
+) -> tuple[list[tuple[float, float]], float, float]:
+    """Return the offset of each image above the air with its error, and the extinction per air mass with its, mag."""
+    mass = np.concatenate([one[some] for one, some in zip(masses, used, strict=True)])
+    spans = [np.percentile(one[some], [5, 95]) for one, some in zip(masses, used, strict=True) if some.any()]
+    if mass.size < _LEAST_STARS or max(high - low for low, high in spans) < _LEAST_SPAN:
+        low, high = max(spans, key=lambda span: span[1] - span[0]) if spans else (np.nan, np.nan)
+        where = "the image has" if len(parts) == 1 else "the images have, at best on one of them,"
         raise CalibrationError(
-            f"the extinction needs {_LEAST_STARS} stars whose air masses differ by {_LEAST_SPAN:g}, and the image has"
-            f" {int(used.sum())} of {low:.2f} to {high:.2f}: take a wider image down to low altitudes, or give the"
+            f"the extinction needs {_LEAST_STARS} stars whose air masses differ by {_LEAST_SPAN:g}, and {where}"
+            f" {mass.size} of {low:.2f} to {high:.2f}: take a wider image down to low altitudes, or give the"
             " extinction per air mass, as --extinction 0.28",
-            stars_used=int(used.sum()),
+            stars_used=mass.size,
             stars_needed=_LEAST_STARS,
         )
-    bv = star_colours(calibration.reference.stars)[calibration.matches.star]
+
+    def of_all(values: Callable[[Calibration], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([values(part)[some] for part, some in zip(parts, used, strict=True)])
+
+    bv = of_all(lambda part: star_colours(part.reference.stars)[part.matches.star])
     bv = np.clip(np.nan_to_num(bv, nan=USUAL_BV), *_VALID_BV)
-    across = corner_distance(calibration.image, calibration.matches, calibration.stars.xy_px) ** 2
-    more = [one - np.median(one[used]) for one in (bv, across)][: int(used.sum()) // _STARS_PER_TERM]
-    design = np.column_stack([np.ones_like(mass), mass, *more])[used]
-    noise_mag = 1.0857 * calibration.stars.noise_dn[used] / calibration.stars.peak_dn[used]
-    p, error, _ = robust_fit(design, off_mag[used], noise_mag)
-    return float(p[0]), float(error[0]), float(p[1]), float(error[1])
+    across = of_all(lambda part: corner_distance(part.image, part.matches, part.stars.xy_px) ** 2)
+    more = [one - np.median(one) for one in (bv, across)][: mass.size // _STARS_PER_TERM]
+    image = np.repeat(np.arange(len(parts)), [int(some.sum()) for some in used])
+    design = np.column_stack([image[:, np.newaxis] == np.arange(len(parts)), mass, *more])
+    noise_mag = of_all(lambda part: 1.0857 * part.stars.noise_dn / part.stars.peak_dn)
+    star_id = of_all(lambda part: part.stars.star_id)
+    p, error, _ = robust_fit(design, of_all(lambda part: part.off_mag), noise_mag, same=star_id)
+    first = len(parts)
+    return list(zip(p[:first].tolist(), error[:first].tolist(), strict=True)), float(p[first]), float(error[first])

@@ -233,7 +233,7 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
     if options.twin and options.shape:
         raise ConfigError("--twin measures the shape of the stars too: leave --shape out")
     if options.extinction != "none":
-        _require_extinction(options, images)
+        _require_extinction(options)
     if len(images) == 1:
         if options.fit_lens:
             raise ConfigError("--fit-lens needs several images: the lens of a single one is always fitted, see --lens")
@@ -250,7 +250,7 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
         raise ConfigError("--criterion paper, eq. (38), takes one image; several use the median of all their stars")
 
 
-def _require_extinction(options: CalibrateOptions, images: list[Path]) -> None:
+def _require_extinction(options: CalibrateOptions) -> None:
     """Refuse an extinction that is no choice, or contradicts other options."""
     if options.extinction != "fit":
         try:
@@ -261,7 +261,5 @@ def _require_extinction(options: CalibrateOptions, images: list[Path]) -> None:
             raise ConfigError(
                 f"--extinction is none, fit or a magnitude per air mass from 0 to 10, not {options.extinction!r}"
             )
-    if len(images) > 1:
-        raise ConfigError("--extinction takes one image: calibrate the widest one with it")
     if options.twin or options.geometry_only:
         raise ConfigError("--extinction belongs to the brightness of the stars: leave --twin and --geometry-only out")

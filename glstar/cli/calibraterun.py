@@ -23,6 +23,7 @@ from glstar.calibrate import (
     PlateSolution,
     SharedLensFit,
     above_air,
+    above_air_together,
     calibrate,
     calibrate_geometry,
     combine,
@@ -108,17 +109,21 @@ def calibrate_images(
         if options.fit_lens:
             shared = _shared_lens(identified, options)
             identified = [replace(part, matches=m) for part, m in zip(identified, shared.matches, strict=True)]
-        parts = []
-        for number, part in enumerate(identified):
+        parts: list[Calibration | GeometryCalibration] = []
+        for number, known in enumerate(identified):
             with _naming(None if single else images[number]):
-                parts.append(_calibrated(part, options, single=single, lens_is_fitted=shared is not None))
-            ready.result()
-            path = output if single else output.with_name(f"{output.stem}.{images[number].stem}")
-            write_files(path, files_of(parts[-1], with_toml=single))
+                parts.append(_calibrated(known, options, single=single, lens_is_fitted=shared is not None))
             on_step(_STEPS * len(images) - len(identified) + number + 1, steps)
+        ready.result()
+        calibrations = tuple(part for part in parts if isinstance(part, Calibration))
+        if not single and options.extinction != "none":
+            calibrations = above_air_together(calibrations, _given_mag(options.extinction))
+        for path, part in zip(images, calibrations or parts, strict=True):
+            beside = output if single else output.with_name(f"{output.stem}.{path.stem}")
+            write_files(beside, files_of(part, with_toml=single))
         combined: CombinedCalibration | None = None
         if not single:
-            combined = combine(tuple(part for part in parts if isinstance(part, Calibration)), shared_lens=shared)
+            combined = combine(calibrations, shared_lens=shared)
             write_files(output, files_of_all(combined, output))
             on_step(steps, steps)
     if camera_out is not None:
@@ -185,14 +190,18 @@ def _calibrated(
             exposure_s=part.exposure_s,
             criterion=cast("Criterion", options.criterion),
         )
-        if options.extinction != "none":
-            given_mag = None if options.extinction == "fit" else float(options.extinction)
-            calibrated = above_air(calibrated, given_mag)
+        if single and options.extinction != "none":
+            calibrated = above_air(calibrated, _given_mag(options.extinction))
         return with_point_spread(calibrated) if options.shape else calibrated
     except CalibrationError as error:
         if not single or options.extinction != "none":
             raise
         return replace(geometry, notes=(f"camera and attitude only, no sensor: {error}", *geometry.notes))
+
+
+def _given_mag(extinction: str) -> float | None:
+    """Return the given extinction per air mass, mag; None if it is to be fitted."""
+    return None if extinction == "fit" else float(extinction)
 
 
 @contextmanager

@@ -6,7 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from glstar.calibrate import Calibration, above_air, calibrate, detect_stars, fit_brightness, identify_near
+from glstar.calibrate import (
+    Calibration,
+    above_air,
+    above_air_together,
+    calibrate,
+    combine,
+    detect_stars,
+    fit_brightness,
+    identify_near,
+)
 from glstar.camera.sensor import Sensor
 from glstar.errors import CalibrationError
 from tests.support.starphotos import EXPOSURE_S, StarPhoto
@@ -20,10 +29,15 @@ def without_air() -> Calibration:
     detected = detect_stars(drawn.image)
     matches = identify_near(detected, drawn.reference, drawn.solution)
     made = calibrate(drawn.image, detected, drawn.reference, matches, method="by attitude", exposure_s=EXPOSURE_S)
-    # As if the camera, which looked up, had looked 33 deg above the horizon; without refraction.
-    right, _, axis = matches.solution.C_camera_eq
-    zenith_eq = np.cos(np.deg2rad(57.0)) * axis + np.sin(np.deg2rad(57.0)) * right
-    return replace(made, reference=replace(drawn.reference, zenith_eq=zenith_eq, refraction_scale=0.0))
+    return looking(made, 33.0)
+
+
+def looking(calibration: Calibration, altitude_deg: float) -> Calibration:
+    """Return a calibration as if the camera, which looked up, had looked above the horizon; without refraction."""
+    right, _, axis = calibration.matches.solution.C_camera_eq
+    off_rad = np.deg2rad(90 - altitude_deg)
+    zenith_eq = np.cos(off_rad) * axis + np.sin(off_rad) * right
+    return replace(calibration, reference=replace(calibration.reference, zenith_eq=zenith_eq, refraction_scale=0.0))
 
 
 def masses(calibration: Calibration) -> np.ndarray:
@@ -34,10 +48,10 @@ def masses(calibration: Calibration) -> np.ndarray:
     return 1 / (sine + 0.50572 * (altitude_deg + 6.07995) ** -1.6364)
 
 
-def behind_air(loss_mag: float = LOSS_MAG) -> Calibration:
-    """Return the calibration of the stars dimmed by the air."""
-    above = without_air()
-    peak_dn = above.stars.peak_dn * 10 ** (-0.4 * loss_mag * masses(above))
+def behind_air(loss_mag: float = LOSS_MAG, *, haze_mag: float = 0.0, altitude_deg: float = 33.0) -> Calibration:
+    """Return the calibration of the stars dimmed by the air, and by haze that is the same in all directions."""
+    above = looking(without_air(), altitude_deg)
+    peak_dn = above.stars.peak_dn * 10 ** (-0.4 * (loss_mag * masses(above) + haze_mag))
     fit = fit_brightness(above.stars.vmag, peak_dn, above.brightness.used)
     sensor = replace(above.sensor, reference_peak_dn=fit.reference_peak_dn, reference_vmag=fit.reference_vmag)
     return replace(above, stars=replace(above.stars, peak_dn=peak_dn), brightness=fit, sensor=sensor)
@@ -59,6 +73,36 @@ def test_the_fit_finds_the_extinction_within_its_error():
     assert abs(k - LOSS_MAG) < 4 * error
     off = found.sensor.reference_peak_dn / above.sensor.reference_peak_dn
     assert abs(2.5 * np.log10(off)) < 4 * found.brightness.error_mag + 0.01
+
+
+def test_several_images_give_one_extinction_and_an_offset_each():
+    hazy, clear = behind_air(haze_mag=0.4), behind_air(altitude_deg=60.0)
+    with pytest.raises(CalibrationError, match=r"air masses differ by 0\.5.* or give"):
+        above_air(clear)
+    found, alone = above_air_together((hazy, clear)), above_air(hazy)
+    terms = [part.air for part in found]
+    assert terms[0] == terms[1]
+    k, error = terms[0]["zenith_extinction_mag"], terms[0]["standard_error_mag"]
+    assert abs(k - LOSS_MAG) < 4 * error
+    assert terms[0]["stars"] == alone.air["stars"] + int(clear.brightness.used.sum())
+    # It is the same photograph twice: its stars count once.
+    assert alone.air["standard_error_mag"] / 2**0.5 < error < 0.01
+    peaks = [part.sensor.peak_dn(np.array([3.0]), EXPOSURE_S)[0] for part in found]
+    assert -2.5 * np.log10(peaks[0] / peaks[1]) == pytest.approx(0.4, rel=0, abs=0.03)
+
+    combined = combine(found)
+    assert combined.fainter_mag[0] - combined.fainter_mag[1] == pytest.approx(0.4, rel=0, abs=0.03)
+    assert sum("above the air" in note for note in combined.notes) == 1
+    assert combined.to_json()["extinction"] == terms[0]
+    assert "below the air" not in combined.to_toml("stars.csv")
+    assert "below the air" in combine((hazy, clear)).to_toml("stars.csv")
+
+
+def test_a_given_extinction_is_taken_out_of_several_images():
+    for part, above in zip(
+        above_air_together((behind_air(), behind_air(altitude_deg=60.0)), LOSS_MAG), (without_air(),) * 2, strict=True
+    ):
+        assert part.sensor.reference_peak_dn == pytest.approx(above.sensor.reference_peak_dn, rel=0.01)
 
 
 def test_an_image_of_one_altitude_is_refused():

@@ -368,9 +368,12 @@ def test_several_images_are_identified_by_the_flight_s_attitudes(ground: Path, t
         image.write_bytes(frame)
     result = run(
         *("calibrate", *images, "-c", ground / "camera.toml", "--exposure", "0.5", "-o", tmp_path / "c.toml"),
-        *("--flight", ground / "still.csv", "--utc", UTC, "--utc", UTC),
+        *("--flight", ground / "still.csv", "--utc", UTC, "--utc", UTC, "--extinction", "0.2"),
     )
     assert result.exit_code == 0, result.output
+    combined = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert combined["extinction"]["zenith_extinction_mag"] == 0.2
+    assert result.output.count("above the air: 0.200 mag per air mass (as given") == 1
     for image in images:
         report = json.loads((tmp_path / f"c.{image.stem}.json").read_text(encoding="utf-8"))
         assert report["identification"]["method"] == "by attitude"
