@@ -7,6 +7,7 @@ import typer
 
 from glstar.cli.flightoptions import Flight, FlightFlags, flights_of, with_flight_flags
 from glstar.cli.imagefit import fit_images
+from glstar.cli.imageresiduals import measure_image
 from glstar.cli.windowoptions import (
     Headless,
     Screenshot,
@@ -81,6 +82,7 @@ def view(
         layout = None if headless or scripted else layout_of("viewer")
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
             viewer.session.comparison.fit_images = fit_images
+            viewer.session.comparison.residuals.measure = measure_image
             script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
             is_scripted = script != Script(asks=True)
             if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:

@@ -26,6 +26,7 @@ from glstar.sky.timescale import format_utc
 from glstar.system.durable import write_atomically
 from glstar.viewer.imagefit import FitImages, ImageFit
 from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.trailresiduals import ResidualWatch
 
 __all__ = [
     "LESS_RGB",
@@ -228,6 +229,8 @@ class ComparisonState:
         The fit of clock and mount that runs or was made last.
     fit_images : callable or None
         How to fit; None if the window cannot.
+    residuals : ResidualWatch
+        Measures the real image shown.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -245,6 +248,7 @@ class ComparisonState:
         self.error = ""
         self.fit: ImageFit | None = None
         self.fit_images: FitImages | None = None
+        self.residuals = ResidualWatch()
         self._clock = clock
         self._blinks_from_s = clock()
         self._opener = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-images")
@@ -292,7 +296,7 @@ class ComparisonState:
     @property
     def waiting(self) -> bool:
         """Whether a folder is being opened or an image decoded, so that the picture will change without an event."""
-        if self.fit is not None and self.fit.running:
+        if (self.fit is not None and self.fit.running) or self.residuals.is_running:
             return True
         return self._opening is not None or (self.images is not None and self.images.is_decoding)
 
@@ -311,6 +315,7 @@ class ComparisonState:
             self._opening[1].add_done_callback(_close_unwanted)
             self._opening = None
         self._opener.shutdown(wait=True)
+        self.residuals.close()
         self.close_images()
 
     @property

@@ -24,11 +24,13 @@ from glstar.render.scene import Scene
 from glstar.render.truth import trail_centroids
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.horizon import MAX_REFRACTION_RAD, ned_to_azimuth_altitude_rad
+from glstar.viewer.arrowshapes import draw_beliefs, draw_residuals
 from glstar.viewer.belief import Belief
 from glstar.viewer.canvas import GAP_SCREEN_PX, Canvas, ned_to_camera_matrix, unit_by_larger_component
 from glstar.viewer.curves import Curves, ImageRegion
 from glstar.viewer.shapes import Mark, Shapes
 from glstar.viewer.skycurves import COMPASS_POINTS, ConstellationFigures, Grids, compass_ned, horizon_curve
+from glstar.viewer.trailresiduals import TrailResiduals
 
 __all__ = ["DrawingInputs", "Overlay", "OverlaySpec", "Overlays", "Rgba"]
 
@@ -61,6 +63,8 @@ class DrawingInputs:
         The developed image, or of a stacked one where a short exposure is saturated.
     beliefs : tuple of Belief
         Of the navigator.
+    residuals : TrailResiduals or None
+        Of the real image.
     """
 
     grids: Grids
@@ -69,6 +73,7 @@ class DrawingInputs:
     centroid_vmag_limit: float
     pixels: NDArray[Any] | None
     beliefs: tuple[Belief, ...] = ()
+    residuals: TrailResiduals | None = None
 
 
 class SkyCurves(NamedTuple):
@@ -279,41 +284,6 @@ def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:
     return Curves.of([])
 
 
-def _draw_beliefs(canvas: Canvas, inputs: DrawingInputs) -> None:
-    """Draw an arrow from the optical axis to the direction that a navigator estimates for it.
-
-    A belief without an attitude is written at the axis.
-    """
-    camera = canvas.camera
-    centre = np.array([camera.cx_px, camera.cy_px])
-    for belief in inputs.beliefs:
-        if belief.C_camera_estimated is None:
-            where = "; position only: on the map" if belief.offset_km is not None else ""
-            canvas.label(f"{belief.name}: {belief.figures}{where}", centre.tolist(), (0.5, 1.0))
-            continue
-        axis = belief.C_camera_estimated[:, 2]
-        sideways = np.array([camera.fx_px * axis[0] + camera.skew_px * axis[1], camera.fy_px * axis[1]])
-        at = camera.project(axis) if axis[2] > 0 else np.full(2, np.nan)
-        if canvas.region.contains(at):
-            canvas.mark(Mark.TARGET if belief.C_estimated_ned is not None else Mark.RING, at[np.newaxis])
-        else:
-            # Towards an axis outside of the image, as far as half of the distance to the edge.
-            at = centre + sideways / np.linalg.norm(sideways) * min(camera.width_px, camera.height_px) / 4
-        length_px = np.linalg.norm(at - centre)
-        if length_px > GAP_SCREEN_PX * canvas.screen_px:
-            along = (at - centre) / length_px
-            across = along[::-1] * [-1, 1]
-            barb = min(2 * GAP_SCREEN_PX * canvas.screen_px, length_px)
-            ends = [at - barb * (along + 0.5 * across), at - barb * (along - 0.5 * across)]
-            canvas.strokes(np.array([[centre, at], [ends[0], at], [ends[1], at]]))
-        below = 0.0 if axis[1] >= 0 else 1.0
-        text = f"{belief.name}: {belief.figures}"
-        # Two beliefs at the same place: the second one is written on the other side.
-        for anchor in ((0.0, below), (0.0, 1.0 - below), (1.0, below)):
-            if canvas.label(text, at.tolist(), anchor):
-                break
-
-
 # --- the table ---
 
 
@@ -406,7 +376,19 @@ class Overlay(StrEnum):
             255,
             thickness=1.5,
             curves=SkyCurves("ned", _estimated_horizon),
-            draw=_draw_beliefs,
+            draw=lambda canvas, inputs: draw_beliefs(canvas, inputs.beliefs),
+        ),
+    )
+    RESIDUALS = (
+        "residuals",
+        OverlaySpec(
+            "Residuals: from trails of the real image to the simulated ones",
+            "Shift+R",
+            1,
+            (255, 120, 64, 240),
+            240,
+            thickness=1.5,
+            draw=lambda canvas, inputs: draw_residuals(canvas, inputs.residuals),
         ),
     )
 
@@ -446,6 +428,7 @@ class Overlays:
         zoom: float = 1.0,
         centroid_vmag_limit: float = 5.0,
         beliefs: tuple[Belief, ...] = (),
+        residuals: TrailResiduals | None = None,
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
@@ -466,18 +449,20 @@ class Overlays:
             Magnitude limit of centroids.
         beliefs : tuple of Belief
             Of the navigator.
+        residuals : TrailResiduals, optional
+            Of the real image.
 
         Returns
         -------
         Shapes
         """
-        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs)
+        key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
             return self._last[3]
         if self._grids is None or self._grids.camera != scene.camera:
             self._grids = Grids(scene.camera)
-        limits = name_vmag_limit, centroid_vmag_limit
-        inputs = DrawingInputs(self._grids, self._constellations, *limits, pixels, beliefs)
+        known = self._grids, self._constellations, name_vmag_limit, centroid_vmag_limit
+        inputs = DrawingInputs(*known, pixels, beliefs, residuals)
         canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)
         curves: dict[str, dict[str, Curves]] = {"eq": {}, "ned": {}}
@@ -490,6 +475,5 @@ class Overlays:
             canvas.label_clear_px = 2 * scene.sensor.psf_sigma_px if overlay.spec.clears_stars else 0.0
             if overlay.spec.draw is not None:
                 overlay.spec.draw(canvas, inputs)
-        shapes = canvas.shapes()
-        self._last = (key, scene, pixels, shapes)
-        return shapes
+        self._last = (key, scene, pixels, canvas.shapes())
+        return self._last[3]

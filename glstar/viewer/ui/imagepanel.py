@@ -16,9 +16,11 @@ from glstar.viewer.overlays import Overlay
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.starpick import star_at
+from glstar.viewer.trailresiduals import TrailResiduals
 from glstar.viewer.ui.comparisonlabels import draw_comparison_labels
 from glstar.viewer.ui.overlaydrawing import draw_shapes
 from glstar.viewer.ui.pixelgrid import draw_pixel_grid
+from glstar.viewer.ui.residualpanel import residuals_of
 from glstar.viewer.ui.theme import accent, error
 
 __all__ = ["ImagePanel"]
@@ -177,6 +179,7 @@ class ImagePanel:
             region=region,
             zoom=view.zoom,
             beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
+            residuals=found if isinstance(found := residuals_of(session), TrailResiduals) else None,
         )
 
         def to_screen(xy_px: ArrayLike) -> Float:

@@ -26,6 +26,7 @@ from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.linkpanel import draw_link
 from glstar.viewer.ui.objectpanel import draw_object
 from glstar.viewer.ui.playbackcontrols import PlaybackControls
+from glstar.viewer.ui.residualpanel import draw_residual_figures
 from glstar.viewer.ui.settingspanel import draw_settings
 from glstar.viewer.ui.timeline import Timeline
 
@@ -244,6 +245,7 @@ class Panels:
             session.head.seek(requests.seek_utc_s)
         if requests.save_view:
             save_comparison(session)
+        draw_residual_figures(session)
         self._fit.draw(session)
 
 
