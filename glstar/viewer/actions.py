@@ -68,8 +68,7 @@ def perform(action: AnyAction, session: Session) -> bool:
     """
     if isinstance(action, Overlay):
         session.shown_overlays ^= {action}
-        lacking = session.navigator.lacking(session.loaded) if action is Overlay.NAVIGATOR else ""
-        if lacking and action in session.shown_overlays:
+        if action in session.shown_overlays and (lacking := _lacking(action, session)):
             session.notify(lacking)
     elif action in _HEAD:
         if session.head is not None:
@@ -81,6 +80,15 @@ def perform(action: AnyAction, session: Session) -> bool:
     else:
         return False
     return True
+
+
+def _lacking(overlay: Overlay, session: Session) -> str:
+    """Return why there is nothing to draw for an overlay; empty if there may be."""
+    if overlay is Overlay.NAVIGATOR:
+        return session.navigator.lacking(session.loaded)
+    if overlay is Overlay.RESIDUALS and not session.comparison.active:
+        return "no residuals: compare a real image (drop a folder of them, or Ctrl+I; then X)"
+    return ""
 
 
 def select_object(session: Session, selection: Selection, found: SkyObject | None) -> None:

@@ -15,7 +15,7 @@ from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.trailresiduals import TrailResiduals
 from glstar.viewer.ui.residualpanel import residuals_of
-from tests.support.windowinput import press
+from tests.support.windowinput import press, screen
 from tests.viewer.test_fitpanel import frames_until
 
 MOUNT = {"mount.yaw_deg": 20.0, "mount.pitch_deg": 60.0, "mount.roll_deg": 10.0}
@@ -59,6 +59,13 @@ def test_the_shifts_are_those_of_a_turned_camera(compared):
     assert np.median(np.linalg.norm(expected, axis=1)) > 0.7
     off_px = np.linalg.norm(residuals.shift_px - expected, axis=1)
     assert np.median(off_px) < 0.1
+    session.comparison.toggle(ComparisonMode.WIPE)  # which stays as it is, unlike blinking
+    compared.frame(0.0)
+    shown = screen(compared).copy()
+    press(compared, "Shift+R")
+    assert (screen(compared) != shown).any()
+    press(compared, "Shift+R")
+    assert (screen(compared) == shown).all()
     figures = dict(residuals.figures)
     assert figures["shift"] == "{:+.3f}, {:+.3f} px in the mean".format(*residuals.shift_px.mean(axis=0))
     assert "peak intensity" in figures
@@ -113,3 +120,8 @@ def test_the_scale_is_a_round_number(shift, screen_px, scale):
 def test_the_barbs_of_an_arrow_end_at_its_tip():
     strokes = arrow_strokes(np.array([[0.0, 0.0]]), np.array([[10.0, 0.0]]), 4.0)
     np.testing.assert_allclose(strokes, [[[0, 0], [10, 0]], [[6, -2], [10, 0]], [[6, 2], [10, 0]]], rtol=0, atol=1e-12)
+
+
+def test_without_a_real_image_the_key_says_what_is_lacking(viewer):
+    press(viewer, "Shift+R")
+    assert "no residuals: compare a real image" in viewer.session.notifications.current[-1].message
