@@ -108,6 +108,11 @@ void main() {
             * fraction_in_square(piece.centre_px - middle_px, sqrt(piece.covariance_px2.xz), half_px);
     }
     amplitudes_dn *= all_flux / max(drawn_flux, 1e-9);
-    if (all_flux == 0.0 || !is_point_over(low_px, high_px))
-        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+    // A clipped point would send all of the call through a slower part of llvmpipe.  This one lies in a corner of the
+    // clip volume and is dark.
+    if (all_flux == 0.0 || !is_point_over(low_px, high_px)) {
+        gl_Position = vec4(-1.0, -1.0, 0.0, 1.0);
+        gl_PointSize = 1.0;
+        amplitudes_dn = vec4(0.0);
+    }
 }

@@ -22,6 +22,7 @@ __all__ = [
     "PIECES_PER_SPRITE",
     "PIECE_COSTS",
     "PIECE_LIMITS",
+    "SNAPPING_PX",
     "DividedScene",
     "PieceCosts",
     "PieceLimits",
@@ -53,6 +54,25 @@ class PieceLimits:
     error: float = 1.5e-3
     halvings: int = 6
 
+    def sprite_px(self, radius_px: Float, sigma_px: float) -> Float:
+        """Return the largest side of the sprites of stars, px.
+
+        Parameters
+        ----------
+        radius_px : (k,) float64
+            Truncation radii.
+        sigma_px : float
+            Standard deviation of a star as the pixels record it, px.
+
+        Returns
+        -------
+        (k,) float64
+            The variance of a position on a path of length l is at most l^2 / 4: of a star that is half of the time at
+            either end.
+        """
+        path_px = PIECES_PER_SPRITE * self.length_sigma * sigma_px
+        return np.asarray(2 * radius_px * np.sqrt(1 + self.length_sigma**2 / 4) + path_px + 2 * SNAPPING_PX)
+
 
 @dataclass(frozen=True, slots=True)
 class PieceCosts:
@@ -74,6 +94,8 @@ PIECE_LIMITS: Final = PieceLimits()
 PIECE_COSTS: Final = PieceCosts()
 # Pieces that one point sprite draws.
 PIECES_PER_SPRITE: Final = 4
+# Rasterizers snap points to a grid: rasterization.glsl.
+SNAPPING_PX: Final = 0.125
 # Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
 _THIRD_DERIVATIVE: Final = 1.3801
 # Segments whose transmission of cloud differs by more than this share no piece.
@@ -121,7 +143,8 @@ class DividedScene:
         The stars that are drawn in pieces.
     pieces : TrailPieces
     rest : Scene
-        Those that are drawn in segments: stars that rise or set during the exposure, or that are never up.
+        Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
+        whose sprites would be larger than the driver draws.
     """
 
     scene: Scene
@@ -129,7 +152,9 @@ class DividedScene:
     rest: Scene
 
 
-def in_pieces(scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_COSTS) -> DividedScene | None:
+def in_pieces(
+    scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_COSTS, *, largest_point_px: float = np.inf
+) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
     Parameters
@@ -139,6 +164,8 @@ def in_pieces(scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_
     trails : AnalyticSegments
         The scene's.
     costs : PieceCosts, optional
+    largest_point_px : float, optional
+        The largest point sprite of the driver, px.
 
     Returns
     -------
@@ -155,10 +182,10 @@ def in_pieces(scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_
     if drawn.passage is not None:
         drawn = replace(drawn, passage=(drawn.passage @ pieces.of_segments).astype(np.float32))
     rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
-    is_up = (rises == 0.0) & (sets == NEVER)
-    return DividedScene(
-        replace(scene, draw_list=drawn[is_up]), pieces, replace(scene, draw_list=scene.draw_list[~is_up])
-    )
+    is_divided = (rises == 0.0) & (sets == NEVER)
+    is_divided &= PIECE_LIMITS.sprite_px(drawn.truncation_radius_px, sensor.effective_sigma_px) <= largest_point_px
+    rest = replace(scene, draw_list=scene.draw_list[~is_divided])
+    return DividedScene(replace(scene, draw_list=drawn[is_divided]), pieces, rest)
 
 
 def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:

@@ -55,7 +55,7 @@ def test_a_rough_flight_is_the_same_in_pieces_as_in_segments(renderer, keys):
     simulator = config.simulator(config.open_flight(asset("adelaide.BIN")))
     scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 20.0, 0.5, trail="auto"))
     assert isinstance(scene.trails, AnalyticSegments)
-    with patch.object(trailpass, "in_pieces", lambda *_: None):
+    with patch.object(trailpass, "in_pieces", lambda *_, **__: None):
         in_segments = renderer.render(scene, seed=0, light=True).light_dn
     with drawn_in_pieces():
         again = replace(scene, draw_list=replace(scene.draw_list))

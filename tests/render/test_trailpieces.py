@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.render.trailpieces import PIECE_LIMITS, PieceCosts, TrailPieces, in_pieces, trail_pieces
+from glstar.render.trailpieces import (
+    PIECE_LIMITS,
+    PIECES_PER_SPRITE,
+    SNAPPING_PX,
+    PieceCosts,
+    TrailPieces,
+    in_pieces,
+    trail_pieces,
+)
 from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
 from tests.support.scenes import NIGHT_UTC_S
 
@@ -98,3 +106,40 @@ def test_a_piece_is_dimmed_by_the_cloud_of_its_own_segments():
     assert np.abs(ends - edge).min() < 1e-12
     expected = np.where(ends < edge + 1e-9, 1.0, 0.5)
     np.testing.assert_allclose(divided.scene.draw_list.passage, np.tile(expected, (len(passage), 1)), rtol=0, atol=1e-6)
+
+
+def sprite_sides_px(pieces: TrailPieces, direction_eq: np.ndarray, radius_px: float) -> np.ndarray:
+    """Return the larger sides of the squares around every four Gaussians up to a radius, (sprites, m)."""
+    centre_px = LENS.project(pieces.pointing.to_camera(direction_eq))
+    reach_px = np.empty_like(centre_px)
+    for piece, covariance_rad2 in enumerate(pieces.covariance_rad2):
+        moved = per_turn_px(centre_px[piece])
+        variance_px2 = np.einsum("mij,jk,mik->mi", moved, covariance_rad2, moved)
+        reach_px[piece] = radius_px * np.sqrt(1 + variance_px2 / SIGMA_PX**2)
+    firsts = np.arange(0, len(pieces), PIECES_PER_SPRITE)
+    low_px = np.minimum.reduceat(centre_px - reach_px, firsts)
+    high_px = np.maximum.reduceat(centre_px + reach_px, firsts)
+    return (high_px - low_px).max(axis=-1) + 2 * SNAPPING_PX
+
+
+@pytest.mark.parametrize("radius_px", [4.0, 30.0, 100.0])
+def test_no_sprite_of_pieces_is_larger_than_the_bound_and_some_are_nearly_as_large(radius_px):
+    trails = rough(200.0).scene(EXPOSURE).trails
+    pieces = trail_pieces(trails, LENS, SIGMA_PX)
+    direction_eq = at_pixels(pieces, CORNERS_AND_MORE, len(pieces) // 2)
+    largest_px = np.nanmax(sprite_sides_px(pieces, direction_eq, radius_px))
+    bound_px = PIECE_LIMITS.sprite_px(np.array([radius_px]), SIGMA_PX)[0]
+    assert 0.7 * bound_px < largest_px <= bound_px
+
+
+def test_stars_whose_sprites_are_larger_than_the_driver_draws_are_drawn_in_segments():
+    scene = rough(200.0).scene(EXPOSURE)
+    radius_px = np.linspace(3.0, 40.0, len(scene.draw_list))
+    scene = replace(scene, draw_list=replace(scene.draw_list, truncation_radius_px=radius_px))
+    divided = in_pieces(scene, scene.trails, FREE, largest_point_px=64.0)
+    assert divided is not None
+    sigma_px = scene.sensor.effective_sigma_px
+    assert (PIECE_LIMITS.sprite_px(divided.scene.draw_list.truncation_radius_px, sigma_px) <= 64.0).all()
+    assert divided.rest.draw_list.truncation_radius_px.max() == 40.0
+    assert len(divided.scene.draw_list) + len(divided.rest.draw_list) == len(radius_px)
+    assert len(divided.scene.draw_list) > 0

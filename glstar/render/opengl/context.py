@@ -5,6 +5,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from glstar.errors import ContextError
+from glstar.system.heap import keep_freed_memory
 from glstar.system.installation import OPENGL_ON_LINUX
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def headless_context(device_index: int | None = None) -> "moderngl.Context":
     settings: dict[str, Any] = {"backend": "egl"} if sys.platform == "linux" else {}
     if device_index is not None:
         settings["device_index"] = device_index
+    keep_freed_memory()  # software OpenGL allocates and frees tens of megabytes per frame
     try:
         return moderngl.create_context(require=REQUIRED_GL, standalone=True, **settings)
     except Exception as error:  # moderngl raises bare exceptions, which differ only in their messages

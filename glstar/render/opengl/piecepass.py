@@ -109,7 +109,8 @@ class PiecePass:
                     self._passage.write_table(drawn.passage[stars, of_call].T)
                 self._passage.texture.use(_UNITS["passage"])
                 near = _near_image(scene, pieces, of_call, stars)
-                self._draw(vertices, np.argwhere(near)[:, ::-1].astype(np.uint16))
+                # Star by star: software OpenGL then finds the sprites of a tile near each other in memory.
+                self._draw(vertices, np.argwhere(near.T).astype(np.uint16))
         self._context.enable_only(moderngl.NOTHING)
 
     def _draw(self, vertices: moderngl.VertexArray, sprites: NDArray[np.uint16]) -> None:

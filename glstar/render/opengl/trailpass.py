@@ -165,7 +165,7 @@ class TrailPass:
         clock : ReadoutClock
             When the pixels of the target open.
         """
-        divided = None if clock.rows else in_pieces(scene, trails)
+        divided = None if clock.rows else in_pieces(scene, trails, largest_point_px=self._point_size_px)
         if divided is None:
             self._draw_segments(scene, trails, light, guard_band_px, clock)
             return
@@ -272,7 +272,8 @@ class TrailPass:
         light.use()
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
-        drawn = np.argwhere(near)[:, ::-1].astype(np.uint16)
+        # Star by star: software OpenGL then finds the primitives of a tile of the target near each other in memory.
+        drawn = np.argwhere(near.T).astype(np.uint16)
         for first in range(0, len(drawn), _PRIMITIVES_PER_CALL):
             primitives = drawn[first : first + _PRIMITIVES_PER_CALL]
             self._drawn.write(np.repeat(primitives, _REPETITIONS, axis=0))
