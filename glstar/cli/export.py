@@ -117,7 +117,7 @@ def export(
     from glstar.export.options import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
 
     summaries.check(verify=verify)
-    output.check(video=video, dask=dask, verify=verify, blind=blind, **summaries.asked)
+    output.check(video=video, verify=verify, blind=blind, **summaries.asked)
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
     publishing = FramePublishing(latest_frame, with_truth).in_one_process(workers, dask, draws=not (verify or dry_run))
     when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}

@@ -5,7 +5,7 @@ import logging
 import os
 import re
 import socket
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.errors import ExportError, GlstarError
 from glstar.export.diskerrors import explain_disk_errors
-from glstar.export.executors import draw_frames, split_into_chunks
+from glstar.export.executors import BlockWork, draw_frames, split_into_chunks
 from glstar.export.fingerprint import differences, fingerprint
 from glstar.export.lease import Lease
 from glstar.export.manifest import NAME
@@ -154,6 +154,22 @@ class DaskExecutor:
                 with suppress(Exception):
                     self._client.cancel(futures)
 
+    def draw_blocks(self, work: BlockWork, blocks: Mapping[int, NDArray[np.int64]]) -> Generator[int, None, None]:
+        """Draw blocks of frames that the workers write elsewhere than in a directory; see `BlockExecutor`."""
+        expected = self._common_fingerprint()
+        with self._explain_errors():
+            futures = [
+                self._client.submit(_draw_block, self._name, work, k, block, expected, pure=False, retries=_RETRIES)
+                for k, block in blocks.items()
+            ]
+            try:
+                for future in as_completed(futures, loop=self._client.loop):
+                    yield future.result()
+                    future.release()
+            finally:
+                with suppress(Exception):
+                    self._client.cancel(futures)
+
     @contextmanager
     def _explain_errors(self) -> Iterator[None]:
         """Turn the errors of Dask into messages that say what to do."""
@@ -229,6 +245,12 @@ class _Drawer(WorkerPlugin):  # type: ignore[misc]
         """Return the same; to be called on the renderer's thread."""
         return fingerprint(renderer.driver, self._task.frames.files)
 
+    def refuse_other_fingerprint(self, expected: dict[str, str], renderer: GLRenderer) -> None:
+        """Raise if this worker would draw other frames: it may have joined after the fingerprints were compared."""
+        if differing := differences(expected, self.fingerprint_with(renderer)):
+            worker = f"{get_worker().address} on {socket.gethostname()}"
+            raise ExportError(self._task.directory, f"the worker {worker} has {differing}")
+
     def on_gl_thread(self, work: Any, *arguments: Any) -> Any:
         """Return the result of ``work(task, renderer, *arguments)``, called on the renderer's thread."""
         assert self._thread is not None
@@ -259,9 +281,7 @@ def _draw(
 
     def work(task: FrameTask, renderer: GLRenderer) -> list[int]:
         task = replace(task, lease=lease)
-        # The worker may have joined after the fingerprints were compared.
-        if differing := differences(expected, drawer.fingerprint_with(renderer)):
-            raise ExportError(task.directory, f"the worker {get_worker().address} on {host} has {differing}")
+        drawer.refuse_other_fingerprint(expected, renderer)
         if not Path(task.directory, NAME).exists():
             raise ExportError(task.directory, f"is not on the disk of {host}; all workers must see it under this path")
         truth, threads = TruthFile(task.directory, shard_label), drawer.encoder_threads
@@ -270,6 +290,19 @@ def _draw(
 
     drawn: list[int] = drawer.on_gl_thread(work)
     return drawn
+
+
+def _draw_block(name: str, work: BlockWork, index: int, numbers: NDArray[np.int64], expected: dict[str, str]) -> int:
+    """Draw a block, which `work` writes; return the number of its frames."""
+    drawer = get_worker().plugins[name]
+
+    def drawn(task: FrameTask, renderer: GLRenderer) -> int:
+        drawer.refuse_other_fingerprint(expected, renderer)
+        work(task, renderer, index, numbers, drawer.encoder_threads)
+        return len(numbers)
+
+    count: int = drawer.on_gl_thread(drawn)
+    return count
 
 
 def _brief(error: BaseException) -> str:

@@ -6,10 +6,10 @@ process draws, writes and checks frames.
 
 import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
 from functools import partial
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from glstar.export.truthfile import TruthFile
 from glstar.render.scene import Frame, Renderer
 
 __all__ = [
+    "BlockExecutor",
+    "BlockWork",
     "Checker",
     "Executor",
     "SerialExecutor",
@@ -92,6 +94,32 @@ class Executor(Protocol):
         ------
         int
             Number of each frame, once its files and its line of truth are written.
+        """
+        ...
+
+
+# Draws a block with its index and frame numbers on a renderer, with a number of encoder threads, and writes it.
+BlockWork = Callable[[FrameTask, Renderer, int, NDArray[np.int64], int], None]
+
+
+@runtime_checkable
+class BlockExecutor(Protocol):
+    """An executor whose workers can write frames elsewhere than in a directory that all of them see."""
+
+    def draw_blocks(self, work: BlockWork, blocks: Mapping[int, NDArray[np.int64]]) -> Generator[int, None, None]:
+        """Call a function for each block, on a worker.
+
+        Parameters
+        ----------
+        work : callable
+            Can be pickled.
+        blocks : mapping of int to (n,) int64
+            Frame numbers by the index of the block.
+
+        Yields
+        ------
+        int
+            Number of frames of each block, in any order, once `work` has returned.
         """
         ...
 

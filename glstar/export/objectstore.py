@@ -1,10 +1,10 @@
 """Where converted files go: a directory, or a prefix of an object store by fsspec (``s3://``, ``gs://``, ``memory://``)."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 from glstar.errors import ExportError
 from glstar.export.convertedset import new_directory
@@ -83,11 +83,51 @@ class ObjectStore:
             With forward slashes between folders.
         content : bytes
         """
+        self.send_all({name: content})
+
+    def send_all(self, contents: Mapping[str, bytes]) -> None:
+        """Send files, several at a time where the store can.
+
+        Parameters
+        ----------
+        contents : mapping of str to bytes
+            By name, as for `send`.
+        """
+        by_path = {self._path(name): content for name, content in contents.items()}
+        with self._explained():
+            self._make_folders(by_path)
+            self._files.pipe(by_path)
+
+    def join(self, name: str, parts: Sequence[str]) -> bool:
+        """Make a file of others, one after the other, with one of them at a time in memory.
+
+        Parameters
+        ----------
+        name : str
+            Appears when it is complete.
+        parts : sequence of str
+
+        Returns
+        -------
+        bool
+            False, and nothing is made, if one of the parts is missing.
+        """
         path = self._path(name)
         with self._explained():
-            if "file" in self._files.protocol:
-                self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
-            self._files.pipe_file(path, content)
+            self._make_folders([path])
+            with self._files.open(path, "wb", autocommit=False) as whole:
+                is_complete = all(_append(whole, self.read(part)) for part in parts)
+            if is_complete:
+                whole.commit()
+            else:
+                whole.discard()
+        return is_complete
+
+    def _make_folders(self, paths: Iterable[str]) -> None:
+        """Make the folders of files on a disk; a store has none."""
+        if "file" in self._files.protocol:
+            for folder in {path.rpartition("/")[0] for path in paths}:
+                self._files.makedirs(folder, exist_ok=True)
 
     def read(self, name: str) -> bytes | None:
         """Return a file; None if there is none.
@@ -145,7 +185,17 @@ class ObjectStore:
             raise
         except Exception as error:  # each store has errors of its own
             summary = (str(error).splitlines() or [""])[0]
-            raise ExportError(self._url, f"cannot be written ({type(error).__name__}: {summary})") from error
+            hint = "; is there this bucket, and do the environment variables of the store name your keys and its host"
+            example = " (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL)" * self._url.startswith("s3:")
+            message = f"cannot be written ({type(error).__name__}: {summary}){hint}{example}?"
+            raise ExportError(self._url, message) from error
+
+
+def _append(file: IO[bytes], content: bytes | None) -> bool:
+    """Append to a file; return whether there is a content."""
+    if content is not None:
+        file.write(content)
+    return content is not None
 
 
 def is_url(text: str) -> bool:

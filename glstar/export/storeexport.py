@@ -1,4 +1,4 @@
-"""An export to an object store: blocks of frames are drawn in a temporary folder, then sent.
+"""An export to an object store: blocks of frames are drawn in a temporary folder, on any worker, then sent.
 
 An object appears whole or not at all, so that no step needs a lock:
 
@@ -10,9 +10,12 @@ An object appears whole or not at all, so that no step needs a lock:
 Two runs that draw the same block send the same bytes.
 """
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -21,18 +24,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError
-from glstar.export.executors import Executor
+from glstar.export.executors import BlockExecutor, Executor, draw_frames
 from glstar.export.frames import ComposedFrame, Frames, Shot
 from glstar.export.manifest import NAME, claim
 from glstar.export.objectstore import ObjectStore
 from glstar.export.plan import SkippedFrame
 from glstar.export.run import Export, ExportReport
 from glstar.export.shard import ALL_FRAMES, Shard
+from glstar.export.task import FrameTask
+from glstar.export.truthfile import TruthFile
+from glstar.render.scene import Renderer
 
 __all__ = ["StoreExport"]
 
+Numbers = NDArray[np.int64]
+
 # Frames that are drawn before they are sent: what a kill can lose, and the need for disk space.
 _BLOCK_FRAMES: Final = 256
+# Files that are sent at the same time: their number, and the memory that they take.
+_BATCH_FILES: Final = 64
+_BATCH_BYTES: Final = 1 << 26
 _TRUTH: Final = "truth.jsonl"
 
 
@@ -41,11 +52,11 @@ class _FrameBlock:
     """Some frames of an export."""
 
     whole: Frames
-    numbers: NDArray[np.int64]
+    numbers: Numbers
     skipped: tuple[SkippedFrame, ...] = ()
 
     @property
-    def firsts(self) -> NDArray[np.int64]:
+    def firsts(self) -> Numbers:
         return self.whole.firsts
 
     @property
@@ -121,15 +132,13 @@ class StoreExport:
             frames = sum(len(blocks[index]) for index in wanted)
             missing = [] if store.read(_TRUTH) is not None else self._missing(store, wanted)
             there = frames - sum(len(blocks[index]) for index in missing)
-            done = there
-            report_progress(done, frames)
-            for index in missing:
-                self._send(store, executor, index, blocks[index], Path(folder), done, frames, report_progress)
-                done += len(blocks[index])
+            report_progress(there, frames)
+            to_draw = {index: blocks[index] for index in missing}
+            self._draw(executor, to_draw, Path(folder), lambda drawn: report_progress(there + drawn, frames))
             complete = self._joined(store, len(blocks))
-        return ExportReport(self.url, done - there, there, self.job.task.frames.skipped, complete)
+        return ExportReport(self.url, frames - there, there, self.job.task.frames.skipped, complete)
 
-    def _blocks(self) -> list[NDArray[np.int64]]:
+    def _blocks(self) -> list[Numbers]:
         numbers = self.job.numbers
         return [numbers[first : first + self.block_frames] for first in range(0, len(numbers), self.block_frames)]
 
@@ -151,27 +160,25 @@ class StoreExport:
         there = set(store.names("truth-"))
         return [index for index in wanted if _lines(index) not in there]
 
-    def _send(
-        self,
-        store: ObjectStore,
-        executor: Executor,
-        index: int,
-        numbers: NDArray[np.int64],
-        folder: Path,
-        done: int,
-        frames: int,
-        report_progress: Callable[[int, int], None],
+    def _draw(
+        self, executor: Executor, blocks: Mapping[int, Numbers], folder: Path, on_frame: Callable[[int], None]
     ) -> None:
-        """Draw one block and send its files, last its truth."""
-        with TemporaryDirectory(dir=folder) as place:
-            directory = Path(place)
-            task = replace(self.job.task, frames=_FrameBlock(self.job.task.frames, numbers), directory=directory)
-            Export(task, self.job.manifest).run(executor, on_frame=lambda n, _: report_progress(done + n, frames))
-            for path_of in task.file_kinds.values():
-                for number in numbers.tolist():
-                    path = path_of(number)
-                    store.send(path.relative_to(directory).as_posix(), path.read_bytes())
-            store.send(_lines(index), (directory / _TRUTH).read_bytes())
+        """Draw and send blocks; call back with the number of frames drawn."""
+        if isinstance(executor, BlockExecutor):
+            for drawn in accumulate(executor.draw_blocks(partial(_draw_and_send, self.url), blocks)):
+                on_frame(drawn)
+            return
+        store, before = ObjectStore(self.url), 0
+
+        def report(drawn: int, _: int) -> None:
+            on_frame(before + drawn)
+
+        for index, numbers in blocks.items():
+            with TemporaryDirectory(dir=folder) as place:
+                task = _task_of(self.job.task, numbers, Path(place))
+                Export(task, self.job.manifest).run(executor, on_frame=report)
+                _send(store, task, index)
+            before += len(numbers)
 
     def _joined(self, store: ObjectStore, blocks: int) -> bool:
         """Write the truth of all blocks if they are there; return whether the export is complete."""
@@ -180,14 +187,51 @@ class StoreExport:
         names = [_lines(index) for index in range(blocks)]
         if set(names) - set(store.names("truth-")):
             return False
-        lines = [store.read(name) for name in names]
-        if None in lines:  # another run has joined and removed them
+        if not store.join(_TRUTH, names):  # another run has joined and removed them
             return store.read(_TRUTH) is not None
-        store.send(_TRUTH, b"".join(content or b"" for content in lines))
         for name in names:
             with suppress(ExportError):
                 store.remove(name)
         return True
+
+
+def _draw_and_send(
+    url: str, task: FrameTask, renderer: Renderer, index: int, numbers: Numbers, encoder_threads: int
+) -> None:
+    """Draw a block on a worker, which needs no disk but its own, and send it."""
+    with TemporaryDirectory(prefix="glstar-") as place:
+        task = _task_of(task, numbers, Path(place))
+        truth = TruthFile(task.directory)
+        deque(draw_frames(task, renderer, numbers, truth, encoder_threads=encoder_threads), maxlen=0)
+        truth.finish(numbers)
+        _send(ObjectStore(url), task, index)
+
+
+def _task_of(task: FrameTask, numbers: Numbers, directory: Path) -> FrameTask:
+    """Return the task of drawing a block into a directory."""
+    return replace(task, frames=_FrameBlock(task.frames, numbers), directory=directory)
+
+
+def _send(store: ObjectStore, task: FrameTask, index: int) -> None:
+    """Send the files of a block, last its lines of truth."""
+    paths = (path_of(number) for path_of in task.file_kinds.values() for number in task.frames.numbers.tolist())
+    for batch in _batches(paths):
+        store.send_all({path.relative_to(task.directory).as_posix(): path.read_bytes() for path in batch})
+    if not store.names(_TRUTH):  # a worker that outlives its export may be late
+        store.send(_lines(index), (task.directory / _TRUTH).read_bytes())
+
+
+def _batches(paths: Iterable[Path]) -> Iterator[list[Path]]:
+    """Divide files into batches that are in memory at a time."""
+    batch, size = list[Path](), 0
+    for path in paths:
+        batch.append(path)
+        size += path.stat().st_size
+        if len(batch) == _BATCH_FILES or size >= _BATCH_BYTES:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
 
 
 def _lines(index: int) -> str:

@@ -1,15 +1,18 @@
 """Exports to an object store: the same files as in a directory, whatever is interrupted."""
 
+import pickle
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import fsspec
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.export import storeexport
-from glstar.export.objectstore import ObjectStore
+from glstar.export.executors import SerialExecutor
 
 RUNNER = CliRunner()
 SMALL = "[camera]\nwidth_px = 64\nheight_px = 48\nfx_px = 60.0\nfy_px = 60.0\n"
@@ -72,16 +75,16 @@ def test_a_store_gets_the_files_of_a_directory(tmp_path: Path) -> None:
 def test_an_interrupted_export_goes_on_with_the_next_block(
     tmp_path: Path, local: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    send, sent = ObjectStore.send, list[str]()
+    send, sent = MemoryFileSystem.pipe_file, list[str]()
 
-    def torn(self: ObjectStore, name: str, content: bytes) -> None:
+    def torn(self: MemoryFileSystem, path: str, value: bytes, **options: object) -> None:
         if len(sent) == 7:  # the manifest, a block of three frames with its truth, two frames
             raise KeyboardInterrupt
-        sent.append(name)
-        send(self, name, content)
+        sent.append(path.removeprefix("/night/one/"))
+        send(self, path, value, **options)
 
     with monkeypatch.context() as patched:
-        patched.setattr(ObjectStore, "send", torn)
+        patched.setattr(MemoryFileSystem, "pipe_file", torn)
         assert export(tmp_path, STORE).startswith("130 ")
     assert sent[-1] == "frame_000004.png"
     assert "truth.jsonl" not in stored()
@@ -98,6 +101,35 @@ def test_shards_share_a_store_and_the_last_joins_the_truth(tmp_path: Path, local
     assert "not complete yet" not in export(tmp_path, STORE, "--shard", "2/2")
 
     assert stored() == local
+
+
+class Remote(SerialExecutor):
+    """An executor whose workers share no disk with it: what they do is pickled."""
+
+    def draw_blocks(self, work: Any, blocks: dict[int, Any]) -> Iterator[int]:
+        for index, numbers in blocks.items():
+            theirs, task = pickle.loads(pickle.dumps((work, self._task)))
+            theirs(task, self._renderer, index, numbers, 0)
+            yield len(numbers)
+
+
+def test_workers_draw_and_send_blocks_themselves(
+    tmp_path: Path, local: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reports: list[tuple[int, int]] = []
+    run = storeexport.StoreExport.run
+
+    def remotely(self: storeexport.StoreExport, executor: Any, **options: Any) -> object:
+        remote = Remote(executor._renderer)
+        remote._task = self.job.task
+        return run(self, remote, **options | {"on_frame": lambda *done: reports.append(done)})
+
+    monkeypatch.setattr(storeexport.StoreExport, "run", remotely)
+
+    assert "8 frames drawn in" in export(tmp_path, STORE)
+
+    assert stored() == local
+    assert reports == [(0, 8), (3, 8), (6, 8), (8, 8)]
 
 
 @pytest.mark.parametrize(
