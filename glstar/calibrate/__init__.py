@@ -24,7 +24,7 @@ from glstar.calibrate.lensfit import CameraFit, fit_camera, fit_lens
 from glstar.calibrate.lenstrials import LensChoice, LensTrial
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.matches import Matches
-from glstar.calibrate.near import identify_near
+from glstar.calibrate.near import identify_again, identify_near
 from glstar.calibrate.photograph import Channel, Photograph, read_image
 from glstar.calibrate.photographmodel import PhotographModel, measure_photograph
 from glstar.calibrate.platesolution import PlateSolution
@@ -73,6 +73,7 @@ __all__ = [
     "fit_lens",
     "fit_sensor",
     "fit_shared_lens",
+    "identify_again",
     "identify_by_labels",
     "identify_lost",
     "identify_near",

@@ -1,6 +1,6 @@
 """Detection of stars on an image, and measurement of their positions, amplitudes and widths."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -99,6 +99,20 @@ class DetectedStars:
 
     def __len__(self) -> int:
         return len(self.peak_dn)
+
+    def without(self, removed: NDArray[np.bool_]) -> "DetectedStars":
+        """Return the detections without some of them.
+
+        Parameters
+        ----------
+        removed : (n,) bool
+
+        Returns
+        -------
+        DetectedStars
+        """
+        names = ("xy_px", "peak_dn", "sigma_px", "noise_dn", "saturated")
+        return replace(self, **{name: getattr(self, name)[~removed] for name in names})
 
     @property
     def quality_note(self) -> str:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.matches import MIN_STARS, Matches, is_significant, orientation_notes
+from glstar.calibrate.matches import MIN_STARS, Matches, is_significant, orientation_notes, require_significant
 from glstar.calibrate.matching import refine
 from glstar.calibrate.platesolution import PlateSolution, exceeds_pinhole, wide_angle_cameras
 from glstar.calibrate.referencestars import ReferenceStars
@@ -17,7 +17,7 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
 
-__all__ = ["identify_near"]
+__all__ = ["identify_again", "identify_near"]
 
 # Largest error of the given attitude: of the optical axis, and of the roll.
 _ATTITUDE_ERROR_RAD: Final = np.deg2rad(10.0)
@@ -82,6 +82,29 @@ def identify_near(
         stars_used=0 if best is None else len(best),
         stars_needed=needed,
     )
+
+
+def identify_again(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches:
+    """Identify the stars of an image that has been solved before, with other detections.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+        Such as those that the user has left.
+    reference : ReferenceStars
+    solution : PlateSolution
+        Of that image.
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    CalibrationError
+        If chance may explain the matches that are left.
+    """
+    return require_significant(detected, refine(detected, reference, solution))
 
 
 def _best_orientation(

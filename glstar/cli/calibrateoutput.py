@@ -20,7 +20,7 @@ from glstar.cli.verbosity import echo_note
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.system.durable import write_atomically
 
-__all__ = ["files_of", "files_of_all", "print_result", "write_camera", "write_files"]
+__all__ = ["files_of", "files_of_all", "print_result", "report_lines", "write_camera", "write_files"]
 
 # The suffix of the stars' measured brightness, beside the calibration.
 _TABLE: Final = ".brightness.csv"
@@ -102,31 +102,50 @@ def _print_combined(combined: CombinedCalibration, output: Path) -> None:
 
 def _print_calibration(calibration: Calibration, output: Path) -> None:
     """Print the result of one image."""
-    sensor, fit = calibration.sensor, calibration.brightness
-    _print_identification(calibration.geometry)
-    typer.echo(
-        f"peak {sensor.reference_peak_dn:.1f} ± {calibration.sensor_standard_error['reference_peak_dn']:.1f} DN at"
-        f" {sensor.reference_vmag:.2f} mag in {sensor.reference_exposure_s:g} s ({int(fit.used.sum())} stars, scatter"
-        f" {fit.scatter_mag:.2f} mag);"
-        f" sigma {sensor.psf_sigma_px:.3f} ± {calibration.stars.psf_sigma_error_px:.3f} px; sky"
-        f" {sensor.sky_mean_dn:.2f} DN with a noise of {sensor.sky_std_dn:.2f} DN"
-    )
+    for line in report_lines(calibration):
+        typer.echo(line)
     _print_notes(calibration.notes, output)
 
 
 def _print_geometry(geometry: GeometryCalibration, output: Path) -> None:
     """Print the result of an image without a sensor."""
-    _print_identification(geometry)
-    ra_deg, dec_deg = np.rad2deg(geometry.boresight_rad)
-    typer.echo(f"the optical axis points at right ascension {ra_deg:.3f} deg, declination {dec_deg:+.3f} deg (ICRS)")
+    for line in report_lines(geometry):
+        typer.echo(line)
     _print_notes(geometry.notes, output)
 
 
-def _print_identification(geometry: GeometryCalibration) -> None:
+def report_lines(result: Calibration | GeometryCalibration) -> list[str]:
+    """Return what was found in one image.
+
+    Parameters
+    ----------
+    result : Calibration or GeometryCalibration
+
+    Returns
+    -------
+    list of str
+        Lines, without the notes.
+    """
+    if isinstance(result, GeometryCalibration):
+        ra_deg, dec_deg = np.rad2deg(result.boresight_rad)
+        pointing = f"right ascension {ra_deg:.3f} deg, declination {dec_deg:+.3f} deg (ICRS)"
+        return [_identification(result), f"the optical axis points at {pointing}"]
+    sensor, fit = result.sensor, result.brightness
+    return [
+        _identification(result.geometry),
+        f"peak {sensor.reference_peak_dn:.1f} ± {result.sensor_standard_error['reference_peak_dn']:.1f} DN at"
+        f" {sensor.reference_vmag:.2f} mag in {sensor.reference_exposure_s:g} s ({int(fit.used.sum())} stars, scatter"
+        f" {fit.scatter_mag:.2f} mag);"
+        f" sigma {sensor.psf_sigma_px:.3f} ± {result.stars.psf_sigma_error_px:.3f} px; sky"
+        f" {sensor.sky_mean_dn:.2f} DN with a noise of {sensor.sky_std_dn:.2f} DN",
+    ]
+
+
+def _identification(geometry: GeometryCalibration) -> str:
     matches, camera = geometry.matches, geometry.matches.solution.camera
     focal_error_px = matches.standard_error.get("fx_px")
     focal = f"f = {camera.fx_px:.1f}" + ("" if focal_error_px is None else f" ± {focal_error_px:.1f}")
-    typer.echo(
+    return (
         f"{len(geometry.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
         f" identified {geometry.method}, {matches.expected_by_chance:.1f} expected by chance,"
         f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.horizontal_field_rad):.2f} deg wide, {focal} px"

@@ -54,7 +54,7 @@ from glstar.cli.progress import progress_bar
 from glstar.config import Config
 from glstar.errors import CalibrationError
 
-__all__ = ["calibrate_images"]
+__all__ = ["Identified", "calibrate_images", "calibrated_image", "identify"]
 
 # Progress steps of an image: read, detected, identified, calibrated.
 _STEPS: Final = 4
@@ -63,7 +63,7 @@ _ATTITUDE_TOLERANCE_RAD: Final = np.deg2rad(0.02)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Identified:
+class Identified:
     """An image with identified stars; `exposure_s` is 0 if only the geometry is calibrated."""
 
     image: Photograph
@@ -112,7 +112,7 @@ def calibrate_images(
         parts: list[Calibration | GeometryCalibration] = []
         for number, known in enumerate(identified):
             with _naming(None if single else images[number]):
-                parts.append(_calibrated(known, options, single=single, lens_is_fitted=shared is not None))
+                parts.append(calibrated_image(known, options, single=single, lens_is_fitted=shared is not None))
             on_step(_STEPS * len(images) - len(identified) + number + 1, steps)
         ready.result()
         calibrations = tuple(part for part in parts if isinstance(part, Calibration))
@@ -134,7 +134,7 @@ def calibrate_images(
 
 def _identified_images(
     images: list[Path], options: CalibrateOptions, on_step: Callable[[int], None]
-) -> list[_Identified]:
+) -> list[Identified]:
     """Return the images with their identified stars; their lens is not fitted yet."""
     settings = Config() if options.config is None else Config.load(options.config)
     attitude_deg, site_deg = all_or_none(options.attitude_deg), all_or_none(options.site_deg)
@@ -153,13 +153,13 @@ def _identified_images(
             on_step((_STEPS - 1) * number + 1)
             detected = detect_stars(image)
             on_step((_STEPS - 1) * number + 2)
-            method, matches = _identify(settings, detected, over[number], camera, labels, focal_known=focal_known)
+            method, matches = identify(settings, detected, over[number], camera, labels, focal_known=focal_known)
             on_step((_STEPS - 1) * number + 3)
-            found.append(_Identified(image, duration_s, detected, over[number], method, matches))
+            found.append(Identified(image, duration_s, detected, over[number], method, matches))
     return found
 
 
-def _shared_lens(identified: list[_Identified], options: CalibrateOptions) -> SharedLensFit:
+def _shared_lens(identified: list[Identified], options: CalibrateOptions) -> SharedLensFit:
     return fit_shared_lens(
         [part.image.path.name for part in identified],
         [part.detected for part in identified],
@@ -169,10 +169,24 @@ def _shared_lens(identified: list[_Identified], options: CalibrateOptions) -> Sh
     )
 
 
-def _calibrated(
-    part: _Identified, options: CalibrateOptions, *, single: bool, lens_is_fitted: bool
+def calibrated_image(
+    part: Identified, options: CalibrateOptions, *, single: bool, lens_is_fitted: bool
 ) -> Calibration | GeometryCalibration:
-    """Return the calibration of an image; of a single image without a usable sensor, the geometry and the reason."""
+    """Return the calibration of an image; of a single image without a usable sensor, the geometry and the reason.
+
+    Parameters
+    ----------
+    part : Identified
+    options : CalibrateOptions
+    single : bool
+        Whether it is the only image.
+    lens_is_fitted : bool
+        Whether the matches have the fitted lens already.
+
+    Returns
+    -------
+    Calibration or GeometryCalibration
+    """
     image, detected, reference, matches = part.image, part.detected, part.reference.stars, part.matches
     if not lens_is_fitted:
         matches = fit_lens(detected, reference, matches, lens=cast("LensChoice", options.lens))
@@ -217,7 +231,7 @@ def _naming(image: Path | None) -> Iterator[None]:
         ) from error
 
 
-def _identify(
+def identify(
     settings: Config,
     detected: DetectedStars,
     reference: Reference,
@@ -226,7 +240,23 @@ def _identify(
     *,
     focal_known: bool,
 ) -> tuple[str, Matches]:
-    """Return how the stars were identified, and the matches."""
+    """Return how the stars were identified, and the matches.
+
+    Parameters
+    ----------
+    settings : Config
+        Its mount is that of the camera.
+    detected : DetectedStars
+    reference : Reference
+    camera : Camera
+    labels : list of Label or None
+    focal_known : bool
+        Whether the camera's focal length is right to 1 %.
+
+    Returns
+    -------
+    (str, Matches)
+    """
     stars = reference.stars
     if labels is not None:
         return "by labels", identify_by_labels(detected, stars, labels, camera, focal_known=focal_known)

@@ -16,6 +16,7 @@ from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.framepublishing import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.injectedanswers import InjectedAnswers
 from glstar.cli.verbosity import echo_note, with_verbosity
+from glstar.cli.windowcalibration import calibrate_photo
 from glstar.cli.windowoptions import (
     Headless,
     Screenshot,
@@ -301,6 +302,7 @@ def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_
         layout = layout_of("live") if script == Script(overlays=overlays) else None
         viewer = stack.enter_context(Viewer(surface, settings, layout=layout))
         viewer.follow(link, on_event=_log)
+        viewer.interface.calibration.calibrate = calibrate_photo
         if overlays is not None:
             viewer.session.shown_overlays = set(overlays)
         if window.answers is not None:

@@ -1,13 +1,14 @@
 """``glstar view``: the flight-replay viewer."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from glstar.cli.flightoptions import Flight, FlightFlags, flights_of, with_flight_flags
 from glstar.cli.imagefit import fit_images
 from glstar.cli.imageresiduals import measure_image
+from glstar.cli.windowcalibration import calibrate_photo
 from glstar.cli.windowoptions import (
     Headless,
     Screenshot,
@@ -22,6 +23,9 @@ from glstar.cli.windowoptions import (
     surface_of,
     write_stats,
 )
+
+if TYPE_CHECKING:  # imgui
+    from glstar.viewer.loop import Viewer
 
 __all__ = ["view"]
 
@@ -81,8 +85,7 @@ def view(
     try:
         layout = None if headless or scripted else layout_of("viewer")
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
-            viewer.session.comparison.fit_images = fit_images
-            viewer.session.comparison.residuals.measure = measure_image
+            _enable_measurements(viewer)
             script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
             is_scripted = script != Script(asks=True)
             if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
@@ -100,6 +103,13 @@ def view(
                 memory.size = surface.window_size
     finally:
         surface.close()
+
+
+def _enable_measurements(viewer: "Viewer") -> None:
+    """Give the window the functions of ``glstar compare`` and ``glstar calibrate``."""
+    viewer.session.comparison.fit_images = fit_images
+    viewer.session.comparison.residuals.measure = measure_image
+    viewer.interface.calibration.calibrate = calibrate_photo
 
 
 def _refuse_lone_options(answers: Path | None, answers_to: Path | None, stats: Path | None, play: float | None) -> None:

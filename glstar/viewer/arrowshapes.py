@@ -16,7 +16,7 @@ __all__ = ["arrow_strokes", "draw_beliefs", "draw_residuals", "residual_scale"]
 
 Float = NDArray[np.float64]
 
-# Nine of ten arrows of residuals are at most this long, screen px.
+# Nine of ten arrows of residuals are at most this long, screen px, by default.
 _LONG_SCREEN_PX: Final = 60.0
 
 
@@ -78,7 +78,7 @@ def draw_beliefs(canvas: Canvas, beliefs: Sequence[Belief]) -> None:
                 break
 
 
-def residual_scale(shift_px: Float, screen_px: float) -> float:
+def residual_scale(shift_px: Float, screen_px: float, long_screen_px: float = _LONG_SCREEN_PX) -> float:
     """Return by how much arrows are lengthened: 1, 2, 5, 10 ... such that nine of ten are short enough.
 
     Parameters
@@ -87,6 +87,8 @@ def residual_scale(shift_px: Float, screen_px: float) -> float:
         px of the image.
     screen_px : float
         Size of a screen pixel, px of the image.
+    long_screen_px : float
+        The length that one in ten may exceed, screen px.
 
     Returns
     -------
@@ -94,7 +96,7 @@ def residual_scale(shift_px: Float, screen_px: float) -> float:
         At least 1.
     """
     typical_px = max(float(np.percentile(np.linalg.norm(shift_px, axis=1), 90)), 1e-4)
-    most = max(_LONG_SCREEN_PX * screen_px / typical_px, 1.0)
+    most = max(long_screen_px * screen_px / typical_px, 1.0)
     power = 10.0 ** floor(log10(most))
     return max(factor * power for factor in (1, 2, 5) if factor * power <= most)
 

@@ -30,6 +30,7 @@ class Action(StrEnum):
     VIDEO_OF_RANGE = "video of range"
     OPEN_SETTINGS = "open settings"
     SAVE_SETTINGS = "save settings"
+    CALIBRATE = "calibrate"
     QUIT = "quit"
     UNDO = "undo"
     REDO = "redo"
@@ -124,6 +125,7 @@ KEYS: Final = (
     KeyBinding(Action.DISCONNECT, "File", "Disconnect from the link; its flight stays"),
     KeyBinding(Action.OPEN_SETTINGS, "File", "Open settings (TOML)", ("Ctrl+Shift+O",)),
     KeyBinding(Action.OPEN_IMAGES, "File", "Open a folder of real images", ("Ctrl+I",)),
+    KeyBinding(Action.CALIBRATE, "File", "Calibrate a camera from a photograph of the stars", ("Ctrl+Shift+P",)),
     KeyBinding(Action.SAVE_FRAME, "File", "Save this frame with its truth", ("Ctrl+S",)),
     KeyBinding(Action.EXPORT, "File", "Export a range of frames", ("Ctrl+E",)),
     KeyBinding(Action.SAVE_VIEW, "File", "Save the comparison as it is shown", ("Ctrl+Shift+C",)),

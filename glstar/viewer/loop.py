@@ -172,7 +172,7 @@ class Viewer:
         surface, session, interface = self._surface, self.session, self.interface
         session.times.begin()
         for path in surface.dropped():
-            session.open(path)
+            interface.open_dropped(path)
         if session.video is not None and session.video.prepare(session.head):
             elapsed_s = 0.0
         interface.frame(surface.new_frame, elapsed_s)
@@ -235,6 +235,7 @@ class Viewer:
             self.session.busy
             or self.session.notifications.current != interface.drawn_notifications
             or interface.files.is_answered
+            or interface.calibration.is_running
         )
 
     def pace(self, began_s: float) -> None:

@@ -35,6 +35,7 @@ MAY_LOAD = {
     "cli.calibrateoutput": {"cv2", "scipy"},
     "cli.calibraterun": {"cv2", "scipy"},
     "cli.calibratetwin": {"cv2", "moderngl", "scipy"},
+    "cli.photocalibration": {"cv2", "scipy"},
 }
 # Modules of the viewer that scripts may use: no window, no widgets, no OpenGL.
 WINDOWLESS = (

@@ -20,6 +20,7 @@ from glstar.viewer.saving import save_settings, unused_path
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.settingshistory import SettingsHistory
+from glstar.viewer.ui.calibratewindow import PHOTO_SUFFIXES, CalibrateWindow
 from glstar.viewer.ui.commandpalette import CommandPalette
 from glstar.viewer.ui.connectdialog import ConnectDialog
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
@@ -37,7 +38,7 @@ from glstar.viewer.ui.welcome import draw_welcome
 
 __all__ = ["Interface"]
 
-_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour
+_Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour | CalibrateWindow
 
 _ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
@@ -78,6 +79,7 @@ class Interface:
     files : FileChooser
     keyboard : Keyboard
     tour : Tour
+    calibration : CalibrateWindow
     """
 
     def __init__(
@@ -118,15 +120,15 @@ class Interface:
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
         self._connect, self._palette = ConnectDialog(), CommandPalette()
-        self._dialogs: dict[
-            AnyAction, FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette | Tour
-        ] = {
+        self.calibration = CalibrateWindow(context, self.files)
+        self._dialogs: dict[AnyAction, _Asks] = {
             Action.PALETTE: self._palette,
             Action.FIND: self._find,
             Action.CONNECT: self._connect,
             Action.EXPORT: self._exports,
             Action.VIDEO_OF_RANGE: self._videos,
             Action.TOUR: self.tour,
+            Action.CALIBRATE: self.calibration,
         }
         self._history, self._initial = SettingsHistory(), session.config
         self._help = False
@@ -170,6 +172,7 @@ class Interface:
         self._videos.draw(session)
         self._missing.draw(session)
         self._manual.draw()
+        self.calibration.draw(session)
         self.tour.draw()
         if self._find.draw(session):
             self._panels.show(OBJECT)
@@ -209,6 +212,18 @@ class Interface:
     def plain_picture(self) -> NDArray[np.uint8] | None:
         """Return the visible part of the picture without overlays; see `ImagePanel.plain_picture`."""
         return self._image.plain_picture()
+
+    def open_dropped(self, path: Path) -> None:
+        """Open what the user has dropped onto the window: a photograph to calibrate from, or see `Session.open`.
+
+        Parameters
+        ----------
+        path : Path
+        """
+        if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file():
+            self.calibration.open(self.session, path)
+        else:
+            self.session.open(path)
 
     # --- actions and menus ---
 
@@ -305,6 +320,7 @@ class Interface:
     def close(self) -> None:
         """Release the interface's objects on the GPU and in imgui; the session stays the caller's."""
         self.files.close()
+        self.calibration.close()
         self._display.close()
         imgui.backends.opengl3_shutdown()
         implot.destroy_context(self._implot)
