@@ -40,7 +40,7 @@ def calibration_of(request: CalibrationRequest, progress: CalibrationProgress) -
     """
     options = CalibrateOptions(
         config=None,
-        fov_deg=request.fov_deg,
+        fov_deg=_fov_deg(request),
         exposures_s=None if request.exposure_s is None else [request.exposure_s],
         utc=[request.utc] if request.utc else None,
         site_deg={},
@@ -60,6 +60,10 @@ def calibration_of(request: CalibrationRequest, progress: CalibrationProgress) -
     return _result(part, calibrated_image(part, options, single=True, lens_is_fitted=False))
 
 
+def _fov_deg(request: CalibrationRequest) -> float | None:
+    return None if request.fov_rad is None else float(np.rad2deg(request.fov_rad))
+
+
 def _first(request: CalibrationRequest, progress: CalibrationProgress) -> Identified:
     """Read a photograph and identify its stars."""
     progress.begin("reading", 0)
@@ -67,14 +71,15 @@ def _first(request: CalibrationRequest, progress: CalibrationProgress) -> Identi
     progress.pixels, progress.white_dn = image.pixels_dn.astype(np.uint16), image.saturation_dn
     duration_s = 0.0 if request.geometry_only else exposure_s(request.exposure_s, image)
     settings = request.config
-    camera = camera_of(image, settings if request.fov_deg is None else None, request.fov_deg, known=False)
+    camera = camera_of(image, settings if request.fov_rad is None else None, _fov_deg(request), known=False)
     utc_s = parse_utc(request.utc) if request.utc else None
-    [reference] = references(settings, [utc_s], request.site_deg, None, None)
+    site_deg = None if request.site_rad is None else tuple(np.rad2deg(request.site_rad).tolist())
+    [reference] = references(settings, [utc_s], site_deg, None, None)
     progress.begin("detecting stars", 1)
     detected = detect_stars(image)
     progress.detected_px = detected.xy_px
     progress.begin("identifying stars", 2)
-    focal_known = request.fov_deg is None
+    focal_known = request.fov_rad is None
     method, matches = identify(settings, detected, reference, camera, None, focal_known=focal_known)
     return Identified(image, duration_s, detected, reference, method, matches)
 

@@ -37,14 +37,14 @@ class CalibrationRequest:
     ----------
     path : Path
     config : Config
-        Its camera is that of the photograph, if `fov_deg` is None; its catalogue has the stars.
-    fov_deg : float or None
+        Its camera is that of the photograph, if `fov_rad` is None; its catalogue has the stars.
+    fov_rad : float or None
         Width of the view, to 15 %.
     exposure_s : float or None
         None: as the file states.
     utc : str
         At mid-exposure; empty if it is not known.
-    site_deg : (float, float) or None
+    site_rad : (float, float) or None
         Latitude and longitude.
     geometry_only : bool
         Whether the sensor is left out.
@@ -56,10 +56,10 @@ class CalibrationRequest:
 
     path: Path
     config: Config
-    fov_deg: float | None = None
+    fov_rad: float | None = None
     exposure_s: float | None = None
     utc: str = ""
-    site_deg: tuple[float, float] | None = None
+    site_rad: tuple[float, float] | None = None
     geometry_only: bool = False
     before: "CalibratedPhoto | None" = None
     removed_px: tuple[tuple[float, float], ...] = ()

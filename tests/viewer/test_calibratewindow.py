@@ -132,7 +132,10 @@ def test_an_image_without_stars_gets_the_line_of_the_command(calibrating, tmp_pa
     assert window.run is before
     assert "latitude is no number: '12 N'" in calibrating.session.notifications.current[-1].message
 
-    window._typed["latitude"] = ""
+    window._typed["latitude"], window._own_camera = "", False
+    window._start(calibrating.session)
+    assert "give the width of the view" in calibrating.session.notifications.current[-1].message
+    window._typed["fov"] = "60"
     window._start(calibrating.session)
     finished(calibrating)
     assert "0 stars were found on the image and 4 are needed" in window.run.error

@@ -155,7 +155,7 @@ def test_the_wheel_zooms_out_to_the_coast_and_a_double_click_returns(make_viewer
     io = imgui.get_io()
     io.add_mouse_pos_event(*MIDDLE)
     _frames(viewer)  # as a hand moves the mouse
-    for _ in range(85):
+    for _ in range(30):
         io.add_mouse_wheel_event(0.0, -1.0)
         viewer.frame(0.0)
     assert len(_pixels_of(_frames(viewer), COAST)[0]) > 30

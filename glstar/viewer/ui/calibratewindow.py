@@ -1,6 +1,7 @@
 """The window that calibrates a camera from a photograph of the stars."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from math import radians
 from pathlib import Path
 from typing import Final
 
@@ -185,26 +186,41 @@ class CalibrateWindow:
         assert self.calibrate is not None
         assert self._path is not None
         try:
-            numbers = {name: _number(name, self._typed[name]) for name in ("fov", "exposure", "latitude", "longitude")}
+            fov_rad, site_rad = self._fov_rad(), self._site_rad()
+            exposure_s = _number("exposure", self._typed["exposure"])
         except ValueError as problem:
             session.notify(str(problem), is_error=True)
-            return
-        latitude_deg, longitude_deg = numbers["latitude"], numbers["longitude"]
-        if (latitude_deg is None) != (longitude_deg is None):
-            session.notify("latitude and longitude belong together", is_error=True)
             return
         request = CalibrationRequest(
             self._path,
             session.config,
-            None if self._own_camera else numbers["fov"],
-            numbers["exposure"],
+            fov_rad,
+            exposure_s,
             self._typed["utc"].strip(),
-            None if latitude_deg is None or longitude_deg is None else (latitude_deg, longitude_deg),
+            site_rad,
             self._geometry_only,
             self._first if self.removed_px else None,
             tuple(self.removed_px),
         )
         self.run = CalibrationRun(request, self.calibrate)
+
+    def _fov_rad(self) -> float | None:
+        """Return the width of the view that was typed; None for the camera of the settings."""
+        if self._own_camera:
+            return None
+        degrees = _number("view", self._typed["fov"])
+        if degrees is None or not 1 <= degrees < 180:
+            raise ValueError("give the width of the view: 1 to 180 deg, left to right, right to 15 %")
+        return radians(degrees)
+
+    def _site_rad(self) -> tuple[float, float] | None:
+        """Return the latitude and longitude that were typed; None if there are none."""
+        latitude, longitude = (_number(name, self._typed[name]) for name in ("latitude", "longitude"))
+        if latitude is None and longitude is None:
+            return None
+        if latitude is None or longitude is None:
+            raise ValueError("latitude and longitude belong together")
+        return radians(latitude), radians(longitude)
 
     # --- controls ---
 

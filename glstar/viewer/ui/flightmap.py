@@ -42,6 +42,9 @@ _FIXED_EXTENT_M: Final = 1.5e6
 _MARGIN: Final = 0.12
 # The scale bar is at most this fraction of the width.
 _SCALE_FRACTION: Final = 0.3
+# A notch of the wheel makes the map's extent this fraction larger, from some metres to the whole hemisphere.
+_ZOOM_RATE: Final = 0.3
+_EXTENTS_M: Final = (5.0, 3.0e7)
 # The map is made around another origin if the aircraft is farther than this from it, m.
 _FARTHEST_M: Final = 1.0e6
 
@@ -87,10 +90,13 @@ class FlightMap:
         size = ImVec2(-1, min(max(height_px, _LEAST_PX * scale), _MOST_PX * scale))
         plot_id = imgui.get_id("##map")
         implot.push_style_var(int(implot.StyleVar_.plot_padding), ImVec2(0, 0))
+        usual_rate, implot.get_input_map().zoom_rate = implot.get_input_map().zoom_rate, _ZOOM_RATE
         if implot.begin_plot("##map", size, _FLAGS):
             implot.setup_axes("", "", _AXIS, _AXIS)
             condition = int(implot.Cond_.always if self._is_fitted else implot.Cond_.once)
             implot.setup_axes_limits(*shown, condition)
+            for axis in (implot.ImAxis_.x1, implot.ImAxis_.y1):
+                implot.setup_axis_zoom_constraints(axis, *_EXTENTS_M)
             implot.setup_legend(implot.Location_.north_west, _LEGEND)
             implot.setup_finish()
             self._draw_ground(night=night)
@@ -108,6 +114,7 @@ class FlightMap:
             if self._is_hovered and imgui.is_mouse_double_clicked(0):
                 self._is_fitted = True
             implot.end_plot()
+        implot.get_input_map().zoom_rate = usual_rate
         implot.pop_style_var()
         if footprint is not None:
             self._draw_footprint_row(footprint, state.site)
