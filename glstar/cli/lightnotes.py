@@ -20,7 +20,7 @@ _DAY_DEG: Final = -6.0
 
 
 def light_notes(frames: "Frames") -> list[str]:
-    """Return notes on day, on a camera that sees nothing but the ground, and on the light of a natural sky.
+    """Return notes on day, a camera that sees only the ground, the light of a natural sky, and old satellites.
 
     Parameters
     ----------
@@ -49,7 +49,15 @@ def light_notes(frames: "Frames") -> list[str]:
             f"{_count(by_day, len(checked))} are of day or bright twilight, with the Sun up to {max(sun_deg):.0f} deg"
             ' high: a camera sees no stars then; [sky] brightness = "natural" shows it'
         )
-    return [*notes, *_natural_conditions(frames)]
+    return [*notes, *_natural_conditions(frames), *_old_elements(frames)]
+
+
+def _old_elements(frames: "Frames") -> list[str]:
+    """Return a note on satellites whose elements do not describe the middle frame."""
+    shot = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
+    satellites = shot.simulator.sky.satellites
+    note = "" if satellites is None else satellites.age_note(shot.exposure.mid_utc_s)
+    return [note] if note else []
 
 
 def _natural_conditions(frames: "Frames") -> list[str]:

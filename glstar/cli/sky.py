@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -16,11 +17,13 @@ from rich.table import Table
 
 from glstar.cli.bodytable import BODY_COLUMNS, body_rows, body_table
 from glstar.cli.flightoptions import echo_catalogue_note
+from glstar.cli.satellitetable import SATELLITE_COLUMNS, satellite_rows, satellite_table
 from glstar.errors import ConfigError
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue, star_label
 from glstar.sky.earthorientation import described_earth_orientation
 from glstar.sky.observed import ObservedPlaces, Sky
+from glstar.sky.satellites import Satellites
 from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.timescale import format_utc, parse_known_utc
 
@@ -76,10 +79,15 @@ def sky(
     bodies: Annotated[
         bool, typer.Option("--bodies", help="The Sun, the Moon and the planets instead of stars, wherever they are.")
     ] = False,
+    satellites: Annotated[
+        Path | None,
+        typer.Option(help="A file of two-line elements: its satellites instead of stars.", show_default=False),
+    ] = None,
+    satellite_mag: Annotated[float, typer.Option(help="V of a satellite 1000 km away, half lit.")] = 4.5,
     format_: Annotated[_Format, typer.Option("--format", help="The output format.")] = _Format.table,
     as_json: Annotated[bool, typer.Option("--json", help="As --format json.")] = False,
 ) -> None:
-    """List the stars above a site, or the Sun, Moon and planets: apparent place of date, azimuth, altitude.
+    """List the stars above a site, the Sun, Moon and planets, or satellites: apparent place, azimuth, altitude.
 
     Try: glstar sky --lat -34.93 --lon 138.60 --vmag 2
     """
@@ -91,7 +99,12 @@ def sky(
     echo_catalogue_note(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
     of_date = Sky(chosen, ASTROMETRY[astrometry.value], dut1)
-    if bodies:
+    known = None if satellites is None else Satellites.open(satellites, satellite_mag)
+    if known is not None and bodies:
+        raise typer.BadParameter("and --bodies list different things; leave one out", param_hint="--satellites")
+    if known is not None:
+        rows, columns = satellite_rows(known, of_date, utc_s, site, everything=everything), SATELLITE_COLUMNS
+    elif bodies:
         rows, columns = body_rows(of_date, utc_s, site), BODY_COLUMNS
     else:
         rows, columns = _rows(of_date.observed_places(utc_s, site), everything=everything), _COLUMNS
@@ -102,11 +115,15 @@ def sky(
         typer.echo(_csv(rows, columns), nl=False)
     else:
         title, ut1 = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}", _ut1_label(dut1, utc_s)
-        table = body_table(rows, title, ut1, utc_s) if bodies else _star_table(rows, title, ut1)
+        if known is not None:
+            table = satellite_table(rows, title, known.age_note(utc_s))
+        else:
+            table = body_table(rows, title, ut1, utc_s) if bodies else _star_table(rows, title, ut1)
         # A pipe has no width: use one that is wide enough for all columns.
         Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
     if not rows:
-        typer.echo(f"glstar: {_why_none(len(chosen), vmag)}", err=True)
+        none_up = "no satellite is above the horizon; --all shows them too"
+        typer.echo(f"glstar: {_why_none(len(chosen), vmag) if known is None else none_up}", err=True)
 
 
 def _format_of(format_: _Format, *, as_json: bool) -> _Format:
@@ -149,7 +166,8 @@ def _csv(rows: list[Row], columns: Sequence[str]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(row | {angle: f"{row[angle]:.{_DIGITS}f}" for angle in _ANGLES} for row in rows)
+    angles = [angle for angle in _ANGLES if angle in columns]
+    writer.writerows(row | {angle: f"{row[angle]:.{_DIGITS}f}" for angle in angles} for row in rows)
     return text.getvalue()
 
 

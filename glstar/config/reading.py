@@ -43,6 +43,7 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.extinction import Extinction
 from glstar.sky.horizonprofile import HorizonProfile
 from glstar.sky.observed import Sky
+from glstar.sky.satellites import Satellites
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
 from glstar.system.nearmiss import did_you_mean
@@ -347,13 +348,19 @@ def absolute(dotted: str, value: object, folder: Path) -> object:
 
 
 def sky_of(section: SkySection, folder: Path, faults: list[Fault]) -> SkySection:
-    """Return the section with absolute paths; its horizon profile must be valid, if it names one."""
-    paths = {key: absolute(f"sky.{key}", getattr(section, key), folder) for key in ("catalogue", "horizon")}
+    """Return the section with absolute paths; the files that it names must be valid."""
+    paths = {
+        key: absolute(f"sky.{key}", getattr(section, key), folder) for key in ("catalogue", "horizon", "satellites")
+    }
     section = section.model_copy(update=paths)
     try:
         _horizon_profile(section)
     except ConfigError as error:
         faults.append(("sky.horizon", str(error).removeprefix("sky.horizon: ")))
+    try:
+        _satellites(section)
+    except ConfigError as error:
+        faults.append(("sky.satellites", str(error).removeprefix("sky.satellites: ")))
     return section
 
 
@@ -372,7 +379,7 @@ def observed_sky(section: SkySection, stars: StarCatalogue) -> Sky:
     Raises
     ------
     ConfigError
-        If the file of a horizon profile has changed and is no longer valid.
+        If the file of a horizon profile or of satellites has changed and is no longer valid.
     """
     return Sky(
         stars,
@@ -381,11 +388,16 @@ def observed_sky(section: SkySection, stars: StarCatalogue) -> Sky:
         section.refraction,
         section.horizon == "dip",
         _horizon_profile(section),
+        _satellites(section),
     )
 
 
 def _horizon_profile(section: SkySection) -> HorizonProfile | None:
     return None if section.horizon in HORIZONS else HorizonProfile.open(section.horizon)
+
+
+def _satellites(section: SkySection) -> Satellites | None:
+    return None if section.satellites is None else Satellites.open(section.satellites, section.satellite_mag)
 
 
 def extinction_of(sky: SkySection, air: AirSection, colour: ColourBand | None = None) -> Extinction | None:

@@ -148,6 +148,10 @@ class SkySection(Section):
     horizon : str
         ``"flat"``: the horizontal; ``"dip"``: as far below it as the aircraft's height makes it; or the absolute path
         of a CSV file with the altitude of the horizon by azimuth.
+    satellites : str or None
+        The absolute path of a file of two-line elements.
+    satellite_mag : float
+        V magnitude of a satellite 1000 km away, half lit.
     preset : {"natural", "full"} or None
         Other defaults: see `_PRESETS`.
     """
@@ -163,6 +167,8 @@ class SkySection(Section):
     extinction: Literal["none", "standard", "pressure"] = "none"
     extinction_band: Literal["eye", "sensor"] = "eye"
     horizon: str = Field(default="flat", description='"flat", "dip" or the path of a .csv file')
+    satellites: str | None = Field(default=None, description="the path of a file of two-line elements")
+    satellite_mag: float = Field(default=4.5, ge=-10, le=20, description="a magnitude from -10 to 20")
     preset: Literal["natural", "full"] | None = None
 
     @model_validator(mode="before")
@@ -365,6 +371,7 @@ SECTIONS: dict[str, type[Section]] = {
 
 PATHS = (
     *("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "sky.horizon"),
+    "sky.satellites",
     *("flight.columns", "flight.position"),
     *(f"sensor.{key}" for key in SENSOR_MAPS),
     "lens.vignetting_file",

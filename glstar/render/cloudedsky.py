@@ -15,6 +15,7 @@ from glstar.render.cameramotion import CameraMotion
 from glstar.render.clouds import CloudPassage, cloud_passage, cloud_sheet
 from glstar.render.culling import DrawList, TouchingStars
 from glstar.render.ridges import divided, ridge_parts, ridge_passage, ridge_times
+from glstar.render.satellitemotion import SatelliteMotion
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.rotation import turn_from_matrix
@@ -22,12 +23,14 @@ from glstar.sky.cloudsheet import CloudSheet
 from glstar.sky.scintillation import Scintillation
 from glstar.sky.starfield import StarField
 
-__all__ = ["CloudedSky", "scene_passage", "scene_scintillation"]
+__all__ = ["CloudedSky", "scene_cloud", "scene_passage", "scene_scintillation"]
 
 Float = NDArray[np.float64]
 
 # Segments are divided until no star's transmission changes by more than this within one.
 _LARGEST_CHANGE: Final = 0.04
+# The same of a satellite's light.
+_LARGEST_CHANGE_OF_LIGHT: Final = 0.01
 # Parts of a segment at most.
 _MAX_PARTS: Final = 32
 # Scintillation is computed whenever a star has moved by this, px, but not more often than this, s: half the time in
@@ -64,7 +67,8 @@ class CloudedSky:
     def of(cls, motion: CameraMotion, camera: Camera, sensor: Sensor, exposure: Exposure) -> Self | None:
         """Return the sky over a camera; None without cloud, horizon profile and scintillation."""
         sheet, scintillation = cloud_sheet(sensor, motion), _scintillation(sensor)
-        if sheet is None and motion.sky.profile is None and scintillation is None:
+        varies = isinstance(motion, SatelliteMotion)
+        if sheet is None and motion.sky.profile is None and scintillation is None and not varies:
             return None
         return cls(sheet, motion, exposure, camera, scintillation)
 
@@ -79,10 +83,14 @@ class CloudedSky:
         direction_eq = _directions(stars, index, bodies)
         has_profile, fluctuation_times = self.motion.sky.profile is not None, self._fluctuation_times
         times = max(ridge_times(self.exposure, self._px_per_rad) if has_profile else 2, fluctuation_times)
+        if isinstance(self.motion, SatelliteMotion):
+            times = max(times, self.motion.light_times(self.exposure))
         cloud = ridge = None
         if self.sheet is not None:
             cloud = cloud_passage(self.sheet, self.motion, self.exposure, direction_eq, times)
             times = len(cloud.transmission)
+        if isinstance(self.motion, SatelliteMotion):
+            cloud = _product(self.motion.light(self.exposure, times), cloud)
         if self.scintillation is not None:
             factors = np.ones((times, len(direction_eq)))
             factors[:, : len(index)] = self._factors(stars, index, times)
@@ -200,7 +208,9 @@ class CloudedSky:
         cloud, ridge = self._passages(stars, draw_list.index, bodies)
         parts = np.ones(len(trails), dtype=np.intp)
         if cloud is not None:
-            changes = np.ceil(_largest_changes(cloud, trails.time_fraction) / _LARGEST_CHANGE)
+            is_light = isinstance(self.motion, SatelliteMotion)
+            largest = _LARGEST_CHANGE_OF_LIGHT if is_light else _LARGEST_CHANGE
+            changes = np.ceil(_largest_changes(cloud, trails.time_fraction) / largest)
             parts = changes.clip(1, _MAX_PARTS).astype(np.intp)
         if ridge is not None:
             parts = np.maximum(parts, ridge_parts(ridge, self.exposure, trails.time_fraction, self._px_per_rad))
@@ -249,6 +259,29 @@ def _largest_changes(passage: CloudPassage, time_fraction: Float) -> Float:
 
 
 def scene_passage(scene: Scene, direction_eq: Float) -> CloudPassage | None:
+    """Return what arrives of stars over the exposure of a scene: behind cloud, and of a satellite's changing light.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (m, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+
+    Returns
+    -------
+    CloudPassage or None
+        As `scene_cloud`.
+    """
+    sheet = cloud_sheet(scene.sensor, scene.motion)
+    if not isinstance(scene.motion, SatelliteMotion):
+        return scene_cloud(scene, direction_eq)
+    times = scene.motion.light_times(scene.exposure)
+    cloud = None if sheet is None else cloud_passage(sheet, scene.motion, scene.exposure, direction_eq, times)
+    light = scene.motion.light(scene.exposure, times if cloud is None else len(cloud.transmission))
+    return _product(light, cloud)
+
+
+def scene_cloud(scene: Scene, direction_eq: Float) -> CloudPassage | None:
     """Return what cloud transmits of stars over the exposure of a scene.
 
     Parameters

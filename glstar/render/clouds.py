@@ -77,19 +77,24 @@ def _origin_rad(flight: Flight) -> tuple[float, float]:
     return latitude, longitude
 
 
-def horizontal_axes(zenith_eq: Float) -> tuple[Float, Float]:
+def horizontal_axes(zenith_eq: Float, pole_eq: Float | None = None) -> tuple[Float, Float]:
     """Return unit vectors to the east and the north.
 
     Parameters
     ----------
     zenith_eq : (..., 3) float64
         Unit vectors to the zenith, true equator and equinox.
+    pole_eq : (..., 3) float64 or None
+        Unit vectors to the celestial pole, if it is not (0, 0, 1): see `Pointing`.
 
     Returns
     -------
     east_eq, north_eq : (..., 3) float64
     """
-    north = np.array([0.0, 0.0, 1.0]) - zenith_eq[..., 2:] * zenith_eq
+    if pole_eq is None:
+        north = np.array([0.0, 0.0, 1.0]) - zenith_eq[..., 2:] * zenith_eq
+    else:
+        north = pole_eq - np.sum(pole_eq * zenith_eq, axis=-1, keepdims=True) * zenith_eq
     north /= np.linalg.norm(north, axis=-1, keepdims=True)
     return np.cross(north, zenith_eq), north
 
@@ -219,7 +224,8 @@ def cloud_passage(
     below = np.flatnonzero(site[2] < sheet.height_m)
     for some in np.array_split(below, ceil(below.size * len(direction_eq) / _MOST_CROSSINGS)) if below.size else ():
         latitude_rad, longitude_rad, height_m, utc_s = (of[some, np.newaxis] for of in (*site, times_s))
-        east_eq, north_eq = horizontal_axes(pointing.zenith_eq[some])
+        pole_eq = None if pointing.pole_eq is None else pointing.pole_eq[some]
+        east_eq, north_eq = horizontal_axes(pointing.zenith_eq[some], pole_eq)
         transmission[some] = _crossed(
             sheet,
             pointing[some].sine_apparent_altitude(direction_eq),

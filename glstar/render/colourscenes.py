@@ -192,6 +192,7 @@ def _of_channel(scene: Scene, channel: Channel, over_mean: float) -> Scene:
         sensor=replace(scene.sensor, effects=effects),
         draw_list=replace(draw_list, truncation_radius_px=radius_px),
         bodies=bodies,
+        satellites=tuple(_of_channel(one, channel, over_mean) for one in scene.satellites),
     )
 
 

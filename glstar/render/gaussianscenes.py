@@ -56,11 +56,12 @@ def gaussian_scenes(scene: Scene) -> list[Scene]:
     Returns
     -------
     list of Scene
-        The scene itself if its stars are plain Gaussians, and that of its bodies.  An offset of a Gaussian is an offset
-        of the principal point.
+        The scene itself if its stars are plain Gaussians, and those of its bodies and satellites.  An offset of a
+        Gaussian is an offset of the principal point.
     """
     bodies = scene.body_scene
-    return _split(scene) + ([] if bodies is None else _split(bodies))
+    others = [*([] if bodies is None else [bodies]), *scene.satellites]
+    return [one for part in (scene, *others) for one in _split(part)]
 
 
 def _split(scene: Scene) -> list[Scene]:

@@ -33,6 +33,8 @@ class Pointing:
         Sine of the apparent altitude of the horizon, below which no star is seen; of a profile a bound.
     profile : HorizonProfile or None
         The horizon by azimuth; None for one of equal altitude all around.
+    pole_eq : (n, 3) float64 or None
+        Unit vectors to the celestial pole in a frame that turns with a satellite; None for (0, 0, 1).
     """
 
     C_camera_eq: Float
@@ -41,6 +43,7 @@ class Pointing:
     refraction_scale: float
     sine_horizon: float = 0.0
     profile: HorizonProfile | None = None
+    pole_eq: Float | None = None
 
     def __len__(self) -> int:
         return len(self.C_camera_eq)
@@ -51,6 +54,7 @@ class Pointing:
             C_camera_eq=self.C_camera_eq[times],
             zenith_eq=self.zenith_eq[times],
             velocity_eq=self.velocity_eq[times],
+            pole_eq=None if self.pole_eq is None else self.pole_eq[times],
         )
 
     @property
@@ -128,9 +132,11 @@ class Pointing:
             Sines of their apparent altitudes less those of the horizon below them; positive where a star is seen.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
-        return self.above_horizon(direction, self.zenith_eq[:, np.newaxis], self.sine_apparent_altitude(direction))
+        pole = None if self.pole_eq is None else self.pole_eq[:, np.newaxis]
+        sine = self.sine_apparent_altitude(direction)
+        return self.above_horizon(direction, self.zenith_eq[:, np.newaxis], sine, pole)
 
-    def above_horizon(self, direction_eq: Float, zenith_eq: Float, sine: Float) -> Float:
+    def above_horizon(self, direction_eq: Float, zenith_eq: Float, sine: Float, pole_eq: Float | None = None) -> Float:
         """Return how far directions are above the horizon, with its profile.
 
         Parameters
@@ -139,6 +145,8 @@ class Pointing:
             Unit vectors, true equator and equinox.
         sine : (...) float64
             Sines of the apparent altitudes of the directions.
+        pole_eq : (..., 3) float64 or None
+            As of the attribute.
 
         Returns
         -------
@@ -147,6 +155,11 @@ class Pointing:
         """
         if self.profile is None:
             return sine - self.sine_horizon
+        if pole_eq is not None:
+            north = pole_eq - np.sum(pole_eq * zenith_eq, axis=-1, keepdims=True) * zenith_eq
+            east = np.cross(north, zenith_eq)
+            azimuth_rad = np.arctan2(np.sum(direction_eq * east, axis=-1), np.sum(direction_eq * north, axis=-1))
+            return np.asarray(sine - np.sin(self.profile.altitude_rad(azimuth_rad)))
         x, y, z = np.moveaxis(direction_eq, -1, 0)
         zenith_x, zenith_y, zenith_z = np.moveaxis(zenith_eq, -1, 0)
         # East and north of the zenith, of equal length: the pole is (0, 0, 1).
@@ -200,7 +213,8 @@ class Pointing:
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         refraction = np.where(self._height(sine_altitude, refraction) < 0, np.nan, refraction)
         if self.profile is not None:
-            above = self.above_horizon(direction, self.zenith_eq, _sine_apparent(sine_altitude, refraction))
+            sine = _sine_apparent(sine_altitude, refraction)
+            above = self.above_horizon(direction, self.zenith_eq, sine, self.pole_eq)
             refraction = np.where(above < 0, np.nan, refraction)
         observed = direction + refraction[:, np.newaxis] * self.zenith_eq
         return np.asarray(np.einsum("nij,nj->ni", self.C_camera_eq, observed))

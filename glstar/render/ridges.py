@@ -137,11 +137,13 @@ def divided(trails: AnalyticSegments, parts: NDArray[np.intp]) -> AnalyticSegmen
     between /= np.linalg.norm(between, axis=2, keepdims=True).mean(axis=1, keepdims=True)
     zenith, velocity = (_between(v, segment, elapsed) for v in (pointing.zenith_eq, pointing.velocity_eq))
     unit_zenith = zenith / np.linalg.norm(zenith, axis=1, keepdims=True)
+    pole = pointing.pole_eq
     fine = replace(
         pointing,
         C_camera_eq=np.concatenate([between, C[-1:]]),
         zenith_eq=np.concatenate([unit_zenith, pointing.zenith_eq[-1:]]),
         velocity_eq=np.concatenate([velocity, pointing.velocity_eq[-1:]]),
+        pole_eq=None if pole is None else np.concatenate([_between(pole, segment, elapsed), pole[-1:]]),
     )
     return AnalyticSegments(fine, np.repeat(trails.time_fraction / parts, parts))
 

@@ -101,6 +101,8 @@ class Scene:
     q_aircraft_ned : (4,) float64 or None
         The attitude of the aircraft in the middle of the exposure where a gimbal carries the camera, and `q_body_ned`
         is that of its platform; None without a gimbal.
+    satellites : tuple of Scene
+        A scene of each satellite on the image, with its own motion.
     """
 
     stars: StarField
@@ -121,6 +123,7 @@ class Scene:
     motion: CameraMotion | None = None
     shorts: tuple["Scene", ...] = ()
     q_aircraft_ned: Float | None = None
+    satellites: tuple["Scene", ...] = ()
 
     @property
     def sine_horizon(self) -> float:
@@ -152,7 +155,8 @@ class Scene:
 
     def with_sensor(self, sensor: Sensor) -> Self:
         """Return the scene with another sensor that leaves the same signal, also in its short exposures."""
-        return replace(self, sensor=sensor, shorts=tuple(short.with_sensor(sensor) for short in self.shorts))
+        shorts, satellites = (tuple(one.with_sensor(sensor) for one in of) for of in (self.shorts, self.satellites))
+        return replace(self, sensor=sensor, shorts=shorts, satellites=satellites)
 
     @property
     def body_scene(self) -> "Scene | None":

@@ -1,5 +1,6 @@
 """From a flight and an exposure to a scene."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
@@ -21,6 +22,7 @@ from glstar.render.culling import DrawList, StarCuller, TouchingStars
 from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SegmentLimit, SpriteCost
 from glstar.render.pathfit import fitted_segments
 from glstar.render.pointing import Pointing
+from glstar.render.satellitemotion import SatelliteMotion, passing_satellites
 from glstar.render.scene import Scene, StarListing
 from glstar.render.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
 from glstar.render.stacking import StackedTrails, union
@@ -78,6 +80,8 @@ class Simulator:
         By the air above the aircraft; None for none.
     gimbal : Gimbal
         What carries the camera; `flight` has the attitude of its platform.
+    moving : SatelliteMotion or None
+        The motion of the camera against a satellite, if that is the only star.
     """
 
     flight: Flight
@@ -92,6 +96,7 @@ class Simulator:
     bodies: bool = False
     extinction: Extinction | None = None
     gimbal: Gimbal = NO_GIMBAL
+    moving: SatelliteMotion | None = None
 
     @classmethod
     def of(
@@ -169,7 +174,7 @@ class Simulator:
     @property
     def motion(self) -> CameraMotion:
         """The camera's orientation as a function of time."""
-        return CameraMotion(self.flight, self.sky, self.mount, self.pressure_hpa, self.temperature_c)
+        return self.moving or CameraMotion(self.flight, self.sky, self.mount, self.pressure_hpa, self.temperature_c)
 
     def pointing(self, utc_s: Float) -> Pointing:
         """Return the camera's orientation at some times.
@@ -219,8 +224,21 @@ class Simulator:
         `glstar.render.segmentation`.
         """
         self.camera.require_drawable()
-        if exposure.frames > 1:
-            return self._stacked(exposure)
+        scene = self._stacked(exposure) if exposure.frames > 1 else self._single(exposure)
+        if self.sky.satellites is None:
+            return scene
+        return replace(scene, satellites=tuple(self._satellite_scenes(exposure)))
+
+    def _satellite_scenes(self, exposure: Exposure) -> Iterator[Scene]:
+        """Yield the scene of each satellite that may be on the image."""
+        for moving in passing_satellites(self.motion, self.camera, exposure):
+            field, sky = moving.field(self.stars), replace(self.sky, satellites=None)
+            scene = replace(self, sky=sky, stars=field, bodies=False, moving=moving).scene(exposure)
+            if len(scene.visible):
+                yield scene
+
+    def _single(self, exposure: Exposure) -> Scene:
+        """Return the scene of one exposure, without satellites."""
         path = _TruePath(self, exposure)
         trails = None if exposure.trail == "sprites" else self._segments(exposure, path)
         if trails is None:

@@ -61,8 +61,8 @@ def trail_mask(scene: Scene) -> NDArray[np.uint16]:
     -------
     (height, width) uint16
         k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most noiseless signal of all stars,
-        and at least `mask_threshold_dn`; the entries of ``bodies`` are numbered after the stars.  0 elsewhere.  Only
-        the first 65535 entries are in the mask.
+        and at least `mask_threshold_dn`; the entries of ``bodies`` are numbered after the stars, and those of
+        ``satellites`` after them.  0 elsewhere.  Only the first 65535 entries are in the mask.
 
     Notes
     -----
@@ -71,29 +71,32 @@ def trail_mask(scene: Scene) -> NDArray[np.uint16]:
     """
     shape = scene.camera.height_px, scene.camera.width_px
     mask, strongest_dn = np.zeros(shape, np.uint16), np.full(shape, mask_threshold_dn(scene), np.float32)
-    first = _add_stars(mask, strongest_dn, scene)
+    first = _add_stars(mask, strongest_dn, scene, 0)
     bodies = scene.body_scene
     if bodies is not None:
-        _add_bodies(mask, strongest_dn, bodies, first)
+        first += _add_bodies(mask, strongest_dn, bodies, first)
+    for satellite in scene.satellites:
+        first += _add_stars(mask, strongest_dn, satellite, first)
     return mask
 
 
-def _add_stars(mask: NDArray[np.uint16], strongest_dn: NDArray[np.float32], scene: Scene) -> int:
+def _add_stars(mask: NDArray[np.uint16], strongest_dn: NDArray[np.float32], scene: Scene, first: int) -> int:
     """Mark the trails of the stars that truth lists; return their number."""
     listed = np.flatnonzero(TrailStatistics(scene).touching)
     flux_dn = _flux_dn(scene)[listed]
     for number, patch in _signals(scene, listed, flux_dn, float(strongest_dn.min())):
-        if number < MOST_TRAILS:
-            patch.mark(mask, strongest_dn, number + 1)
+        if first + number < MOST_TRAILS:
+            patch.mark(mask, strongest_dn, first + number + 1)
     return len(listed)
 
 
-def _add_bodies(mask: NDArray[np.uint16], strongest_dn: NDArray[np.float32], sources: Scene, first: int) -> None:
-    """Mark the bodies that truth lists, each the sum of its sources."""
+def _add_bodies(mask: NDArray[np.uint16], strongest_dn: NDArray[np.float32], sources: Scene, first: int) -> int:
+    """Mark the bodies that truth lists, each the sum of its sources; return their number."""
     body = sources.stars.star_id[sources.visible]
     touching = TrailStatistics(sources).touching > 0
     flux_dn = _flux_dn(sources)
-    for number, which in enumerate(np.unique(body[touching]).tolist()):
+    listed = np.unique(body[touching]).tolist()
+    for number, which in enumerate(listed):
         total = np.zeros(mask.shape, np.float32)
         of_body = np.flatnonzero(touching & (body == which))
         for _, patch in _signals(sources, of_body, flux_dn[of_body], float(strongest_dn.min()) / len(of_body)):
@@ -101,6 +104,7 @@ def _add_bodies(mask: NDArray[np.uint16], strongest_dn: NDArray[np.float32], sou
         if first + number < MOST_TRAILS:
             dominant = total > strongest_dn
             mask[dominant], strongest_dn[dominant] = first + number + 1, total[dominant]
+    return len(listed)
 
 
 def _flux_dn(scene: Scene) -> Float:

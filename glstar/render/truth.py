@@ -12,18 +12,20 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.camera.vignetting import Vignetting
 from glstar.render.bodysources import BodySources, centre_source, disc_on_image
-from glstar.render.cloudedsky import scene_passage, scene_scintillation
+from glstar.render.cloudedsky import scene_cloud, scene_passage, scene_scintillation
 from glstar.render.clouds import CloudPassage
 from glstar.render.effects import effects_truth
 from glstar.render.effects.cloudtexture import sky_fraction
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.rowtimes import exposed_fraction, recorded_rows, rolling_frame_keys, row_columns
+from glstar.render.satellitemotion import SatelliteMotion
 from glstar.render.scene import Frame, Scene
 from glstar.render.stacking import stacked_frame_keys, stacked_segments
 from glstar.render.trailpeaks import TrailPeaks, trail_peaks
 from glstar.render.trailstatistics import Pixels, TrailStatistics
 from glstar.render.truthtable import rows_of
 from glstar.sky.bodies import Body
+from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 from glstar.sky.timescale import format_utc
 
 __all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "camera_keys", "frame_truth", "trail_centroids"]
@@ -94,7 +96,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; ``bodies`` with ``[sky] bodies``: `_body`.
+        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; ``bodies`` with ``[sky] bodies``: `_body`;
+        ``satellites`` with ``[sky] satellites``: `_satellites`.
     """
     truth = {
         "schema": SCHEMA,
@@ -103,6 +106,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         **_frame_keys(scene, frame.seed),
         "stars": orjson.Fragment(_stars(scene, frame)),
         **_sky_keys(scene, _to_test(frame)),
+        **_satellites(scene, frame),
         **effects_truth(scene),
         **(about or {}),
     }
@@ -238,7 +242,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn) * factor),
             **{key: _rounded(xy) for key, xy in stacked_segments(scene, index, recorded).items()},
             **_widths(scene, drawn),
-            **_cloud_columns(passage),
+            **_cloud_columns(scene_cloud(scene, scene.stars.direction_eq[index])),
             **{key: _rounded(values) for key, values in scene_scintillation(scene, index).items()},
             **({} if transmission is None else {"transmission": _rounded(transmission)}),
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
@@ -307,6 +311,36 @@ def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
     if scene.bodies is not None:
         keys["bodies"] = _bodies(scene, scene.bodies, pixels)
     return keys
+
+
+def _satellites(scene: Scene, frame: Frame) -> dict[str, Any]:
+    """Return the satellites whose light touches the image, each with the keys of a star; nothing if none is simulated.
+
+    ``range_km``, ``azimuth_deg`` and ``altitude_deg`` (without refraction) are those of the middle of the exposure,
+    ``vmag`` is the brightest of the exposure in sunlight, and ``lit`` the mean of its light over that.
+    """
+    sky = scene.observing_sky
+    if sky is None or sky.satellites is None:
+        return {}
+    listed = []
+    for one in scene.satellites:
+        motion, rows = one.motion, orjson.loads(_stars(one, frame))
+        assert isinstance(motion, SatelliteMotion)
+        exposure = scene.exposure
+        seen = motion.seen(np.array([exposure.mid_utc_s]))
+        C_ned_eq = sky.C_ned_eq([exposure.mid_utc_s], scene.site.latitude_rad, scene.site.longitude_rad)[0]
+        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_ned_eq @ seen.direction_eq[0])
+        lit = motion.light(exposure, motion.light_times(exposure)).mean[0]
+        about = {
+            "range_km": round(float(seen.range_km[0]), 3),
+            "azimuth_deg": round(float(np.rad2deg(azimuth_rad)), _DIGITS),
+            "altitude_deg": round(float(np.rad2deg(altitude_rad)), _DIGITS),
+            "lit": round(float(lit), _DIGITS),
+        }
+        for row in rows:
+            number = row.pop("star_id")
+            listed.append({"name": motion.satellite.name, "satellite_number": number, **row, **about})
+    return {"satellites": listed}
 
 
 def _bodies(scene: Scene, bodies: BodySources, pixels: Pixels) -> list[dict[str, Any]]:

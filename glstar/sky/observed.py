@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import lru_cache
 from math import sin
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,9 @@ from glstar.sky.horizon import (
 from glstar.sky.horizonprofile import HorizonProfile
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
+
+if TYPE_CHECKING:
+    from glstar.sky.satellites import Satellites
 
 __all__ = ["SIDEREAL_RAD_PER_S", "ObservedPlaces", "Sky", "sun_altitude_rad"]
 
@@ -77,6 +81,7 @@ class Sky:
         Whether the horizon lies below the horizontal, as seen from a height.
     profile : HorizonProfile or None
         The horizon by azimuth; None for one of equal altitude all around.
+    satellites : Satellites or None
 
     Raises
     ------
@@ -90,6 +95,7 @@ class Sky:
     refraction: bool = True
     dip: bool = False
     profile: HorizonProfile | None = None
+    satellites: "Satellites | None" = None
 
     def __post_init__(self) -> None:
         if self.dut1_s is not None and not abs(self.dut1_s) <= 1:

@@ -32,7 +32,7 @@ __all__ = [
 # Times with a smaller difference, s, are equal: the resolution of a float64 for today's seconds since 1970 is 0.24 us.
 CLOCK_GRAIN_S: Final = 1e-6
 
-_UNIX_EPOCH_JD = 2440587.5
+UNIX_EPOCH_JD = 2440587.5
 _J2000_JD = 2451545.0
 _DAY_S = 86400.0
 # Range of times that users may give, UTC seconds since 1970; the paper's polynomials are accurate in this range.
@@ -224,7 +224,7 @@ def ut1_julian_date(utc_s: float, dut1_s: float = 0.0) -> JulianDate:
 
 def _julian_date(utc_s: float, delay_s: float) -> JulianDate:
     day = floor(utc_s / _DAY_S)
-    return _UNIX_EPOCH_JD + day, (utc_s - day * _DAY_S + delay_s) / _DAY_S
+    return UNIX_EPOCH_JD + day, (utc_s - day * _DAY_S + delay_s) / _DAY_S
 
 
 def centuries_since_j2000(julian_date: JulianDate) -> float:

@@ -180,7 +180,7 @@ def _draw_axis(canvas: Canvas, _: DrawingInputs) -> None:
 
 
 def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
-    """Write the names of bright stars beyond the start of their trails, or the end, or beside the middle."""
+    """Write the names of bright stars beyond an end of their trails or beside the middle, and of satellites."""
     stars, visible = canvas.scene.stars, canvas.scene.visible
     bright = np.flatnonzero(stars.vmag[visible] <= inputs.name_vmag_limit)
     bright = bright[np.argsort(stars.vmag[visible[bright]], kind="stable")]
@@ -195,6 +195,10 @@ def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
     for i in np.flatnonzero(inside.any(axis=0)).tolist():
         if name := stars.name[visible[bright[i]]]:
             canvas.label(name, xy[i], anchor[i])
+    for one in canvas.scene.satellites:
+        (at,) = one.camera.project(one.shutter[1:2].to_camera(one.stars.direction_eq))[0]
+        if canvas.region.contains(at):
+            canvas.label(one.stars.name[0], at.tolist(), (0.0, 0.0))
 
 
 def _draw_constellation_names(canvas: Canvas, inputs: DrawingInputs) -> None:

@@ -69,6 +69,7 @@ IMPORTED_IN = {
     "tifffile": ["export", "images"],
     "scipy": ["calibrate", "compare", "flight", "render"],
     "tetra3rs": ["calibrate"],
+    "sgp4": ["sky"],
     "astropy": ["sky"],
     "distributed": ["export"],
     "orjson": ["export", "render", "score"],

@@ -190,7 +190,8 @@ class DistortionPass:
         draw_list = scene.draw_list
         draw_list = replace(draw_list, truncation_radius_px=oversampling * draw_list.truncation_radius_px)
         bodies = None if scene.bodies is None else scene.bodies.magnified(oversampling)
-        return replace(scene, camera=camera, sensor=sensor, draw_list=draw_list, bodies=bodies)
+        satellites = tuple(self._made_undistorted(one, whole) for one in scene.satellites)
+        return replace(scene, camera=camera, sensor=sensor, draw_list=draw_list, bodies=bodies, satellites=satellites)
 
     def resampling_px2(self, sensor: Sensor) -> float:
         """Return the variance that resampling adds to the undistorted signal, px^2 of its target.

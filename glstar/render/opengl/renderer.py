@@ -433,8 +433,8 @@ class GLRenderer:
 
 
 def _largest(scene: Scene) -> tuple[float, float]:
-    """Return the largest truncation radius, px, and the brightest magnitude of a scene's stars and bodies."""
-    fields = [scene] if scene.body_scene is None else [scene, scene.body_scene]
+    """Return the largest truncation radius, px, and the brightest magnitude of all that a scene draws."""
+    fields = [scene, *([] if scene.body_scene is None else [scene.body_scene]), *scene.satellites]
     radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
     return radius_px, min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
 

@@ -12,7 +12,7 @@ __all__ = ["STARS_PER_ROW", "StarTextures"]
 # Columns of the texture of all stars.
 STARS_PER_ROW: Final = 1024
 # Star fields that stay uploaded: the stars, which stay for a flight, and the bodies of a scene.
-_MOST_FIELDS: Final = 2
+_MOST_FIELDS: Final = 8
 
 
 class StarTextures:

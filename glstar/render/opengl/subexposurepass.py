@@ -22,7 +22,7 @@ SUB_EXPOSURES_PER_SPRITE: Final = 4
 # Rows of the texture of orientations, which every driver supports; longer exposures take several draw calls.
 _SUB_EXPOSURES_PER_CALL: Final = 1024
 # Star fields that stay uploaded.
-_MOST_FIELDS: Final = 2
+_MOST_FIELDS: Final = 8
 
 
 class SubExposurePass:
