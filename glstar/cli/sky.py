@@ -5,10 +5,11 @@ import io
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 import typer
@@ -93,37 +94,62 @@ def sky(
     """
     if not np.isfinite(vmag):
         raise ConfigError(f"--vmag {vmag} is no magnitude; 6.5 is the faintest that an eye sees")
+    if satellites is not None and bodies:
+        raise typer.BadParameter("and --bodies list different things; leave one out", param_hint="--satellites")
     utc_s = parse_known_utc(utc) if utc else time.time()
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
     echo_catalogue_note(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
     of_date = Sky(chosen, ASTROMETRY[astrometry.value], dut1)
-    known = None if satellites is None else Satellites.open(satellites, satellite_mag)
-    if known is not None and bodies:
-        raise typer.BadParameter("and --bodies list different things; leave one out", param_hint="--satellites")
-    if known is not None:
-        rows, columns = satellite_rows(known, of_date, utc_s, site, everything=everything), SATELLITE_COLUMNS
+    if satellites is not None:
+        known = Satellites.open(satellites, satellite_mag)
+        listing = _of_satellites(known, of_date, utc_s, site, everything=everything)
     elif bodies:
-        rows, columns = body_rows(of_date, utc_s, site), BODY_COLUMNS
+        listing = _of_bodies(of_date, utc_s, site)
     else:
-        rows, columns = _rows(of_date.observed_places(utc_s, site), everything=everything), _COLUMNS
-    if (format_ := _format_of(format_, as_json=as_json)) is _Format.json:
-        json.dump(rows, sys.stdout, ensure_ascii=False, indent=1)
+        listing = _of_stars(of_date, utc_s, site, vmag, everything=everything)
+    title = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}"
+    _print(listing, _format_of(format_, as_json=as_json), title, _ut1_label(dut1, utc_s))
+
+
+class _Listing(NamedTuple):
+    """What is printed: rows, their columns, a function of title and UT1 to a table, and why there are no rows."""
+
+    rows: list[Row]
+    columns: Sequence[str]
+    table: Callable[[str, str], Table]
+    why_none: str
+
+
+def _of_stars(sky: Sky, utc_s: float, site: Site, vmag: float, *, everything: bool) -> _Listing:
+    rows = _rows(sky.observed_places(utc_s, site), everything=everything)
+    return _Listing(rows, _COLUMNS, partial(_star_table, rows), _why_none(len(sky.catalogue), vmag))
+
+
+def _of_bodies(sky: Sky, utc_s: float, site: Site) -> _Listing:
+    rows = body_rows(sky, utc_s, site)
+    return _Listing(rows, BODY_COLUMNS, lambda title, ut1: body_table(rows, title, ut1, utc_s), "")
+
+
+def _of_satellites(known: Satellites, sky: Sky, utc_s: float, site: Site, *, everything: bool) -> _Listing:
+    rows = satellite_rows(known, sky, utc_s, site, everything=everything)
+    none_up = "no satellite is above the horizon; --all shows them too"
+    note = known.age_note(utc_s)
+    return _Listing(rows, SATELLITE_COLUMNS, lambda title, ut1: satellite_table(rows, title, note or ut1), none_up)
+
+
+def _print(listing: _Listing, format_: _Format, title: str, ut1: str) -> None:
+    if format_ is _Format.json:
+        json.dump(listing.rows, sys.stdout, ensure_ascii=False, indent=1)
         typer.echo()
     elif format_ is _Format.csv:
-        typer.echo(_csv(rows, columns), nl=False)
+        typer.echo(_csv(listing.rows, listing.columns), nl=False)
     else:
-        title, ut1 = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}", _ut1_label(dut1, utc_s)
-        if known is not None:
-            table = satellite_table(rows, title, known.age_note(utc_s))
-        else:
-            table = body_table(rows, title, ut1, utc_s) if bodies else _star_table(rows, title, ut1)
         # A pipe has no width: use one that is wide enough for all columns.
-        Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
-    if not rows:
-        none_up = "no satellite is above the horizon; --all shows them too"
-        typer.echo(f"glstar: {_why_none(len(chosen), vmag) if known is None else none_up}", err=True)
+        Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(listing.table(title, ut1))
+    if not listing.rows:
+        typer.echo(f"glstar: {listing.why_none}", err=True)
 
 
 def _format_of(format_: _Format, *, as_json: bool) -> _Format:

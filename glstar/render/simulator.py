@@ -1,6 +1,5 @@
 """From a flight and an exposure to a scene."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
@@ -227,15 +226,11 @@ class Simulator:
         scene = self._stacked(exposure) if exposure.frames > 1 else self._single(exposure)
         if self.sky.satellites is None:
             return scene
-        return replace(scene, satellites=tuple(self._satellite_scenes(exposure)))
-
-    def _satellite_scenes(self, exposure: Exposure) -> Iterator[Scene]:
-        """Yield the scene of each satellite that may be on the image."""
-        for moving in passing_satellites(self.motion, self.camera, exposure):
-            field, sky = moving.field(self.stars), replace(self.sky, satellites=None)
-            scene = replace(self, sky=sky, stars=field, bodies=False, moving=moving).scene(exposure)
-            if len(scene.visible):
-                yield scene
+        # Each with the motion of the camera against it, as the only star.
+        alone = replace(self, sky=replace(self.sky, satellites=None), bodies=False)
+        passing = passing_satellites(self.motion, self.camera, exposure)
+        made = [replace(alone, stars=one.field(self.stars), moving=one).scene(exposure) for one in passing]
+        return replace(scene, satellites=tuple(one for one in made if len(one.visible)))
 
     def _single(self, exposure: Exposure) -> Scene:
         """Return the scene of one exposure, without satellites."""

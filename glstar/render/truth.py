@@ -96,8 +96,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; ``bodies`` with ``[sky] bodies``: `_body`;
-        ``satellites`` with ``[sky] satellites``: `_satellites`.
+        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; with them `_body` and `_satellites`.
     """
     truth = {
         "schema": SCHEMA,
@@ -105,8 +104,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "file": file,
         **_frame_keys(scene, frame.seed),
         "stars": orjson.Fragment(_stars(scene, frame)),
-        **_sky_keys(scene, _to_test(frame)),
-        **_satellites(scene, frame),
+        **(_sky_keys(scene, _to_test(frame)) | _satellites(scene, frame)),
         **effects_truth(scene),
         **(about or {}),
     }

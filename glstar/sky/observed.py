@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from functools import lru_cache
 from math import sin
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,11 +21,9 @@ from glstar.sky.horizon import (
     refraction_scale,
 )
 from glstar.sky.horizonprofile import HorizonProfile
+from glstar.sky.satellites import Satellites
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
-
-if TYPE_CHECKING:
-    from glstar.sky.satellites import Satellites
 
 __all__ = ["SIDEREAL_RAD_PER_S", "ObservedPlaces", "Sky", "sun_altitude_rad"]
 
@@ -95,7 +92,7 @@ class Sky:
     refraction: bool = True
     dip: bool = False
     profile: HorizonProfile | None = None
-    satellites: "Satellites | None" = None
+    satellites: Satellites | None = None
 
     def __post_init__(self) -> None:
         if self.dut1_s is not None and not abs(self.dut1_s) <= 1:

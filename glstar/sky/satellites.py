@@ -6,7 +6,7 @@ from functools import lru_cache
 from math import pi, radians
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import erfa
 import numpy as np
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
 from glstar.rotation import about_z
+from glstar.sky.earthorientation import EarthOrientation
 from glstar.sky.geodesy import geocentric_m
 from glstar.sky.horizon import C_ned_eq
-from glstar.sky.observed import Sky
 from glstar.sky.site import Site
 from glstar.sky.timescale import UNIX_EPOCH_JD
 
@@ -35,6 +35,18 @@ _VALID_DAYS: Final = 14.0
 _LINE_LENGTH: Final = 69
 # Relative speed of a satellite and the ground at most, km/s.
 _FASTEST_KM_PER_S: Final = 12.0
+
+
+class EarthFrames(Protocol):
+    """What satellites need of `glstar.sky.observed.Sky`: how the Earth is turned."""
+
+    def earth(self, utc_s: float) -> EarthOrientation:
+        """Return the Earth orientation parameters at one time."""
+        ...
+
+    def C_ned_eq(self, utc_s: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> Float:
+        """Return the matrices from the true equator and equinox to north, east, down."""
+        ...
 
 
 class SatelliteView(NamedTuple):
@@ -75,13 +87,13 @@ class Satellite:
     standard_mag: float
 
     def seen(
-        self, sky: Sky, utc_s: Float, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike
+        self, sky: EarthFrames, utc_s: Float, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike
     ) -> SatelliteView:
         """Return how the satellite is seen at some times.
 
         Parameters
         ----------
-        sky : Sky
+        sky : EarthFrames
             With the orientation of the Earth.
         utc_s : (n,) float64
             UTC seconds since 1970, within minutes of each other.
@@ -144,13 +156,13 @@ class Satellites:
             raise ConfigError(f"{file} is no text file; two-line elements are", key=_KEY) from error
 
     def near(
-        self, sky: Sky, utc_s: float, span_s: float, site: Site, towards_eq: Float, angle_rad: float
+        self, sky: EarthFrames, utc_s: float, span_s: float, site: Site, towards_eq: Float, angle_rad: float
     ) -> Iterator[Satellite]:
         """Yield the satellites that may be above the horizon and near a direction during an exposure.
 
         Parameters
         ----------
-        sky : Sky
+        sky : EarthFrames
         utc_s : float
             The middle of the exposure, UTC seconds since 1970.
         span_s : float
@@ -169,9 +181,9 @@ class Satellites:
         propagators = [_propagator(one.lines) for one in self.satellites]
         seen = _seen(propagators, sky, np.array([utc_s]), place)
         moved_rad = np.arcsin(np.minimum(_FASTEST_KM_PER_S * span_s / 2 / seen.range_km, 1.0))
-        apart_rad = np.arccos(np.clip(seen.direction_eq @ towards_eq, -1, 1))
+        separation_rad = np.arccos(np.clip(seen.direction_eq @ towards_eq, -1, 1))
         # NaN, of an orbit that has ended, is not near.
-        for number in np.flatnonzero(apart_rad < angle_rad + moved_rad).tolist():
+        for number in np.flatnonzero(separation_rad < angle_rad + moved_rad).tolist():
             yield self.satellites[number]
 
     def ages_days(self, utc_s: float) -> Float:
@@ -236,8 +248,8 @@ def lit_fraction(geocentric_eq_km: Float, sun_eq: Float) -> Float:
     """
     distance_km = np.linalg.norm(geocentric_eq_km, axis=-1)
     earth_rad = np.arcsin(np.minimum(_EARTH_KM / distance_km, 1.0))
-    apart_rad = np.arccos(np.clip(-(geocentric_eq_km @ sun_eq) / distance_km, -1, 1))
-    x = np.clip((apart_rad - earth_rad) / _SUN_RAD, -1, 1)
+    separation_rad = np.arccos(np.clip(-(geocentric_eq_km @ sun_eq) / distance_km, -1, 1))
+    x = np.clip((separation_rad - earth_rad) / _SUN_RAD, -1, 1)
     return np.asarray(0.5 + (np.arcsin(x) + x * np.sqrt(1 - x * x)) / pi)
 
 
@@ -264,7 +276,7 @@ def visible_vmag(satellite: Satellite, view: SatelliteView, sun_eq: Float) -> tu
 
 
 def _seen(
-    propagators: Sequence[Any], sky: Sky, utc_s: Float, place: tuple[ArrayLike, ArrayLike, ArrayLike]
+    propagators: Sequence[Any], sky: EarthFrames, utc_s: Float, place: tuple[ArrayLike, ArrayLike, ArrayLike]
 ) -> SatelliteView:
     """Return how several satellites are seen at one time, or one at several times."""
     latitude_rad, longitude_rad, height_m = (np.asarray(of, dtype=np.float64) for of in place)

@@ -39,7 +39,7 @@ EARTH_KM = 6371.0
 def simulator_of(
     tmp_path: Path, *, yaw_deg: float = 320.0, turn_rad_per_s: float = 0.0, effects=None, lens=None, bits: int = 16
 ) -> Simulator:
-    """Return a simulator of a camera that looks at the pass, without stars above the horizon."""
+    """Return a simulator of a camera towards the pass, without stars above the horizon."""
     path = tmp_path / "pass.tle"
     path.write_text(elements(PASS), encoding="utf-8")
     sky = Sky(StarCatalogue.open("bsc5").by_id([2061]), dut1_s=dut1_s(HIGH_S), refraction=False, dip=False)

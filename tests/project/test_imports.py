@@ -256,6 +256,7 @@ def test_what_is_imported_is_declared() -> None:
             "pyvirtualcam",
             "rawpy",
             "rosbags",
+            "sgp4",
             "tomli_w",
             "zlib_ng",
             "zmq",
