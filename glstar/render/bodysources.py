@@ -15,10 +15,12 @@ from glstar.render.pointing import Pointing
 from glstar.sky.bodies import Body
 from glstar.sky.starfield import StarField
 
-__all__ = ["BodySources", "body_field", "centre_source", "disc_on_image", "disc_sources"]
+__all__ = ["BODIES", "BodySources", "body_field", "centre_source", "disc_on_image", "disc_sources"]
 
 Float = NDArray[np.float64]
 
+# The catalogue of the sources.
+BODIES: Final = "bodies"
 # Distance between the sources of a disc, in sigma of a star's image.  At 0.75 the sum of Gaussians has no ripple; what
 # remains is the disc's edge, 1 % of its brightest pixel.
 _SPACING_SIGMA: Final = 0.75
@@ -89,7 +91,7 @@ def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, nea
     ]
     number = np.repeat(np.arange(len(bodies), dtype=np.int32), [len(vmag) for _, vmag in parts])
     return StarField(
-        catalogue="bodies",
+        catalogue=BODIES,
         star_id=number,
         name=tuple(bodies[k].name for k in number),
         vmag=np.concatenate([vmag for _, vmag in parts]),

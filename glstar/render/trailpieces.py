@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
+from glstar.camera.sensor import TRUNCATION_DN
+from glstar.render.bodysources import BODIES
+from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.horizoncrossing import NEVER, rise_and_set
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
@@ -19,6 +22,8 @@ from glstar.render.starpaths import parameter_at
 from glstar.render.trailmodels import AnalyticSegments
 
 __all__ = [
+    "FAINT_LIMITS",
+    "FAINT_PEAK_DN",
     "PIECES_PER_SPRITE",
     "PIECE_COSTS",
     "PIECE_LIMITS",
@@ -26,6 +31,7 @@ __all__ = [
     "DividedScene",
     "PieceCosts",
     "PieceLimits",
+    "ScenePart",
     "TrailPieces",
     "in_pieces",
     "trail_pieces",
@@ -83,14 +89,21 @@ class PieceCosts:
     min_segments : int
         The fewest segments.
     pieces_per_segment : float
-        The most pieces per segment: twelve cost as much as one of the longest.
+        The most pieces per segment: twenty cost as much as one of the longest.
+    min_faint_sprites : float
+        Sprites that cost as much as pieces of another length, and their draw call.
     """
 
     min_segments: int = 6
-    pieces_per_segment: float = 12.0
+    pieces_per_segment: float = 18.0
+    min_faint_sprites: float = 1500.0
 
 
 PIECE_LIMITS: Final = PieceLimits()
+# Of stars whose trails are faint everywhere: a ripple of 1.3 % and third moments of 1 % stay below `TRUNCATION_DN`, as
+# does the light that is left out around a star.
+FAINT_LIMITS: Final = PieceLimits(length_sigma=2.4, error=0.01)
+FAINT_PEAK_DN: Final = 40 * TRUNCATION_DN
 PIECE_COSTS: Final = PieceCosts()
 # Pieces that one point sprite draws.
 PIECES_PER_SPRITE: Final = 4
@@ -133,22 +146,27 @@ class TrailPieces:
         return len(self.time_fraction)
 
 
+class ScenePart(NamedTuple):
+    """Stars that are drawn in pieces of the same lengths."""
+
+    scene: Scene
+    pieces: TrailPieces
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DividedScene:
     """A scene whose stars are drawn in pieces, but for some.
 
     Attributes
     ----------
-    scene : Scene
-        The stars that are drawn in pieces.
-    pieces : TrailPieces
+    parts : tuple of ScenePart
+        The stars that are drawn in pieces: all of them, or bright and faint ones.
     rest : Scene
         Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
         whose sprites would be larger than the driver draws.
     """
 
-    scene: Scene
-    pieces: TrailPieces
+    parts: tuple[ScenePart, ...]
     rest: Scene
 
 
@@ -175,17 +193,53 @@ def in_pieces(
     sensor, drawn = scene.sensor, scene.draw_list
     if sensor.needs_erf or len(trails) < costs.min_segments:
         return None
+    rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
+    is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)
+    parts, is_rest = [], ~is_up
+    for of_part, limits in _classes(
+        trails.longest_trail_px(scene.camera), is_up, is_faint, sensor.effective_sigma_px, costs
+    ):
+        fits = limits.sprite_px(drawn.truncation_radius_px, sensor.effective_sigma_px) <= largest_point_px
+        part = _part(scene, trails, of_part & fits, limits, costs)
+        if part is None:
+            return None
+        parts.append(part)
+        is_rest |= of_part & ~fits
+    return DividedScene(tuple(parts), replace(scene, draw_list=drawn[is_rest]))
+
+
+def _classes(
+    trail_px: float, is_up: NDArray[np.bool_], is_faint: NDArray[np.bool_], sigma_px: float, costs: PieceCosts
+) -> list[tuple[NDArray[np.bool_], PieceLimits]]:
+    """Return which stars are drawn in pieces of which lengths; faint ones as others where few sprites are saved."""
+    saved_per_px = (1 / PIECE_LIMITS.length_sigma - 1 / FAINT_LIMITS.length_sigma) / (sigma_px * PIECES_PER_SPRITE)
+    if np.count_nonzero(is_up & is_faint) * trail_px * saved_per_px < costs.min_faint_sprites:
+        return [(is_up, PIECE_LIMITS)]
+    classes = [(is_up & ~is_faint, PIECE_LIMITS), (is_up & is_faint, FAINT_LIMITS)]
+    return [one for one in classes if one[0].any()]
+
+
+def _are_faint(scene: Scene) -> NDArray[np.bool_]:
+    """Return whose trails are below `FAINT_PEAK_DN` everywhere, (k,); of the sources of a disc, which add up, none."""
+    drawn = scene.draw_list
+    if scene.stars.catalogue == BODIES:
+        return np.zeros(len(drawn), np.bool_)
+    peak_dn = scene.sensor.max_trail_peak_dn(drawn_peak_dn(scene), drawn.min_trail_px)
+    return np.asarray(peak_dn < FAINT_PEAK_DN)
+
+
+def _part(
+    scene: Scene, trails: AnalyticSegments, stars: NDArray[np.bool_], limits: PieceLimits, costs: PieceCosts
+) -> ScenePart | None:
+    """Return some stars in pieces; None where segments cost less."""
+    drawn, sigma_px = scene.draw_list[stars], scene.sensor.effective_sigma_px
     most, divided_at = costs.pieces_per_segment * len(trails), _unlike_segments(drawn.passage)
-    pieces = trail_pieces(trails, scene.camera, sensor.effective_sigma_px, most=most, divided_at=divided_at)
+    pieces = trail_pieces(trails, scene.camera, sigma_px, limits, most=most, divided_at=divided_at)
     if pieces is None:
         return None
     if drawn.passage is not None:
         drawn = replace(drawn, passage=(drawn.passage @ pieces.of_segments).astype(np.float32))
-    rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
-    is_divided = (rises == 0.0) & (sets == NEVER)
-    is_divided &= PIECE_LIMITS.sprite_px(drawn.truncation_radius_px, sensor.effective_sigma_px) <= largest_point_px
-    rest = replace(scene, draw_list=scene.draw_list[~is_divided])
-    return DividedScene(replace(scene, draw_list=drawn[is_divided]), pieces, rest)
+    return ScenePart(replace(scene, draw_list=drawn), pieces)
 
 
 def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import TRUNCATION_DN
+from glstar.render.bodysources import BODIES
 from glstar.render.trailpieces import (
+    FAINT_LIMITS,
+    FAINT_PEAK_DN,
     PIECE_LIMITS,
     PIECES_PER_SPRITE,
     SNAPPING_PX,
@@ -86,10 +90,12 @@ def test_pieces_are_drawn_where_they_cost_less_and_the_stars_are_wide_enough():
     scene = rough(200.0).scene(Exposure(NIGHT_UTC_S + 0.213, 0.5, trail="analytic"))
     divided = in_pieces(scene, scene.trails)
     assert divided is not None
-    assert len(divided.scene.draw_list) + len(divided.rest.draw_list) == len(scene.draw_list)
+    assert sum(len(part.scene.draw_list) for part in divided.parts) + len(divided.rest.draw_list) == len(
+        scene.draw_list
+    )
     narrow = replace(scene, sensor=replace(scene.sensor, psf_sigma_px=0.6))
     assert in_pieces(narrow, scene.trails, FREE) is None
-    few = PieceCosts(pieces_per_segment=len(divided.pieces) / len(scene.trails) - 0.1)
+    few = PieceCosts(pieces_per_segment=len(divided.parts[0].pieces) / len(scene.trails) - 0.1)
     assert in_pieces(scene, scene.trails, few) is None
     steady = flown(np.arange(0.0, 1.0, 0.02), np.outer([0.1, 0.0, 0.0], np.arange(0.0, 1.0, 0.02))).scene(EXPOSURE)
     assert in_pieces(steady, steady.trails) is None
@@ -101,11 +107,61 @@ def test_a_piece_is_dimmed_by_the_cloud_of_its_own_segments():
     passage[:, 3:] = 0.5
     divided = in_pieces(replace(scene, draw_list=replace(scene.draw_list, passage=passage)), scene.trails, FREE)
     assert divided is not None
-    ends = np.cumsum(divided.pieces.time_fraction)
+    (part,) = divided.parts
+    ends = np.cumsum(part.pieces.time_fraction)
     edge = scene.trails.time_fraction[:3].sum()
     assert np.abs(ends - edge).min() < 1e-12
     expected = np.where(ends < edge + 1e-9, 1.0, 0.5)
-    np.testing.assert_allclose(divided.scene.draw_list.passage, np.tile(expected, (len(passage), 1)), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(part.scene.draw_list.passage, np.tile(expected, (len(passage), 1)), rtol=0, atol=1e-6)
+
+
+def flux_of(pieces: TrailPieces, direction_eq: np.ndarray, at_px: np.ndarray) -> np.ndarray:
+    """Return the flux of the pieces of a star at some pixels, (n,), of an amplitude of 1 if it did not move."""
+    centre_px = LENS.project(pieces.pointing.to_camera(direction_eq[np.newaxis]))[:, 0]
+    moved = per_turn_px(centre_px)
+    covariance_px2 = moved @ pieces.covariance_rad2 @ np.swapaxes(moved, 1, 2) + SIGMA_PX**2 * np.eye(2)
+    off_px = at_px[:, np.newaxis] - centre_px
+    exponent = np.einsum("nki,kij,nkj->nk", off_px, np.linalg.inv(covariance_px2), off_px) / 2
+    return np.exp(-exponent) @ (pieces.time_fraction * SIGMA_PX**2 / np.sqrt(np.linalg.det(covariance_px2)))
+
+
+@pytest.mark.parametrize(("limits", "fraction"), [(PIECE_LIMITS, 0.005), (FAINT_LIMITS, TRUNCATION_DN / FAINT_PEAK_DN)])
+@pytest.mark.parametrize("hz", [25.0, 200.0])
+def test_the_flux_of_pieces_is_that_of_the_path_within_what_its_brightness_allows(hz, limits, fraction):
+    trails = rough(hz).scene(EXPOSURE).trails
+    pieces = trail_pieces(trails, LENS, SIGMA_PX, limits)
+    (direction_eq,) = at_pixels(pieces, CORNERS_AND_MORE[-1:], len(pieces) // 2)
+    time = (np.arange(4000) + 0.5) / 4000
+    path_px = trails.positions(LENS, direction_eq[np.newaxis], time)[:, 0]
+    around_px = SIGMA_PX * np.random.default_rng(1).normal(size=(300, 2))
+    at_px = path_px[np.linspace(0, 3999, 300).astype(int)] + around_px
+    distance2_px2 = ((at_px[:, np.newaxis] - path_px) ** 2).sum(axis=-1)
+    expected = np.exp(-distance2_px2 / (2 * SIGMA_PX**2)).mean(axis=1)
+    largest = np.abs(flux_of(pieces, direction_eq, at_px) - expected).max() / expected.max()
+    assert largest < fraction
+    if limits is FAINT_LIMITS:
+        assert len(pieces) < 0.75 * len(trail_pieces(trails, LENS, SIGMA_PX))
+
+
+def test_only_stars_that_are_faint_everywhere_take_longer_pieces():
+    scene = rough(200.0).scene(EXPOSURE)
+    divided = in_pieces(scene, scene.trails, replace(FREE, min_faint_sprites=0.0))
+    assert divided is not None
+    bright, faint = divided.parts
+    assert len(faint.pieces) < len(bright.pieces)
+    for part, is_faint in ((bright, False), (faint, True)):
+        drawn, sensor = part.scene.draw_list, scene.sensor
+        peak_dn = sensor.peak_dn(drawn.observed_mag(scene.stars), EXPOSURE.duration_s)
+        assert len(drawn) > 0
+        assert ((sensor.max_trail_peak_dn(peak_dn, drawn.min_trail_px) < FAINT_PEAK_DN) == is_faint).all()
+    few = in_pieces(scene, scene.trails, replace(FREE, min_faint_sprites=1e6))
+    assert few is not None
+    assert [len(part.pieces) for part in few.parts] == [len(bright.pieces)]
+    # The sources of a disc are faint one by one, and bright together.
+    discs = replace(scene, stars=replace(scene.stars, catalogue=BODIES))
+    of_discs = in_pieces(discs, scene.trails, replace(FREE, min_faint_sprites=0.0))
+    assert of_discs is not None
+    assert [len(part.pieces) for part in of_discs.parts] == [len(bright.pieces)]
 
 
 def sprite_sides_px(pieces: TrailPieces, direction_eq: np.ndarray, radius_px: float) -> np.ndarray:
@@ -138,8 +194,8 @@ def test_stars_whose_sprites_are_larger_than_the_driver_draws_are_drawn_in_segme
     scene = replace(scene, draw_list=replace(scene.draw_list, truncation_radius_px=radius_px))
     divided = in_pieces(scene, scene.trails, FREE, largest_point_px=64.0)
     assert divided is not None
-    sigma_px = scene.sensor.effective_sigma_px
-    assert (PIECE_LIMITS.sprite_px(divided.scene.draw_list.truncation_radius_px, sigma_px) <= 64.0).all()
+    sigma_px, drawn = scene.sensor.effective_sigma_px, divided.parts[0].scene.draw_list
+    assert (PIECE_LIMITS.sprite_px(drawn.truncation_radius_px, sigma_px) <= 64.0).all()
     assert divided.rest.draw_list.truncation_radius_px.max() == 40.0
-    assert len(divided.scene.draw_list) + len(divided.rest.draw_list) == len(radius_px)
-    assert len(divided.scene.draw_list) > 0
+    assert len(drawn) + len(divided.rest.draw_list) == len(radius_px)
+    assert len(drawn) > 0

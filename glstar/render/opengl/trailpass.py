@@ -169,7 +169,8 @@ class TrailPass:
         if divided is None:
             self._draw_segments(scene, trails, light, guard_band_px, clock)
             return
-        self._piece_pass.draw(divided.scene, divided.pieces, light, guard_band_px)
+        for part in divided.parts:
+            self._piece_pass.draw(part.scene, part.pieces, light, guard_band_px)
         if len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
 
