@@ -211,6 +211,30 @@ def test_every_panel_responds_to_mouse_and_keys_in_a_small_window(tmp_path, disp
 
 
 @needs_xvfb
+def test_a_log_and_a_camera_are_dropped_onto_the_window(tmp_path, display):
+    drag_onto_window = pytest.importorskip("tests.support.dragsource", reason="needs python-xlib").drag_onto_window
+    number, places = display(1000, 700), Places(1000, 700)
+    narrow = tmp_path / "a camera.toml"
+    narrow.write_text("[camera]\nwidth_px = 640\nheight_px = 640\nfx_px = 900.0\nfy_px = 900.0\n", encoding="utf-8")
+    with started("view", "--size", "1000x700", display=number, home=tmp_path) as child:
+        window = RealWindow(number, tmp_path)
+        window.focus()
+        window.until(lambda screen: np.ptp(places.image(screen)) > 150, "the welcome panel")
+        drag_onto_window(number, asset("adelaide.BIN"), (300, 300))
+        window.until(places.has_status, "the flight that was dropped")
+        window.until(lambda screen: (places.image(screen).min(axis=2) > 200).sum() > 100, "stars")
+        wide = window.still()
+        drag_onto_window(number, narrow, (300, 300))
+        # A square image: the background of the window begins further inwards.
+        edge = slice(places.middle // 3, places.middle // 3 + 4)
+        assert np.ptp(wide[100:300, edge]) > 20
+        window.until(lambda screen: np.ptp(screen[100:300, edge]) < 12, "the square image of the camera")
+        window.press("ctrl+q")
+        assert child.wait(60) == 0
+        assert child.stderr.read() == b""
+
+
+@needs_xvfb
 def test_a_link_is_opened_from_the_dialog_and_saves_its_frames(tmp_path, display):
     number, places, port = display(1280, 800), Places(1280, 800), free_port()
     flight = Config().open_flight(asset("adelaide.BIN"))
