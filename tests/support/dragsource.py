@@ -33,7 +33,7 @@ def drag_onto_window(name: str, path: Path, place_px: tuple[int, int]) -> None:
 
 
 class _Drag:
-    """One drag: it offers the path, and hands it over when the window asks for it."""
+    """One drag: it offers the path, and passes it when the window asks for it."""
 
     def __init__(self, opened: Any, path: Path) -> None:
         self._display, self._path = opened, path
@@ -52,7 +52,7 @@ class _Drag:
             while self._display.pending_events():
                 received = self._display.next_event()
                 if received.type == X.SelectionRequest:
-                    self._hand_over(received)
+                    self._pass(received)
                 elif received.type == X.ClientMessage:
                     kind = self._display.get_atom_name(received.client_type)
                     if kind == "XdndStatus" and not dropped:
@@ -83,7 +83,7 @@ class _Drag:
         self._target.send_event(message, event_mask=0)
         self._display.flush()
 
-    def _hand_over(self, request: Any) -> None:
+    def _pass(self, request: Any) -> None:
         content = f"{self._path.as_uri()}\r\n".encode()
         request.requestor.change_property(request.property, request.target, 8, content)
         answer = event.SelectionNotify(
