@@ -16,6 +16,7 @@ from glstar.render.opengl import GLRenderer
 from glstar.viewer.photocalibration import with_calibration
 from tests.support.windowinput import press
 from tests.viewer.conftest import write_flight
+from tests.viewer.test_fitpanel import pressing
 
 FOCAL_PX = 560.0
 DRAWN = {
@@ -101,18 +102,15 @@ def test_a_dropped_photograph_is_calibrated_corrected_saved_and_applied(photogra
     assert calibrated.camera().fx_px == pytest.approx(FOCAL_PX, rel=5e-4)
 
     before = session.config
-    pressed, button = ["Apply to the camera"], imgui.button
-    monkeypatch.setattr(
-        imgui,
-        "button",
-        lambda label, *rest: button(label, *rest) or (label in pressed and pressed.remove(label) is None),
-    )
+    pressing(monkeypatch).add("Apply to the camera")
     calibrating.frame(0.0)
     calibrating.frame(0.0)
     assert session.config.camera() == calibrated.camera()
     assert session.config.sensor() == calibrated.sensor()
     press(calibrating, "Ctrl+Z")
     assert session.config == before
+    press(calibrating, "Escape")
+    assert not window.is_open
 
 
 def test_an_image_without_stars_gets_the_line_of_the_command(calibrating, tmp_path):

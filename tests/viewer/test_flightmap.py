@@ -13,6 +13,7 @@ from glstar.system.resources import asset
 from glstar.viewer.coastlines import Coastlines, MapLimits, graticule
 from glstar.viewer.footprint import ground_footprint
 from tests.support.windowinput import press, screen
+from tests.viewer.test_fitpanel import pressing
 from tests.viewer.test_flightpanel import _pixels_of, _write
 
 EQUATOR_M, E2 = 6378137.0, 0.00669437999014
@@ -176,6 +177,15 @@ def test_a_camera_that_points_down_shows_its_footprint(make_viewer, small, tmp_p
     assert len(_pixels_of(seen, FOOTPRINT)[0]) > 10
     press(viewer, "N")
     assert _frames(viewer)[..., 1:].max() == 0
+
+
+def test_a_footprint_as_far_as_the_horizon_is_shown_on_demand(make_viewer, small, tmp_path, monkeypatch):
+    log = _write(tmp_path / "high.csv", north_deg_per_s=1e-4, climb=200.0)
+    viewer = make_viewer(log, config=small.override(**{"mount.yaw_deg": 0.0, "mount.pitch_deg": -3.0}))
+    viewer.session.head.seek(viewer.session.head.first_s + 8.0)
+    legend_px = len(_pixels_of(_show_flight(viewer), FOOTPRINT)[0])
+    pressing(monkeypatch).add("show it")
+    assert len(_pixels_of(_frames(viewer), FOOTPRINT)[0]) > legend_px + 10
 
 
 def test_a_fixed_position_is_shown_with_its_coast(make_viewer, tmp_path):

@@ -32,6 +32,7 @@ _CONTROLS_PX: Final = 340.0
 _FLAGS: Final = int(
     imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
 )
+_ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
 
 class CalibrateWindow:
@@ -164,7 +165,8 @@ class CalibrateWindow:
                 self.removed_px.append(clicked)
                 self._start(session)
         imgui.end()
-        self.is_open = bool(stays)
+        closes = imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_popup_open("", _ANY_POPUP)
+        self.is_open = bool(stays) and not closes
         if not self.is_open and self.run is not None:
             self.run.cancel()
 

@@ -23,6 +23,8 @@ Float = NDArray[np.float64]
 
 # Height of the map, screen px: that of the rest of the panel within these limits.
 _LEAST_PX, _MOST_PX = 190.0, 480.0
+# Width of the field of the ground's height, screen px.
+_GROUND_PX: Final = 140.0
 _TRACK: Final[tuple[Colour, Colour]] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
 _IMAGE: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.45), (0.85, 0.0, 0.0, 0.45))
 _GROUND: Final[tuple[Colour, Colour]] = ((0.95, 0.55, 0.35, 1.0), (0.95, 0.0, 0.0, 1.0))
@@ -58,7 +60,7 @@ class FlightMap:
         self._track_m: Float = np.empty((0, 2))
         self._coast: Coastlines | None = None
         self._graticule: tuple[MapLimits | None, list[GraticuleLine]] = None, []
-        self._is_fitted, self._is_hovered = True, False
+        self._is_fitted, self._is_hovered, self._fits_footprint = True, False, False
         # Height of the ground above the ellipsoid, m; None until it is typed: the lowest of the flight.
         self._typed_ground_m: float | None = None
         self._lowest_m = 0.0
@@ -81,10 +83,13 @@ class FlightMap:
             for belief in beliefs
             if belief.offset_km is not None
         ]
-        shown = self._fitted_limits(np.vstack([self._track_m, here, *(place for _, place in places)]))
+        footprint = self._footprint(loaded, state)
+        points = [self._track_m, here, *(place for _, place in places)]
+        if footprint is not None and self._fits_footprint:
+            points += self._lines_m(footprint)
+        shown = self._fitted_limits(np.vstack(points))
         if self._is_hovered and (imgui.get_io().mouse_wheel != 0 or imgui.is_mouse_dragging(0)):
             self._is_fitted = False
-        footprint = self._footprint(loaded, state)
         below_px = 0.0 if footprint is None else 4 * imgui.get_text_line_height_with_spacing()
         height_px, scale = imgui.get_content_region_avail().y - below_px, imgui.get_style().font_scale_dpi
         size = ImVec2(-1, min(max(height_px, _LEAST_PX * scale), _MOST_PX * scale))
@@ -112,7 +117,7 @@ class FlightMap:
             if self._is_hovered:  # the wheel is the map's, not the panel's
                 imgui.internal.set_key_owner(imgui.Key.mouse_wheel_y, plot_id)
             if self._is_hovered and imgui.is_mouse_double_clicked(0):
-                self._is_fitted = True
+                self._is_fitted, self._fits_footprint = True, False
             implot.end_plot()
         implot.get_input_map().zoom_rate = usual_rate
         implot.pop_style_var()
@@ -123,7 +128,8 @@ class FlightMap:
         """Take the track of the flight shown; its first position is the map's origin."""
         is_other = loaded is not self._track_of
         if is_other:
-            self._track_of, self._is_fitted, self._typed_ground_m = loaded, True, None
+            self._track_of, self._typed_ground_m = loaded, None
+            self._is_fitted, self._fits_footprint = True, False
         position = loaded.flight.position
         if is_other or loaded.is_live:
             self._lowest_m = float(np.min(position.coordinates(position.utc_s)[2]))
@@ -142,7 +148,7 @@ class FlightMap:
 
     def _fitted_limits(self, xy_m: Float) -> tuple[float, float, float, float]:
         """Return west, east, south and north of a map that shows all of these points."""
-        least, most = xy_m.min(axis=0), xy_m.max(axis=0)
+        least, most = np.nanmin(xy_m, axis=0), np.nanmax(xy_m, axis=0)
         extent_m = float((most - least).max())
         if len(self._track_m) < 2 and extent_m < _MIN_EXTENT_M:
             extent_m = _FIXED_EXTENT_M
@@ -179,9 +185,8 @@ class FlightMap:
         return ground_footprint(loaded.simulator.camera, state.C_camera_ned, state.site, self._ground_m)
 
     def _draw_footprint(self, footprint: Footprint, *, night: bool) -> None:
-        for line in (footprint.border, footprint.horizon):
-            if np.isfinite(line).any():
-                _plot("footprint", local_ned_m(self._origin, line)[:, 1::-1], _GROUND[night])
+        for line in self._lines_m(footprint):
+            _plot("footprint", line, _GROUND[night])
         if np.isfinite(footprint.axis).all():
             colour = ImVec4(*_GROUND[night])
             spec = implot.Spec(
@@ -190,8 +195,14 @@ class FlightMap:
             north, east, _ = local_ned_m(self._origin, footprint.axis).tolist()
             implot.plot_scatter("footprint", np.array([east]), np.array([north]), spec)
 
+    def _lines_m(self, footprint: Footprint) -> list[Float]:
+        """Return the lines of a footprint on the map: (n, 2) east and north, m."""
+        lines = (footprint.border, footprint.horizon)
+        return [local_ned_m(self._origin, line)[:, 1::-1] for line in lines if np.isfinite(line).any()]
+
     def _draw_footprint_row(self, footprint: Footprint, site: Site) -> None:
         """Say where the optical axis meets the ground, and let the user type the height of the ground."""
+        imgui.set_next_item_width(_GROUND_PX * imgui.get_style().font_scale_dpi)
         changed, typed_m = imgui.input_double("ground, m", self._ground_m, 10.0, 100.0, "%.1f")
         if changed:
             self._typed_ground_m = typed_m
@@ -199,6 +210,11 @@ class FlightMap:
             "height of the ground above the WGS84 ellipsoid, for the footprint of the image;\n"
             "at first the lowest height of the flight.  Flat ground, no refraction."
         )
+        if not footprint.is_empty:
+            imgui.same_line()
+            if imgui.button("show it"):
+                self._is_fitted = self._fits_footprint = True
+            imgui.set_item_tooltip("zooms the map to the footprint; a double click returns to the track")
         if np.isfinite(footprint.axis).all():
             latitude_rad, longitude_rad, _ = (float(each) for each in geodetic(footprint.axis))
             distance_m = 1000 * hypot(*surface_offset_km(site, latitude_rad, longitude_rad))
