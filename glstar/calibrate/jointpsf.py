@@ -3,16 +3,16 @@
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.spatial import KDTree
-from scipy.special import erf
 
+from glstar.calibrate.starstamps import StarStamps
 from glstar.camera.pointspread import PointSpread
 from glstar.errors import ConfigError
 
-__all__ = ["JointPsf", "StarStamps", "cut_stamps", "fit_joint_psf", "measure_fluxes"]
+__all__ = ["JointPsf", "fit_joint_psf", "measure_fluxes"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,6 +30,8 @@ _LARGEST_STEP_PX: Final = 0.4
 _BETTER: Final = 12.0
 # ... and growth and ellipticity must exceed their standard errors by this factor.
 _CLEAR: Final = 3.0
+# Light this far off the first fit does not count in the last one, standard deviations.
+_OUTLIER: Final = 4.0
 # Moffat exponent from which on a star is a Gaussian, and range of the fit.
 _GAUSSIAN_BETA: Final = 15.0
 _BETA: Final = (2.05, 19.0)
@@ -40,65 +42,6 @@ _LARGEST_WING: Final = 0.8
 _GROUPS: Final = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("e1", "e2"))
 _ROUND_GROUPS: Final = 3
 _STARTS: Final = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StarStamps:
-    """Pixels around stars.
-
-    Attributes
-    ----------
-    corner_px : (n, 2) float64
-        First column and row of each stamp.
-    values_dn : (n, m, m) float64
-        Above the sky.
-    variance_dn2 : (n, m, m) float64
-        Of the sky and the sensor; infinite for pixels that do not count.
-    xy_px : (n, 2) float64
-        Positions of the stars.
-    trail_px : (n, 2) float64
-        Motion during the exposure.
-    distance : (n,) float64
-        Distance from the principal point over half the diagonal.
-    """
-
-    corner_px: Float
-    values_dn: Float
-    variance_dn2: Float
-    xy_px: Float
-    trail_px: Float
-    distance: Float
-
-    def __len__(self) -> int:
-        return len(self.xy_px)
-
-    def some(self, k: Index | Mask) -> "StarStamps":
-        """Return the stamps of some stars."""
-        return StarStamps(
-            self.corner_px[k], self.values_dn[k], self.variance_dn2[k], self.xy_px[k], self.trail_px[k],
-            self.distance[k],
-        )  # fmt: skip
-
-    def profiles(self, psf: PointSpread, sigma_px: float) -> Float:
-        """Return the image of each star for a flux of 1, (n, m, m)."""
-        samples, weights = _trail_samples(self.trail_px, sigma_px)
-        along = np.arange(self.values_dn.shape[1], dtype=np.float64)
-        near = self.xy_px - self.corner_px
-        scale = psf.scale_at(self.distance)
-        light = np.zeros_like(self.values_dn)
-        # The core's Gaussians scale with the growth; those of the outer parts do not.
-        ones, twos = psf.components(sigma_px, scale=1.0), psf.components(sigma_px, scale=2.0)
-        for one, two in zip(ones, twos, strict=True):
-            grows = two.sigma_px / one.sigma_px - 1
-            width = (one.sigma_px * (1 + grows * (scale - 1)))[:, np.newaxis, np.newaxis]
-            axes = []
-            for axis in (0, 1):
-                offset = one.offset_px[axis] * (1 + grows * (scale - 1))
-                centre = (near[:, axis] + offset)[:, np.newaxis] + samples * self.trail_px[:, axis, np.newaxis]
-                axes.append(_pixels(along - centre[..., np.newaxis], width))
-            across, down = axes
-            light += one.flux_fraction * np.einsum("t,nty,ntx->nyx", weights, down, across, optimize=True)
-        return light
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,65 +66,6 @@ class JointPsf:
     standard_error: dict[str, float]
     stars: int
     misfit: float
-
-
-def cut_stamps(
-    above_dn: Float,
-    variance_dn2: Float,
-    usable: Mask,
-    xy_px: Float,
-    others_px: Float,
-    trail_px: Float,
-    distance: Float,
-    half_px: int,
-) -> tuple[StarStamps, Index]:
-    """Return the stamps of stars that lie wholly on the image, and which stars these are.
-
-    Parameters
-    ----------
-    above_dn, variance_dn2 : (height, width) float64
-        The image above its sky, DN, and the variance of its pixels, DN^2.
-    usable : (height, width) bool
-        Pixels that are not saturated.
-    xy_px : (n, 2) float64
-        Positions, px.
-    others_px : (k, 2) float64
-        Positions of all stars: pixels that are nearer to another star do not count.
-    trail_px : (n, 2) float64
-    distance : (n,) float64
-        From the principal point, over half the diagonal.
-    half_px : int
-        Half the side of a stamp.
-
-    Returns
-    -------
-    StarStamps
-    (k,) intp
-    """
-    height, width = above_dn.shape
-    corner = np.rint(xy_px).astype(np.intp) - half_px
-    last = np.array([width, height]) - 2 * half_px - 1
-    inside = np.flatnonzero(((corner >= 0) & (corner <= last)).all(axis=1))
-    along = np.arange(2 * half_px + 1)
-    columns, rows = corner[inside, :1] + along, corner[inside, 1:] + along
-    place = rows[:, :, np.newaxis], columns[:, np.newaxis, :]
-    counts = usable[place]
-    tree = KDTree(others_px)
-    for k, star in enumerate(inside):
-        own = xy_px[star]
-        for other in others_px[tree.query_ball_point(own, 2.9 * half_px)]:
-            away = float(np.hypot(*(other - own)))
-            if away < 1.0:
-                continue
-            r2 = (columns[k] - own[0]) ** 2 + ((rows[k] - own[1]) ** 2)[:, np.newaxis]
-            other_r2 = (columns[k] - other[0]) ** 2 + ((rows[k] - other[1]) ** 2)[:, np.newaxis]
-            # What lies closer to the other star than that may have its light.
-            counts[k] &= other_r2 > np.minimum(r2, (0.6 * half_px) ** 2)
-    variance = np.where(counts, variance_dn2[place], np.inf)
-    stamps = StarStamps(
-        corner[inside].astype(np.float64), above_dn[place], variance, xy_px[inside], trail_px[inside], distance[inside]
-    )
-    return stamps, inside
 
 
 def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, StarStamps]:
@@ -221,6 +105,9 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
         # Pixels of one star share its own peculiarities: they are fewer than they seem.
         if cost - trial_cost > _BETTER * unit * len(group) and _is_clear(moved, (*names, *group), group, trial):
             names, fitted, stamps, cost = (*names, *group), trial, moved, trial_cost
+    # Stars below the limit of detection are outliers of the pixels around the others.
+    fitted, stamps, cost = _fitted(_without_outliers(stamps, fitted), names, fitted)
+    fitted = _without_position_bias(stamps, names, fitted)
     errors = _errors(stamps, names, fitted)
     pixels = max(_free_pixels(stamps) - 4 * len(stamps), 1)
     return JointPsf(fitted.psf, fitted.sigma_px, errors, len(stamps), float(np.sqrt(cost / pixels))), stamps
@@ -312,9 +199,16 @@ _LIMITS: Final = {
 }
 
 
+def _limits(stamps: StarStamps, names: tuple[str, ...]) -> tuple[Float, Float]:
+    """Return the smallest and largest value of each parameter; wider wings than half a stamp's half are sky."""
+    low, high = np.transpose([_LIMITS[name] for name in names])
+    widest_px = max(stamps.values_dn.shape[1] / 4, 1.0)
+    return low, np.where(np.array(names) == "ln_wing_px", np.minimum(high, np.log(widest_px)), high)
+
+
 def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[_Shape, StarStamps, float]:
     """Return the best shape, the stamps with the best positions, and the weighted sum of squares."""
-    low, high = np.transpose([_LIMITS[name] for name in names])
+    low, high = _limits(stamps, names)
     shape = start
     weight = _weights(stamps, shape, _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1])
     for _ in range(_ROUNDS):
@@ -346,18 +240,8 @@ def _errors(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> dict[s
     """Return standard errors: sandwich estimator whose independent units are stars, with fixed positions."""
     flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
     weight = _weights(stamps, shape, flux)
-    vector = shape.vector(names)
     residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1)
-    slopes = []
-    for k in range(len(names)):
-        # Towards the inside of the range.
-        low, high = _LIMITS[names[k]]
-        step = 1e-3 if vector[k] < (low + high) / 2 else -1e-3
-        there = vector + step * (np.arange(len(names)) == k)
-        slopes.append(
-            (_residuals(stamps, shape.at(names, there), weight)[0].reshape(len(stamps), -1) - residual) / step
-        )
-    J = np.stack(slopes, axis=-1)
+    J = _slopes(stamps, names, shape, weight)
     inverse = np.linalg.pinv(np.einsum("npk,npl->kl", J, J))
     scores = np.einsum("npk,np->nk", J, residual)
     spread = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * len(stamps) / max(len(stamps) - len(names), 1))
@@ -378,11 +262,73 @@ def _errors(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> dict[s
 
 
 def _weights(stamps: StarStamps, shape: _Shape, flux: Float) -> Float:
-    """Return the weights of pixels: noise, and the model's own error where stars are bright."""
+    """Return the weights of pixels: noise of sky and star, and the model's own error where stars are bright."""
     if not flux.any():
         return 1 / stamps.variance_dn2
     model = np.maximum(flux, 0.0)[:, np.newaxis, np.newaxis] * stamps.profiles(shape.psf, shape.sigma_px)
-    return np.asarray(1 / (stamps.variance_dn2 + (_MODEL_ERROR * model) ** 2))
+    return np.asarray(1 / (stamps.variance_dn2 + stamps.dn_per_e * model + (_MODEL_ERROR * model) ** 2))
+
+
+def _without_outliers(stamps: StarStamps, shape: _Shape) -> StarStamps:
+    """Return the stamps without the light that a shape does not explain, found by a filter as wide as a star."""
+    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
+    residual = _residuals(stamps, shape, _weights(stamps, shape, flux))[0]
+    sigma_px = float(np.clip(shape.sigma_px, 0.7, 3.0))
+    noise = 1 / (2 * np.sqrt(np.pi) * sigma_px)
+    near = np.ones((2 * round(1.5 * sigma_px) + 1,) * 2, np.uint8)
+    unexplained = [
+        cv2.dilate((np.abs(cv2.GaussianBlur(one, (0, 0), sigma_px)) > _OUTLIER * noise).astype(np.uint8), near) > 0
+        for one in residual
+    ]
+    return replace(stamps, variance_dn2=np.where(unexplained, np.inf, stamps.variance_dn2))
+
+
+def _without_position_bias(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> _Shape:
+    """Return the shape that stars have about their true positions.
+
+    Fitted positions follow the noise, and about them stars look narrower: with the covariance C of a position the
+    parameters are off by -(J' W J)^-1 J' W tr(C m'') / 2 (Box 1971, *J. R. Stat. Soc. B* 33, 171), m'' being the second
+    derivatives of a star's light by its position.
+    """
+    weight = _weights(stamps, shape, _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1])
+    flux = _residuals(stamps, shape, weight)[1][:, np.newaxis, np.newaxis]
+    here = stamps.profiles(shape.psf, shape.sigma_px)
+    step_px = 5 * _STEP_PX
+    missing = np.zeros_like(here)
+    for axis in (0, 1):
+        sides = []
+        for sign in (-1, 1):
+            shifted = stamps.xy_px.copy()
+            shifted[:, axis] += sign * step_px
+            sides.append(replace(stamps, xy_px=shifted).profiles(shape.psf, shape.sigma_px))
+        slope = flux * (sides[1] - sides[0]) / (2 * step_px)
+        variance_px2 = 1 / np.maximum(np.sum(weight * slope**2, axis=(1, 2), keepdims=True), 1e-12)
+        missing += variance_px2 * flux * (sides[0] + sides[1] - 2 * here) / step_px**2 / 2
+    J = _slopes(stamps, names, shape, weight)
+    # `J` is that of the residuals, data minus model.
+    by = -np.einsum("npk,np->k", J, (np.sqrt(weight) * missing).reshape(len(stamps), -1))
+    inverse = np.linalg.pinv(np.einsum("npk,npl->kl", J, J))
+    error = np.sqrt(np.diag(inverse))
+    # The expansion holds for small shifts.
+    moved = shape.vector(names) + np.clip(inverse @ by, -error, error)
+    low, high = _limits(stamps, names)
+    return shape.at(names, np.clip(moved, low + 1e-6, high - 1e-6))
+
+
+def _slopes(stamps: StarStamps, names: tuple[str, ...], shape: _Shape, weight: Float) -> Float:
+    """Return the derivatives of the weighted residuals by the parameters, (n, m^2, parameters)."""
+    vector = shape.vector(names)
+    residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1)
+    slopes = []
+    middle = np.mean(_limits(stamps, names), axis=0)
+    for k in range(len(names)):
+        # Towards the inside of the range.
+        step = 1e-3 if vector[k] < middle[k] else -1e-3
+        there = vector + step * (np.arange(len(names)) == k)
+        slopes.append(
+            (_residuals(stamps, shape.at(names, there), weight)[0].reshape(len(stamps), -1) - residual) / step
+        )
+    return np.stack(slopes, axis=-1)
 
 
 def _residuals(stamps: StarStamps, shape: _Shape, weight: Float) -> tuple[Float, Float]:
@@ -416,17 +362,3 @@ def _moved(stamps: StarStamps, shape: _Shape, weight: Float) -> StarStamps:
 
 def _free_pixels(stamps: StarStamps) -> int:
     return int(np.isfinite(stamps.variance_dn2).sum())
-
-
-def _pixels(offset_px: Float, sigma_px: Float) -> Float:
-    """Return one axis of a Gaussian of flux 1, integrated over pixels."""
-    upper, lower = (offset_px + 0.5) / (np.sqrt(2) * sigma_px), (offset_px - 0.5) / (np.sqrt(2) * sigma_px)
-    return np.asarray(0.5 * (erf(upper) - erf(lower)))
-
-
-def _trail_samples(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
-    """Return Gauss-Legendre nodes along trails, -1/2 to 1/2, and their weights."""
-    longest_px = float(np.linalg.norm(trail_px, axis=1).max(initial=0.0))
-    count = 1 if longest_px < 1e-3 else 2 + int(np.ceil(longest_px / max(sigma_px, 0.3)))
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return nodes / 2, weights / 2

@@ -6,14 +6,16 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from glstar import __version__
 from glstar.calibrate.brightnessterms import BrightnessTerms, fit_brightness_terms
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.geometry import calibration_toml
-from glstar.calibrate.jointpsf import JointPsf, StarStamps, cut_stamps, fit_joint_psf, measure_fluxes
+from glstar.calibrate.jointpsf import JointPsf, fit_joint_psf, measure_fluxes
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_noise, measure_sky
+from glstar.calibrate.starstamps import StarStamps, cut_stamps
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.model import Camera
 from glstar.camera.sensor import EffectValue, Sensor
@@ -34,6 +36,8 @@ _SHAPED_SNR: Final = 15.0
 _LEAST_SHAPED: Final = 6
 # Sidereal trails are tried if the longest is longer than this, px.
 _TRAIL_PX: Final = 0.4
+# A star of the catalogue without a detection within this distance was not detected, px.
+_UNDETECTED_PX: Final = 3.0
 # Half the side of the stamps of stars, px and sigma.
 _HALF_PX: Final = 9
 _HALF_SIGMA: Final = 6.0
@@ -193,7 +197,7 @@ def _distance(calibration: Calibration, xy_px: Float) -> Float:
 def _pixel_variance(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None) -> Float:
     if noise is None or not noise.is_shot_noise:
         return np.full(sky.level_dn.shape, calibration.sensor.sky_std_dn**2 + 1 / 12)
-    return np.asarray(noise.variance_at_dn2(sky.level_dn) + 1 / 12 + noise.dn_per_e * np.maximum(sky.residual_dn, 0))
+    return np.asarray(noise.variance_at_dn2(sky.level_dn) + 1 / 12)
 
 
 def _stamps(
@@ -209,7 +213,12 @@ def _stamps(
     half_px = int(np.ceil(max(_HALF_PX, _HALF_SIGMA * detected.psf_sigma_px) + longest_px / 2))
     variance = _pixel_variance(calibration, sky, noise)
     distance = _distance(calibration, xy_px)
-    return cut_stamps(sky.residual_dn, variance, usable, xy_px, detected.xy_px, trail_px, distance, half_px)
+    dn_per_e = noise.dn_per_e if noise is not None and noise.is_shot_noise else 0.0
+    # Stars of the catalogue that were not detected have light, too.
+    predicted_px = calibration.matches.predicted_xy_px
+    undetected_px = predicted_px[KDTree(detected.xy_px).query(predicted_px)[0] > _UNDETECTED_PX]
+    others_px = np.concatenate([detected.xy_px, undetected_px])
+    return cut_stamps(sky.residual_dn, variance, usable, xy_px, others_px, trail_px, distance, half_px, dn_per_e)
 
 
 def _shape(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None) -> tuple[JointPsf, bool]:

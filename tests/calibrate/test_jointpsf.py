@@ -1,0 +1,75 @@
+"""The joint fit of the shape of stars, on exact Moffat profiles: no bias from shot noise or faint stars."""
+
+import numpy as np
+import pytest
+
+from glstar.calibrate.jointpsf import JointPsf, fit_joint_psf, measure_fluxes
+from glstar.calibrate.starstamps import cut_stamps
+from glstar.camera.pointspread import PointSpread
+
+BETA, SIGMA_PX = 3.0, 1.3
+HALF_PX, PITCH_PX, STARS = 9, 24, 100
+SKY_DN = 40.0
+
+
+def moffat(x_px, y_px, *, oversampled=5):
+    """Return an exact Moffat profile of flux 1, integrated over the pixels of a square of side `PITCH_PX`."""
+    along = ((np.arange(PITCH_PX * oversampled) + 0.5) / oversampled) - 0.5
+    alpha2 = SIGMA_PX**2 * 2 * np.log(2) / (2 ** (1 / BETA) - 1)
+    r2 = (along - x_px) ** 2 + ((along - y_px) ** 2)[:, np.newaxis]
+    light = (BETA - 1) / (np.pi * alpha2) * (1 + r2 / alpha2) ** -BETA
+    return light.reshape(PITCH_PX, oversampled, PITCH_PX, oversampled).mean(axis=(1, 3))
+
+
+def drawn(seed, *, dn_per_e, read_dn, faint_dn=0.0, flux_dn=(600, 3000)):
+    """Return an image of stars on a grid, the sky taken away, their positions and fluxes."""
+    rng = np.random.default_rng(seed)
+    side = int(np.sqrt(STARS))
+    light = np.zeros((side * PITCH_PX, side * PITCH_PX))
+    xy_px, fluxes = [], np.exp(rng.uniform(*np.log(flux_dn), STARS))
+    for k, flux in enumerate(fluxes):
+        row, column = (int(one) * PITCH_PX for one in divmod(k, side))
+        x, y = PITCH_PX / 2 + rng.uniform(-0.5, 0.5, 2)
+        tile = light[row : row + PITCH_PX, column : column + PITCH_PX]
+        tile += flux * moffat(x, y)
+        if faint_dn and k % 3 == 0:
+            angle, away = rng.uniform(0, 2 * np.pi), rng.uniform(4, 8)
+            tile += faint_dn * moffat(x + away * np.cos(angle), y + away * np.sin(angle))
+        xy_px.append((column + x, row + y))
+    counts = dn_per_e * rng.poisson((light + SKY_DN) / dn_per_e)
+    return counts + rng.normal(0, read_dn, light.shape) - SKY_DN, np.array(xy_px), fluxes
+
+
+def stamps_of(above, xy_px, *, dn_per_e, read_dn):
+    variance = np.full(above.shape, read_dn**2 + dn_per_e * SKY_DN)
+    none = np.zeros_like(xy_px)
+    usable = np.ones(above.shape, bool)
+    return cut_stamps(above, variance, usable, xy_px, xy_px, none, none[:, 0], HALF_PX, dn_per_e)[0]
+
+
+def assert_true_shape(joint):
+    assert joint.psf.psf == "moffat"
+    assert joint.sigma_px == pytest.approx(SIGMA_PX, rel=0, abs=2.5 * joint.standard_error["psf_sigma_px"])
+    assert joint.psf.psf_beta == pytest.approx(BETA, rel=0, abs=2.5 * joint.standard_error["psf_beta"])
+    assert joint.standard_error["psf_sigma_px"] < 0.02 * SIGMA_PX
+
+
+def test_shot_noise_makes_stars_neither_fainter_nor_narrower():
+    noise = {"dn_per_e": 4.0, "read_dn": 2.0}
+    above, xy_px, flux_dn = drawn(1, **noise)
+    stamps = stamps_of(above, xy_px, **noise)
+    assert_true_shape(fit_joint_psf(stamps, 1.6)[0])
+    true = JointPsf(PointSpread(psf="moffat", psf_beta=BETA), SIGMA_PX, {}, STARS, 1.0)
+    found_dn, error_dn, _ = measure_fluxes(stamps, true)
+    # Weights from the recorded light make them 5 % to 8 % fainter.
+    error = np.sqrt(np.sum(error_dn**2)) / flux_dn.sum()
+    assert error < 0.015
+    assert found_dn.sum() / flux_dn.sum() == pytest.approx(1, rel=0, abs=2.5 * error)
+
+
+def test_stars_below_the_detection_limit_are_no_wings():
+    noise = {"dn_per_e": 0.5, "read_dn": 3.0}
+    above, xy_px, _ = drawn(1, **noise, faint_dn=200.0)
+    joint, _ = fit_joint_psf(stamps_of(above, xy_px, **noise), 1.6)
+    assert_true_shape(joint)
+    assert joint.psf.psf_wing_fraction < 0.06
