@@ -117,8 +117,7 @@ def cut_stamps(
     """
     height, width = above_dn.shape
     corner = np.rint(xy_px).astype(np.intp) - half_px
-    last = np.array([width, height]) - 2 * half_px - 1
-    inside = np.flatnonzero(((corner >= 0) & (corner <= last)).all(axis=1))
+    inside = np.flatnonzero(((corner >= 0) & (corner < np.array([width, height]) - 2 * half_px)).all(axis=1))
     along = np.arange(2 * half_px + 1)
     columns, rows = corner[inside, :1] + along, corner[inside, 1:] + along
     place = rows[:, :, np.newaxis], columns[:, np.newaxis, :]
