@@ -44,8 +44,9 @@ def write_csv(directory: Path, output: Path) -> tuple[Path, Path]:
     temporary = [temporary_path(path) for path in paths]
     with explain_disk_errors(output):
         try:
-            _write(temporary[0], (_flat(line) for line in read_truth(directory)))
-            _write(temporary[1], chain.from_iterable(map(_stars, read_truth(directory))))
+            columns = _columns(directory)
+            _write(temporary[0], columns[0], (_flat(line) for line in read_truth(directory)))
+            _write(temporary[1], columns[1], chain.from_iterable(map(_stars, read_truth(directory))))
             for unnamed, path in zip(temporary, paths, strict=True):
                 publish(unnamed, path)
         finally:
@@ -54,12 +55,21 @@ def write_csv(directory: Path, output: Path) -> tuple[Path, Path]:
     return paths
 
 
-def _write(path: Path, rows: Iterator[dict[str, Any]]) -> None:
-    first = next(rows, {})
+def _columns(directory: Path) -> tuple[list[str], list[str]]:
+    """Return the columns of both tables, in the order in which the frames of a data set bring them up."""
+    frames, stars = dict[str, None](), dict[str, None]()
+    for line in read_truth(directory):
+        frames |= dict.fromkeys(_flat(line))
+        for star in _stars(line):
+            stars |= dict.fromkeys(star)
+    return list(frames), list(stars)
+
+
+def _write(path: Path, columns: list[str], rows: Iterator[dict[str, Any]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(first), restval="", extrasaction="ignore")
+        writer = csv.DictWriter(file, columns, restval="")
         writer.writeheader()
-        writer.writerows(chain([first] if first else [], rows))
+        writer.writerows(rows)
 
 
 def _stars(line: dict[str, Any]) -> Iterator[dict[str, Any]]:

@@ -11,7 +11,7 @@ from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.readtruth import read_truth
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad
-from glstar.system.durable import write_atomically
+from glstar.system.durable import publish, temporary_path
 
 __all__ = ["write_subtitles"]
 
@@ -33,12 +33,19 @@ def write_subtitles(export: Path, output: Path, *, frames_per_s: float) -> None:
     ExportError
         If the directory has no truth, or the file cannot be written.
     """
-    entries = [_entry(number, truth, frames_per_s) for number, truth in enumerate(read_truth(export))]
-    if not entries:
-        raise ExportError(export, "has no frames")
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(output, "\n".join(entries).encode())
+        temporary = temporary_path(output)
+        try:
+            with temporary.open("wb") as file:
+                for number, truth in enumerate(read_truth(export)):
+                    file.write(("\n" * (number > 0) + _entry(number, truth, frames_per_s)).encode())
+                is_empty = file.tell() == 0
+            if is_empty:
+                raise ExportError(export, "has no frames")
+            publish(temporary, output)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def _entry(number: int, truth: dict[str, Any], frames_per_s: float) -> str:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from glstar.cli import app
+from glstar.export.csvtruth import write_csv
+from glstar.export.subtitles import write_subtitles
 from glstar.images.times import read_exif
 from glstar.sky.timescale import parse_utc
 from glstar.telemetry import open_flight
@@ -151,6 +154,39 @@ def test_truth_as_csv_has_a_row_per_frame_and_per_star(export: Path, tmp_path: P
     found = [(int(row["frame"]), int(row["star_id"]), float(row["x_px"]), float(row["end_y_px"])) for row in stars]
     assert found == expected
     assert expected
+
+
+def long_set(export: Path, folder: Path, frames: int) -> Path:
+    """Return an export with the truth of many frames; the last has a lens with one more coefficient."""
+    folder.mkdir()
+    line = truth(export)[0]
+    line["stars"] = line["stars"][:1]
+    lines = [{**line, "frame": k} for k in range(frames)]
+    lines[-1] = {**lines[-1], "camera": {**line["camera"], "distortion": [*line["camera"]["distortion"], 0.5]}}
+    (folder / "truth.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
+    (folder / "manifest.json").write_bytes((export / "manifest.json").read_bytes())
+    return folder
+
+
+def test_csv_has_the_columns_of_every_frame(export: Path, tmp_path: Path) -> None:
+    convert(long_set(export, tmp_path / "set", 3), tmp_path / "truth.csv")
+
+    frames = list(csv.DictReader((tmp_path / "truth.csv").read_text().splitlines()))
+
+    assert [row["distortion_4"] for row in frames] == ["", "", "0.5"]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "srt"])
+def test_memory_does_not_grow_with_the_number_of_frames(export: Path, tmp_path: Path, suffix: str) -> None:
+    write = {"csv": write_csv, "srt": lambda *paths: write_subtitles(*paths, frames_per_s=10.0)}[suffix]
+    peaks = []
+    for frames in (5, 5, 400):
+        folder = long_set(export, tmp_path / f"{frames}-{len(peaks)}", frames)
+        tracemalloc.start()
+        write(folder, tmp_path / f"{len(peaks)}.{suffix}")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] < peaks[1] + 65536, "bytes; 400 subtitles have 100 KB"
 
 
 @pytest.mark.parametrize("kind", ["png", "jpeg"])
