@@ -217,7 +217,8 @@ class TableReader(TelemetrySource):
         known = [name for name in self._header if name in _COLUMNS]
         found = textwrap.shorten(", ".join(name or "(nameless)" for name in self._header), 100, placeholder=" ...")
         if not known:
-            raise invalid(f"no table of a flight: its header would name utc or utc_s, ...; this line has {found}")
+            hint = "; say with --columns what they mean (glstar manual logs)" if len(self._header) > 1 else ""
+            raise invalid(f"no table of a flight: its header would name utc or utc_s, ...; this line has {found}{hint}")
         if repeated := [name for name in known if known.count(name) > 1]:
             raise invalid(f"column {repeated[0]} appears twice")
         if not any(name in known for name in _TIMES):

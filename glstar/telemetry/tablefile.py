@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -30,6 +31,13 @@ _HEADER_BYTES: Final = 65536
 _ZIP: Final = b"PK\x03\x04"
 _OFFICE_MARKS: Final = (b"[Content_Types].xml", b"docProps/", b"xl/")
 _PARQUET: Final = b"PAR1"
+# A number that can only have a decimal comma: 1,024 may as well be a thousand.
+_DECIMAL_COMMA: Final = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
+# Date and time of day as DJI's programs write them: 10/16/2024 or 2024-10-16, and 2:23:51.84 PM.
+_TWELVE_HOURS: Final = re.compile(
+    r"((?P<american>\d{1,2}/\d{1,2}/\d{4})|(?P<iso>\d{4}[-/]\d{2}[-/]\d{2})) +(?P<hour>\d{1,2}):"
+    r"(?P<minutes>\d{2}:\d{2})(?P<fraction>([.,]\d+)?) *(?P<half>[AaPp])\.?[Mm]\.?"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +84,8 @@ class TableFile:
         try:
             numbers = np.array(cells, dtype=np.float64) if self.kind != "CSV" else np.array(list(map(float, cells)))
         except (ValueError, TypeError):
-            numbers = np.array([self._number(column, row, cell) for row, cell in enumerate(cells)])
+            point = "," if self.kind == "CSV" and _has_decimal_commas(cells) else "."
+            numbers = np.array([self._number(column, row, cell, point) for row, cell in enumerate(cells)])
         numbers[~np.isfinite(numbers)] = np.nan
         return numbers
 
@@ -86,7 +95,8 @@ class TableFile:
         Parameters
         ----------
         column : str
-            ISO 8601 (slashes may separate the date), or times of Parquet and Excel.
+            ISO 8601 (slashes may separate the date), a clock with AM or PM (with an ISO date, or month/day/year), or
+            times of Parquet and Excel.
         date : str, optional
             The column with the date, if it is not in `column`.
 
@@ -107,12 +117,12 @@ class TableFile:
     def _pairs(self, days: Cells, column: str) -> "zip[tuple[Any, Any]]":
         return zip(days, self.columns[column], strict=True)
 
-    def _number(self, column: str, row: int, cell: Any) -> float:
+    def _number(self, column: str, row: int, cell: Any, point: str) -> float:
         text = "" if cell is None else str(cell).strip()
         if text.lower() in _EMPTY:
             return np.nan
         try:
-            return float(text)
+            return float(text.replace(point, "."))
         except ValueError:
             hint = "; write decimals with a point" if "," in text else ""
             raise self.error(row, column, f"{text[:40]!r} is not a number{hint}") from None
@@ -124,9 +134,9 @@ class TableFile:
         if text.lower() in _EMPTY:
             return np.nan
         try:
-            return parse_utc(text.replace("/", "-").removesuffix(" UTC"))
+            return parse_utc(_on_24_hours(text).replace("/", "-").removesuffix(" UTC"))
         except ConfigError:
-            expected = "an ISO 8601 time, such as 2024-03-10T11:00:00Z"
+            expected = "an ISO 8601 time, such as 2024-03-10T11:00:00Z, or as 3/10/2024 11:00:00.5 AM"
             raise self.error(row, column, f"{text[:40]!r} is not {expected}") from None
 
     def error(self, row: int, column: str, message: str) -> LogFormatError:
@@ -145,6 +155,23 @@ class TableFile:
         """
         line = int(self.lines[row])
         return LogFormatError(self.name, f"line {line}, column {column}: {message}", offset=line)
+
+
+def _has_decimal_commas(cells: Cells) -> bool:
+    """Return whether a column has decimal commas: 0,5 and 1,25 say so; where all are as 1,024 it may be thousands."""
+    texts = [str(cell).strip() for cell in cells]
+    return not any("." in text for text in texts) and any(_DECIMAL_COMMA.fullmatch(text) for text in texts)
+
+
+def _on_24_hours(text: str) -> str:
+    """Return a time with AM or PM as ISO 8601; any other text as it is."""
+    found = _TWELVE_HOURS.fullmatch(text)
+    if found is None or not 1 <= int(found["hour"]) <= 12:
+        return text
+    month, day, year = (int(number) for number in (found["american"] or "0/0/0").split("/"))
+    date = found["iso"] or f"{year:04d}-{month:02d}-{day:02d}"
+    hour = int(found["hour"]) % 12 + 12 * (found["half"].lower() == "p")
+    return f"{date} {hour:02d}:{found['minutes']}{found['fraction'].replace(',', '.')}"
 
 
 def is_parquet(head: bytes) -> bool:

@@ -3,6 +3,7 @@
 import gzip
 import zipfile
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
 from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import RateSamples, column_map, open_flight, open_source, ready_maps
+from glstar.telemetry.tablefile import TableFile
 
 START_S = 1710068400.0  # 2024-03-10T11:00:00Z
 TIMES_S = np.arange(200) * 0.05
@@ -114,6 +117,64 @@ def test_a_dji_flight_record_with_utc_is_read(tmp_path: Path) -> None:
     path.write_text("sep=,\n" + table.to_csv(index=False))
 
     require_agreement(open_flight(path))
+
+
+def american(text: str) -> tuple[str, str]:
+    """Return date and time of day as DJI's programs write them: 3/10/2024 and 7:05:08.97 PM."""
+    time = datetime.fromisoformat(text.removesuffix("Z"))
+    fraction = f"{time.microsecond:06d}"
+    clock = f"{(time.hour - 1) % 12 + 1}:{time:%M:%S}.{fraction} {'AM' if time.hour < 12 else 'PM'}"
+    return f"{time.month}/{time.day}/{time.year}", clock
+
+
+@pytest.mark.parametrize("program", ["PhantomHelp", "Flight Reader", "DroneLog"])
+def test_dji_flight_records_are_read_as_their_programs_write_them(tmp_path: Path, program: str) -> None:
+    """A clock with AM or PM; decimal commas in quotes; units in the names of the columns."""
+    degree = " [°]" if program == "DroneLog" else ""
+    table = euler_table(
+        roll=f"OSD.roll{degree}", pitch=f"OSD.pitch{degree}", yaw=f"OSD.yaw{degree}", latitude="OSD.latitude"
+    ).rename(columns={"longitude": "OSD.longitude", "height": "OSD.altitude [m]"})
+    texts = [american(text) for text in utc_texts("T")]
+    table["CUSTOM.date [UTC]"], table["CUSTOM.updateTime [UTC]"] = zip(*texts, strict=True)
+    table["OSD.flyTime [ms]" if degree else "OSD.flyTime [s]"] = (TIMES_S + 7) * (1e3 if degree else 1)
+    is_european = program == "Flight Reader"
+    if is_european:
+        table["CUSTOM.date [UTC]"] = [text[:10] for text in utc_texts(" ")]
+        table["CUSTOM.updateTime [UTC]"] = table["CUSTOM.updateTime [UTC]"].str.lower()
+    path = tmp_path / "dji.csv"
+    path.write_text(table.to_csv(index=False, decimal="," if is_european else "."), encoding="utf-8-sig")
+
+    require_agreement(open_flight(path))
+
+
+def test_commas_that_may_be_thousands_are_refused(tmp_path: Path) -> None:
+    table = euler_table(roll="OSD.roll", pitch="OSD.pitch", yaw="OSD.yaw", latitude="OSD.latitude")
+    table = table.rename(columns={"longitude": "OSD.longitude"})
+    table["OSD.flyTime [s]"] = "1,024"
+    table.to_csv(tmp_path / "dji.csv", index=False)
+
+    with pytest.raises(LogFormatError, match="'1,024' is not a number; write decimals with a point"):
+        open_flight(tmp_path / "dji.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "utc"),
+    [
+        ("10/16/2024 12:00:00 AM", "2024-10-16T00:00:00Z"),
+        ("10/16/2024 12:59:59.5 pm", "2024-10-16T12:59:59.5Z"),
+        ("2024-10-16 1:00:00,25 p.m.", "2024-10-16T13:00:00.25Z"),
+    ],
+)
+def test_clocks_with_am_and_pm(text: str, utc: str) -> None:
+    table = TableFile("table", "CSV", {"utc": [text]}, np.array([1]))
+    assert table.times("utc")[0] == pytest.approx(parse_utc(utc), abs=1e-6, rel=0)
+
+
+@pytest.mark.parametrize("text", ["16/10/2024 1:00:00 PM", "10/16/2024 13:00:00 PM", "10/16/2024 1:00:00"])
+def test_ambiguous_dates_and_clocks_are_refused(text: str) -> None:
+    table = TableFile("table", "CSV", {"utc": [text]}, np.array([1]))
+    with pytest.raises(LogFormatError, match="is not an ISO 8601 time"):
+        table.times("utc")
 
 
 def test_local_time_of_a_dji_flight_record_is_no_utc(tmp_path: Path) -> None:
