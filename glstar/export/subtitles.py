@@ -37,10 +37,11 @@ def write_subtitles(export: Path, output: Path, *, frames_per_s: float) -> None:
         output.parent.mkdir(parents=True, exist_ok=True)
         temporary = temporary_path(output)
         try:
+            is_empty = True
             with temporary.open("wb") as file:
                 for number, truth in enumerate(read_truth(export)):
                     file.write(("\n" * (number > 0) + _entry(number, truth, frames_per_s)).encode())
-                is_empty = file.tell() == 0
+                    is_empty = False
             if is_empty:
                 raise ExportError(export, "has no frames")
             publish(temporary, output)
