@@ -68,6 +68,16 @@ class RecordedTimes:
     mid_offset_s: Float
     shorts: tuple["RecordedTimes", ...] = ()
 
+    def __getitem__(self, stars: NDArray[np.intp]) -> "RecordedTimes":
+        return RecordedTimes(
+            self.opens_s[stars],
+            self.closes_s[stars],
+            self.exposed_s[stars],
+            self.positions[:, stars],
+            self.mid_offset_s[stars],
+            tuple(short[stars] for short in self.shorts),
+        )
+
 
 def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     """Return when a rolling shutter records stars.
@@ -123,7 +133,9 @@ def _joined(scene: Scene, direction_eq: Float, shorts: Sequence[RecordedTimes]) 
     )
 
 
-def recorded_samples(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float, Float, Float]]:
+def recorded_samples(
+    scene: Scene, direction_eq: Float, recorded: RecordedTimes | None = None
+) -> Iterator[tuple[Float, Float, Float]]:
     """Yield the true paths of stars while a rolling shutter records them.
 
     Parameters
@@ -132,6 +144,8 @@ def recorded_samples(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float,
         With a readout time; of a single exposure or of a stacked image.
     direction_eq : (k, 3) float64
         Geocentric apparent unit vectors, true equator and equinox.
+    recorded : RecordedTimes, optional
+        `recorded_times` of the same, if known.
 
     Yields
     ------
@@ -144,8 +158,9 @@ def recorded_samples(scene: Scene, direction_eq: Float) -> Iterator[tuple[Float,
         `RecordedTimes.exposed_s` over the exposure time of all short exposures.
     """
     shorts = scene.shorts or (scene,)
-    for short in shorts:
-        times, span_s, end = recorded_times(short, direction_eq), short.exposure.span_s, 0.0
+    recorded = recorded_times(scene, direction_eq) if recorded is None else recorded
+    for short, times in zip(shorts, recorded.shorts or (recorded,), strict=True):
+        span_s, end = short.exposure.span_s, 0.0
         opens, closes = times.opens_s / span_s, times.closes_s / span_s
         scale = span_s / (short.exposure.duration_s * len(shorts))
         for paths in short.star_paths(direction_eq):

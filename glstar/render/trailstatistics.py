@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.rowtimes import recorded_samples
+from glstar.render.rowtimes import RecordedTimes, recorded_rows, recorded_samples
 from glstar.render.scene import Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 
@@ -31,6 +31,8 @@ class TrailStatistics:
         Integral of its position over the former.
     saturated : (k,) bool
         Whether one of the `pixels` under its centre is saturated (or True, if they are bool); False without pixels.
+    recorded : RecordedTimes or None
+        When a rolling shutter records each star; None for a global shutter.
     """
 
     def __init__(self, scene: Scene, pixels: Pixels | None = None) -> None:
@@ -41,8 +43,9 @@ class TrailStatistics:
         self.saturated = np.zeros(count, dtype=np.bool_)
         self._nodes_px: list[Float] = []
         saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
-        if scene.exposure.readout_s and scene.motion is not None:
-            self._add_recorded(scene, saturation)
+        self.recorded = recorded_rows(scene, scene.visible)
+        if self.recorded is not None:
+            self._add_recorded(scene, self.recorded, saturation)
             return
         for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
             if isinstance(paths, ConicPaths):
@@ -60,11 +63,11 @@ class TrailStatistics:
                 for xy, _ in paths.samples(near):
                     self.saturated[near] |= saturation.crossed_by(xy, scene.camera.contains(xy))
 
-    def _add_recorded(self, scene: Scene, saturation: "_SaturationMap | None") -> None:
+    def _add_recorded(self, scene: Scene, times: RecordedTimes, saturation: "_SaturationMap | None") -> None:
         """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
         directions = scene.stars.direction_eq[scene.visible]
         recorded = np.zeros(len(directions))
-        for xy, _, weight in recorded_samples(scene, directions):
+        for xy, _, weight in recorded_samples(scene, directions, times):
             outside_px = scene.camera.distance_outside_px(xy)
             touching, on_image = _parts_inside(outside_px, scene.listed.truncation_radius_px)
             recorded += weight.sum(axis=0)

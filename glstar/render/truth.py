@@ -210,7 +210,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     drawn = np.flatnonzero(trails.touching)
     index, factor = scene.visible[drawn], scene.exposure.signal_factor
     centroid = _rounded(trails.centroid[drawn])
-    recorded = recorded_rows(scene, index)
+    recorded = None if trails.recorded is None else trails.recorded[drawn]
     at_shutter = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     start, middle, end = _rounded(at_shutter if recorded is None else recorded.positions)
     camera_mag = scene.stars.camera_mag[index]

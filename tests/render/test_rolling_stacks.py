@@ -10,6 +10,7 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.render.opengl import GLRenderer
+from glstar.render.rowtimes import recorded_times
 from glstar.render.stacking import short_seed
 from glstar.render.trailmask import mask_threshold_dn, trail_mask
 from glstar.render.truth import frame_truth
@@ -152,3 +153,15 @@ def test_the_mask_of_a_trail_covers_what_is_drawn(renderer, simulator):
     # The stars of a trail and of all others differ where trails overlap, and ends by the rows that a pixel spans.
     assert is_marked[mean_dn > 1.2 * threshold_dn].mean() > 0.98
     assert (mean_dn[is_marked] > 0.8 * threshold_dn).mean() > 0.98
+
+
+@pytest.mark.parametrize("exposure", [STACK, replace(STACK, frames=1, gap_s=0.0)])
+def test_the_times_of_some_stars_are_chosen_from_those_of_all(simulator, exposure):
+    scene = simulator.scene(exposure)
+    direction_eq = scene.stars.direction_eq[scene.visible]
+    some = np.arange(len(direction_eq))[5::3]
+    chosen, alone = recorded_times(scene, direction_eq)[some], recorded_times(scene, direction_eq[some])
+    for one, other in zip((chosen, *chosen.shorts), (alone, *alone.shorts), strict=True):
+        for name, tolerance in (("opens_s", 1e-8), ("closes_s", 1e-8), ("exposed_s", 1e-8), ("positions", 1e-5)):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=tolerance)
+        np.testing.assert_allclose(one.mid_offset_s, other.mid_offset_s, rtol=0, atol=1e-8)
