@@ -10,7 +10,7 @@ import pytest
 
 from glstar.config import Config
 from glstar.system.resources import asset
-from tests.e2e.test_view import needs_xvfb, started, until
+from tests.e2e.test_view import GLSTAR, needs_xvfb, started, until
 from tests.support.links import free_port, playing, soon
 from tests.support.realwindow import RealWindow
 
@@ -210,25 +210,82 @@ def test_every_panel_responds_to_mouse_and_keys_in_a_small_window(tmp_path, disp
         assert child.stderr.read() == b""
 
 
+def read_manual(window: RealWindow, places: Places) -> None:
+    """Open the manual, which covers most of the window, and close it."""
+    before = window.still()
+
+    def is_open(screen: np.ndarray) -> bool:
+        return bool((screen != before).any(axis=2).mean() > 0.2)
+
+    window.until(is_open, "the manual", again=lambda: window.press("shift+F1"))
+    window.until(lambda screen: not is_open(screen), "the window below", again=lambda: window.press("shift+F1"))
+
+
+def wipe(window: RealWindow, places: Places) -> None:
+    """Wipe between the real and the simulated image, and drag the line between them to the left."""
+    y = places.height // 4
+    undivided = places.image(window.still())
+    window.press("w")
+    window.until(lambda screen: (places.image(screen) != undivided).any(), "the line between the images")
+    divided = window.still()
+
+    def moved(screen: np.ndarray) -> bool:
+        """Return whether the label of the image on the right has moved with the line."""
+        labels = np.s_[TOP_PX : TOP_PX + 30, places.middle // 2 : places.middle]
+        return bool((screen[labels] != divided[labels]).any(axis=2).sum() > 40)
+
+    def drag() -> None:
+        window.drag((places.middle, y), (places.middle - 120, y))
+        window.away()
+
+    window.until(moved, "the line further left", again=drag)
+    window.press("w")
+
+
+def look_at_map(window: RealWindow, places: Places) -> None:
+    """Show the map of the flight, and magnify it with the wheel."""
+    settings = window.still()
+    shown = open_tab(window, places, 279, lambda screen: differ(places.panel(screen), places.panel(settings)))
+    map_px = places.right + (1280 - places.right) // 2, places.height // 2
+    around = np.s_[map_px[1] - 60 : map_px[1] + 60, places.right + 8 :]
+
+    def magnify() -> None:
+        window.wheel(*map_px, 3)
+        window.away()
+
+    window.until(lambda screen: (screen[around] != shown[around]).any(axis=2).mean() > 0.005, "the map", again=magnify)
+
+
 @needs_xvfb
-def test_a_log_and_a_camera_are_dropped_onto_the_window(tmp_path, display):
+def test_a_log_real_images_and_a_camera_are_dropped_and_compared(tmp_path, display):
     drag_onto_window = pytest.importorskip("tests.support.dragsource", reason="needs python-xlib").drag_onto_window
-    number, places = display(1000, 700), Places(1000, 700)
-    narrow = tmp_path / "a camera.toml"
+    number, places, log = display(1280, 800), Places(1280, 800), asset("adelaide.BIN")
+    images, narrow = tmp_path / "real images", tmp_path / "a camera.toml"
+    words = ["export", str(log), "--start", "0", "--frames", "1", "--exif", "-o", str(images)]
+    subprocess.run([*GLSTAR, *words], check=True, capture_output=True, timeout=120)
     narrow.write_text("[camera]\nwidth_px = 640\nheight_px = 640\nfx_px = 900.0\nfy_px = 900.0\n", encoding="utf-8")
-    with started("view", "--size", "1000x700", display=number, home=tmp_path) as child:
+    with started("view", "--size", "1280x800", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
         window.focus()
         window.until(lambda screen: np.ptp(places.image(screen)) > 150, "the welcome panel")
-        drag_onto_window(number, asset("adelaide.BIN"), (300, 300))
+        drag_onto_window(number, log, (300, 300))
         window.until(places.has_status, "the flight that was dropped")
         window.until(lambda screen: (places.image(screen).min(axis=2) > 200).sum() > 100, "stars")
+        window.away()
+        read_manual(window, places)
+        drag_onto_window(number, images, (300, 300))
+        window.away()
+        blue = np.s_[-24:, : places.right]  # the status line names the time of the real image in the accent colour
+        accent = lambda screen: screen[blue].astype(int)[..., 0] - screen[blue].astype(int)[..., 2]  # noqa: E731
+        window.until(lambda screen: (accent(screen) > 80).sum() > 100, "the time of the real image")
+        wipe(window, places)
+        look_at_map(window, places)
         wide = window.still()
         drag_onto_window(number, narrow, (300, 300))
         # A square image: the background of the window begins further inwards.
-        edge = slice(places.middle // 3, places.middle // 3 + 4)
-        assert np.ptp(wide[100:300, edge]) > 20
-        window.until(lambda screen: np.ptp(screen[100:300, edge]) < 12, "the square image of the camera")
+        edge = np.s_[100:300, 200:204]
+        assert np.ptp(wide[edge]) > 20
+        window.until(lambda screen: np.ptp(screen[edge]) < 12, "the square image of the camera")
         window.press("ctrl+q")
         assert child.wait(60) == 0
         assert child.stderr.read() == b""
