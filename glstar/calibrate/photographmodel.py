@@ -12,6 +12,7 @@ from glstar import __version__
 from glstar.calibrate.brightnessterms import BrightnessTerms, fit_brightness_terms
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.geometry import calibration_toml
+from glstar.calibrate.hotpixels import HotPixels, find_hot_pixels
 from glstar.calibrate.jointpsf import JointPsf, fit_joint_psf, measure_fluxes
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_noise, measure_sky
@@ -70,6 +71,7 @@ class PhotographModel:
     noise : NoiseAgainstLevel or None
     joint : JointPsf
     terms : BrightnessTerms
+    hot : HotPixels
     has_map : bool
         Whether the sky is uneven, so that the sensor needs the map.
     moved : bool
@@ -87,6 +89,7 @@ class PhotographModel:
     noise: NoiseAgainstLevel | None
     joint: JointPsf
     terms: BrightnessTerms
+    hot: HotPixels
     has_map: bool
     moved: bool
     flux_dn: Float
@@ -98,15 +101,29 @@ class PhotographModel:
         """The map of the sky's light, (rows, columns) float32, DN above the black level, for ``sky_map``."""
         electrons = self.calibration.sensor.electrons
         black_dn = 0.0 if electrons is None else electrons.black_level_dn
-        return np.maximum(self.sky.texels_dn - black_dn, 0.0).astype(np.float32)
+        texels = np.maximum(self.sky.texels_dn - black_dn, 0.0).astype(np.float32)
+        return self._unmirrored(texels)
 
-    def to_toml(self, sky_map: str) -> str:
+    @property
+    def dark_frame(self) -> NDArray[np.float32] | None:
+        """The hot pixels, (height, width) float32, DN, for ``dark_frame``; None without any, and for paper noise."""
+        if self.calibration.sensor.electrons is None or not len(self.hot):
+            return None
+        return self._unmirrored(self.hot.dark_frame_dn(self.sky.level_dn.shape))
+
+    def _unmirrored(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+        # The simulator draws no mirror images.
+        return np.ascontiguousarray(pixels[:, ::-1]) if self.calibration.matches.solution.mirrored else pixels
+
+    def to_toml(self, sky_map: str, dark_frame: str) -> str:
         """Return the model as TOML, for ``--config``.
 
         Parameters
         ----------
         sky_map : str
             Path of the map of the sky, beside the TOML file.
+        dark_frame : str
+            Path of the map of the hot pixels.
 
         Returns
         -------
@@ -120,6 +137,7 @@ class PhotographModel:
             *(f"Not measured: {reason}." for reason in self.refused),
         ]
         effects = dict(calibration.sensor.effects) | ({"sensor.sky_map": sky_map} if self.has_map else {})
+        effects |= {"sensor.dark_frame": dark_frame} if self.dark_frame is not None else {}
         sensor = replace(calibration.sensor, effects=effects)
         return calibration_toml(head, sensor, calibration.matches, sensor_error=self.standard_error)
 
@@ -136,6 +154,7 @@ class PhotographModel:
                 "level_dn": noise.level_dn.tolist(),
                 "std_dn": np.sqrt(noise.variance_dn2).tolist(),
             },
+            "hot_pixels": np.column_stack([self.hot.x_px, self.hot.y_px, self.hot.excess_dn]).tolist(),
             "refused": list(self.refused),
         }  # fmt: skip
 
@@ -166,12 +185,15 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
         flux, error, stars.vmag, star_colours(calibration.reference.stars)[matched],
         _distance(calibration, stars.xy_px), used,
     )  # fmt: skip
+    hot = find_hot_pixels(sky.residual_dn, _pixel_variance(calibration, sky, noise), _gain(noise), joint)
     uneven_dn = float(np.std(sky.level_dn))
     limit = max(_UNEVEN_NOISE * calibration.sensor.sky_std_dn, _UNEVEN_ERRORS * sky.error_dn)
     has_map = uneven_dn > limit
     sensor, errors, refused = _sensor(calibration, sky, noise, joint, terms, has_map=has_map)
     if not has_map:
         refused = (*refused, f"the sky is even: its level differs by {uneven_dn:.2g} DN (limit {limit:.2g})")
+    if sensor.electrons is None and len(hot):
+        refused = (*refused, f"{len(hot)} hot pixels are not simulated: they need noise that grows with the level")
     notes = tuple(note for note in calibration.notes if not note.startswith(_EXPLAINED))
     return PhotographModel(
         replace(calibration, sensor=sensor, notes=notes),
@@ -179,6 +201,7 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
         noise,
         joint,
         terms,
+        hot,
         has_map,
         moved,
         flux,
@@ -200,6 +223,11 @@ def _pixel_variance(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLe
     return np.asarray(noise.variance_at_dn2(sky.level_dn) + 1 / 12)
 
 
+def _gain(noise: NoiseAgainstLevel | None) -> float:
+    """Return the gain, DN/e; 0 if the noise does not show it."""
+    return noise.dn_per_e if noise is not None and noise.is_shot_noise else 0.0
+
+
 def _stamps(
     calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None, xy_px: Float, *, moved: bool
 ) -> tuple[StarStamps, Index]:
@@ -213,12 +241,11 @@ def _stamps(
     half_px = int(np.ceil(max(_HALF_PX, _HALF_SIGMA * detected.psf_sigma_px) + longest_px / 2))
     variance = _pixel_variance(calibration, sky, noise)
     distance = _distance(calibration, xy_px)
-    dn_per_e = noise.dn_per_e if noise is not None and noise.is_shot_noise else 0.0
     # Stars of the catalogue that were not detected have light, too.
     predicted_px = calibration.matches.predicted_xy_px
     undetected_px = predicted_px[KDTree(detected.xy_px).query(predicted_px)[0] > _UNDETECTED_PX]
     others_px = np.concatenate([detected.xy_px, undetected_px])
-    return cut_stamps(sky.residual_dn, variance, usable, xy_px, others_px, trail_px, distance, half_px, dn_per_e)
+    return cut_stamps(sky.residual_dn, variance, usable, xy_px, others_px, trail_px, distance, half_px, _gain(noise))
 
 
 def _shape(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None) -> tuple[JointPsf, bool]:

@@ -50,8 +50,8 @@ def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     ----------
     calibration : Calibration
     output : Path
-        The TOML file; the map of the sky (``.sky.tiff``), the twin (``.twin.png``) and the comparison (``.pair.png``)
-        lie beside it.
+        The TOML file; the map of the sky (``.sky.tiff``), the hot pixels (``.hot.tiff``), the twin (``.twin.png``) and
+        the comparison (``.pair.png``) lie beside it.
 
     Returns
     -------
@@ -64,9 +64,11 @@ def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     """
     model = measure_photograph(calibration)
     name = output.name.removesuffix(".toml")
-    files = {".toml": model.to_toml(f"{name}.sky.tiff").encode()}
+    files = {".toml": model.to_toml(f"{name}.sky.tiff", f"{name}.hot.tiff").encode()}
     if model.has_map:
         files = {".sky.tiff": _encoded(".tiff", model.sky_texels)} | files
+    if model.dark_frame is not None:
+        files = {".hot.tiff": _encoded(".tiff", model.dark_frame)} | files
     write_files(output, files)
     # The twin is made from what was written.
     with GLRenderer.headless() as renderer:
@@ -117,6 +119,8 @@ def _print_twin(result: TwinResult, output: Path) -> None:
     errors = model.standard_error
     values = {**sensor.keys, **{key.partition(".")[2]: value for key, value in sensor.effects.items()}}
     typer.echo(", ".join(f"{key} {values[key]:.4g} ± {errors[key]:.2g}" for key in errors if key in values))
+    if model.dark_frame is not None:
+        typer.echo(f"{len(model.hot)} hot pixels: {output.with_suffix('.hot.tiff')}")
     for reason in model.refused:
         echo_note(f"note: {reason}")
     noise = "" if figures.noise_error is None else f"; noise against level {100 * figures.noise_error:.1f} % off"

@@ -1,5 +1,6 @@
 """The whole model of one photograph, measured on images drawn with NumPy whose parameters are known."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -74,6 +75,13 @@ def test_the_map_of_the_sky_is_the_drawn_sky():
     assert np.abs(off).max() < 8 * model.sky.error_dn
 
 
+def test_the_map_of_a_mirrored_photograph_is_that_of_the_scene():
+    model = full(1)
+    solution = replace(model.calibration.matches.solution, mirrored=True)
+    mirrored = replace(model.calibration, matches=replace(model.calibration.matches, solution=solution))
+    np.testing.assert_array_equal(replace(model, calibration=mirrored).sky_texels, model.sky_texels[:, ::-1])
+
+
 def test_the_noise_is_a_line_through_read_noise_and_gain():
     noise = full(2).noise
     expected = READ_DN**2 + TRUE["gain_dn_per_e"] * noise.level_dn
@@ -90,8 +98,9 @@ def test_a_plain_photograph_needs_no_more_than_the_paper_s_sensor():
 
 
 def test_the_written_model_names_its_tables_and_errors():
-    written = full(1).to_toml("c.sky.tiff")
+    written = full(1).to_toml("c.sky.tiff", "c.hot.tiff")
     assert 'sky_map = "c.sky.tiff"' in written
+    assert "dark_frame" not in written  # no hot pixel is on the image
     assert "[lens]\nvignetting = " in written
     assert "gain_dn_per_e" in written.split("[sensor]")[0]
 
