@@ -68,8 +68,8 @@ def cloud_sheet(sensor: Sensor, motion: CameraMotion | None) -> CloudSheet | Non
     )
 
 
-# Each frame asks a dozen times.
-@lru_cache(maxsize=8)
+# Each frame asks a dozen times; one flight is kept, because flights are large.
+@lru_cache(maxsize=1)
 def _origin_rad(flight: Flight) -> tuple[float, float]:
     """Return the origin of the sheet's coordinates: latitude and longitude of the start of a flight, rounded."""
     latitude_rad, longitude_rad, _ = flight.position.coordinates(np.array([flight.attitude.first_s]))
