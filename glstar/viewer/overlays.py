@@ -389,7 +389,7 @@ class Overlay(StrEnum):
             "Residuals: from trails of the real image to the simulated ones",
             "Shift+R",
             1,
-            (255, 120, 64, 240),
+            (64, 232, 255, 240),
             240,
             thickness=1.5,
             draw=lambda canvas, inputs: draw_residuals(canvas, inputs.residuals),
