@@ -29,13 +29,18 @@ from glstar.calibrate.photograph import Channel, Photograph, read_image
 from glstar.calibrate.photographmodel import PhotographModel, measure_photograph
 from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.pointspreadfit import with_point_spread
+from glstar.calibrate.readoutfit import LONGEST_READOUT_S, ReadoutFit, fit_readout, search_readout
+from glstar.calibrate.readouttime import ReadoutTime
 from glstar.calibrate.referencestars import ReferenceStars
+from glstar.calibrate.rowturns import RowTurns
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
+from glstar.calibrate.sharedgeometry import SharedGeometry, share_geometry
 from glstar.calibrate.sharedlens import SharedLensFit, fit_shared_lens
 from glstar.calibrate.twin import Twin, TwinFigures, compare_twin, render_twin
 from glstar.calibrate.twinreport import draw_twin
 
 __all__ = [
+    "LONGEST_READOUT_S",
     "BrightnessFit",
     "Calibration",
     "CameraFit",
@@ -52,7 +57,11 @@ __all__ = [
     "Photograph",
     "PhotographModel",
     "PlateSolution",
+    "ReadoutFit",
+    "ReadoutTime",
     "ReferenceStars",
+    "RowTurns",
+    "SharedGeometry",
     "SharedLensFit",
     "StarTable",
     "Twin",
@@ -71,6 +80,7 @@ __all__ = [
     "fit_brightness",
     "fit_camera",
     "fit_lens",
+    "fit_readout",
     "fit_sensor",
     "fit_shared_lens",
     "identify_again",
@@ -81,5 +91,7 @@ __all__ = [
     "prepare_to_draw",
     "read_image",
     "render_twin",
+    "search_readout",
+    "share_geometry",
     "with_point_spread",
 ]

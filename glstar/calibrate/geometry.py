@@ -107,6 +107,7 @@ class GeometryCalibration:
                 "radial_distortion_k1": solution.k1,
                 "standard_error": matches.standard_error,
                 **({} if camera.lens is None else camera.lens.keys),
+                **({} if matches.readout is None else matches.readout.to_json()),
                 "C_camera_icrs": (solution.C_camera_eq @ self.reference.stars.C_eq_icrs).tolist(),
                 **{key: float(value) for key, value in boresight.items()},
             },
@@ -327,6 +328,7 @@ def calibration_toml(
         f"skew_px = {toml_value(camera.skew_px)}",
         *(f"{key} = {toml_value(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
         *_other_tables(sensor),
+        *([] if matches.readout is None else matches.readout.toml_lines()),
     ]
     return "\n".join(lines) + "\n"
 

@@ -134,7 +134,7 @@ def fit_camera(
     pairs, solution = Pairs(matches.star, matches.detection, matches.expected_by_chance), matches.solution
 
     def stars_of(solution: PlateSolution, pairs: Pairs) -> IdentifiedStars:
-        return IdentifiedStars.of(detected, apparent, solution, pairs.star, pairs.detection)
+        return IdentifiedStars.of(detected, apparent, solution, pairs.star, pairs.detection, reference.rows)
 
     # A simple lens extends the matches outwards, up to the corners.
     for _ in range(_ROUNDS):
@@ -275,7 +275,7 @@ def match_again(
     -------
     Pairs
     """
-    xy = solution.project(apparent @ solution.C_camera_eq.T)
+    xy = solution.placed(apparent, reference.rows)
     faintest = reference.stars.vmag[before].max() + _FAINTER_MAG
     on_image = np.flatnonzero(solution.camera.contains(xy) & (reference.stars.vmag <= faintest))
     if not len(on_image):

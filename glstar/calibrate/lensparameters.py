@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.leastsquares import Minimum, minimise, projection_jacobian
 from glstar.calibrate.platesolution import PlateSolution
+from glstar.calibrate.rowturns import RowTurns
 from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
@@ -45,14 +46,22 @@ class IdentifiedStars:
         Apparent unit vectors, true equator and equinox of date.
     xy_px : (n, 2) float64
         Detected positions on the unmirrored image, px.
+    by_readout : (n, 3) float64 or None
+        Derivative of `apparent` by the readout time of a rolling shutter, 1/s.
     """
 
     apparent: Float
     xy_px: Float
+    by_readout: Float | None = None
 
     @staticmethod
     def of(
-        detected: DetectedStars, apparent: Float, solution: PlateSolution, star: Index, detection: Index
+        detected: DetectedStars,
+        apparent: Float,
+        solution: PlateSolution,
+        star: Index,
+        detection: Index,
+        rows: RowTurns | None = None,
     ) -> "IdentifiedStars":
         """Return the matched stars of an image.
 
@@ -65,18 +74,30 @@ class IdentifiedStars:
             States whether the image is mirrored.
         star, detection : (n,) intp
             Indices of the pairs.
+        rows : RowTurns or None
+            With a rolling shutter, how the aircraft turned between the rows: directions are turned to the attitude of
+            the middle row.
 
         Returns
         -------
         IdentifiedStars
         """
         xy = detected.xy_px[detection].copy()
+        direction, by_readout = apparent[star], None
+        if rows is not None:
+            by_readout = rows.by_readout(direction, xy, solution.camera)
+            direction = rows.turned(direction, xy, solution.camera)
         if solution.mirrored:
             xy[:, 0] = solution.camera.width_px - 1 - xy[:, 0]
-        return IdentifiedStars(apparent[star], xy)
+        return IdentifiedStars(direction, xy, by_readout)
 
     def __len__(self) -> int:
         return len(self.xy_px)
+
+    def every(self, count: int) -> "IdentifiedStars":
+        """Return every n-th star, bright and faint ones alike."""
+        by_readout = None if self.by_readout is None else self.by_readout[::count]
+        return IdentifiedStars(self.apparent[::count], self.xy_px[::count], by_readout)
 
     def residual_px(self, camera: Camera, C_camera_eq: Float) -> Float:
         """Return detected minus predicted positions, (n, 2) float64, px; NaN outside the lens's domain."""

@@ -20,7 +20,16 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
 
-__all__ = ["BestLens", "LensCandidate", "LensChoice", "LensTrial", "best_lens", "fit_candidate", "simple_lens"]
+__all__ = [
+    "BestLens",
+    "LensCandidate",
+    "LensChoice",
+    "LensTrial",
+    "best_lens",
+    "fit_candidate",
+    "scatter_px",
+    "simple_lens",
+]
 
 Float = NDArray[np.float64]
 LensChoice = Literal["auto", "none", "plumb_bob", "rational", "fisheye"]
@@ -156,7 +165,7 @@ def simple_lens(stars: IdentifiedStars, solution: PlateSolution, choice: LensCho
     is_fisheye = camera.lens is not None and camera.lens.model == "fisheye"
     model: LensModel = "fisheye" if choice == "fisheye" or is_fisheye else "plumb_bob"
     many: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (0, 1, 2)) if model == "fisheye" else ()
-    noise_px = _noise_px(stars, solution.camera, solution.C_camera_eq)
+    noise_px = scatter_px(stars, solution.camera, solution.C_camera_eq)
     for coefficients, principal_point in (
         *((free, True) for free in many),
         ((0, 1), True),
@@ -205,7 +214,7 @@ def best_lens(stars: tuple[IdentifiedStars, ...], solutions: tuple[PlateSolution
     """
     first, attitudes = solutions[0], tuple(solution.C_camera_eq for solution in solutions)
     camera = _with_k1_as_lens(stars, first.camera, attitudes, first.k1)
-    noise_px = tuple(_noise_px(part, camera, C) for part, C in zip(stars, attitudes, strict=True))
+    noise_px = tuple(scatter_px(part, camera, C) for part, C in zip(stars, attitudes, strict=True))
     corner_fraction = max(part.corner_fraction(first.camera) for part in stars)
     count = sum(map(len, stars))
     best: BestLens | None = None
@@ -259,7 +268,7 @@ def fit_candidate(
     if candidate.parameters(1) * _SELECTION.stars_per_parameter > len(stars):
         return None
     camera, C_camera_eq = solution.camera, solution.C_camera_eq
-    noise_px = _noise_px(stars, camera, C_camera_eq)
+    noise_px = scatter_px(stars, camera, C_camera_eq)
     prior = solution.prior_camera or camera
     free = FreeParameters((stars,), prior, (noise_px,), candidate.coefficients, candidate.principal_point)
     found = _try_candidate(candidate, free, CameraPoses(camera, (C_camera_eq,)))
@@ -312,8 +321,20 @@ def _try_candidate(
     return fit.state, LensTrial(candidate.label, parameters, rms_px, criterion), standard_errors(fit, free)
 
 
-def _noise_px(stars: IdentifiedStars, camera: Camera, C_camera_eq: Float) -> float:
-    """Return the scatter of the residuals about a smooth polynomial of the position, which no lens reduces, px."""
+def scatter_px(stars: IdentifiedStars, camera: Camera, C_camera_eq: Float) -> float:
+    """Return the scatter of the residuals about a smooth polynomial of the position, which no lens reduces.
+
+    Parameters
+    ----------
+    stars : IdentifiedStars
+    camera : Camera
+    C_camera_eq : (3, 3) float64
+
+    Returns
+    -------
+    float
+        px.
+    """
     residual = np.nan_to_num(stars.residual_px(camera, C_camera_eq))
     if len(residual) < _SELECTION.stars_for_polynomial:
         return max(robust_std(residual), _SELECTION.min_noise_px)

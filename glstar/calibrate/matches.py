@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.platesolution import PlateSolution
+from glstar.calibrate.readouttime import ReadoutTime
 from glstar.errors import CalibrationError
 
 __all__ = ["MIN_STARS", "SIGNIFICANCE", "Matches", "is_significant", "orientation_notes", "require_significant"]
@@ -65,6 +66,8 @@ class Matches:
         Remarks for the user: a mirrored image, an attitude far off.
     standard_error : dict of str to float
         Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, of those that were fitted.
+    readout : ReadoutTime or None
+        The readout time of a rolling shutter, if it was fitted.
     """
 
     solution: PlateSolution
@@ -79,6 +82,7 @@ class Matches:
     expected_by_chance: float = 0.0
     notes: tuple[str, ...] = ()
     standard_error: dict[str, float] = field(default_factory=dict)
+    readout: ReadoutTime | None = None
 
     def __len__(self) -> int:
         return len(self.star)

@@ -18,7 +18,7 @@ from glstar.camera.model import Camera
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.statistics import robust_std
 
-__all__ = ["match_stars", "mutual_nearest", "offset_probability", "refine"]
+__all__ = ["match_stars", "mutual_nearest", "offset_probability", "refine", "without_k1"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -287,8 +287,9 @@ def _brightest_counts(stars: int, detections: int, radius_px: float, area_px2: f
 
 
 def _residuals(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution, matches: Matches) -> Float:
-    predicted = solution.project(reference.to_camera(solution.C_camera_eq)[matches.star])
-    return np.asarray(detected.xy_px[matches.detection] - predicted)
+    found = detected.xy_px[matches.detection]
+    predicted = solution.project(reference.recorded(solution.C_camera_eq, matches.star, found, solution.camera))
+    return np.asarray(found - predicted)
 
 
 def _refined(detected: DetectedStars, reference: ReferenceStars, matches: Matches, most_steps: int) -> PlateSolution:
@@ -298,7 +299,7 @@ def _refined(detected: DetectedStars, reference: ReferenceStars, matches: Matche
     narrow view the principal point and the attitude can hardly be separated.
     """
     start, xy = matches.solution, detected.xy_px[matches.detection]
-    apparent = reference.to_camera(np.eye(3))[matches.star]
+    apparent = reference.recorded(np.eye(3), matches.star, xy, start.camera)
     typical_px = max(robust_std(matches.residual_px), 0.02)
     prior = start.prior_camera or start.camera
 
@@ -311,7 +312,7 @@ def _refined(detected: DetectedStars, reference: ReferenceStars, matches: Matche
             most_steps=most_steps,
         )
 
-    distorted, plain = fit(7, start), fit(4, _without_k1(start, prior))
+    distorted, plain = fit(7, start), fit(4, without_k1(start, prior))
     count = 2 * len(xy)
     improvement = count * np.log(plain.cost / max(distorted.cost, 1e-12))
     if improvement < 3 * np.log(count) + _REFINEMENT.criterion_margin:
@@ -373,8 +374,20 @@ def _residuals_and_jacobian(
     return residuals, np.concatenate([jacobian.reshape(-1, 7), typical_px * by_step])[:, :free]
 
 
-def _without_k1(solution: PlateSolution, prior: Camera) -> PlateSolution:
-    """Return the solution with the prior principal point and without k1; stars near the middle stay where they are."""
+def without_k1(solution: PlateSolution, prior: Camera) -> PlateSolution:
+    """Return the solution with another principal point and without k1; stars near the middle stay where they are.
+
+    Parameters
+    ----------
+    solution : PlateSolution
+    prior : Camera
+        It has the principal point.
+
+    Returns
+    -------
+    PlateSolution
+        Its prior camera is `prior`.
+    """
     camera = solution.camera
     right_px, down_px = camera.cx_px - prior.cx_px, camera.cy_px - prior.cy_px
     turn_rad = np.array([np.arctan(down_px / camera.fy_px), -np.arctan(right_px / camera.fx_px), 0.0])

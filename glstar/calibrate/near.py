@@ -145,7 +145,7 @@ def _by_votes(
     f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
     far_px = f * np.tan(_ATTITUDE_ERROR_RAD)
     predictions, bright = _VOTERS
-    xy = solution.project(reference.to_camera(solution.C_camera_eq))
+    xy = solution.predicted(reference)
     # The number of voters grows with the allowed error, because most of these stars are not on the image.
     area_ratio = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
     near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * area_ratio), _MOST_VOTERS)]

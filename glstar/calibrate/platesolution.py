@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.referencestars import ReferenceStars
+from glstar.calibrate.rowturns import RowTurns
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 
@@ -73,6 +74,42 @@ class PlateSolution:
             xy[:, 0] = camera.width_px - 1 - xy[:, 0]
         return np.asarray(xy)
 
+    def predicted(self, reference: ReferenceStars) -> Float:
+        """Return where catalogue stars are on the image, of a rolling shutter each in its own row.
+
+        Parameters
+        ----------
+        reference : ReferenceStars
+
+        Returns
+        -------
+        (n, 2) float64
+            px; NaN behind the camera and below the horizon.
+        """
+        if reference.rows is None:
+            return self.project(reference.to_camera(self.C_camera_eq))
+        return self.placed(reference.to_camera(np.eye(3)), reference.rows)
+
+    def placed(self, apparent: Float, rows: RowTurns | None) -> Float:
+        """Return where apparent directions are on the image, of a rolling shutter each in its own row.
+
+        Parameters
+        ----------
+        apparent : (n, 3) float64
+            True equator and equinox of date.
+        rows : RowTurns or None
+
+        Returns
+        -------
+        (n, 2) float64
+            px; NaN behind the camera.
+        """
+
+        def project(apparent: Float) -> Float:
+            return self.project(apparent @ self.C_camera_eq.T)
+
+        return project(apparent) if rows is None else rows.positions(project, apparent, self.camera)
+
     def stars_on_image(self, reference: ReferenceStars) -> tuple[Index, Float]:
         """Return the catalogue stars predicted on the image.
 
@@ -87,7 +124,7 @@ class PlateSolution:
         xy_px : (k, 2) float64
             Predicted positions, px.
         """
-        xy = self.project(reference.to_camera(self.C_camera_eq))
+        xy = self.predicted(reference)
         on_image = np.flatnonzero(self.camera.contains(xy))
         return on_image, xy[on_image]
 

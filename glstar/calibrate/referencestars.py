@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.calibrate.rowturns import RowTurns
+from glstar.camera.model import Camera
 from glstar.render.pointing import Pointing
 from glstar.sky.horizon import diurnal_aberration_rad
 from glstar.sky.observed import Sky
@@ -14,6 +16,7 @@ from glstar.sky.starfield import StarField
 __all__ = ["ReferenceStars"]
 
 Float = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +33,8 @@ class ReferenceStars:
         The result of `glstar.sky.horizon.refraction_scale`; 0 if the site is unknown.
     C_ned_eq : (3, 3) float64 or None
         Rotation from the true equator and equinox of date to north, east, down; None if site or time is unknown.
+    rows : RowTurns or None
+        How the aircraft turned while a rolling shutter read the image; None if one attitude holds for all rows.
     """
 
     stars: StarField
@@ -37,6 +42,7 @@ class ReferenceStars:
     velocity_eq: Float
     refraction_scale: float
     C_ned_eq: Float | None
+    rows: RowTurns | None = None
 
     @staticmethod
     def over(sky: Sky, utc_s: float, site: Site) -> "ReferenceStars":
@@ -90,3 +96,26 @@ class ReferenceStars:
             C_camera_eq[np.newaxis], self.zenith_eq[np.newaxis], self.velocity_eq[np.newaxis], self.refraction_scale
         )
         return np.asarray(pointing.to_camera(self.stars.direction_eq)[0])
+
+    def recorded(self, C_camera_eq: Float, star: Index, xy_px: Float, camera: Camera) -> Float:
+        """Return the directions of stars on an image in the camera frame, with a rolling shutter each in its own row.
+
+        Parameters
+        ----------
+        C_camera_eq : (3, 3) float64
+            As for `to_camera`; with a rolling shutter in the middle of the exposure of the middle row.
+        star : (k,) intp
+            Indices of the stars.
+        xy_px : (k, 2) float64
+            Where they are on the image as it was recorded, px.
+        camera : Camera
+            Of the size of the image.
+
+        Returns
+        -------
+        (k, 3) float64
+            NaN below the horizon.
+        """
+        if self.rows is None:
+            return np.asarray(self.to_camera(C_camera_eq)[star])
+        return np.asarray(self.rows.turned(self.to_camera(np.eye(3))[star], xy_px, camera) @ C_camera_eq.T)

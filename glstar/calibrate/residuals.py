@@ -78,8 +78,9 @@ def require_explained(
     """
     noise_px = centroid_noise_px(detected, matches.detection)
     most_px = max(_MOST_NOISE * noise_px, _MOST_PX, detected.psf_sigma_px)
-    placed = matches.solution.project(reference.to_camera(matches.solution.C_camera_eq)[identified.star])
-    off_px = np.linalg.norm(detected.xy_px[identified.detection] - placed, axis=1)
+    solution, found = matches.solution, detected.xy_px[identified.detection]
+    placed = solution.project(reference.recorded(solution.C_camera_eq, identified.star, found, solution.camera))
+    off_px = np.linalg.norm(found - placed, axis=1)
     far = ~(off_px <= _FAR * most_px)
     typical = robust_std(matches.residual_px) <= most_px and matches.rms_px <= _FAR * most_px
     if typical and far.mean() <= _MOST_FAR_FRACTION:

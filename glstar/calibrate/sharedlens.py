@@ -169,8 +169,8 @@ def _fit_jointly(
 
     def stars_of(pairs: list[Pairs]) -> tuple[IdentifiedStars, ...]:
         return tuple(
-            IdentifiedStars.of(d, a, s, p.star, p.detection)
-            for d, a, s, p in zip(detected, apparent, solutions, pairs, strict=True)
+            IdentifiedStars.of(d, a, s, p.star, p.detection, r.rows)
+            for d, r, a, s, p in zip(detected, reference, apparent, solutions, pairs, strict=True)
         )
 
     best = best_lens(stars_of(pairs), tuple(solutions), lens)

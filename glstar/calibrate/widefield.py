@@ -63,7 +63,7 @@ def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution
         matches = match_stars(detected, reference, solution, radius_px, within_px=within_px)
         if len(matches) < MIN_STARS or matches.chance >= 1:
             return None
-        stars = IdentifiedStars.of(detected, apparent, solution, matches.star, matches.detection)
+        stars = IdentifiedStars.of(detected, apparent, solution, matches.star, matches.detection, reference.rows)
         refined = _with_fisheye(stars, solution, matches, within_px / corner_px)
         if refined is None:
             return None

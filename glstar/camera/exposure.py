@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["MAX_DN", "MAX_FRAMES", "Exposure", "Readout", "Stack", "Trail", "check_readouts", "exposure_span_s"]
+__all__ = [
+    "MAX_DN",
+    "MAX_FRAMES",
+    "OPPOSITE",
+    "Exposure",
+    "Readout",
+    "Stack",
+    "Trail",
+    "check_readouts",
+    "exposure_span_s",
+]
 
 # How trails are drawn: integrated analytically, summed from sub-exposures, or whichever of the two is cheaper.
 Trail = Literal["auto", "analytic", "sprites"]
@@ -17,7 +27,7 @@ Trail = Literal["auto", "analytic", "sprites"]
 # The direction in which a rolling shutter proceeds over the image: "down" opens the top row first.
 Readout = Literal["down", "up", "left", "right"]
 
-_OPPOSITE: Final[dict[Readout, Readout]] = {"down": "up", "up": "down", "left": "right", "right": "left"}
+OPPOSITE: Final[dict[Readout, Readout]] = {"down": "up", "up": "down", "left": "right", "right": "left"}
 
 # How short exposures become one image.
 Stack = Literal["sum", "mean"]
@@ -233,7 +243,7 @@ class Exposure:
         -------
         Exposure
         """
-        direction = self.readout if readout_s >= 0 else _OPPOSITE[self.readout]
+        direction = self.readout if readout_s >= 0 else OPPOSITE[self.readout]
         return replace(self, readout_s=abs(readout_s), readout=direction)
 
     def sub_utc_s(self, n: int) -> NDArray[np.float64]:

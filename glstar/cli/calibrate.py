@@ -89,6 +89,13 @@ LensModel = Annotated[
 FitLens = Annotated[
     bool, typer.Option("--fit-lens", help="Fit one lens to all images together, with an attitude for each.")
 ]
+FitReadout = Annotated[
+    bool,
+    typer.Option(
+        "--fit-readout",
+        help="Fit the readout time of a rolling shutter to the stars; needs --flight, --utc and a turning aircraft.",
+    ),
+]
 GeometryOnly = Annotated[
     bool,
     typer.Option(
@@ -141,6 +148,7 @@ def calibrate(
     criterion: BrightnessCriterion = _Criterion.median,
     lens: LensModel = _Lens.auto,
     fit_lens: FitLens = False,
+    fit_readout: FitReadout = False,
     geometry_only: GeometryOnly = False,
     shape: Shape = False,
     twin: Twin = False,
@@ -178,6 +186,7 @@ def calibrate(
         shape=shape,
         twin=twin,
         extinction=extinction,
+        fit_readout=fit_readout,
     )
     _run(images or [], options, output, camera_out, as_json=as_json)
 
@@ -188,11 +197,12 @@ def _run(
     """Calibrate from photographs, write the results and report."""
     _require_consistent(options, images)
     # OpenCV, SciPy and matplotlib are loaded only now.
+    from glstar.calibrate import SharedGeometry  # noqa: PLC0415
     from glstar.cli.calibrateoutput import print_result  # noqa: PLC0415
     from glstar.cli.calibraterun import calibrate_images  # noqa: PLC0415
 
     result = calibrate_images(images, options, output, camera_out)
-    if not options.twin:
+    if not options.twin or isinstance(result, SharedGeometry):
         print_result(result, output, as_json=as_json)
         return
     from glstar.cli.calibratetwin import write_twin_of  # noqa: PLC0415 - OpenGL
@@ -232,14 +242,18 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
         raise ConfigError("--twin needs the sensor, and --geometry-only leaves it out; give one of them")
     if options.twin and options.shape:
         raise ConfigError("--twin measures the shape of the stars too: leave --shape out")
+    if options.fit_readout and (options.flight is None or not options.utc):
+        raise ConfigError("--fit-readout needs --flight and --utc: how the aircraft turned while the rows were read")
+    if options.fit_readout and options.twin:
+        raise ConfigError("--twin draws one attitude for all rows: leave --fit-readout or --twin out")
     if options.extinction != "none":
         _require_extinction(options)
     if len(images) == 1:
         if options.fit_lens:
             raise ConfigError("--fit-lens needs several images: the lens of a single one is always fitted, see --lens")
         return
-    if options.geometry_only:
-        raise ConfigError("--geometry-only takes one image: several measure the brightness of the stars")
+    if options.geometry_only and not options.fit_lens:
+        raise ConfigError("--geometry-only of several images needs --fit-lens: one lens for all of them")
     if options.shape:
         raise ConfigError("--shape takes one image: calibrate the sharpest one with it")
     if options.twin:

@@ -8,12 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate import Label, Photograph, ReferenceStars
+from glstar.calibrate import LONGEST_READOUT_S, Label, Photograph, ReferenceStars, RowTurns
 from glstar.camera.model import Camera
 from glstar.config import Config
+from glstar.config.exposuresection import ExposureSection
 from glstar.errors import CalibrationError, ConfigError
 from glstar.flight import AttitudeTrack
-from glstar.rotation import matrix_from_euler, matrix_from_quaternion, turn_between
+from glstar.rotation import matrix_from_euler, matrix_from_quaternion
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
@@ -146,8 +147,10 @@ def references(
     site_deg: tuple[float, ...] | None,
     attitude_deg: tuple[float, ...] | None,
     log: Path | None,
+    *,
+    fit_readout: bool = False,
 ) -> list[Reference]:
-    """Return the reference stars and the attitude of each image."""
+    """Return the reference stars and the attitude of each image, with the turns of its rows if it has them."""
     catalogue = StarCatalogue.open(settings.sky.catalogue).brighter_than(_ALL_STARS_VMAG)
     sky = Sky(catalogue, ASTROMETRY[settings.sky.astrometry], settings.sky.dut1_s, settings.sky.refraction)
     air = {"pressure_hpa": settings.air.pressure_hpa, "temperature_c": settings.air.temperature_c}
@@ -163,7 +166,6 @@ def references(
         site: Site | None = None
         notes: tuple[str, ...] = ()
         if recorded is not None and utc_s is not None:
-            notes = _readout_notes(recorded.attitude, utc_s, settings.exposure.readout_s)
             C_body_ned = matrix_from_quaternion(recorded.attitude.at([utc_s]))[0]
             site = recorded.position.at(utc_s)
         if site_deg is not None:
@@ -179,20 +181,28 @@ def references(
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
             found.append(Reference(stars, None, catalogue))
         else:
-            found.append(Reference(ReferenceStars.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue, notes))
+            stars = ReferenceStars.over(sky, utc_s, replace(site, **air))
+            if recorded is not None:
+                stars, notes = _with_rows(stars, recorded.attitude, utc_s, settings.exposure, fit_readout=fit_readout)
+            found.append(Reference(stars, C_body_ned, catalogue, notes))
     return found
 
 
-def _readout_notes(attitude: AttitudeTrack, utc_s: float, readout_s: float) -> tuple[str, ...]:
-    """Return the remark that the camera turned while a rolling shutter read the image; none if it hardly did."""
-    between_s = np.clip([utc_s - readout_s / 2, utc_s + readout_s / 2], attitude.first_s, attitude.last_s)
-    turn_deg = float(np.rad2deg(np.linalg.norm(turn_between(*attitude.at(between_s)))))
-    if turn_deg < _LEAST_TURN_DEG:
-        return ()
-    return (
-        f"the aircraft turned by {turn_deg:.2f} deg while the rolling shutter read the image ({1e3 * readout_s:g} ms),"
-        " which the fitted camera and attitude contain: a photograph is calibrated with one attitude for all rows. Take"
-        " a photograph at rest; glstar compare --fit-readout measures the readout time",
+def _with_rows(
+    stars: ReferenceStars, attitude: AttitudeTrack, utc_s: float, exposure: ExposureSection, *, fit_readout: bool
+) -> tuple[ReferenceStars, tuple[str, ...]]:
+    """Return the stars with the turn of the aircraft while a rolling shutter reads the image, and a note on it."""
+    if stars.C_ned_eq is None or not (exposure.readout_s or fit_readout):
+        return stars, ()
+    rows = RowTurns(attitude, utc_s, stars.C_ned_eq, exposure.readout_s, exposure.readout)
+    rows.require_covered(LONGEST_READOUT_S if fit_readout else exposure.readout_s)
+    turned = replace(stars, rows=rows)
+    turn_deg = float(np.rad2deg(rows.rate_rad_per_s(rows.readout_s) * rows.readout_s)) if rows.readout_s else 0.0
+    if fit_readout or turn_deg < _LEAST_TURN_DEG:
+        return turned, ()
+    return turned, (
+        f"the aircraft turned by {turn_deg:.2f} deg while the rolling shutter read the image ({1e3 * rows.readout_s:g}"
+        " ms), as the log says: camera and attitude are those of the middle row",
     )
 
 

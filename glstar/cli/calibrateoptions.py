@@ -27,3 +27,4 @@ class CalibrateOptions:
     shape: bool
     twin: bool = False
     extinction: str = "none"
+    fit_readout: bool = False

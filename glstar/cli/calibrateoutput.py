@@ -11,6 +11,7 @@ from glstar.calibrate import (
     Calibration,
     CombinedCalibration,
     GeometryCalibration,
+    SharedGeometry,
     draw_combined,
     draw_geometry,
     draw_report,
@@ -53,8 +54,14 @@ def files_of(part: Calibration | GeometryCalibration, *, with_toml: bool) -> dic
     return {".toml": part.to_toml().encode()} | files if with_toml else files
 
 
-def files_of_all(combined: CombinedCalibration, output: Path) -> dict[str, bytes]:
+def files_of_all(combined: CombinedCalibration | SharedGeometry, output: Path) -> dict[str, bytes]:
     """Return the files of several images together, by suffix."""
+    if isinstance(combined, SharedGeometry):
+        return {
+            ".toml": combined.to_toml().encode(),
+            ".json": (json.dumps(combined.to_json(), indent=1) + "\n").encode(),
+            ".png": draw_geometry(combined.best),
+        }
     return {
         _TABLE: combined.table.to_csv().encode(),
         ".toml": combined.to_toml(output.with_suffix(_TABLE).name).encode(),
@@ -64,17 +71,26 @@ def files_of_all(combined: CombinedCalibration, output: Path) -> dict[str, bytes
 
 
 def print_result(
-    result: Calibration | CombinedCalibration | GeometryCalibration, output: Path, *, as_json: bool
+    result: Calibration | CombinedCalibration | GeometryCalibration | SharedGeometry, output: Path, *, as_json: bool
 ) -> None:
     """Print a result, as messages or as JSON."""
     if as_json:
         typer.echo(json.dumps(result.to_json()))
     elif isinstance(result, GeometryCalibration):
         _print_geometry(result, output)
+    elif isinstance(result, SharedGeometry):
+        _print_shared_geometry(result, output)
     elif isinstance(result, CombinedCalibration):
         _print_combined(result, output)
     else:
         _print_calibration(result, output)
+
+
+def _print_shared_geometry(shared: SharedGeometry, output: Path) -> None:
+    """Print the camera of several images."""
+    for part in shared.parts:
+        typer.echo(f"{part.image.path.name}: {len(part.matches)} stars identified, {part.matches.rms_px:.2f} px rms")
+    _print_notes(shared.notes, output)
 
 
 def _print_combined(combined: CombinedCalibration, output: Path) -> None:

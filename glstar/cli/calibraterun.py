@@ -1,26 +1,19 @@
 """The run of ``glstar calibrate``: read, detect, identify, fit and write, image by image."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, cast
-
-import numpy as np
 
 from glstar.calibrate import (
     Calibration,
     Channel,
     CombinedCalibration,
     Criterion,
-    DetectedStars,
     GeometryCalibration,
-    Label,
     LensChoice,
-    Matches,
-    Photograph,
-    PlateSolution,
+    SharedGeometry,
     SharedLensFit,
     above_air,
     above_air_together,
@@ -30,16 +23,13 @@ from glstar.calibrate import (
     detect_stars,
     fit_lens,
     fit_shared_lens,
-    identify_by_labels,
-    identify_lost,
-    identify_near,
     prepare_to_draw,
     read_image,
+    share_geometry,
     with_point_spread,
 )
-from glstar.camera.model import Camera
+from glstar.cli.calibrateidentify import DetectedPhotograph, Identified, given_solution, identified_with_readout, naming
 from glstar.cli.calibrateinputs import (
-    Reference,
     all_or_none,
     camera_of,
     exposure_s,
@@ -54,29 +44,15 @@ from glstar.cli.progress import progress_bar
 from glstar.config import Config
 from glstar.errors import CalibrationError
 
-__all__ = ["Identified", "calibrate_images", "calibrated_image", "identify"]
+__all__ = ["calibrate_images", "calibrated_image"]
 
 # Progress steps of an image: read, detected, identified, calibrated.
 _STEPS: Final = 4
-# A given attitude is reported as wrong if the optical axis is off by more than this, rad.
-_ATTITUDE_TOLERANCE_RAD: Final = np.deg2rad(0.02)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Identified:
-    """An image with identified stars; `exposure_s` is 0 if only the geometry is calibrated."""
-
-    image: Photograph
-    exposure_s: float
-    detected: DetectedStars
-    reference: Reference
-    method: str
-    matches: Matches
 
 
 def calibrate_images(
     images: list[Path], options: CalibrateOptions, output: Path, camera_out: Path | None
-) -> Calibration | CombinedCalibration | GeometryCalibration:
+) -> Calibration | CombinedCalibration | GeometryCalibration | SharedGeometry:
     """Calibrate one image, or several of one camera, and write the results.
 
     Parameters
@@ -90,7 +66,7 @@ def calibrate_images(
 
     Returns
     -------
-    Calibration, CombinedCalibration or GeometryCalibration
+    Calibration, CombinedCalibration, GeometryCalibration or SharedGeometry
 
     Raises
     ------
@@ -111,7 +87,7 @@ def calibrate_images(
             identified = [replace(part, matches=m) for part, m in zip(identified, shared.matches, strict=True)]
         parts: list[Calibration | GeometryCalibration] = []
         for number, known in enumerate(identified):
-            with _naming(None if single else images[number]):
+            with naming(None if single else images[number]):
                 parts.append(calibrated_image(known, options, single=single, lens_is_fitted=shared is not None))
             on_step(_STEPS * len(images) - len(identified) + number + 1, steps)
         ready.result()
@@ -121,9 +97,9 @@ def calibrate_images(
         for path, part in zip(images, calibrations or parts, strict=True):
             beside = output if single else output.with_name(f"{output.stem}.{path.stem}")
             write_files(beside, files_of(part, with_toml=single))
-        combined: CombinedCalibration | None = None
+        combined: CombinedCalibration | SharedGeometry | None = None
         if not single:
-            combined = combine(calibrations, shared_lens=shared)
+            combined = _combined(parts, calibrations, shared)
             write_files(output, files_of_all(combined, output))
             on_step(steps, steps)
     if camera_out is not None:
@@ -141,22 +117,40 @@ def _identified_images(
     exposures = exposures_of(options.exposures_s, len(images))
     times = times_of(options.utc, len(images))
     labels = None if options.labels is None else read_labels(options.labels)
-    over = references(settings, times, site_deg, attitude_deg, options.flight)
+    over = references(settings, times, site_deg, attitude_deg, options.flight, fit_readout=options.fit_readout)
     given = settings if options.config is not None else None
     focal_known = options.fov_deg is None and given is not None
-    found = []
+    found: list[Identified] = []
+    waiting: list[DetectedPhotograph] = []
     for number, path in enumerate(images):
-        with _naming(path if len(images) > 1 else None):
+        with naming(path if len(images) > 1 else None):
             image = read_image(path, channel=cast("Channel", options.channel), bit_depth=options.bit_depth)
             duration_s = 0.0 if options.geometry_only else exposure_s(exposures[number], image)
             camera = camera_of(image, given, options.fov_deg, known=labels is not None)
             on_step((_STEPS - 1) * number + 1)
             detected = detect_stars(image)
             on_step((_STEPS - 1) * number + 2)
-            method, matches = identify(settings, detected, over[number], camera, labels, focal_known=focal_known)
+            solution = given_solution(settings, over[number], camera)
+            photograph = DetectedPhotograph(
+                image, duration_s, detected, over[number], camera, solution, labels, focal_known
+            )
+            if options.fit_readout:
+                waiting.append(photograph)
+            else:
+                found.append(photograph.identified())
             on_step((_STEPS - 1) * number + 3)
-            found.append(Identified(image, duration_s, detected, over[number], method, matches))
+    if options.fit_readout:
+        return identified_with_readout(waiting, cast("LensChoice", options.lens))
     return found
+
+
+def _combined(
+    parts: list[Calibration | GeometryCalibration], calibrations: tuple[Calibration, ...], shared: SharedLensFit | None
+) -> CombinedCalibration | SharedGeometry:
+    geometries = tuple(part for part in parts if isinstance(part, GeometryCalibration))
+    if shared is not None and geometries:
+        return share_geometry(geometries, shared)
+    return combine(calibrations, shared_lens=shared)
 
 
 def _shared_lens(identified: list[Identified], options: CalibrateOptions) -> SharedLensFit:
@@ -216,61 +210,3 @@ def calibrated_image(
 def _given_mag(extinction: str) -> float | None:
     """Return the given extinction per air mass, mag; None if it is to be fitted."""
     return None if extinction == "fit" else float(extinction)
-
-
-@contextmanager
-def _naming(image: Path | None) -> Iterator[None]:
-    """Name the image in errors, if there are several."""
-    try:
-        yield
-    except CalibrationError as error:
-        if image is None or error.path is not None:
-            raise
-        raise CalibrationError(
-            str(error), path=image, stars_used=error.stars_used, stars_needed=error.stars_needed
-        ) from error
-
-
-def identify(
-    settings: Config,
-    detected: DetectedStars,
-    reference: Reference,
-    camera: Camera,
-    labels: list[Label] | None,
-    *,
-    focal_known: bool,
-) -> tuple[str, Matches]:
-    """Return how the stars were identified, and the matches.
-
-    Parameters
-    ----------
-    settings : Config
-        Its mount is that of the camera.
-    detected : DetectedStars
-    reference : Reference
-    camera : Camera
-    labels : list of Label or None
-    focal_known : bool
-        Whether the camera's focal length is right to 1 %.
-
-    Returns
-    -------
-    (str, Matches)
-    """
-    stars = reference.stars
-    if labels is not None:
-        return "by labels", identify_by_labels(detected, stars, labels, camera, focal_known=focal_known)
-    if reference.C_body_ned is None or stars.C_ned_eq is None:
-        return "by their pattern", identify_lost(detected, stars, reference.catalogue, camera)
-    given = PlateSolution(camera, settings.mount().C_camera_body @ reference.C_body_ned @ stars.C_ned_eq)
-    matches = identify_near(detected, stars, given, focal_known=focal_known)
-    return "by attitude", replace(matches, notes=matches.notes + _attitude_notes(given, matches))
-
-
-def _attitude_notes(given: PlateSolution, matches: Matches) -> tuple[str, ...]:
-    """Return a note on the error of the given attitude, if it is noticeable."""
-    cosine = float(np.clip(given.C_camera_eq[2] @ matches.solution.C_camera_eq[2], -1, 1))
-    off_rad = float(np.arccos(cosine))
-    if off_rad < _ATTITUDE_TOLERANCE_RAD:
-        return ()
-    return (f"the given attitude points {np.rad2deg(off_rad):.2f} deg away from the camera's direction",)

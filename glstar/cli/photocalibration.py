@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from glstar.calibrate import Calibration, GeometryCalibration, detect_stars, identify_again, read_image
+from glstar.cli.calibrateidentify import DetectedPhotograph, Identified, given_solution
 from glstar.cli.calibrateinputs import camera_of, exposure_s, references
 from glstar.cli.calibrateoptions import CalibrateOptions
 from glstar.cli.calibrateoutput import files_of, report_lines, write_files
-from glstar.cli.calibraterun import Identified, calibrated_image, identify
+from glstar.cli.calibraterun import calibrated_image
 from glstar.sky.catalogue import star_label
 from glstar.sky.timescale import parse_utc
 from glstar.viewer.photocalibration import CalibratedPhoto, CalibrationProgress, CalibrationRequest
@@ -80,8 +81,8 @@ def _first(request: CalibrationRequest, progress: CalibrationProgress) -> Identi
     progress.detected_px = detected.xy_px
     progress.begin("identifying stars", 2)
     focal_known = request.fov_rad is None
-    method, matches = identify(settings, detected, reference, camera, None, focal_known=focal_known)
-    return Identified(image, duration_s, detected, reference, method, matches)
+    solution = given_solution(settings, reference, camera)
+    return DetectedPhotograph(image, duration_s, detected, reference, camera, solution, None, focal_known).identified()
 
 
 def _again(request: CalibrationRequest, progress: CalibrationProgress) -> Identified:

@@ -33,6 +33,7 @@ MAY_LOAD = {
     "cli.calibrateinputs": {"cv2", "scipy"},
     "cli.calibratedarks": {"cv2", "scipy"},
     "cli.calibrateoutput": {"cv2", "scipy"},
+    "cli.calibrateidentify": {"cv2", "scipy"},
     "cli.calibraterun": {"cv2", "scipy"},
     "cli.calibratetwin": {"cv2", "moderngl", "scipy"},
     "cli.photocalibration": {"cv2", "scipy"},
