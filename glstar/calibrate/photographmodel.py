@@ -143,7 +143,7 @@ class PhotographModel:
 
     def to_json(self) -> dict[str, Any]:
         """Return the measurements as JSON-serialisable values."""
-        noise = self.noise
+        noise, slope = self.noise, self.terms.magnitude_slope
         return {
             "standard_error": self.standard_error,
             "psf_stars": self.joint.stars,
@@ -154,6 +154,7 @@ class PhotographModel:
                 "level_dn": noise.level_dn.tolist(),
                 "std_dn": np.sqrt(noise.variance_dn2).tolist(),
             },
+            "response_exponent": None if slope is None else [1 + slope.value, slope.standard_error],
             "hot_pixels": np.column_stack([self.hot.x_px, self.hot.y_px, self.hot.excess_dn]).tolist(),
             "refused": list(self.refused),
         }  # fmt: skip

@@ -119,6 +119,11 @@ def _print_twin(result: TwinResult, output: Path) -> None:
     errors = model.standard_error
     values = {**sensor.keys, **{key.partition(".")[2]: value for key, value in sensor.effects.items()}}
     typer.echo(", ".join(f"{key} {values[key]:.4g} ± {errors[key]:.2g}" for key in errors if key in values))
+    slope = model.terms.magnitude_slope
+    if slope is not None:
+        typer.echo(
+            f"recorded light grows as its power {1 + slope.value:.3f} ± {slope.standard_error:.3f} (1: a linear sensor)"
+        )
     if model.dark_frame is not None:
         typer.echo(f"{len(model.hot)} hot pixels: {output.with_suffix('.hot.tiff')}")
     for reason in model.refused:

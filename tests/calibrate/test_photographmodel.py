@@ -131,3 +131,13 @@ def test_few_stars_are_refused_with_their_number():
     object.__setattr__(detected, "noise_dn", detected.noise_dn * 50)
     with pytest.raises(CalibrationError, match=r"needs 6 stars .* and the image has 0"):
         measure_photograph(calibration)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.8])
+def test_the_power_of_the_response_is_measured_from_fluxes(exponent):
+    rng = np.random.default_rng(9)
+    vmag, bv, r = rng.uniform(1, 6, 80), rng.normal(0.6, 0.4, 80), rng.uniform(0, 1, 80)
+    flux = 1e5 * 10 ** (-0.4 * exponent * (vmag + rng.normal(0, 0.05, 80)))
+    slope = fit_brightness_terms(flux, 0.01 * flux, vmag, bv, r, np.ones(80, bool)).magnitude_slope
+    assert slope.standard_error < 0.01
+    assert 1 + slope.value == pytest.approx(exponent, rel=0, abs=3 * slope.standard_error)
