@@ -34,7 +34,9 @@ class _CoarseSearch:
     images : int
         Number of images, evenly chosen.
     samples : int
-        Samples along each star path.
+        Samples along each star path, in each short exposure of a stacked image.
+    most_samples : int
+        Largest number of samples along the path of a stacked image.
     step_s : float
         Step of the clock offset, s.
     max_offsets : int
@@ -52,6 +54,7 @@ class _CoarseSearch:
     side_px: int = 192
     images: int = 6
     samples: int = 24
+    most_samples: int = 240
     step_s: float = 0.0125
     max_offsets: int = 200
     readout_s: float = 0.25
@@ -181,15 +184,20 @@ class _Correlations:
 def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, side: int) -> NDArray[np.float32]:
     """Return the signal of the brightest stars along their paths, in units of the noise, binned."""
     sensor, camera = simulator.sensor, simulator.camera
-    pointing = simulator.pointing(exposure.sub_utc_s(_COARSE.samples))
+    samples = min(_COARSE.samples * exposure.frames, _COARSE.most_samples)
+    pointing = simulator.pointing(exposure.sub_utc_s(samples))
     middle = pointing.boresight_eq[len(pointing) // 2]
     within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.field_radius_rad * 1.3, np.pi)))
     within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][: _COARSE.stars]
     xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
-    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.span_s)) / _COARSE.samples
+    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.span_s)) / samples
     per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
-    since_s = exposure.sub_utc_s(_COARSE.samples)[:, np.newaxis] - exposure.start_utc_s
+    since_s = exposure.sub_utc_s(samples)[:, np.newaxis] - exposure.start_utc_s
     open_for_s = since_s - first_s - side * (per_column_s * xy[..., 0] + per_row_s * xy[..., 1])
+    period_s = exposure.duration_s + exposure.gap_s
+    if exposure.frames > 1:  # within one of the short exposures
+        open_for_s = np.where(open_for_s < exposure.frames * period_s, open_for_s, -1.0)
+        open_for_s = np.where(open_for_s < 0, -1.0, open_for_s % period_s)
     on_image = np.isfinite(xy).all(axis=-1) & (open_for_s >= 0) & (open_for_s <= exposure.duration_s)
     y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
     edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]

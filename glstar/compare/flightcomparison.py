@@ -103,11 +103,6 @@ class FlightComparison:
         problems: Sequence[str] = (),
         seed: int = 0,
     ) -> None:
-        if exposure.frames > 1:
-            raise ConfigError(
-                f"is {exposure.frames}, and real images are compared with single exposures; set exposure.frames = 1",
-                key="exposure.frames",
-            )
         self._simulator, self._renderer = simulator, renderer
         self._search = search or Search()
         self._seed = seed
@@ -119,6 +114,7 @@ class FlightComparison:
         self._exposures: list[tuple[RealImage, Exposure]] = []
         self._reference = reference
         self._given_readout_s = exposure.readout_s
+        self._stack = exposure
         for image in images:
             # Star paths are sampled at equal time steps, as for sub-exposures.
             even = replace(exposure, trail="sprites")
@@ -202,6 +198,11 @@ class FlightComparison:
         Alignment or None
             None if no image shows its trails.
         """
+        if fit_readout and self._stack.frames > 1:
+            raise ConfigError(
+                f"is {self._stack.frames}, and the readout time is fitted to single exposures; set exposure.frames = 1",
+                key="exposure.frames",
+            )
         good = []
         for number in (
             np.unique(np.linspace(0, len(self._exposures) - 1, _MAX_FITTED).astype(int)) if self._exposures else ()
@@ -344,14 +345,15 @@ class FlightComparison:
                 f"is {width} x {height} px and the camera {camera.width_px} x {camera.height_px} px; choose the camera"
                 " that took it",
             )
-        sensor = _sensor_of(pixels, self._simulator.sensor, image.path)
+        sensor = _sensor_of(pixels, self._simulator.sensor, image.path, self._stack)
         if self._sensor is not None and sensor.bit_depth != self._sensor.bit_depth:
             raise ImagesError(
                 image.path,
                 f"has {pixels.dtype.itemsize * 8} bits, and earlier images have another depth; compare them separately",
             )
         self._sensor = sensor
-        sky = subtract_background(pixels, saturation_dn=sensor.saturation_dn)
+        saturation_dn = _saturation_dn(pixels, sensor, self._stack)
+        sky = subtract_background(pixels, saturation_dn=saturation_dn)
         self._subtracted[image.path] = sky
         while (
             len(self._subtracted) > 1
@@ -374,8 +376,29 @@ def _by_signed_readout(jacobian: Float, before: float, readout_s: float) -> Floa
     return signed
 
 
-def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path) -> Sensor:
-    """Return the sensor with the bit depth of a real image."""
+def _saturation_dn(pixels: NDArray[Any], sensor: Sensor, exposure: Exposure) -> float:
+    """Return the digital number from which a pixel of an image may be saturated.
+
+    In a stacked image that of one saturated short exposure and the sky of the others.
+    """
+    if exposure.frames == 1:
+        return sensor.saturation_dn
+    whole_dn = float(exposure.full_scale_dn(sensor.saturation_dn))
+    return whole_dn / exposure.frames + float(np.median(pixels)) * (1 - 1 / exposure.frames)
+
+
+def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path, exposure: Exposure) -> Sensor:
+    """Return the sensor with the bit depth of a real image; that of a stacked image is the given one."""
+    if exposure.frames > 1:
+        largest_dn = exposure.full_scale_dn(sensor.saturation_dn)
+        if int(pixels.max()) > largest_dn:
+            raise ImagesError(
+                path,
+                f"has {int(pixels.max())} DN, and the {exposure.stack} of {exposure.frames} exposures of"
+                f" {sensor.bit_depth} bits at most {largest_dn} DN; correct exposure.frames, exposure.stack or"
+                " sensor.bit_depth",
+            )
+        return sensor
     if pixels.dtype == np.uint8 and sensor.bit_depth > 8:
         raise ImagesError(path, f"has 8 bits and the sensor of the config {sensor.bit_depth}; calibrate this camera")
     if pixels.dtype == np.uint16 and sensor.bit_depth <= 8:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.rowtimes import recorded_paths
+from glstar.compare.exposedpaths import ExposedPaths, exposed_paths
 from glstar.render.scene import Frame, Scene
 
 __all__ = ["Stamp", "Trails", "predicted_trails", "stamp_of"]
@@ -20,10 +20,6 @@ Number = TypeVar("Number", bound=np.generic)
 _APERTURE_SIGMA: Final = 3.5
 # Distance from the image's edge to the aperture of a complete trail, px: room for the fit to move.
 _EDGE_PX: Final = 5.0
-# Largest number of samples along a path.
-_MAX_SAMPLES: Final = 240
-# Number of samples along a path that a rolling shutter records.
-_ROLLING_SAMPLES: Final = 64
 # A star is blended if other stars add more than this fraction of its flux to its aperture.
 _BLENDED_FRACTION: Final = 0.05
 # Number of small motions: rotations, a delay, a readout time, and rotations that grow.
@@ -46,7 +42,7 @@ class Trails:
     vmag : (k,) float64
         Magnitudes; NaN if unknown.
     path_px : (n, k, 2) float64
-        The star paths: positions (x, y) at n times.
+        The star paths: positions (x, y) at n times; of a stacked image while each short exposure is open.
     signal_dn : (height, width) float32
         The noiseless signal above the background, DN, without saturation.
     pixels_dn : (height, width) float32
@@ -186,15 +182,18 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
-    background_dn = sensor.background_mean_dn(scene.exposure.duration_s)
+    exposure = scene.exposure
+    short_background_dn = sensor.background_mean_dn(exposure.duration_s)
+    background_dn = exposure.signal_factor * short_background_dn
     pixels = frame.pixels.astype(np.float32) - np.float32(background_dn)
     vmag = scene.stars.vmag[scene.visible]
-    flux_dn = sensor.flux_dn(sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s))
+    flux_dn = exposure.signal_factor * sensor.flux_dn(sensor.peak_dn(scene.observed_mag, exposure.duration_s))
     # Upper bound: the signal-to-noise ratio of stars without motion.
     clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
     likely = np.flatnonzero(clearest >= least_signal)
-    in_camera, seconds, flux_dn[likely] = _sampled_paths(scene, likely, flux_dn[likely])
-    path = camera.project(in_camera)
+    paths = exposed_paths(scene, scene.stars.direction_eq[scene.visible[likely]])
+    flux_dn[likely] *= paths.exposed_fraction
+    path = camera.project(paths.in_camera)
     margin_px = _APERTURE_SIGMA * sensor.effective_sigma_px + _EDGE_PX
     whole = camera.contains(path, -margin_px).all(axis=0)
     touching = camera.contains(path).any(axis=0)
@@ -206,31 +205,16 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         path_px=path,
         signal_dn=frame.light_dn,
         pixels_dn=pixels,
-        headroom_dn=max(sensor.saturation_dn - background_dn, 1.0),
+        # That of one short exposure: where it is saturated, the sum of all is too small.
+        headroom_dn=max((sensor.saturation_dn - short_background_dn) * exposure.signal_factor / exposure.frames, 1.0),
         sigma_px=sensor.effective_sigma_px,
         jacobian=np.zeros((len(likely), 4, _MOTIONS)),
         signal_to_noise=clearest[likely],
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
     chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
-    jacobian = _trail_jacobians(scene, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
+    jacobian = _trail_jacobians(scene, paths, np.flatnonzero(whole)[chosen[0]], chosen[1])
     return replace(chosen[1], jacobian=jacobian)
-
-
-def _sampled_paths(scene: Scene, stars: NDArray[np.intp], flux_dn: Float) -> tuple[Float, float, Float]:
-    """Return sampled paths of visible stars, (n, k, 3) in the camera frame, the time between samples, and their flux.
-
-    Under a rolling shutter they are the paths while the row of each star is open.  A delay of the exposure also delays
-    its rows, so that the time between samples in which a star moves is that of a star at rest.
-    """
-    directions = scene.stars.direction_eq[scene.visible[stars]]
-    duration_s = scene.exposure.duration_s
-    if scene.exposure.readout_s and scene.motion is not None:
-        in_camera, exposed_s = recorded_paths(scene, directions, _ROLLING_SAMPLES)
-        return in_camera, duration_s / _ROLLING_SAMPLES, flux_dn * exposed_s / duration_s
-    step = max(1, len(scene.trails.pointing) // _MAX_SAMPLES)
-    in_camera = scene.trails.pointing[::step].to_camera(directions)
-    return in_camera, duration_s * step / max(len(scene.trails.pointing), 1), flux_dn
 
 
 def _clear_and_alone(
@@ -250,27 +234,26 @@ def _clear_and_alone(
     return good, replace(kept, blended=int((~alone & (signal >= least_signal)).sum()))
 
 
-def _trail_jacobians(scene: Scene, in_camera: Float, trails: Trails, step_s: float) -> Float:
+def _trail_jacobians(scene: Scene, paths: ExposedPaths, stars: NDArray[np.intp], trails: Trails) -> Float:
     """Return the Jacobians of trails by turns of the camera, time, readout time, and turns that grow, (k, 4, 8)."""
-    camera, path = scene.camera, trails.path_px
+    camera, path, in_camera = scene.camera, trails.path_px, paths.in_camera[:, stars]
     fields = np.zeros((*path.shape, _MOTIONS))
     small_rad = 1e-5
     for axis in range(3):
         # Stars rotate against the camera.
         turn = np.cross(np.eye(3)[axis], in_camera) * small_rad
         fields[..., axis] = (camera.project(in_camera - turn) - camera.project(in_camera + turn)) / (2 * small_rad)
-    if len(path) > 2:
-        fields[..., 3] = np.gradient(path, step_s, axis=0, edge_order=2)
+    if len(path) > 2 * paths.pieces:
+        fields[..., 3] = paths.rate_of(path)
         # A longer readout time delays each row in proportion to its number.
         fields[..., 4] = _row_fraction(scene, path)[..., np.newaxis] * fields[..., 3]
-    since_mid = (np.arange(len(path)) + 0.5) / len(path) - 0.5
-    fields[..., 5:] = since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
+    fields[..., 5:] = paths.since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
     return trail_jacobian(fields, trails)
 
 
 def _row_fraction(scene: Scene, xy_px: Float) -> Float:
     """Return the fraction of the readout time after which the pixels at some positions open: 0 to 1."""
-    whole = scene.exposure.with_readout_s(1.0)
+    whole = scene.exposure.first.with_readout_s(1.0)
     per_column, per_row, first = whole.opening_s(scene.camera.width_px, scene.camera.height_px)
     return np.asarray(per_column * xy_px[..., 0] + per_row * xy_px[..., 1] + first)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.flight import AttitudeTrack
+from glstar.render.rowtimes import recorded_positions
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad
@@ -32,7 +33,8 @@ class ObjectPlace:
     altitude_rad, azimuth_rad : float
         Apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
     x_px, y_px : float
-        Position on the image in the middle of the exposure, px; NaN behind the camera.
+        Position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
+        behind the camera.
     on_image : bool
         Whether it is on the image, above the horizon, at the middle of the exposure.
     right, down : float
@@ -96,6 +98,9 @@ def object_place(scene: Scene, direction_eq: Float) -> ObjectPlace:
     in_camera = middle.to_camera(direction_eq[np.newaxis], below_horizon=True)[0, 0]
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ ned_to_camera_matrix(middle))
     x_px, y_px = scene.camera.project(in_camera)
+    if scene.exposure.readout_s and np.isfinite(x_px):
+        recorded = recorded_positions(scene, direction_eq[np.newaxis], np.array([0.5]))[0, 0]
+        x_px, y_px = recorded if np.isfinite(recorded).all() else (x_px, y_px)
     across, along, ahead = in_camera.tolist()
     bearing_rad = atan2(along, across)
     return ObjectPlace(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.pointing import Pointing
+from glstar.render.rowtimes import recorded_positions
 from glstar.render.scene import Scene
 from glstar.viewer.objectplace import object_place
 
@@ -15,6 +16,8 @@ Float = NDArray[np.float64]
 
 # Sub-exposures of the coarse search, which selects the stars whose trails are then searched completely.
 _COARSE_SAMPLES: Final = 8
+# Samples along the part of a trail that a rolling shutter records.
+_RECORDED_SAMPLES: Final = 33
 # A magnitude counts as this fraction of the largest distance: of two stars near the mouse the brighter one is returned.
 _DISTANCE_PER_MAGNITUDE: Final = 0.1
 
@@ -35,8 +38,8 @@ class StarUnderCursor(NamedTuple):
     altitude_rad, azimuth_rad : float
         Its apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
     x_px, y_px : float
-        Its position on the image in the middle of the exposure, px; NaN if it is behind the camera or below the
-        horizon then.
+        Its position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
+        if it is behind the camera or below the horizon then.
     """
 
     catalogue: str
@@ -77,6 +80,12 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
         xy = scene.camera.project(block.to_camera(scene.stars.direction_eq[scene.visible[around]]))
         nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, position))
     near = np.flatnonzero(nearest_px <= within_px)
+    if scene.exposure.readout_s and near.size:
+        # Of the path over the whole readout, a star is recorded while its own rows are open.
+        directions = scene.stars.direction_eq[scene.visible[around[near]]]
+        recorded = recorded_positions(scene, directions, np.linspace(0, 1, _RECORDED_SAMPLES))
+        nearest_px[near] = _distance_to_trail_px(recorded, position)
+        near = near[nearest_px[near] <= within_px]
     if not near.size:
         return None
     stars = scene.visible[around[near]]

@@ -14,7 +14,6 @@ from glstar.camera.sensor import Sensor
 from glstar.compare import Alignment, FlightComparison, Search
 from glstar.compare.predictedtrails import predicted_trails
 from glstar.config import Config
-from glstar.errors import ConfigError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage, TimeReference
 from glstar.render.opengl import GLRenderer
@@ -211,9 +210,3 @@ def test_the_predicted_effect_of_a_longer_readout_is_that_of_drawing_with_it(
         predicted = at.jacobian[at.star_id == star_id][0, :3, 4]
         assert tuple(predicted[:2]) == pytest.approx(tuple(shift), rel=0.01, abs=1.0)  # px/s
         assert predicted[2] == pytest.approx((lengths[1] / lengths[0] - 1) / (2 * step_s), rel=0.05, abs=0.02)  # 1/s
-
-
-def test_stacked_images_are_refused_in_one_line() -> None:
-    with pytest.raises(ConfigError, match="real images are compared with single exposures") as error:
-        FlightComparison(None, None, [], Exposure(0.0, 0.1, frames=4))  # type: ignore[arg-type]
-    assert error.value.key == "exposure.frames"

@@ -525,3 +525,27 @@ def test_a_star_on_a_shaky_trail_is_found_anywhere_along_it():
     assert np.ptp(path[:, 0]) > 50
     for place in path[::7]:
         assert star_at(scene, *place, within_px=1.0) is not None
+
+
+def test_the_star_under_the_cursor_is_where_its_own_rows_record_it():
+    """Truth is computed from each star's own rows; before they open and after they close it is not there."""
+    rates = {"roll_rate_rad_per_s": 0.3, "yaw_rate_rad_per_s": np.deg2rad(8.0)}
+    simulator = sky_over_adelaide(
+        camera(640, 480, 600.0), mount=NOSE, vmag_limit=5.0, pitch_rad=0.9, yaw_rad=-0.5, **rates
+    )
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 2, 0.02, readout_s=0.3))
+    stars = [star for star in truth_of(scene) if star["in_frame"] == 1.0 and abs(star["mid_offset_s"]) > 0.08]
+    assert len(stars) >= 3
+    middles = scene.camera.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq))[0]
+    ids = scene.stars.star_id.tolist()
+    for star in stars:
+        found = star_at(scene, star["x_px"], star["y_px"], within_px=3.0)
+        assert found is not None
+        if found.star_id != star["star_id"]:
+            continue  # a brighter one nearby
+        assert (found.x_px, found.y_px) == pytest.approx((star["x_px"], star["y_px"]), abs=0.01)
+        middle = middles[ids.index(star["star_id"])]
+        if np.hypot(*(middle - [star["x_px"], star["y_px"]])) < 15:
+            continue
+        elsewhere = star_at(scene, *middle, within_px=3.0)
+        assert elsewhere is None or elsewhere.star_id != star["star_id"]
