@@ -133,7 +133,7 @@ COMMANDS: Final = {
     "sky": _Command(
         "sky",
         "sky",
-        "List the stars above a site, or the Sun, Moon and planets: apparent place of date, azimuth, altitude.",
+        "List the stars above a site, the Sun, Moon and planets, or satellites: apparent place, azimuth, altitude.",
     ),
     "camera": _Command("camera", "app", "Calibrate cameras with boards, show camera files, rectify images."),
     "catalogue": _Command("catalogue", "app", "Build star catalogues and show their contents."),

@@ -317,7 +317,7 @@ def _sgp4() -> Any:
     try:
         from sgp4 import api  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise ConfigError("satellites need the package sgp4: pip install 'glstar[satellites]'", key=_KEY) from error
+        raise ConfigError("satellites need the package sgp4: pip install sgp4", key=_KEY) from error
     return api
 
 

@@ -1,5 +1,6 @@
 """A star field on the GPU, as vertices of the sub-exposure pass."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import moderngl
@@ -10,7 +11,30 @@ from glstar.render.culling import DrawList
 from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.starfield import StarField
 
-__all__ = ["StarBuffers", "packed_stars"]
+__all__ = ["StarBuffers", "packed_stars", "superseded_field"]
+
+# Star fields that stay uploaded: the stars, which stay for a flight, and the bodies of a scene; and satellites.
+_MOST_FIELDS, _MOST_SINGLE_STARS = 2, 8
+
+
+def superseded_field(uploaded: Sequence[StarField], stars: StarField) -> int | None:
+    """Return which of the uploaded fields makes place for another.
+
+    Parameters
+    ----------
+    uploaded : sequence of StarField
+        The one drawn longest ago first.
+    stars : StarField
+        The other one.
+
+    Returns
+    -------
+    int or None
+        Its index; None if none has to.
+    """
+    alike = [number for number, field in enumerate(uploaded) if (len(field) == 1) == (len(stars) == 1)]
+    most = _MOST_SINGLE_STARS if len(stars) == 1 else _MOST_FIELDS
+    return alike[0] if len(alike) == most else None
 
 
 def packed_stars(stars: StarField, *, multiple: int = 1) -> NDArray[np.float32]:

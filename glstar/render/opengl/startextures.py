@@ -4,15 +4,13 @@ from typing import Final
 
 import moderngl
 
-from glstar.render.opengl.starbuffers import packed_stars
+from glstar.render.opengl.starbuffers import packed_stars, superseded_field
 from glstar.sky.starfield import StarField
 
 __all__ = ["STARS_PER_ROW", "StarTextures"]
 
 # Columns of the texture of all stars.
 STARS_PER_ROW: Final = 1024
-# Star fields that stay uploaded: the stars, which stay for a flight, and the bodies of a scene.
-_MOST_FIELDS: Final = 8
 
 
 class StarTextures:
@@ -43,8 +41,8 @@ class StarTextures:
         if known:
             self._uploaded.append(self._uploaded.pop(known[0]))
             return self._uploaded[-1][1]
-        if len(self._uploaded) == _MOST_FIELDS:
-            self._uploaded.pop(0)[1].release()
+        if (oldest := superseded_field([field for field, _ in self._uploaded], stars)) is not None:
+            self._uploaded.pop(oldest)[1].release()
         packed = packed_stars(stars, multiple=STARS_PER_ROW)
         texture = self._context.texture((STARS_PER_ROW, len(packed) // STARS_PER_ROW), 4, packed, dtype="f4")
         texture.filter = moderngl.NEAREST, moderngl.NEAREST

@@ -11,7 +11,7 @@ from glstar.render.opengl.passagetexture import PASSAGE_COLUMNS, PassageTexture,
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
-from glstar.render.opengl.starbuffers import StarBuffers
+from glstar.render.opengl.starbuffers import StarBuffers, superseded_field
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import SubExposures
 
@@ -21,8 +21,6 @@ __all__ = ["SUB_EXPOSURES_PER_SPRITE", "SubExposurePass"]
 SUB_EXPOSURES_PER_SPRITE: Final = 4
 # Rows of the texture of orientations, which every driver supports; longer exposures take several draw calls.
 _SUB_EXPOSURES_PER_CALL: Final = 1024
-# Star fields that stay uploaded.
-_MOST_FIELDS: Final = 8
 
 
 class SubExposurePass:
@@ -164,8 +162,9 @@ class SubExposurePass:
         if known:
             self._uploaded.append(self._uploaded.pop(known[0]))
         else:
-            if len(self._uploaded) == _MOST_FIELDS:
-                self._uploaded.pop(0).release()
+            oldest = superseded_field([buffers.stars for buffers in self._uploaded], scene.stars)
+            if oldest is not None:
+                self._uploaded.pop(oldest).release()
             self._uploaded.append(StarBuffers(self._context, scene.stars))
         self._uploaded[-1].choose(scene.draw_list, cell_tints(scene, guard_band_px))
         return self._uploaded[-1]
