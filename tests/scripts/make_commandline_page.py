@@ -24,6 +24,7 @@ MEANINGS: Final = {
     "--config": "a TOML file of settings (`-c`)",
     "--every": "time from one exposure to the next, s",
     "--exposure": "exposure time, s",
+    "--fit-readout": "fit the readout time of a rolling shutter",
     "--f-number": "focal length over aperture",
     "--force": "replace what exists",
     "--format": "format of the files",
