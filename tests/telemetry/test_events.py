@@ -1,6 +1,7 @@
 """Flight modes and messages of logs, against pymavlink's tables and against logs written for the test."""
 
 import struct
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -39,10 +40,10 @@ def test_px4_s_modes_are_those_of_its_mission_and_return():
 
 
 def test_the_bundled_flight_has_the_modes_that_pymavlink_reads():
-    log = mavutil.mavlink_connection(str(asset("adelaide.BIN")))
     expected = []
-    while (record := log.recv_match(type="MODE")) is not None:
-        expected.append((mavutil.mode_mapping_apm[record.ModeNum], record.TimeUS * 1e-6))
+    with closing(mavutil.mavlink_connection(str(asset("adelaide.BIN")))) as log:
+        while (record := log.recv_match(type="MODE")) is not None:
+            expected.append((mavutil.mode_mapping_apm[record.ModeNum], record.TimeUS * 1e-6))
     events = Config().open_flight(asset("adelaide.BIN")).events
     modes = [k for k, kind in enumerate(events.kinds) if kind is EventKind.MODE]
     assert [events.texts[k] for k in modes] == [name for name, _ in expected]

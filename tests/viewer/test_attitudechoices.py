@@ -1,6 +1,7 @@
 """Attitude source, interpolation and time offset, chosen in the window."""
 
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -78,10 +79,10 @@ def test_another_source_gives_the_attitude_of_its_message_and_is_undone(adelaide
     assert flight.attitude_source.startswith("ATT, ")
     assert session.head.utc_s == pytest.approx(before.attitude.first_s + 60.0, abs=1e-6)
     # ATT as pymavlink reads it: its samples are on the track, in the order of the log.
-    log = mavutil.mavlink_connection(str(asset("adelaide.BIN")))
     angles = []
-    while (message := log.recv_match(type="ATT")) is not None:
-        angles.append((message.TimeUS * 1e-6, message.Roll * DEG, message.Pitch * DEG, message.Yaw * DEG))
+    with closing(mavutil.mavlink_connection(str(asset("adelaide.BIN")))) as log:
+        while (message := log.recv_match(type="ATT")) is not None:
+            angles.append((message.TimeUS * 1e-6, message.Roll * DEG, message.Pitch * DEG, message.Yaw * DEG))
     clock_s, roll, pitch, yaw = np.array(angles[5:-5:40]).T
     utc_s = flight.attitude.first_s + clock_s - angles[0][0]
     cosine = np.abs(np.sum(flight.attitude.at(utc_s) * quaternion_from_euler(roll, pitch, yaw), axis=-1))
