@@ -1,4 +1,4 @@
-"""The truth of an export as two CSV tables: one row per frame, and one row per star and frame."""
+"""The truth of an export as CSV tables: one row per frame, and one row per star, body or satellite and frame."""
 
 import csv
 from collections.abc import Iterator
@@ -19,7 +19,11 @@ _PARTS: Final = {"q_body_ned": ("qw", "qx", "qy", "qz"), "start": ("start_x_px",
 }
 
 
-def write_csv(directory: Path, output: Path) -> tuple[Path, Path]:
+# Lists of a frame that are tables of their own; the last two are written if there is any.
+_LISTS: Final = ("stars", "bodies", "satellites")
+
+
+def write_csv(directory: Path, output: Path) -> tuple[Path, ...]:
     """Write the truth of an export as CSV.
 
     Parameters
@@ -27,42 +31,43 @@ def write_csv(directory: Path, output: Path) -> tuple[Path, Path]:
     directory : Path
         The export.
     output : Path
-        ``NAME.csv`` for the frames; the stars are written to ``NAME-stars.csv``.
+        ``NAME.csv`` for the frames; the stars are written to ``NAME-stars.csv``, and if there are any, bodies to
+        ``NAME-bodies.csv`` and satellites to ``NAME-satellites.csv``.
 
     Returns
     -------
-    frames, stars : Path
+    tuple of Path
 
     Raises
     ------
     ExportError
         If the truth cannot be read, or a table cannot be written.
     """
-    paths = output, output.with_name(f"{output.stem}-stars{output.suffix}")
-    if there := next((path for path in paths if path.exists()), None):
-        raise ExportError(there, "exists already; name another file, or remove it")
-    temporary = [temporary_path(path) for path in paths]
     with explain_disk_errors(output):
+        columns = _columns(directory)
+        paths = {key: output.with_name(f"{output.stem}-{key}{output.suffix}") for key in columns} | {"frames": output}
+        if there := next((path for path in paths.values() if path.exists()), None):
+            raise ExportError(there, "exists already; name another file, or remove it")
+        temporary = {key: temporary_path(path) for key, path in paths.items()}
         try:
-            columns = _columns(directory)
-            _write(temporary[0], columns[0], (_flat(line) for line in read_truth(directory)))
-            _write(temporary[1], columns[1], chain.from_iterable(map(_stars, read_truth(directory))))
-            for unnamed, path in zip(temporary, paths, strict=True):
-                publish(unnamed, path)
+            for key, path in temporary.items():
+                _write(path, columns[key], chain.from_iterable(_rows(line, key) for line in read_truth(directory)))
+            for key, path in paths.items():
+                publish(temporary[key], path)
         finally:
-            for unnamed in temporary:
+            for unnamed in temporary.values():
                 unnamed.unlink(missing_ok=True)
-    return paths
+    return tuple(paths.values())
 
 
-def _columns(directory: Path) -> tuple[list[str], list[str]]:
-    """Return the columns of both tables, in the order in which the frames of a data set bring them up."""
-    frames, stars = dict[str, None](), dict[str, None]()
+def _columns(directory: Path) -> dict[str, list[str]]:
+    """Return the columns of each table, in the order in which the frames of a data set bring them up."""
+    columns = {key: dict[str, None]() for key in ("frames", *_LISTS)}
     for line in read_truth(directory):
-        frames |= dict.fromkeys(_flat(line))
-        for star in _stars(line):
-            stars |= dict.fromkeys(star)
-    return list(frames), list(stars)
+        for key, there in columns.items():
+            for row in _rows(line, key):
+                there.update(dict.fromkeys(row))
+    return {key: list(there) for key, there in columns.items() if there or key == "stars"}
 
 
 def _write(path: Path, columns: list[str], rows: Iterator[dict[str, Any]]) -> None:
@@ -72,13 +77,17 @@ def _write(path: Path, columns: list[str], rows: Iterator[dict[str, Any]]) -> No
         writer.writerows(rows)
 
 
-def _stars(line: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for star in line["stars"]:
-        yield {"frame": line["frame"], "file": line["file"], "utc_mid": line["utc_mid"], **_flat(star)}
+def _rows(line: dict[str, Any], key: str) -> Iterator[dict[str, Any]]:
+    """Yield the row of a frame, or those of one of its lists."""
+    if key == "frames":
+        yield _flat(line)
+        return
+    for one in line.get(key, ()):
+        yield {"frame": line["frame"], "file": line["file"], "utc_mid": line["utc_mid"], **_flat(one)}
 
 
 def _flat(record: dict[str, Any]) -> dict[str, Any]:
-    """Return a record without nested objects and lists; the list of stars and the segments of stacks are left out."""
+    """Return a record without nested objects; lists of objects and the segments of stacks are left out."""
     flat: dict[str, Any] = {}
     for key, value in record.items():
         if isinstance(value, dict):

@@ -25,8 +25,8 @@ __all__ = [
 
 NOISELESS_SUFFIX: Final = ".light.tiff"
 
-# Parquet tables of the truth, written for a complete export.
-TABLES: Final = ("frames.parquet", "stars.parquet")
+# Parquet tables of the truth, written for a complete export; the last two only if there are bodies or satellites.
+TABLES: Final = ("frames.parquet", "stars.parquet", "bodies.parquet", "satellites.parquet")
 
 # Splits for learning, the index that describes them, and the data card.
 SPLITS: Final = ("train", "validation", "test")
@@ -39,7 +39,7 @@ SUMMARIES: Final = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS),
 OURS: Final = re.compile(
     r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)|manifest\.json"
     r"|nav\.jsonl(\.partial)?|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
-    r"|(frames|stars)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md"
+    r"|(frames|stars|bodies|satellites)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md"
 )
 
 _FOLDER: Final = re.compile(r"frames_\d{6,}")

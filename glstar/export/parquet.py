@@ -1,6 +1,10 @@
-"""The truth as two Parquet tables, of frames and of stars, joined by the frame number."""
+"""The truth as Parquet tables: of frames, of stars, and of bodies and satellites, joined by the frame number.
 
-from collections.abc import Callable, Iterator
+The first columns of each table are the same for every export.  What a setting adds to the truth (electrons, clouds, a
+rolling shutter, a stack, the settings of a data set) is a column if any line of the truth has it, empty for the others.
+"""
+
+from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import chain, islice
 from pathlib import Path
@@ -10,7 +14,9 @@ import orjson
 import pyarrow as pa
 from pyarrow.parquet import ParquetWriter
 
+from glstar.errors import ExportError
 from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.layout import TABLES
 from glstar.system.durable import publish, temporary_path
 
 __all__ = ["write_parquet"]
@@ -18,6 +24,7 @@ __all__ = ["write_parquet"]
 # Frames per row group, which are in memory at a time: some 100,000 stars at most.
 _FRAMES_PER_GROUP: Final = 256
 
+_ENDS: Final = ("start_x_px", "start_y_px", "end_x_px", "end_y_px")
 _STARS: Final = pa.schema(
     [
         ("frame", pa.int64()),
@@ -25,7 +32,7 @@ _STARS: Final = pa.schema(
         ("star_id", pa.int32()),
         ("vmag", pa.float64()),
         *((name, pa.float64()) for name in ("x_px", "y_px", "centroid_x_px", "centroid_y_px")),
-        *((name, pa.float64()) for name in ("start_x_px", "start_y_px", "end_x_px", "end_y_px")),
+        *((name, pa.float64()) for name in _ENDS),
         *((name, pa.float64()) for name in ("peak_dn", "flux_dn", "in_frame")),
         ("saturated", pa.bool_()),
         *((name, pa.float64()) for name in ("trail_peak_dn", "snr")),
@@ -52,17 +59,22 @@ _FRAMES: Final = pa.schema(
         ("distortion", pa.list_(pa.float64())),
     ]
 )
-# Of rolling shutters only: a table has these columns if any of its frames has a readout time.
-_ROLLING_STARS: Final = pa.schema([(name, pa.float64()) for name in ("mid_offset_s", "exposed_s", "light_dn")])
-_ROLLING_FRAMES: Final = pa.schema(
-    [("readout_s", pa.float64()), ("readout", pa.string()), ("rates_rad_per_s", pa.list_(pa.float64(), 3))]
+_OBJECTS: Final = pa.schema(
+    [
+        ("frame", pa.int64()),
+        ("name", pa.string()),
+        *((name, pa.float64()) for name in ("x_px", "y_px", *_ENDS)),
+    ]
 )
+# By the name of the table; those of bodies and of satellites are written if there is any.
+_SCHEMAS: Final = dict(zip(TABLES, (_FRAMES, _STARS, _OBJECTS, _OBJECTS), strict=True))
+_ALWAYS: Final = TABLES[:2]
 
-Line = dict[str, Any]
+Row = dict[str, Any]
 
 
-def write_parquet(directory: Path) -> tuple[Path, Path]:
-    """Write ``frames.parquet`` and ``stars.parquet`` from ``truth.jsonl``, atomically.
+def write_parquet(directory: Path) -> tuple[Path, ...]:
+    """Write the tables of the truth from ``truth.jsonl``, atomically.
 
     Parameters
     ----------
@@ -71,92 +83,116 @@ def write_parquet(directory: Path) -> tuple[Path, Path]:
 
     Returns
     -------
-    frames, stars : Path
-        One row per frame, with a column for each setting that the data set varies; one row per star and frame.
+    tuple of Path
+        ``frames.parquet``, one row per frame, with a column for each setting that the data set varies, and
+        ``stars.parquet``, one row per star and frame; with bodies or satellites ``bodies.parquet`` and
+        ``satellites.parquet``.
 
     Raises
     ------
     ExportError
-        If they cannot be written.
+        If they cannot be written, or the values of a key have no common type.
     """
-    paths = directory / "frames.parquet", directory / "stars.parquet"
-    temporary = [temporary_path(path) for path in paths]
+    truth = directory / "truth.jsonl"
     with explain_disk_errors(directory):
+        schemas = _with_further_columns(truth)
+        paths = {name: directory / name for name in schemas}
+        temporary = {name: temporary_path(path) for name, path in paths.items()}
         try:
-            _write(directory / "truth.jsonl", *temporary)
-            for unnamed, path in zip(temporary, paths, strict=True):
-                publish(unnamed, path)
+            _write(truth, schemas, temporary)
+            for name, path in paths.items():
+                publish(temporary[name], path)
         finally:
-            for unnamed in temporary:
+            for unnamed in temporary.values():
                 unnamed.unlink(missing_ok=True)
-    return paths
+        for name in set(TABLES) - set(schemas):
+            (directory / name).unlink(missing_ok=True)
+    return tuple(paths.values())
 
 
-def _write(truth: Path, frames_path: Path, stars_path: Path) -> None:
-    with truth.open("rb") as lines:
-        is_rolling = any(b'"readout_s":' in line for line in lines)
-    with truth.open("rb") as lines, ExitStack() as opened:
-        groups = _groups(lines)
-        first = next(groups, [])
-        settings = _settings_schema(first)
-        frames_schema = pa.schema([*_FRAMES, *(_ROLLING_FRAMES if is_rolling else ()), *settings])
-        stars_schema = pa.schema([*_STARS, *(_ROLLING_STARS if is_rolling else ())])
-        frames = opened.enter_context(ParquetWriter(frames_path, frames_schema, compression="zstd"))
-        stars = opened.enter_context(ParquetWriter(stars_path, stars_schema, compression="zstd"))
-        group = first
-        while group:
-            frames.write_table(_table(frames_schema, [_frame_row(line) for line in group]))
-            stars.write_table(_table(stars_schema, [row for line in group for row in _star_rows(line)]))
-            group = next(groups, [])
+def _write(truth: Path, schemas: dict[str, pa.Schema], paths: dict[str, Path]) -> None:
+    with ExitStack() as opened:
+        writers = {
+            name: opened.enter_context(ParquetWriter(paths[name], schema, compression="zstd"))
+            for name, schema in schemas.items()
+        }
+        for group in _groups(truth):
+            for name, schema in schemas.items():
+                if rows := group[name]:
+                    writers[name].write_table(_table(schema, rows))
 
 
-def _groups(lines: Any) -> Iterator[list[Line]]:
-    while group := [orjson.loads(line) for line in islice(lines, _FRAMES_PER_GROUP)]:
-        yield group
-
-
-def _settings_schema(lines: list[Line]) -> list[pa.Field]:
-    """Return the columns of the settings that a data set varies, with the types in its first frame."""
-    if not lines or "settings" not in lines[0]:
-        return []
-    kinds: dict[type, Callable[[], pa.DataType]] = {bool: pa.bool_, str: pa.string}
-    settings = [pa.field(key, kinds.get(type(value), pa.float64)()) for key, value in lines[0]["settings"].items()]
-    return [pa.field("flight", pa.string()), pa.field("sample", pa.int64()), *settings]
-
-
-def _table(schema: pa.Schema, rows: list[Line]) -> pa.Table:
-    columns = {name: [row[name] for row in rows] for name in schema.names}
+def _table(schema: pa.Schema, rows: list[Row]) -> pa.Table:
+    columns = {name: [row.get(name) for row in rows] for name in schema.names}
     return pa.table({name: pa.array(values, schema.field(name).type) for name, values in columns.items()}, schema)
 
 
-def _frame_row(line: Line) -> Line:
-    camera = line["camera"]
+def _with_further_columns(truth: Path) -> dict[str, pa.Schema]:
+    """Return the schema of each table that has rows, with the columns that only some exports have."""
+    schemas = {name: schema for name, schema in _SCHEMAS.items() if name in _ALWAYS}
+    for group in _groups(truth):
+        for name in TABLES:
+            if group[name]:
+                schemas[name] = _extended(truth, schemas.get(name, _SCHEMAS[name]), group[name], _SCHEMAS[name])
+    return schemas
+
+
+def _extended(truth: Path, schema: pa.Schema, rows: list[Row], fixed: pa.Schema) -> pa.Schema:
+    """Add the columns that rows have beyond the fixed ones; integers and fractions of one column become floats."""
+    names = [name for name in dict.fromkeys(chain.from_iterable(rows)) if name not in fixed.names]
+    try:
+        found = pa.schema([(name, pa.array([row.get(name) for row in rows]).type) for name in names])
+        return pa.unify_schemas([schema, found], promote_options="permissive")
+    except pa.ArrowException as error:
+        raise ExportError(truth, f"the values of one key have different types: {error}") from error
+
+
+def _groups(truth: Path) -> Iterator[dict[str, list[Row]]]:
+    """Yield the rows of all tables, of some frames at a time."""
+    with truth.open("rb") as file:
+        while lines := [orjson.loads(line) for line in islice(file, _FRAMES_PER_GROUP)]:
+            stars = (
+                _object_row(line, star) | {"catalogue": line["catalogue"]} for line in lines for star in line["stars"]
+            )
+            others = (
+                [_object_row(line, one) for line in lines for one in line.get(key, ())]
+                for key in ("bodies", "satellites")
+            )
+            yield dict(zip(TABLES, ([_frame_row(line) for line in lines], list(stars), *others), strict=True))
+
+
+def _frame_row(line: Row) -> Row:
+    camera = dict(line["camera"])
+    row = {key: value for key, value in line.items() if key not in _ELSEWHERE}
     return {
-        **dict.fromkeys(_ROLLING_FRAMES.names),
-        **line,
+        **_flat(row),
         **line["site"],
         **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in _TIMES},
         "C_camera_body": list(chain.from_iterable(line["C_camera_body"])),
         "C_camera_icrs": list(chain.from_iterable(line["C_camera_icrs"])),
+        **camera,
         "K": list(chain.from_iterable(camera["K"])),
-        "width_px": camera["width_px"],
-        "height_px": camera["height_px"],
-        "lens": camera["lens"],
-        "distortion": camera["distortion"],
         **line.get("settings", {}),
     }
 
 
-def _star_rows(line: Line) -> Iterator[Line]:
-    for star in line["stars"]:
-        (start_x, start_y), (end_x, end_y) = (star[name] or (None, None) for name in ("start", "end"))
-        yield {
-            **dict.fromkeys(_ROLLING_STARS.names),
-            **star,
-            "frame": line["frame"],
-            "catalogue": line["catalogue"],
-            "start_x_px": start_x,
-            "start_y_px": start_y,
-            "end_x_px": end_x,
-            "end_y_px": end_y,
-        }
+# Keys of a frame that are tables or columns of their own.
+_ELSEWHERE: Final = frozenset({"schema", "site", "camera", "stars", "bodies", "satellites", "settings"})
+
+
+def _flat(record: Row) -> Row:
+    """Return a record without nested objects: the keys of ``sensor`` become ``sensor_noise`` and so on."""
+    flat: Row = {}
+    for key, value in record.items():
+        if isinstance(value, dict):
+            flat |= {f"{key}_{name}": part for name, part in _flat(value).items()}
+        else:
+            flat[key] = value
+    return flat
+
+
+def _object_row(line: Row, one: Row) -> Row:
+    """Return the row of a star, a body or a satellite."""
+    (start_x, start_y), (end_x, end_y) = (one.get(name) or (None, None) for name in ("start", "end"))
+    ends = dict(zip(_ENDS, (start_x, start_y, end_x, end_y), strict=True))
+    return {"frame": line["frame"], **{key: value for key, value in one.items() if key not in {"start", "end"}}, **ends}

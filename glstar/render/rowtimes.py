@@ -98,11 +98,12 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the
     first or the last one.
     """
-    if scene.shorts:
-        return _joined(scene, direction_eq, [recorded_times(short, direction_eq) for short in scene.shorts])
+    shorts = [recorded_times(short, direction_eq) for short in scene.shorts]
     if not len(direction_eq):
         none = np.zeros(0)
-        return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none)
+        return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none, tuple(shorts))
+    if shorts:
+        return _joined(scene, direction_eq, shorts)
     search = _RowTimes(scene, direction_eq)
     opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
     middle_s = (opens_s + closes_s) / 2
