@@ -20,6 +20,7 @@ from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.rotation import turn_from_matrix
 from glstar.sky.cloudsheet import CloudSheet
+from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.scintillation import Scintillation
 from glstar.sky.starfield import StarField
 
@@ -27,8 +28,12 @@ __all__ = ["CloudedSky", "scene_cloud", "scene_passage", "scene_scintillation"]
 
 Float = NDArray[np.float64]
 
-# Segments are divided until no star's transmission changes by more than this within one.
+# Segments are divided until no star's transmission changes by more than this within one, of the largest that it has; of
+# stars fainter than this fraction of the brightest light that arrives, of 1.
 _LARGEST_CHANGE: Final = 0.04
+_FAINT: Final = 0.05
+# Light below this fraction does not count, such as that of a satellite in the shadow of the Earth.
+_DARK: Final = 1e-3
 # The same of a satellite's light.
 _LARGEST_CHANGE_OF_LIGHT: Final = 0.01
 # Parts of a segment at most.
@@ -208,10 +213,9 @@ class CloudedSky:
         cloud, ridge = self._passages(stars, draw_list.index, bodies)
         parts = np.ones(len(trails), dtype=np.intp)
         if cloud is not None:
-            is_light = isinstance(self.motion, SatelliteMotion)
-            largest = _LARGEST_CHANGE_OF_LIGHT if is_light else _LARGEST_CHANGE
-            changes = np.ceil(_largest_changes(cloud, trails.time_fraction) / largest)
-            parts = changes.clip(1, _MAX_PARTS).astype(np.intp)
+            magnitudes = [draw_list.observed_mag(stars)]
+            magnitudes += [] if bodies is None else [bodies.draw_list.observed_mag(bodies.stars)]
+            parts = self._cloud_parts(cloud, trails.time_fraction, brightness_ratio(np.concatenate(magnitudes)))
         if ridge is not None:
             parts = np.maximum(parts, ridge_parts(ridge, self.exposure, trails.time_fraction, self._px_per_rad))
         trails, passage = divided(trails, parts), _product(cloud, ridge)
@@ -221,6 +225,18 @@ class CloudedSky:
         if bodies is not None and len(bodies.draw_list):
             bodies = replace(bodies, draw_list=_with_passage(bodies.draw_list, last, trails.time_fraction))
         return trails, draw_list, bodies
+
+    def _cloud_parts(self, cloud: CloudPassage, time_fraction: Float, brightness: Float) -> NDArray[np.intp]:
+        """Return into how many parts each segment is divided, so that what arrives changes little within each, (s,)."""
+        largest = cloud.transmission.max(axis=0)
+        faintest = _FAINT * (brightness * largest).max()
+        of_star = np.maximum(largest, faintest / brightness).clip(_DARK, 1.0)
+        changes = (np.abs(np.diff(cloud.transmission, axis=0)) / of_star).max(axis=1)
+        along = np.concatenate([[0.0], np.cumsum(changes)])
+        ends = np.concatenate([[0.0], np.cumsum(time_fraction)])
+        in_segment = np.diff(np.interp(ends / ends[-1], np.linspace(0, 1, len(along)), along))
+        limit = _LARGEST_CHANGE_OF_LIGHT if isinstance(self.motion, SatelliteMotion) else _LARGEST_CHANGE
+        return np.asarray(np.ceil(in_segment / limit).clip(1, _MAX_PARTS), dtype=np.intp)
 
 
 def _scintillation(sensor: Sensor) -> Scintillation | None:
@@ -248,14 +264,6 @@ def _product(cloud: CloudPassage | None, ridge: CloudPassage | None) -> CloudPas
 
 def _with_passage(draw_list: DrawList, passage: CloudPassage, time_fraction: Float) -> DrawList:
     return replace(draw_list, passage=np.ascontiguousarray(passage.means(time_fraction).T, dtype=np.float32))
-
-
-def _largest_changes(passage: CloudPassage, time_fraction: Float) -> Float:
-    """Return by how much the transmission changes most within each segment, (s,)."""
-    changes = np.abs(np.diff(passage.transmission, axis=0)).max(axis=1)
-    along = np.concatenate([[0.0], np.cumsum(changes)])
-    ends = np.concatenate([[0.0], np.cumsum(time_fraction)])
-    return np.asarray(np.diff(np.interp(ends / ends[-1], np.linspace(0, 1, len(along)), along)))
 
 
 def scene_passage(scene: Scene, direction_eq: Float) -> CloudPassage | None:

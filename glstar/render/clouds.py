@@ -222,7 +222,8 @@ def cloud_passage(
     site = motion.flight.position.coordinates(times_s)
     transmission = np.ones((len(times_s), len(direction_eq)))
     below = np.flatnonzero(site[2] < sheet.height_m)
-    for some in np.array_split(below, ceil(below.size * len(direction_eq) / _MOST_CROSSINGS)) if below.size else ():
+    crossings = below.size * len(direction_eq)
+    for some in np.array_split(below, ceil(crossings / _MOST_CROSSINGS)) if crossings else ():
         latitude_rad, longitude_rad, height_m, utc_s = (of[some, np.newaxis] for of in (*site, times_s))
         pole_eq = None if pointing.pole_eq is None else pointing.pole_eq[some]
         east_eq, north_eq = horizontal_axes(pointing.zenith_eq[some], pole_eq)

@@ -82,6 +82,25 @@ class DrawList:
         radius_px, trail_px = self.truncation_radius_px[stars], self.min_trail_px[stars]
         return DrawList(self.index[stars], radius_px, trail_px, extinction_mag, passage)
 
+    def passage_of_groups(self, size: int) -> NDArray[np.float32]:
+        """Return what cloud transmits of each star in groups of neighbouring sub-exposures.
+
+        Parameters
+        ----------
+        size : int
+            Sub-exposures of a group; the last group may have fewer.
+
+        Returns
+        -------
+        (k, ceil(s / size)) float32
+            The means; (0, 0) without cloud.
+        """
+        if self.passage is None:
+            return np.zeros((0, 0), np.float32)
+        firsts = np.arange(0, self.passage.shape[1], size)
+        counts = np.minimum(size, self.passage.shape[1] - firsts)
+        return np.asarray(np.add.reduceat(self.passage.astype(np.float64), firsts, axis=1) / counts, dtype=np.float32)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarCuller:

@@ -103,4 +103,7 @@ def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     trails = scene.trails
     if isinstance(trails, SubExposures):
         trails = trails.for_sigma(scene.camera, sensor.effective_sigma_px)
+        group = len(scene.trails) // len(trails)
+        if stars.passage is not None and group > 1:
+            stars = replace(stars, passage=stars.passage_of_groups(group))
     return replace(scene, sensor=sensor, camera=camera, draw_list=stars, trails=trails, bodies=None)

@@ -78,7 +78,7 @@ def transmission(simulator, utc_s):
 @pytest.mark.parametrize(
     ("case", "trail", "duration_s"),
     [("long", "analytic", 12.0), ("long", "sprites", 12.0), ("lens", "analytic", 12.0), ("still", "analytic", 12.0),
-     ("short", "analytic", 0.5)],
+     ("short", "analytic", 0.5), ("wings", "analytic", 12.0), ("wings", "sprites", 12.0)],
 )  # fmt: skip
 def test_the_flux_of_a_star_behind_cloud_is_the_integral_of_its_transmission(
     renderer: GLRenderer, case: str, trail: str, duration_s: float
@@ -86,7 +86,8 @@ def test_the_flux_of_a_star_behind_cloud_is_the_integral_of_its_transmission(
     lens = Lens("plumb_bob", (-0.05, 0.01, 0.0, 0.0)) if case == "lens" else None
     turn = 0.0 if case == "still" else 0.02
     exposure = Exposure(NIGHT_UTC_S + 10.0 - duration_s / 2, duration_s, trail=trail)
-    clouded, clear = (simulator_of(effects, lens=lens, turn_rad_per_s=turn) for effects in (CLOUD, {}))
+    wings = {"sensor.psf_wing_fraction": 0.9} if case == "wings" else {}
+    clouded, clear = (simulator_of(one | wings, lens=lens, turn_rad_per_s=turn) for one in (CLOUD, {}))
 
     flux, above = (
         renderer.render(one.scene(exposure), seed=0, light=True).light_dn.sum(dtype=float) for one in (clouded, clear)
@@ -120,6 +121,14 @@ def test_a_trail_is_as_dark_as_the_cloud_in_front_of_each_of_its_parts(renderer:
     expected = profile @ transmission(clouded, times_s) / profile.sum(axis=1)
     assert np.ptp(expected) > 0.5
     np.testing.assert_allclose(ratio[bright], expected, rtol=0, atol=0.03)
+
+
+def test_a_sky_without_stars_has_clouds(renderer: GLRenderer) -> None:
+    empty = replace(simulator_of(CLOUD), stars=star_field(np.zeros((0, 3)), np.zeros(0)))
+    scene = empty.scene(Exposure(NIGHT_UTC_S + 4.0, 0.5))
+    line = json.loads(frame_truth(scene, renderer.render(scene, seed=0), number=0, file="a"))
+    assert line["stars"] == []
+    assert 0.1 < line["cloud_transmission"] < 1
 
 
 def test_signal_to_noise_and_peak_are_those_of_the_dimmed_trail(renderer: GLRenderer) -> None:

@@ -67,3 +67,13 @@ def test_a_trail_varies_and_its_mean_is_that_of_truth(renderer, cloud):
     np.testing.assert_allclose(drawn.sum() / plain.sum(), expected.mean(), rtol=0.01, atol=0)
     ratio = light[smooth > 0.3 * smooth.max()] / smooth[smooth > 0.3 * smooth.max()]
     assert ratio.std() > 0.15
+
+
+def test_behind_thick_cloud_a_trail_varies_as_its_sub_exposures_do(renderer):
+    effects = {"cloud.coverage": 1.0, "cloud.optical_depth": 4.5, "cloud.height_m": 3000.0}
+    simulator = simulator_of(0.38, 3.0, **effects)
+    analytic, sprites = (
+        fluxes(renderer, simulator, Exposure(NIGHT_UTC_S + 4.95, 0.1, 5000.0, trail=trail, path_tolerance_px=0.0))[2]
+        for trail in ("analytic", "sprites")
+    )
+    assert np.abs(analytic - sprites).max() < 0.05 * sprites.max()

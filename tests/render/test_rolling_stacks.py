@@ -16,7 +16,7 @@ from glstar.render.trailmask import mask_threshold_dn, trail_mask
 from glstar.render.truth import frame_truth
 from tests.gl.test_analytic_trails import BRIGHT, light, most_of_the_time_on_the_image
 from tests.support.rollingshutter import recorded_span_s, rolling_light, star_positions
-from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 SMALL = camera(240, 180, 967.7425)
 STACK = Exposure(NIGHT_UTC_S + 0.4, 0.1, frames=3, gap_s=0.03, readout_s=0.087)
@@ -165,3 +165,10 @@ def test_the_times_of_some_stars_are_chosen_from_those_of_all(simulator, exposur
         for name, tolerance in (("opens_s", 1e-8), ("closes_s", 1e-8), ("exposed_s", 1e-8), ("positions", 1e-5)):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=tolerance)
         np.testing.assert_allclose(one.mid_offset_s, other.mid_offset_s, rtol=0, atol=1e-8)
+
+
+def test_a_stack_without_stars_has_no_times(renderer, simulator):
+    empty = replace(simulator, stars=star_field(np.zeros((0, 3)), np.zeros(0)))
+    line, _ = truth_of(renderer, empty.scene(STACK))
+    assert line["stars"] == []
+    assert [len(one.opens_s) for one in recorded_times(empty.scene(STACK), np.zeros((0, 3))).shorts] == [0, 0, 0]

@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PASSAGE_COLUMNS", "PassageTexture", "group_means"]
+__all__ = ["PASSAGE_COLUMNS", "PassageTexture"]
 
 # Columns of a list of numbers that is folded into a texture.
 PASSAGE_COLUMNS: Final = 1024
@@ -50,24 +50,3 @@ class PassageTexture:
     def release(self) -> None:
         """Release the texture."""
         self.texture.release()
-
-
-def group_means(passage: NDArray[np.float32] | None, size: int) -> NDArray[np.float32]:
-    """Return the means of groups of columns.
-
-    Parameters
-    ----------
-    passage : (k, n) float32 or None
-    size : int
-        Columns of a group; the last group may have fewer.
-
-    Returns
-    -------
-    (k, ceil(n / size)) float32
-        (0, 0) of None.
-    """
-    if passage is None:
-        return np.zeros((0, 0), np.float32)
-    firsts = np.arange(0, passage.shape[1], size)
-    counts = np.minimum(size, passage.shape[1] - firsts)
-    return np.asarray(np.add.reduceat(passage.astype(np.float64), firsts, axis=1) / counts, dtype=np.float32)

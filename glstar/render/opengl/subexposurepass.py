@@ -7,7 +7,7 @@ import moderngl
 import numpy as np
 
 from glstar.render.colourscenes import cell_tints
-from glstar.render.opengl.passagetexture import PASSAGE_COLUMNS, PassageTexture, group_means
+from glstar.render.opengl.passagetexture import PASSAGE_COLUMNS, PassageTexture
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
@@ -104,7 +104,7 @@ class SubExposurePass:
         program = self._program_for(scene, trails, light, guard_band_px, clock)
         vertices = self._stars_of(scene, guard_band_px).vertices(program)
         self._pointing.use(location=0)
-        groups = group_means(scene.draw_list.passage, SUB_EXPOSURES_PER_SPRITE)
+        groups = scene.draw_list.passage_of_groups(SUB_EXPOSURES_PER_SPRITE)
         self._passage.write(groups)
         self._passage.texture.use(location=1)
         set_uniforms(program, passage=1, passage_instances=groups.shape[1])
