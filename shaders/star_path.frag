@@ -64,6 +64,19 @@ layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OP
 uniform float opening_per_px;     // largest change of the opening time per pixel
 #endif
 
+#if ROWS
+uniform sampler2D chosen;         // of project_stars.frag
+
+// The segment in row 0 of a column.
+int first_segment(int star) {
+    return int(texelFetch(chosen, ivec2(star, 1), 0).b);
+}
+#else
+int first_segment(int star) {
+    return 0;
+}
+#endif
+
 const float ROUNDING = 1e-6;      // of times
 const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of an upright square
 // Segments that meet without an end may differ by this: in flux, relative, and in direction, rad.
@@ -209,8 +222,9 @@ Path path_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_start = projected(star, first), at_middle = projected(star, first + 1), at_end = projected(star, first + 2);
     vec4 of_star = projected(star, last_time + 1);    // brightness, truncation radius, times of rising and setting
-    float duration = texelFetch(pointing, ivec2(0, first), 0).w, weight = texelFetch(pointing, ivec2(1, first), 0).w;
-    float begin = texelFetch(pointing, ivec2(2, first), 0).w;
+    int row = first + 2 * first_segment(star);
+    float duration = texelFetch(pointing, ivec2(0, row), 0).w, weight = texelFetch(pointing, ivec2(1, row), 0).w;
+    float begin = texelFetch(pointing, ivec2(2, row), 0).w;
 
     vec2 within = part_above_horizon((of_star.zw - begin) / duration);
     float rises = within.x, sets = within.y;
@@ -233,7 +247,7 @@ Path path_of(int star, int segment) {
     path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
-    float transmission = texelFetch(passage, min(ivec2(star, segment), textureSize(passage, 0) - 1), 0).r;
+    float transmission = texelFetch(passage, min(ivec2(star, row / 2), textureSize(passage, 0) - 1), 0).r;
     float peak_dn = vmag_0_peak_dn * of_star.x * duration * (sets - rises) * transmission;
     if (length(chord) < SHORT_SIGMA * image_sigma_px)
         two_gaussians(path, chord, ahead, peak_dn, of_star.y);

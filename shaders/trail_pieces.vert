@@ -5,15 +5,21 @@
 // A piece is as long as the point spread function allows, whatever the motion during it: a Gaussian with the mean and the
 // covariance of the star's path (glstar/render/trailpieces.py).
 
-// STARS_PER_ROW: columns of the texture of stars.  PIECES_PER_SPRITE: 4.
+// STARS_PER_ROW: columns of the texture of stars.  PIECES_PER_SPRITE: 4.  ROWS: 1 under a rolling shutter, which draws only
+// pieces during which all rows that a star lights are open.
 
 in uvec2 sprite;                  // column of the star in `chosen`, and number of four pieces
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_PER_ROW
 uniform sampler2D chosen;         // of each column: the star's index, its truncation radius, px, and transmission
+// Under a rolling shutter in a second row: the first piece that is drawn of the star, and the one after the last.
 uniform sampler2D passage;        // transmission of cloud by column and piece; one texel of 1 without
 uniform float sigma_px;           // of a star as the pixels record it
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
+
+#if ROWS
+uniform int first_piece;          // of the draw call
+#endif
 
 // Explained in trail_pieces.frag.
 flat out vec4 centres_x, centres_y;
@@ -59,6 +65,10 @@ Piece piece_of(vec3 direction_eq, int row, float radius_px) {
     // Far outside the image a star may move by any distance during a piece.
     bool is_near = all(greaterThan(centre_px, vec2(-2.0 * radius_px)))
         && all(lessThan(centre_px, target_px + 2.0 * radius_px));
+#if ROWS
+    vec2 drawn = texelFetch(chosen, ivec2(int(sprite.x), 1), 0).rg;
+    is_near = is_near && float(row + first_piece) >= drawn.x && float(row + first_piece) < drawn.y;
+#endif
     if (!(is_seen && is_near))
         return Piece(vec2(0.0), vec3(1.0, 0.0, 1.0), 0.0);
     vec3 covariance_px2 = moved_px2(tangent, upper, lower) + sigma_px * sigma_px * vec3(1.0, 0.0, 1.0);

@@ -271,13 +271,10 @@ class Simulator:
             fitted = path.fitted if path.is_drawn else self.fitted(exposure, exposure.path_tolerance_px)
         if fitted is None:
             return self.exact_segments(exposure, sprite_cost)
-        if sprite_cost is None or self._in_pieces(exposure) or len(fitted) <= sprite_cost.in_segments(0.0):
+        # Stars that are not narrow are drawn in pieces where that costs less than segments: always less than sprites.
+        if sprite_cost is None or not self.sensor.core.needs_erf or len(fitted) <= sprite_cost.in_segments(0.0):
             return fitted
         return fitted if len(fitted) <= sprite_cost.in_segments(fitted.longest_trail_px(self.camera)) else None
-
-    def _in_pieces(self, exposure: Exposure) -> bool:
-        """Return whether segments are drawn in pieces where that costs less: always less than sprites."""
-        return not (exposure.readout_s or self.sensor.core.needs_erf)
 
     def fitted(self, exposure: Exposure, tolerance_px: float) -> AnalyticSegments | None:
         """Return least-squares segments of an exposure: see `fitted_segments`."""

@@ -15,6 +15,7 @@ from glstar.camera.sensor import TRUNCATION_DN
 from glstar.render.bodysources import BODIES
 from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.horizoncrossing import NEVER, rise_and_set
+from glstar.render.openpieces import PixelOpenings, SegmentColumns, columns_around, open_pieces
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.render.segmentation import probe_rays
@@ -59,6 +60,12 @@ class PieceLimits:
     length_sigma: float = 1.6
     error: float = 1.5e-3
     halvings: int = 6
+
+    def reach_px(self, radius_px: Float, sigma_px: float) -> Float:
+        """Return how far from a star's position at any time of a piece it is drawn, px; parameters of `sprite_px`."""
+        return np.asarray(
+            radius_px * np.sqrt(1 + self.length_sigma**2 / 4) + self.length_sigma * sigma_px + SNAPPING_PX
+        )
 
     def sprite_px(self, radius_px: Float, sigma_px: float) -> Float:
         """Return the largest side of the sprites of stars, px.
@@ -147,10 +154,20 @@ class TrailPieces:
 
 
 class ScenePart(NamedTuple):
-    """Stars that are drawn in pieces of the same lengths."""
+    """Stars that are drawn in pieces of the same lengths.
+
+    Attributes
+    ----------
+    scene : Scene
+        With these stars.
+    pieces : TrailPieces
+    drawn : (2, k) intp or None
+        Under a rolling shutter, the first piece of each star that is drawn, and the one after the last; None for all.
+    """
 
     scene: Scene
     pieces: TrailPieces
+    drawn: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,26 +181,35 @@ class DividedScene:
     rest : Scene
         Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
         whose sprites would be larger than the driver draws.
+    ends : tuple of SegmentColumns
+        Under a rolling shutter, what is drawn in segments of the stars of each part: see `openpieces`.
     """
 
     parts: tuple[ScenePart, ...]
     rest: Scene
+    ends: tuple[SegmentColumns, ...] = ()
 
 
 def in_pieces(
-    scene: Scene, trails: AnalyticSegments, costs: PieceCosts = PIECE_COSTS, *, largest_point_px: float = np.inf
+    scene: Scene,
+    trails: AnalyticSegments,
+    costs: PieceCosts = PIECE_COSTS,
+    *,
+    largest_point_px: float = np.inf,
+    openings: PixelOpenings | None = None,
 ) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
     Parameters
     ----------
     scene : Scene
-        Its exposure has a global shutter.
     trails : AnalyticSegments
         The scene's.
     costs : PieceCosts, optional
     largest_point_px : float, optional
         The largest point sprite of the driver, px.
+    openings : PixelOpenings, optional
+        Of a rolling shutter.
 
     Returns
     -------
@@ -195,7 +221,7 @@ def in_pieces(
         return None
     rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
     is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)
-    parts, is_rest = [], ~is_up
+    parts, ends, is_rest = [], [], np.ones(len(drawn), np.bool_)
     for of_part, limits in _classes(
         trails.longest_trail_px(scene.camera), is_up, is_faint, sensor.effective_sigma_px, costs
     ):
@@ -203,9 +229,16 @@ def in_pieces(
         part = _part(scene, trails, of_part & fits, limits, costs)
         if part is None:
             return None
+        stars = np.flatnonzero(of_part & fits)
+        if openings is not None:
+            recorded = _recorded(part, stars, limits, openings)
+            if recorded is None:
+                return None
+            part, stars, around = recorded
+            ends.append(around)
         parts.append(part)
-        is_rest |= of_part & ~fits
-    return DividedScene(tuple(parts), replace(scene, draw_list=drawn[is_rest]))
+        is_rest[stars] = False
+    return DividedScene(tuple(parts), replace(scene, draw_list=drawn[is_rest]), tuple(ends))
 
 
 def _classes(
@@ -240,6 +273,28 @@ def _part(
     if drawn.passage is not None:
         drawn = replace(drawn, passage=(drawn.passage @ pieces.of_segments).astype(np.float32))
     return ScenePart(replace(scene, draw_list=drawn), pieces)
+
+
+def _recorded(
+    part: ScenePart, stars: NDArray[np.intp], limits: PieceLimits, openings: PixelOpenings
+) -> tuple[ScenePart, NDArray[np.intp], SegmentColumns] | None:
+    """Return the stars of a part of which pieces are recorded in full, their indices, and what else is drawn of them.
+
+    None where stars may be as fast as a rolling shutter.
+    """
+    scene, sigma_px = part.scene, part.scene.sensor.effective_sigma_px
+    assert isinstance(scene.trails, AnalyticSegments)
+    times = np.concatenate([[0.0], np.cumsum(part.pieces.time_fraction)])
+    reach_px = openings.reach * limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
+    recorded = open_pieces(scene, part.pieces.pointing, times, reach_px, openings)
+    if recorded is None:
+        return None
+    some = recorded.last > recorded.first
+    recorded = recorded.of(some)
+    part = ScenePart(
+        replace(scene, draw_list=scene.draw_list[some]), part.pieces, np.stack([recorded.first, recorded.last])
+    )
+    return part, stars[some], columns_around(scene.trails, times, stars[some], recorded)
 
 
 def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:

@@ -11,9 +11,10 @@ from glstar.render.colourscenes import cell_tints
 from glstar.render.opengl.passagetexture import PassageTexture
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
 from glstar.render.scene import Scene
-from glstar.render.trailpieces import PIECES_PER_SPRITE, TrailPieces
+from glstar.render.trailpieces import PIECES_PER_SPRITE, ScenePart, TrailPieces
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 
 __all__ = ["PiecePass"]
@@ -46,12 +47,12 @@ class PiecePass:
     def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
         self._context = context
         self._stars = stars
-        # By whether there is a mosaic.
-        self._programs: dict[bool, tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        # By whether there is a mosaic, and a rolling shutter.
+        self._programs: dict[tuple[bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         with ExitStack() as owned:
             self._sprites = context.buffer(reserve=4 * _SPRITES_PER_CALL, dynamic=True)
             owned.callback(self._sprites.release)
-            sizes = (_TEXELS, _PIECES_PER_CALL, 4), (_STARS_PER_CALL, 1, 3), (_STARS_PER_CALL, 1, 4)
+            sizes = (_TEXELS, _PIECES_PER_CALL, 4), (_STARS_PER_CALL, 2, 3), (_STARS_PER_CALL, 1, 4)
             self._pointing, self._chosen, self._tints = textures = [
                 context.texture((columns, rows), components, dtype="f4") for columns, rows, components in sizes
             ]
@@ -61,28 +62,30 @@ class PiecePass:
             self._passage = PassageTexture(context)
             owned.callback(self._passage.release)
             owned.callback(self._release_programs)
-            self._program(mosaic=False)
+            self._program(mosaic=False, rolling=False)
             self._owned = owned.pop_all()
 
-    def draw(self, scene: Scene, pieces: TrailPieces, light: moderngl.Framebuffer, guard_band_px: int) -> None:
+    def draw(
+        self, part: ScenePart, light: moderngl.Framebuffer, guard_band_px: int, clock: ReadoutClock = GLOBAL_SHUTTER
+    ) -> None:
         """Add the flux of a scene's stars to a target.
 
         Parameters
         ----------
-        scene : Scene
-            With a global shutter; behind cloud with the passage of each piece.
-        pieces : TrailPieces
-            Of the scene's trails.
+        part : ScenePart
+            Behind cloud with the passage of each piece.
         light : moderngl.Framebuffer
             32-bit float; in use afterwards.
         guard_band_px : int
             Width of its border around the image.
+        clock : ReadoutClock
+            When the pixels of the target open.
         """
-        drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
-        program, vertices = self._program(mosaic=tints is not None)
-        self._set_uniforms(program, scene, light, guard_band_px)
-        texels = _piece_texels(pieces)
-        chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
+        scene, drawn = part.scene, part.scene.draw_list
+        tints = cell_tints(scene, guard_band_px)
+        program, vertices = self._program(mosaic=tints is not None, rolling=part.drawn is not None)
+        self._set_uniforms(program, scene, light, guard_band_px, clock.span)
+        texels, chosen = _piece_texels(part.pieces), _texels_of_stars(part)
         if drawn.passage is None:
             self._passage.write_table(np.ones((1, 1), np.float32))
         for name, texture in (
@@ -98,9 +101,12 @@ class PiecePass:
         for first in range(0, len(texels), _PIECES_PER_CALL):
             rows = texels[first : first + _PIECES_PER_CALL]
             self._pointing.write(rows, viewport=(0, 0, _TEXELS, len(rows)))
-            for begin in range(0, len(chosen), _STARS_PER_CALL):
+            if "first_piece" in program:
+                set_uniforms(program, first_piece=first)
+            for begin in range(0, len(drawn), _STARS_PER_CALL):
                 stars = slice(begin, begin + _STARS_PER_CALL)
-                self._chosen.write(chosen[stars].copy(), viewport=(0, 0, len(chosen[stars]), 1))
+                of_stars = np.ascontiguousarray(chosen[:, stars])
+                self._chosen.write(of_stars, viewport=(0, 0, of_stars.shape[1], 2))
                 if tints is not None:
                     of_columns = tints[drawn.index[stars]]
                     self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
@@ -108,7 +114,7 @@ class PiecePass:
                 if drawn.passage is not None:
                     self._passage.write_table(drawn.passage[stars, of_call].T)
                 self._passage.texture.use(_UNITS["passage"])
-                near = _near_image(scene, pieces, of_call, stars)
+                near = _near_image(part, of_call, stars)
                 # Star by star: software OpenGL then finds the sprites of a tile near each other in memory.
                 self._draw(vertices, np.argwhere(near.T).astype(np.uint16))
         self._context.enable_only(moderngl.NOTHING)
@@ -120,7 +126,7 @@ class PiecePass:
             vertices.render(moderngl.POINTS, vertices=len(some))
 
     def _set_uniforms(
-        self, program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int
+        self, program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int, span: float
     ) -> None:
         sensor, camera, pointing = scene.sensor, scene.camera, scene.trails.pointing
         set_uniforms(
@@ -133,11 +139,12 @@ class PiecePass:
             guard_band_px=guard_band_px,
             target_px=light.size,
             sigma_px=sensor.effective_sigma_px,
-            vmag_0_peak_dn=sensor.effective_peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
+            vmag_0_peak_dn=sensor.effective_peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * span,
         )
 
-    def _program(self, *, mosaic: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        if mosaic not in self._programs:
+    def _program(self, *, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        key = mosaic, rolling
+        if key not in self._programs:
             program = linked(
                 self._context,
                 "trail_pieces.vert",
@@ -145,11 +152,12 @@ class PiecePass:
                 STARS_PER_ROW=STARS_PER_ROW,
                 PIECES_PER_SPRITE=PIECES_PER_SPRITE,
                 MOSAIC=int(mosaic),
+                ROWS=int(rolling),
             )
             set_uniforms(program, **{name: unit for name, unit in _UNITS.items() if name in program})
             vertices = self._context.vertex_array(program, [(self._sprites, "2u2", "sprite")])
-            self._programs[mosaic] = program, vertices
-        return self._programs[mosaic]
+            self._programs[key] = program, vertices
+        return self._programs[key]
 
     def _release_programs(self) -> None:
         for program, vertices in self._programs.values():
@@ -174,9 +182,19 @@ def _piece_texels(pieces: TrailPieces) -> NDArray[np.float32]:
     return texels
 
 
-def _near_image(scene: Scene, pieces: TrailPieces, rows: slice, stars: slice) -> NDArray[np.bool_]:
-    """Return during which four pieces which visible stars are near the image, (sprites, k): a bound."""
-    camera = scene.camera
+def _texels_of_stars(part: ScenePart) -> NDArray[np.float32]:
+    """Return what trail_pieces.vert reads of each star, (2, k, 3): see its uniform `chosen`."""
+    drawn = part.scene.draw_list
+    texels = np.zeros((2, len(drawn), 3), np.float32)
+    texels[0] = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission])
+    if part.drawn is not None:
+        texels[1, :, :2] = part.drawn.T
+    return texels
+
+
+def _near_image(part: ScenePart, rows: slice, stars: slice) -> NDArray[np.bool_]:
+    """Return which four pieces of which visible stars are near the image and drawn, (sprites, k): a bound."""
+    scene, pieces, camera = part.scene, part.pieces, part.scene.camera
     boresight = pieces.pointing.boresight_eq[rows]
     boresight = boresight / np.linalg.norm(boresight, axis=1, keepdims=True)
     firsts = boresight[::PIECES_PER_SPRITE]
@@ -186,4 +204,7 @@ def _near_image(scene: Scene, pieces: TrailPieces, rows: slice, stars: slice) ->
     radius_rad = camera.field_radius_rad + margin_rad + swing_rad + MAX_REFRACTION_RAD
     cosine = firsts @ scene.stars.direction_eq[scene.draw_list.index[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
+    if part.drawn is not None:
+        piece = rows.start + PIECES_PER_SPRITE * np.arange(len(near))[:, np.newaxis]
+        near &= (piece + PIECES_PER_SPRITE > part.drawn[0, stars]) & (piece < part.drawn[1, stars])
     return near

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.opengl.program import set_uniforms
+from glstar.render.openpieces import PixelOpenings
 
 __all__ = ["GLOBAL_SHUTTER", "LensOpenings", "ReadoutClock", "pinhole_clock"]
 
@@ -35,9 +36,11 @@ class ReadoutClock:
     opening : tuple of float
         Of ROWS 1: coefficients of x, y (coordinates of gl_FragCoord) and 1, fractions of the span.
     per_px : float
-        Of ROWS 2: bound of the change of the opening time per pixel of the target, a fraction of the span.
+        Of a rolling shutter: bound of the change of the opening time per pixel of the target, a fraction of the span.
     texture : moderngl.Texture or None
         Of ROWS 2: the opening times.
+    times : (rows, columns) float64 or None
+        The same.
     resampling_px2 : float
         Behind a lens: variance that resampling will add to what is drawn, px^2 of the target.
     """
@@ -47,7 +50,41 @@ class ReadoutClock:
     opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
     per_px: float = 0.0
     texture: moderngl.Texture | None = None
+    times: Float | None = None
     resampling_px2: float = 0.0
+
+    def openings(self, guard_band_px: int, sigma_px: float) -> PixelOpenings | None:
+        """Return when the pixels of the image open that the target is drawn for.
+
+        Parameters
+        ----------
+        guard_band_px : int
+            Width of the target's border around that image.
+        sigma_px : float
+            Standard deviation of the stars that are drawn, px of the target.
+
+        Returns
+        -------
+        PixelOpenings or None
+            None for a global shutter.
+        """
+        if not self.rows:
+            return None
+        reach = 1 + self.resampling_px2 / sigma_px**2
+        return PixelOpenings(1 / self.span, self.per_px, reach, lambda xy_px: self._at(xy_px + (guard_band_px + 0.5)))
+
+    def _at(self, position_px: Float) -> Float:
+        """Return the opening times at positions as of gl_FragCoord, (n,): opening_at of readout.glsl."""
+        if self.times is None:
+            return np.asarray(position_px @ self.opening[:2] + self.opening[2])
+        last = np.array(self.times.shape)[::-1] - 1
+        at = np.nan_to_num(position_px / _STEP_PX).clip(0, last)
+        column, row = np.minimum(at.astype(np.intp), last - 1).T
+        right, down = at[:, 0] - column, at[:, 1] - row
+        upper, lower = (
+            (1 - right) * self.times[row + k, column] + right * self.times[row + k, column + 1] for k in (0, 1)
+        )
+        return np.asarray((1 - down) * upper + down * lower)
 
     def bind(self, program: moderngl.Program, sigma_px: float) -> None:
         """Set those uniforms of readout.glsl that a program has, and use the texture.
@@ -93,7 +130,8 @@ def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> Rea
     first_s -= (per_column_s + per_row_s) * (guard_band_px + 0.5)
     opening = tuple(value_s / exposure.span_s for value_s in (per_column_s, per_row_s, first_s))
     assert len(opening) == 3
-    return ReadoutClock(1, exposure.span_s / exposure.duration_s, opening)
+    per_px = float(np.hypot(opening[0], opening[1]))
+    return ReadoutClock(1, exposure.span_s / exposure.duration_s, opening, per_px)
 
 
 class LensOpenings:
@@ -159,6 +197,7 @@ class LensOpenings:
             exposure.span_s / exposure.duration_s,
             per_px=float(gradient),
             texture=texture,
+            times=opening,
         )
 
     def _within_limit(self, rays: Float) -> Float:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.colourscenes import cell_tints
-from glstar.render.horizoncrossing import rise_and_set
 from glstar.render.opengl.passagetexture import PassageTexture
 from glstar.render.opengl.piecepass import PiecePass
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
+from glstar.render.openpieces import SegmentColumns, joined_columns, whole_trails
 from glstar.render.scene import Scene
 from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.render.trailmodels import AnalyticSegments
@@ -165,12 +165,18 @@ class TrailPass:
         clock : ReadoutClock
             When the pixels of the target open.
         """
-        divided = None if clock.rows else in_pieces(scene, trails, largest_point_px=self._point_size_px)
+        divided = None
+        if not clock.rows or len(trails) <= _SEGMENTS_PER_CALL:
+            openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
+            divided = in_pieces(scene, trails, largest_point_px=self._point_size_px, openings=openings)
         if divided is None:
             self._draw_segments(scene, trails, light, guard_band_px, clock)
             return
         for part in divided.parts:
-            self._piece_pass.draw(part.scene, part.pieces, light, guard_band_px)
+            self._piece_pass.draw(part, light, guard_band_px, clock)
+        ends = joined_columns(divided.ends, len(trails)) if divided.ends else None
+        if ends is not None:
+            self._draw_segments(scene, trails, light, guard_band_px, clock, ends)
         if len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
 
@@ -181,19 +187,23 @@ class TrailPass:
         light: moderngl.Framebuffer,
         guard_band_px: int,
         clock: ReadoutClock,
+        columns: SegmentColumns | None = None,
     ) -> None:
+        """Draw the trails of a scene in segments, or parts of trails of at most `_SEGMENTS_PER_CALL` segments."""
         paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
         if scene.draw_list.passage is None:
             self._passage.write_table(np.ones((1, 1), np.float32))
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
-        field, chosen = self._stars.of(scene.stars), _texels_of_stars(scene, trails)
+        parts = whole_trails(scene, trails) if columns is None else columns
+        field, chosen = self._stars.of(scene.stars), _texels_of_parts(scene, parts)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
             rows = texels[times]
             self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
             for begin in range(0, chosen.shape[1], _STARS_PER_CALL):
-                stars = slice(begin, begin + _STARS_PER_CALL)
+                some = slice(begin, begin + _STARS_PER_CALL)
+                stars = parts.star[some]
                 if tints is not None:
                     of_columns = tints[drawn.index[stars]]
                     self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
@@ -201,7 +211,9 @@ class TrailPass:
                     segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
                     self._passage.write_table(drawn.passage[stars, segments].T)
                 near = _near_image(scene, trails, times, stars)
-                self._draw(paths, draw_passes, field, chosen[:, stars], near, light)
+                if columns is not None:
+                    near = columns.of(some).rows_of(near)
+                self._draw(paths, draw_passes, field, chosen[:, some], near, light)
 
     def _with_uniforms(
         self,
@@ -266,6 +278,7 @@ class TrailPass:
         positions = self._positions.filled(self._all_positions, stars, times + 1)
         positions[0].use(location=0)
         self._passage.texture.use(location=1)
+        self._chosen.use(location=3)
         paths = path_table.textures.filled(path_table.vertex_array, stars, segments + 1)
         for location, texture in enumerate(paths):
             texture.use(location)
@@ -296,7 +309,8 @@ class TrailPass:
                     ROWS=rows,
                 )
             )
-            set_uniforms(program, positions=0, passage=1, pointing=2)
+            units = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
+            set_uniforms(program, **{name: unit for name, unit in units.items() if name in program})
             vertex_array = self._own(self._context.vertex_array(program, []))
             textures = _TextureTable(self._context, len(_PATH_TEXTURES) if rows else len(_PATH_TEXTURES) - 1)
             self._owned.callback(textures.release)
@@ -395,16 +409,16 @@ def _segment_texels(trails: AnalyticSegments) -> NDArray[np.float32]:
     return texels
 
 
-def _texels_of_stars(scene: Scene, trails: AnalyticSegments) -> NDArray[np.float32]:
-    """Return what project_stars.frag reads of each visible star, (2, k, 3): see its uniform `chosen`."""
+def _texels_of_parts(scene: Scene, parts: SegmentColumns) -> NDArray[np.float32]:
+    """Return what project_stars.frag reads of each part of a trail, (2, c, 3): see its uniform `chosen`."""
     drawn = scene.draw_list
-    texels = np.zeros((2, len(drawn), 3), np.float32)
-    texels[0] = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission])
-    texels[1, :, :2] = rise_and_set(trails, scene.stars.direction_eq[drawn.index])
+    texels = np.zeros((2, len(parts.star), 3), np.float32)
+    texels[0] = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission])[parts.star]
+    texels[1] = np.column_stack([parts.rises_and_sets, parts.first])
     return texels
 
 
-def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: slice) -> NDArray[np.bool_]:
+def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return in which segments which visible stars are near the image, (m, k): a bound that excludes most others.
 
     Between two times a star comes closer to the boresight than at both by at most half of the boresight's rotation.
