@@ -61,11 +61,18 @@ class PieceLimits:
     error: float = 1.5e-3
     halvings: int = 6
 
+    @property
+    def widening(self) -> float:
+        """How much wider a piece may be than a star at rest.
+
+        The variance of a position on a path of length l is at most l^2 / 4: of a star that is half of the time at
+        either end.
+        """
+        return float(np.sqrt(1 + self.length_sigma**2 / 4))
+
     def reach_px(self, radius_px: Float, sigma_px: float) -> Float:
-        """Return how far from a star's position at any time of a piece it is drawn, px; parameters of `sprite_px`."""
-        return np.asarray(
-            radius_px * np.sqrt(1 + self.length_sigma**2 / 4) + self.length_sigma * sigma_px + SNAPPING_PX
-        )
+        """Return how far from any position during a piece a star is drawn, (k,) px: parameters as of `sprite_px`."""
+        return np.asarray(radius_px * self.widening + self.length_sigma * sigma_px + SNAPPING_PX)
 
     def sprite_px(self, radius_px: Float, sigma_px: float) -> Float:
         """Return the largest side of the sprites of stars, px.
@@ -80,11 +87,9 @@ class PieceLimits:
         Returns
         -------
         (k,) float64
-            The variance of a position on a path of length l is at most l^2 / 4: of a star that is half of the time at
-            either end.
         """
         path_px = PIECES_PER_SPRITE * self.length_sigma * sigma_px
-        return np.asarray(2 * radius_px * np.sqrt(1 + self.length_sigma**2 / 4) + path_px + 2 * SNAPPING_PX)
+        return np.asarray(2 * radius_px * self.widening + path_px + 2 * SNAPPING_PX)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,69 @@
+"""Which pieces of trails a rolling shutter records in full, against the stars' own positions and rows at many times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.render.horizoncrossing import NEVER
+from glstar.render.openpieces import PixelOpenings
+from glstar.render.trailpieces import PieceCosts, in_pieces
+from tests.render.test_pathfit import EXPOSURE, LENS, rough
+
+FREE = PieceCosts(min_segments=1, pieces_per_segment=np.inf)
+TIMES = 2001
+
+
+def openings_of(exposure: Exposure) -> PixelOpenings:
+    """Return the opening times of rows or columns: of the first 0, of the last readout_s later."""
+    axis, count = (1, LENS.height_px) if exposure.readout in {"down", "up"} else (0, LENS.width_px)
+    per_px = exposure.readout_s / exposure.span_s / (count - 1)
+
+    def at(xy_px: np.ndarray) -> np.ndarray:
+        order = xy_px[:, axis] if exposure.readout in {"down", "right"} else count - 1 - xy_px[:, axis]
+        return per_px * order
+
+    return PixelOpenings(exposure.duration_s / exposure.span_s, per_px, 1.0, at)
+
+
+@pytest.mark.parametrize("readout", ["down", "left"])
+def test_every_piece_is_drawn_while_all_rows_of_the_star_are_open_and_the_rest_in_segments(readout):
+    exposure = replace(EXPOSURE, readout_s=0.087, readout=readout)
+    openings, scene = openings_of(exposure), rough(200.0).scene(exposure)
+    divided = in_pieces(scene, scene.trails, FREE, openings=openings)
+    marks, time = np.concatenate([[0.0], np.cumsum(scene.trails.time_fraction)]), np.linspace(0.0, 1.0, TIMES)
+    segment = (np.searchsorted(marks, time, side="right") - 1).clip(0, len(scene.trails) - 1)
+    assert len(divided.parts) == len(divided.ends) > 0
+    for part, columns in zip(divided.parts, divided.ends, strict=True):
+        drawn = part.scene.draw_list
+        ends = np.concatenate([[0.0], np.cumsum(part.pieces.time_fraction)])
+        xy_px = scene.positions(scene.stars.direction_eq[drawn.index], time)
+        for star in range(0, len(drawn), 20):
+            since = openings.at(xy_px[:, star])
+            reach = openings.per_px * drawn.truncation_radius_px[star]
+            # Rows beside the image do not matter.
+            earliest, latest = (np.clip(since + off, 0.0, 1 - openings.open_time) for off in (-reach, reach))
+            begin, stop = ends[part.drawn[:, star]]
+            in_piece = (time > begin) & (time < stop)
+            is_open = (time >= latest) & (time <= earliest + openings.open_time)
+            assert is_open[in_piece].all()
+            # Little more than one piece at either end, and what the wings take, is left for segments.
+            assert np.count_nonzero(is_open & ~in_piece) < TIMES * (4 * np.diff(ends).max() + 6 * reach)
+            mine = scene.draw_list.index[columns.star] == drawn.index[star]
+            assert {tuple(times) for times in columns.rises_and_sets[mine]} <= {(0.0, begin), (stop, NEVER)}
+            is_lit = (time >= earliest) & (time <= latest + openings.open_time) & ((time < begin) | (time > stop))
+            covered = np.zeros(TIMES, np.bool_)
+            for (rises, sets), first, count in zip(
+                columns.rises_and_sets[mine], columns.first[mine], columns.count[mine], strict=True
+            ):
+                covered |= (time >= rises) & (time <= sets) & (segment >= first) & (segment < first + count)
+            assert covered[is_lit].all()
+
+
+def test_no_trail_is_divided_where_stars_may_be_as_fast_as_the_readout():
+    scene = rough(200.0).scene(replace(EXPOSURE, readout_s=0.087))
+    openings = openings_of(scene.exposure)
+    slow = replace(openings, per_px=1e3 * openings.per_px)
+    assert in_pieces(scene, scene.trails, FREE, openings=openings) is not None
+    assert in_pieces(scene, scene.trails, FREE, openings=slow) is None
