@@ -76,7 +76,8 @@ class PositionTrack:
         columns = np.stack(given)
         columns = columns[:, np.isfinite(columns).all(axis=0)]
         _, first = np.unique(columns[0], return_index=True)
-        return cls(*columns[:, first])
+        # Each column in consecutive memory: np.interp would copy the whole of it at every call.
+        return cls(*(column[first] for column in columns))
 
     @classmethod
     def joined(cls, tracks: Sequence[Self]) -> Self:

@@ -190,7 +190,8 @@ class StarCuller:
             touches |= near.any(axis=0)
             # Between two times a star may graze the image: half a step is added to the margin.  Steps grow without
             # bound far off the axis, but none across the image is longer than its diagonal.
-            far = np.flatnonzero(~touches)
+            reach_px = margin_px + np.minimum(stretch * step_px.max(axis=0), diagonal_px) / 2
+            far = np.flatnonzero(~touches & (np.fmin.reduce(beyond_px, axis=0) < reach_px))
             grazing_px = margin_px[far] + np.minimum(stretch * step_px.take(far, axis=1), diagonal_px) / 2
             beyond_px = beyond_px.take(far, axis=1)
             touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)

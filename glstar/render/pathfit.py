@@ -237,16 +237,16 @@ class SampledMotion:
         last = (len(times_s) - 1) // self.parts
         t = (times_s - times_s[0]) / (times_s[-1] - times_s[0])
         longest = np.ones(last + 1, dtype=np.intp)
-        if _residual_px(t[np.newaxis], turns_px.T[np.newaxis])[0] <= tolerance_px:
+        axes_px = np.ascontiguousarray(turns_px.T)
+        if _residual_px(t[:, np.newaxis], axes_px[:, :, np.newaxis])[0] <= tolerance_px:
             longest[0] = last
             return longest
         for length in _LENGTHS:
             if length >= last:
                 break
-            size = length * self.parts + 1
-            windows = np.lib.stride_tricks.sliding_window_view(t, size)[:: self.parts]
-            turns = np.lib.stride_tricks.sliding_window_view(turns_px, size, axis=0)[:: self.parts]
-            follows = _residual_px(windows, turns) <= tolerance_px
+            starts = np.arange(0, len(t) - length * self.parts, self.parts)
+            window = starts + np.arange(length * self.parts + 1)[:, np.newaxis]
+            follows = _residual_px(t.take(window), axes_px.take(window, axis=1)) <= tolerance_px
             if not follows.any():
                 break
             longest[: len(follows)][follows] = length
@@ -264,19 +264,21 @@ def _turns_px(pointing: Pointing, camera: Camera) -> Float:
 
 
 def _residual_px(t: Float, values: Float) -> Float:
-    """Return the largest distance of values, (k, 3, n), from their least-squares quadratics of times t, (k, n)."""
-    # Orthogonal polynomials on the times of each window.
-    linear = t - t.mean(axis=1, keepdims=True)
+    """Return the largest distance of values, (3, n, k), from their least-squares quadratics of times t, (n, k)."""
+    # Orthogonal polynomials on the times of each of the k windows.
+    count = len(t)
+    linear = t - t.sum(axis=0) / count
     square = linear * linear
-    variance = square.sum(axis=1)
-    quadratic = square - ((square * linear).sum(axis=1) / variance)[:, np.newaxis] * linear
-    quadratic -= quadratic.mean(axis=1, keepdims=True)
-    power = (quadratic * quadratic).sum(axis=1)
-    residual = values - values.mean(axis=2, keepdims=True)
+    variance = square.sum(axis=0)
+    quadratic = square - (square * linear).sum(axis=0) / variance * linear
+    quadratic -= quadratic.sum(axis=0) / count
+    power = (quadratic * quadratic).sum(axis=0)
+    residual = values - values.sum(axis=1, keepdims=True) / count
     for basis, norm in ((linear, variance), (quadratic, np.maximum(power, 1e-30 * variance))):
-        coefficient = np.einsum("kan,kn->ka", residual, basis) / norm[:, np.newaxis]
-        residual = residual - coefficient[:, :, np.newaxis] * basis[:, np.newaxis]
-    largest: Float = np.sqrt((residual * residual).sum(axis=1).max(axis=1))
+        coefficient = (residual * basis).sum(axis=1) / norm
+        residual -= coefficient[:, np.newaxis] * basis
+    residual *= residual
+    largest: Float = np.sqrt(residual.sum(axis=0).max(axis=0))
     return largest
 
 
@@ -434,21 +436,48 @@ def _small_turn(C: Float) -> Float:
 def _least_squares(basis: Float, segment: Integer, turn: Float, weight: Float, count: int) -> Float:
     """Return the corrections of the nodes, (count, 3) rad, that minimise the weighted squares of turn - basis.
 
-    A sample depends on the three nodes of its segment, so the normal equations have five diagonals.  They are solved in
-    a time proportional to the number of nodes, and on one thread: NumPy's dense products and solver would keep all
-    threads of OpenBLAS busy, and round differently with another number of them.
+    A sample depends on the three nodes of its segment.  The middle one has no other samples, and is eliminated first;
+    the equations of the ends have three diagonals.  They are solved in a time proportional to the number of nodes, and
+    on one thread: NumPy's dense products and solver would keep all threads of OpenBLAS busy, and round differently with
+    another number of them.  SciPy's banded solver would take a worker longer to load than ten images to draw.
     """
-    from scipy.linalg import solveh_banded  # noqa: PLC0415 - when a path is fitted
-
-    index = 2 * segment[:, np.newaxis] + np.arange(3)
     weighted = basis * weight[:, np.newaxis]
-    normal = np.zeros((3, count))  # the diagonal, and those below it
-    for below in range(3):
-        products = weighted[:, : 3 - below] * basis[:, below:]
-        normal[below] = np.bincount(index[:, : 3 - below].ravel(), products.ravel(), minlength=count)
-    normal[0] += LIMITS.stiffness * normal[0].sum() / count
-    right = np.stack(
-        [np.bincount(index.ravel(), (weighted * along[:, np.newaxis]).ravel(), minlength=count) for along in turn.T],
-        axis=-1,
-    )
-    return np.asarray(solveh_banded(normal, right, lower=True), dtype=np.float64)
+    first, second = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)]).T
+    products = weighted[:, first] * basis[:, second]
+    right = (weighted[:, :, np.newaxis] * turn[:, np.newaxis]).reshape(-1, 9)
+    columns = np.concatenate([products, right], axis=1)
+    sums = np.add.reduceat(columns, segment.searchsorted(np.arange(count // 2)))
+    stiffness = LIMITS.stiffness * sums[:, :3].sum() / count
+    middle, to_start, to_end = sums[:, 1:2] + stiffness, sums[:, 3:4], sums[:, 4:5]
+    of_start, of_middle, of_end = (sums[:, at : at + 3] for at in (6, 9, 12))
+    # The diagonal and the right sides of the ends of the segments, and what is beside the diagonal.
+    ends = np.zeros((count // 2 + 1, 4))
+    ends[:-1] += np.hstack([sums[:, :1] - to_start * to_start / middle, of_start - to_start / middle * of_middle])
+    ends[1:] += np.hstack([sums[:, 2:3] - to_end * to_end / middle, of_end - to_end / middle * of_middle])
+    ends[:, 0] += stiffness
+    beside = sums[:, 5:] - to_start * to_end / middle
+    corrections = np.empty((count, 3))
+    corrections[::2] = _tridiagonal_solution(ends[:, 0].tolist(), beside[:, 0].tolist(), ends[:, 1:].T.tolist()).T
+    known = to_start * corrections[:-2:2] + to_end * corrections[2::2]
+    corrections[1::2] = (of_middle - known) / middle
+    return corrections
+
+
+def _tridiagonal_solution(diagonal: list[float], beside: list[float], right: list[list[float]]) -> Float:
+    """Return the solutions, (k, n), of symmetric positive definite equations with k right sides of n numbers.
+
+    `beside` has the n - 1 elements below the diagonal.  By elimination (Thomas), in Python: LAPACK would be no faster.
+    """
+    factors = []
+    for row, element in enumerate(beside):
+        factors.append(element / diagonal[row])
+        diagonal[row + 1] -= factors[-1] * element
+    solutions = []
+    for values in right:
+        for row, factor in enumerate(factors):
+            values[row + 1] -= factor * values[row]
+        solution = [values[-1] / diagonal[-1]]
+        for row in range(len(factors) - 1, -1, -1):
+            solution.append(values[row] / diagonal[row] - factors[row] * solution[-1])
+        solutions.append(solution[::-1])
+    return np.array(solutions)

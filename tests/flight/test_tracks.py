@@ -281,6 +281,12 @@ def test_positions_that_are_not_finite_are_dropped() -> None:
     np.testing.assert_array_equal(track.utc_s, [2.0])
 
 
+def test_each_column_of_a_position_track_is_in_consecutive_memory():
+    track = PositionTrack.from_samples([2, 0, 1], [0.2, 0.0, 0.1], [1.2, 1.0, 1.1], [30, 10, 20])
+    for column in (track.utc_s, track.latitude_rad, track.longitude_rad, track.height_m):
+        assert column.flags.c_contiguous
+
+
 def test_a_track_without_positions_is_refused() -> None:
     with pytest.raises(TelemetryError, match="four columns of one length"):
         PositionTrack.from_samples([NAN], [0.0], [0.0], [0.0])

@@ -1,6 +1,8 @@
 """Least-squares segments, against the interpolated attitude itself."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -161,3 +163,15 @@ def test_the_corrections_of_the_nodes_are_those_of_a_dense_least_squares_solver(
 
     found = _least_squares(basis, segment, turn, weight, count)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_path_is_fitted_without_scipy_which_takes_long_to_load():
+    program = """
+import sys
+import numpy as np
+from glstar.render import pathfit, simulator
+pathfit._least_squares(np.ones((4, 3)) / 3, np.zeros(4, dtype=int), np.ones((4, 3)), np.ones(4), 3)
+assert not any(name.startswith("scipy") for name in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
