@@ -223,6 +223,8 @@ class Viewer:
             if settling or self.interface.keyboard.has_input_left:
                 self.pace(began_s)
                 self._surface.wait(0.0)
+                if self.interface.keyboard.has_input_left:
+                    settling = _SETTLING_FRAMES
             else:
                 self.session.times.pause()
                 if self._sleep():

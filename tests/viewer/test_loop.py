@@ -232,3 +232,32 @@ def test_a_notification_is_drawn_completely_in_a_paused_window(window: Viewer) -
     assert shown.size.y > lines
     assert shown.pos.x + shown.size.x <= 900
     assert shown.pos.y + shown.size.y <= 600
+
+
+@pytest.mark.parametrize("polls", [1, 2])
+def test_a_click_shows_although_the_button_is_released_while_the_window_comes_to_rest(
+    window: Viewer, polls: int
+) -> None:
+    surface, io = window._surface, imgui.get_io()
+    assert isinstance(surface, Untouched)
+    window.interface.tour.ask()
+    for _ in range(2):
+        window.frame(0.0)
+    # The buttons of the tour are on the left of the last row of its window.
+    shown, style = imgui.internal.find_window_by_name("Tour"), imgui.get_style()
+    x = shown.pos.x + style.window_padding.x + 12.0
+    y = shown.pos.y + shown.size.y - style.window_padding.y - imgui.get_frame_height() / 2
+    events: dict[int, Callable[[], None]] = {
+        1: lambda: io.add_mouse_pos_event(x, y),
+        2: lambda: io.add_mouse_button_event(0, True),
+        2 + polls: lambda: io.add_mouse_button_event(0, False),
+    }
+    surface.polls = surface.idle = 0
+    surface.on_wait = lambda: events.pop(surface.polls, lambda: None)()
+    window.run()
+
+    assert not events
+    assert window.interface.tour.step == 1
+    left = screen(window).copy()
+    window.frame(0.0)
+    np.testing.assert_array_equal(left, screen(window))

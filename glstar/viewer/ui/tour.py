@@ -101,10 +101,8 @@ class Tour:
         imgui.set_next_window_pos(corner, int(imgui.Cond_.appearing), ImVec2(1.0, 1.0))
         shown, is_open = imgui.begin(_TITLE, True, _FLAGS)
         if shown:
-            imgui.push_text_wrap_pos(_WIDTH_PX * scale)
             imgui.text_colored(accent(), f"{self.step + 1} of {len(STEPS)}: {step.title}")
-            imgui.text_unformatted(_with_keys(step.text))
-            imgui.pop_text_wrap_pos()
+            _draw_text(step.text, _WIDTH_PX * scale)
             self._draw_buttons()
         imgui.end()
         if not is_open:
@@ -125,6 +123,17 @@ class Tour:
             if imgui.button("Skip the tour"):
                 self.step = None
             imgui.set_item_tooltip("Help, Tour shows it again")
+
+
+def _draw_text(text: str, width_px: float) -> None:
+    """Draw the text of a step, with room for the longest: the buttons stay where they are from step to step."""
+    left, top = imgui.get_cursor_pos().x, imgui.get_cursor_pos_y()
+    wrap_px = width_px - left
+    highest_px = max(imgui.calc_text_size(_with_keys(step.text), wrap_width=wrap_px).y for step in STEPS)
+    imgui.push_text_wrap_pos(width_px)
+    imgui.text_unformatted(_with_keys(text))
+    imgui.pop_text_wrap_pos()
+    imgui.set_cursor_pos_y(top + highest_px + imgui.get_style().item_spacing.y)
 
 
 def _mark(panel: str) -> None:
