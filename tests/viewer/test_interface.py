@@ -405,14 +405,24 @@ def test_text_is_scaled_only_once(content_scale, framebuffer_px, window_units, s
     assert text_scale(content_scale, framebuffer_px, window_units) == pytest.approx(scale)
 
 
-@pytest.mark.parametrize(("size", "scale"), [((800, 600), 1.0), ((1280, 800), 1.0), ((1920, 1200), 1.5)])
-def test_no_control_is_cut_off(small, log, tmp_path, size, scale):
+@pytest.mark.parametrize(
+    ("size", "scale", "text"),
+    [
+        ((800, 600), 1.0, 1.0),
+        ((1280, 800), 1.0, 1.0),
+        ((1920, 1200), 1.5, 1.0),
+        ((800, 600), 1.0, 0.7),
+        ((1280, 800), 1.0, 1.6),
+    ],
+)
+def test_no_control_is_cut_off(small, log, tmp_path, size, scale, text):
     class Scaled(HeadlessSurface):
         pass
 
     Scaled.scale = scale
     surface = Scaled(size)
     with Viewer(surface, small, output=tmp_path / "saved") as viewer:
+        viewer.interface.text_scale = text
         viewer.open(log)
         viewer.session.wait_for_flight()
         for _ in range(4):

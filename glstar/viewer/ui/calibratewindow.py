@@ -20,7 +20,7 @@ from glstar.viewer.photocalibration import (
 from glstar.viewer.session import Session
 from glstar.viewer.ui.filedialogs import FileChooser
 from glstar.viewer.ui.photopanel import PhotoPanel
-from glstar.viewer.ui.theme import centre_next_window, error
+from glstar.viewer.ui.theme import centre_next_window, dialog_size, error, scaled
 
 __all__ = ["PHOTO_SUFFIXES", "CalibrateWindow"]
 
@@ -148,13 +148,11 @@ class CalibrateWindow:
         if not self.is_open:
             return
         self._take()
-        viewport, scale = imgui.get_main_viewport(), imgui.get_style().font_scale_dpi
         centre_next_window()
-        size = ImVec2(min(_SIZE[0] * scale, viewport.size.x - 40), min(_SIZE[1] * scale, viewport.size.y - 60))
-        imgui.set_next_window_size(size, int(imgui.Cond_.appearing))
+        imgui.set_next_window_size(dialog_size(*_SIZE), int(imgui.Cond_.appearing))
         expanded, stays = imgui.begin("Calibrate", True, _FLAGS)
         if expanded:
-            imgui.begin_child("##controls", ImVec2(_CONTROLS_PX * scale, 0))
+            imgui.begin_child("##controls", ImVec2(scaled(_CONTROLS_PX), 0))
             self._draw_controls(session)
             imgui.end_child()
             imgui.same_line()
@@ -269,7 +267,7 @@ class CalibrateWindow:
         imgui.set_item_tooltip("for stars that are blurred or saturated; needs no exposure time")
 
     def _input(self, name: str, label: str, hint: str, tooltip: str) -> None:
-        imgui.set_next_item_width(150.0 * imgui.get_style().font_scale_dpi)
+        imgui.set_next_item_width(scaled(150.0))
         _, self._typed[name] = imgui.input_text_with_hint(label, hint, self._typed[name])
         imgui.set_item_tooltip(tooltip)
 

@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from glstar.link import serial_ports
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import centre_next_window
+from glstar.viewer.ui.theme import button_size, centre_next_window, scaled_across
 
 __all__ = ["ConnectDialog"]
 
@@ -64,7 +64,7 @@ class ConnectDialog:
         return link
 
     def _draw_fields(self) -> str | None:
-        width = _WIDTH * imgui.get_style().font_scale_dpi
+        width = scaled_across(_WIDTH)
         if self._ports:
             imgui.set_next_item_width(width / 3)
             _, self._baud_rate = imgui.combo("baud", self._baud_rate, list(_BAUD_RATES))
@@ -78,9 +78,9 @@ class ConnectDialog:
                 self._link = link
         imgui.set_next_item_width(width)
         entered, self._link = imgui.input_text("##link", self._link, _ENTER)
-        connect = imgui.button("Connect", ImVec2(90, 0)) or entered
+        connect = imgui.button("Connect", button_size()) or entered
         imgui.same_line()
-        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
             imgui.close_current_popup()
         if connect and self._link.strip():
             imgui.close_current_popup()

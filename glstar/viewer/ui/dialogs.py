@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import ClassVar, Final, get_args
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from glstar.errors import ConfigError
 from glstar.export.images import ImageFormat
@@ -12,13 +12,15 @@ from glstar.viewer.missing import MissingFromLink, MissingFromLog
 from glstar.viewer.saving import file_stem, save_range
 from glstar.viewer.session import Session
 from glstar.viewer.ui.rangedialog import RangeDialog
-from glstar.viewer.ui.theme import accent, centre_next_window, error
+from glstar.viewer.ui.theme import accent, button_size, centre_next_window, dialog_size, error, scaled, scaled_across
 
 __all__ = ["ExportDialog", "MissingDialog", "draw_help"]
 
 _AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 # Width of the widest field, screen px.
+# Size of the list of keys, px.
+_HELP_PX: Final = (880.0, 730.0)
 _WIDTH: Final = 440.0
 
 
@@ -123,8 +125,8 @@ class MissingDialog:
             session.cancel_missing()  # closed with Escape
 
     def _draw_fields(self, session: Session, missing: MissingFromLog | MissingFromLink) -> None:
-        scale = imgui.get_style().font_scale_dpi
-        imgui.push_text_wrap_pos(_WIDTH * scale)
+        width_px = scaled_across(_WIDTH)
+        imgui.push_text_wrap_pos(width_px)
         imgui.text(missing.message)
         imgui.text_disabled(missing.note)
         imgui.pop_text_wrap_pos()
@@ -133,17 +135,17 @@ class MissingDialog:
             if self._focus:
                 imgui.set_keyboard_focus_here()
                 self._focus = False
-            imgui.set_next_item_width(_WIDTH * scale * 0.5)
+            imgui.set_next_item_width(0.5 * width_px)
             typed = self._typed.get(field.key, "")
             enter, self._typed[field.key] = imgui.input_text_with_hint(field.label, field.hint, typed, _ENTER)
             if self._typed[field.key] != typed:
                 self._error = ""
             entered |= enter
         if self._error:
-            imgui.push_text_wrap_pos(_WIDTH * scale)
+            imgui.push_text_wrap_pos(width_px)
             imgui.text_colored(error(), self._error)
             imgui.pop_text_wrap_pos()
-        if imgui.button("OK", ImVec2(90, 0)) or entered:
+        if imgui.button("OK", button_size()) or entered:
             try:
                 session.give(missing, self._typed)
             except ConfigError as refusal:
@@ -151,7 +153,7 @@ class MissingDialog:
             else:
                 imgui.close_current_popup()
         imgui.same_line()
-        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
             session.cancel_missing()
             imgui.close_current_popup()
 
@@ -170,26 +172,24 @@ def draw_help(is_open: bool) -> bool:
     """
     if not is_open:
         return False
-    viewport = imgui.get_main_viewport()
-    scale = imgui.get_style().font_scale_dpi
     centre_next_window()
-    imgui.set_next_window_size(
-        ImVec2(min(880.0 * scale, viewport.size.x - 40), min(730.0 * scale, viewport.size.y - 60))
-    )
+    size = dialog_size(*_HELP_PX)
+    imgui.set_next_window_size(size)
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
     expanded, stays = imgui.begin("Keys", True, int(flags))
     if expanded:
-        imgui.columns(2, "##keys", False)
+        columns = 2 if size.x >= scaled(_HELP_PX[0]) - 1 else 1  # two in a narrow window would cut off the text
+        imgui.columns(columns, "##keys", False)
         half = (len(KEYS) + len(MENUS)) // 2
         rows = 0
         for menu in MENUS:
-            if rows >= half - 3 and imgui.get_column_index() == 0:
+            if rows >= half - 3 and imgui.get_column_index() < columns - 1:
                 imgui.next_column()
             imgui.text_colored(accent(), menu)
             rows += 1
             for key in (key for key in KEYS if key.menu == menu and key.chords):
                 imgui.text_disabled("  " + ", ".join(map(shown_chord, key.chords)))
-                imgui.same_line(130.0 * scale)
+                imgui.same_line(scaled(130.0))
                 imgui.text(key.label)
                 rows += 1
         imgui.columns(1)

@@ -12,7 +12,7 @@ from glstar.viewer.colourmap import ColourMap
 from glstar.viewer.histogram import Histogram
 from glstar.viewer.session import Session
 from glstar.viewer.stretch import Stretch, StretchKind
-from glstar.viewer.ui.theme import accent
+from glstar.viewer.ui.theme import accent, scaled
 
 __all__ = ["DisplayPanel"]
 
@@ -61,7 +61,7 @@ class DisplayPanel:
 
     def _draw_histogram(self, session: Session) -> None:
         """Draw the histograms of the images, with handles for the levels shown black and white."""
-        size = ImVec2(-1, _PLOT_HEIGHT_PX * imgui.get_style().font_scale_dpi)
+        size = ImVec2(-1, scaled(_PLOT_HEIGHT_PX))
         limits = session.stretch.black, session.stretch.white
         if limits != self._limits and not imgui.is_mouse_down(0):
             # A key has moved black or white, perhaps out of the levels shown; a drag leaves the axis as it is.

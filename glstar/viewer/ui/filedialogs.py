@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
-from glstar.viewer.ui.theme import centre_next_window
+from glstar.viewer.ui.theme import button_size, centre_next_window
 
 __all__ = ["FileChooser", "has_native_dialogs"]
 
@@ -105,12 +105,12 @@ class FileChooser:
         imgui.set_next_item_width(_WIDTH)
         entered, self._text = imgui.input_text("##path", self._text, _ENTER)
         imgui.text_disabled("or drop it onto the window")
-        if imgui.button("OK", ImVec2(90, 0)) or entered:
+        if imgui.button("OK", button_size()) or entered:
             imgui.close_current_popup()
             if self._text.strip():
                 self._take(Path(self._text.strip()).expanduser())
         imgui.same_line()
-        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
             imgui.close_current_popup()
         imgui.end_popup()
 

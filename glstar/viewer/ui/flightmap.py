@@ -16,6 +16,7 @@ from glstar.viewer.coastlines import Coastlines, GraticuleLine, MapLimits, grati
 from glstar.viewer.footprint import Footprint, ground_footprint
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.ui.flightcolours import AIRCRAFT, BELIEF, LINES, Colour
+from glstar.viewer.ui.theme import scaled
 
 __all__ = ["FlightMap"]
 
@@ -91,8 +92,8 @@ class FlightMap:
         if self._is_hovered and (imgui.get_io().mouse_wheel != 0 or imgui.is_mouse_dragging(0)):
             self._is_fitted = False
         below_px = 0.0 if footprint is None else 4 * imgui.get_text_line_height_with_spacing()
-        height_px, scale = imgui.get_content_region_avail().y - below_px, imgui.get_style().font_scale_dpi
-        size = ImVec2(-1, min(max(height_px, _LEAST_PX * scale), _MOST_PX * scale))
+        height_px = imgui.get_content_region_avail().y - below_px
+        size = ImVec2(-1, min(max(height_px, scaled(_LEAST_PX)), scaled(_MOST_PX)))
         plot_id = imgui.get_id("##map")
         implot.push_style_var(int(implot.StyleVar_.plot_padding), ImVec2(0, 0))
         usual_rate, implot.get_input_map().zoom_rate = implot.get_input_map().zoom_rate, _ZOOM_RATE
@@ -202,7 +203,7 @@ class FlightMap:
 
     def _draw_footprint_row(self, footprint: Footprint, site: Site) -> None:
         """Say where the optical axis meets the ground, and let the user type the height of the ground."""
-        imgui.set_next_item_width(_GROUND_PX * imgui.get_style().font_scale_dpi)
+        imgui.set_next_item_width(scaled(_GROUND_PX))
         changed, typed_m = imgui.input_double("ground, m", self._ground_m, 10.0, 100.0, "%.1f")
         if changed:
             self._typed_ground_m = typed_m

@@ -14,7 +14,7 @@ from glstar.viewer.session import Session
 from glstar.viewer.ui.attitudecontrols import draw_attitude_controls
 from glstar.viewer.ui.flightcolours import AIRCRAFT, BELIEF, LINES, Colour
 from glstar.viewer.ui.flightmap import FlightMap
-from glstar.viewer.ui.theme import error
+from glstar.viewer.ui.theme import error, scaled
 
 __all__ = ["FlightPanel"]
 
@@ -65,8 +65,7 @@ def _draw_horizon(state: AircraftState, beliefs: Sequence[Belief], *, night: boo
 
     The horizon of the aircraft's estimate is a second line.
     """
-    scale = imgui.get_style().font_scale_dpi
-    width, height = imgui.get_content_region_avail().x, _HORIZON_PX * scale
+    width, height = imgui.get_content_region_avail().x, scaled(_HORIZON_PX)
     origin, draw_list = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
     imgui.dummy(ImVec2(width, height))
     corner, far = ImVec2(origin.x, origin.y), ImVec2(origin.x + width, origin.y + height)

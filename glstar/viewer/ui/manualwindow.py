@@ -6,7 +6,7 @@ from typing import Final
 from imgui_bundle import ImVec2, imgui
 
 from glstar.system.resources import manual_pages
-from glstar.viewer.ui.theme import accent, centre_next_window
+from glstar.viewer.ui.theme import accent, centre_next_window, dialog_size, scaled
 
 __all__ = ["ManualWindow"]
 
@@ -50,13 +50,11 @@ class ManualWindow:
         if not self.is_open:
             return
         pages = manual_pages()
-        viewport, scale = imgui.get_main_viewport(), imgui.get_style().font_scale_dpi
         centre_next_window()
-        size = ImVec2(min(_SIZE[0] * scale, viewport.size.x - 40), min(_SIZE[1] * scale, viewport.size.y - 60))
-        imgui.set_next_window_size(size, int(imgui.Cond_.appearing))
+        imgui.set_next_window_size(dialog_size(*_SIZE), int(imgui.Cond_.appearing))
         expanded, stays = imgui.begin("Manual", True, _FLAGS)
         if expanded:
-            imgui.begin_child("##pages", ImVec2(_LIST_WIDTH * scale, 0))
+            imgui.begin_child("##pages", ImVec2(scaled(_LIST_WIDTH), 0))
             for topic in pages:
                 if imgui.selectable(topic, topic == self._topic)[0]:
                     self._topic = topic

@@ -13,7 +13,7 @@ from glstar.viewer.actions import select_object
 from glstar.viewer.objectplace import ObjectPlace
 from glstar.viewer.selection import CutOut, Selection, star_cut_out
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import accent
+from glstar.viewer.ui.theme import accent, scaled
 
 __all__ = ["draw_object"]
 
@@ -120,8 +120,7 @@ def _draw_truth(truth: dict[str, Any]) -> None:
 def _draw_cut_out(cut_out: CutOut, is_saturated: NDArray[np.bool_], *, night: bool) -> None:
     """Draw the pixels around the star, the saturated in a colour, and the profile across its trail and the expected."""
     rows, columns = cut_out.pixels.shape
-    scale = imgui.get_style().font_scale_dpi
-    cell = max(1.0, np.floor(_CUT_OUT_SIDE * scale / max(rows, columns)))
+    cell = max(1.0, np.floor(scaled(_CUT_OUT_SIDE) / max(rows, columns)))
     origin, draw_list = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
     low, high = float(np.median(cut_out.pixels)), max(float(cut_out.pixels.max()), 1.0)
     grey = np.clip((cut_out.pixels - low) / max(high - low, 1.0), 0.0, 1.0)
@@ -138,7 +137,7 @@ def _draw_cut_out(cut_out: CutOut, is_saturated: NDArray[np.bool_], *, night: bo
         f"pixels {cut_out.left_px} to {cut_out.left_px + columns - 1} across,"
         f" {cut_out.top_px} to {cut_out.top_px + rows - 1} down"
     )
-    if implot.begin_plot("##profile", ImVec2(-1, _PLOT_HEIGHT * scale), _NO_INPUT):
+    if implot.begin_plot("##profile", ImVec2(-1, scaled(_PLOT_HEIGHT)), _NO_INPUT):
         fit = int(implot.AxisFlags_.auto_fit)
         implot.setup_axes("px across the trail", "DN", fit, fit)
         for label, values_dn, colours in (

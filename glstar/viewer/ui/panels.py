@@ -28,6 +28,7 @@ from glstar.viewer.ui.objectpanel import draw_object
 from glstar.viewer.ui.playbackcontrols import PlaybackControls
 from glstar.viewer.ui.residualpanel import draw_residual_figures
 from glstar.viewer.ui.settingspanel import draw_settings
+from glstar.viewer.ui.theme import scaled
 from glstar.viewer.ui.timeline import Timeline
 
 __all__ = ["OBJECT", "Panels"]
@@ -255,9 +256,9 @@ def _lay_out(dock: int, right_panels: list[str]) -> None:
     builder.dock_builder_remove_node(dock)
     builder.dock_builder_add_node(dock, int(builder.DockNodeFlagsPrivate_.dock_space))
     builder.dock_builder_set_node_size(dock, imgui.get_main_viewport().work_size)
-    size, scale = imgui.get_main_viewport().work_size, imgui.get_style().font_scale_dpi
+    size = imgui.get_main_viewport().work_size
     across, down = (
-        min(max(fraction, needed_px * scale / px), 0.5)
+        min(max(fraction, scaled(needed_px) / px), 0.5)
         for fraction, needed_px, px in ((_RIGHT_FRACTION, _RIGHT_PX, size.x), (_BELOW_FRACTION, _BELOW_PX, size.y))
     )
     right = builder.dock_builder_split_node(dock, imgui.Dir.right, across)

@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 from glstar.errors import ConfigError
 from glstar.sky.timescale import format_utc
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
+from glstar.viewer.ui.theme import scaled
 
 __all__ = ["PlaybackControls"]
 
@@ -64,12 +65,12 @@ class PlaybackControls:
             imgui.set_item_tooltip(tooltip)
         imgui.same_line()
         _mark(head)
-        if imgui.get_content_region_avail().x < _scaled(_TIME_PX):
+        if imgui.get_content_region_avail().x < scaled(_TIME_PX):
             imgui.new_line()
         self._draw_time(head)
 
     def _draw_time(self, head: PlayHead) -> None:
-        imgui.set_next_item_width(_scaled(110))
+        imgui.set_next_item_width(scaled(110))
         entered, text = imgui.input_text("s", f"{head.second:.3f}", _ENTER)
         imgui.set_item_tooltip("type 12.5, 1:02.5, +5, -0.1, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
         if entered:
@@ -86,11 +87,6 @@ class PlaybackControls:
             imgui.text_wrapped(self.error)
 
 
-def _scaled(px: float) -> float:
-    """Return a width on this screen: twice as large on one with twice the pixels."""
-    return px * imgui.get_style().font_scale_dpi
-
-
 def _wrap(label: str, *, width_px: float = 0, beside_px: float = 0) -> None:
     """Continue in the next line if a control with this label or width does not fit."""
     padding_px = 2 * imgui.get_style().frame_padding.x
@@ -100,7 +96,7 @@ def _wrap(label: str, *, width_px: float = 0, beside_px: float = 0) -> None:
 
 
 def _button(label: str, tooltip: str, *, width_px: float = 0) -> bool:
-    width_px = _scaled(width_px)
+    width_px = scaled(width_px)
     _wrap(label, width_px=width_px)
     pressed = imgui.button(label, (width_px, 0))
     imgui.set_item_tooltip(tooltip)
@@ -129,8 +125,8 @@ def _live(head: PlayHead) -> None:
 
 
 def _speeds(head: PlayHead) -> None:
-    _wrap("", width_px=_scaled(75))
-    imgui.set_next_item_width(_scaled(75))
+    _wrap("", width_px=scaled(75))
+    imgui.set_next_item_width(scaled(75))
     if imgui.begin_combo("##speed", _times(head.speed)):
         for speed in _SPEEDS:
             signed = speed if head.speed > 0 else -speed

@@ -3,10 +3,10 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar, Final
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import centre_next_window
+from glstar.viewer.ui.theme import button_size, centre_next_window
 
 __all__ = ["RangeDialog"]
 
@@ -111,10 +111,10 @@ class RangeDialog(ABC):
         possible = self.draw_summary(session) and bool(self.path.strip())
         imgui.begin_disabled(not possible)
         entered = imgui.is_key_pressed(imgui.Key.enter) and not imgui.is_any_item_active()
-        if imgui.button(self.action, ImVec2(90, 0)) or (entered and possible):
+        if imgui.button(self.action, button_size()) or (entered and possible):
             imgui.close_current_popup()
             self.accept(session)
         imgui.end_disabled()
         imgui.same_line()
-        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
             imgui.close_current_popup()

@@ -5,6 +5,8 @@ from typing import Final, Generic, TypeVar
 
 from imgui_bundle import ImVec2, imgui
 
+from glstar.viewer.ui.theme import scaled_across
+
 __all__ = ["SearchWindow"]
 
 T = TypeVar("T")
@@ -71,7 +73,7 @@ class SearchWindow(Generic[T]):
         top = ImVec2(viewport.pos.x + viewport.size.x / 2, viewport.pos.y + _TOP)
         imgui.set_next_window_pos(top, imgui.Cond_.appearing, ImVec2(0.5, 0.0))
         _, stays = imgui.begin(self._title, True, _FLAGS)
-        imgui.set_next_item_width(_WIDTH * imgui.get_style().font_scale_dpi)
+        imgui.set_next_item_width(scaled_across(_WIDTH))
         if self._focus:
             imgui.set_keyboard_focus_here()
             self._focus = False

@@ -14,7 +14,7 @@ from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.notifications import Notification
 from glstar.viewer.session import Session
 from glstar.viewer.ui.linkpanel import latency_label
-from glstar.viewer.ui.theme import accent, error
+from glstar.viewer.ui.theme import accent, error, scaled, scaled_across
 from glstar.viewer.video import Video
 
 __all__ = ["draw_notifications", "draw_status_bar"]
@@ -32,6 +32,8 @@ _NOTIFICATION: Final = int(
 )
 # Width at which a notification wraps, and its distance from the window's edges, screen px.
 _WRAP_PX: Final = 520.0
+# Width of a progress bar, px.
+_PROGRESS_PX: Final = 150.0
 _MARGIN_PX: Final = 12.0
 # Between the items of the status bar, and after those of the link, screen px.
 _SPACING_PX: Final = 18.0
@@ -157,7 +159,7 @@ def _draw_progress(export: BackgroundExport) -> None:
     fraction = export.done / export.of if export.of else 0.0
     imgui.same_line(0.0, _SPACING_PX)
     label = f"{export.done} of {export.of} frames" if export.of else f"{export.done} frames"
-    imgui.progress_bar(fraction, ImVec2(150, imgui.get_text_line_height()), label)
+    imgui.progress_bar(fraction, ImVec2(scaled(_PROGRESS_PX), imgui.get_text_line_height()), label)
     imgui.same_line()
     if imgui.small_button("stop"):
         export.cancel()
@@ -166,7 +168,7 @@ def _draw_progress(export: BackgroundExport) -> None:
 def _draw_video(video: Video) -> None:
     fraction, message = video.progress
     imgui.same_line(0.0, _SPACING_PX)
-    imgui.progress_bar(fraction, ImVec2(150, imgui.get_text_line_height()), message)
+    imgui.progress_bar(fraction, ImVec2(scaled(_PROGRESS_PX), imgui.get_text_line_height()), message)
     imgui.same_line()
     if imgui.small_button("stop##video"):
         video.stop()
@@ -200,7 +202,7 @@ def draw_notifications(session: Session) -> list[Notification]:
         imgui.set_next_window_pos(ImVec2(right, bottom), 0, ImVec2(1.0, 1.0))
         imgui.set_next_window_bg_alpha(0.95)
         imgui.begin(f"##notification{index}", None, _NOTIFICATION)
-        imgui.push_text_wrap_pos(_WRAP_PX)
+        imgui.push_text_wrap_pos(scaled_across(_WRAP_PX))
         colour = error() if notification.is_error else imgui.get_style_color_vec4(imgui.Col_.text)
         imgui.text_colored(colour, notification.message)
         imgui.pop_text_wrap_pos()

@@ -6,7 +6,18 @@ from typing import Final
 import imgui_bundle
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-__all__ = ["accent", "apply_theme", "centre_next_window", "error", "load_font", "resized_text"]
+__all__ = [
+    "accent",
+    "apply_theme",
+    "button_size",
+    "centre_next_window",
+    "dialog_size",
+    "error",
+    "load_font",
+    "resized_text",
+    "scaled",
+    "scaled_across",
+]
 
 Rgba = tuple[float, float, float, float]
 
@@ -69,7 +80,10 @@ _COLOURS: Final[dict[str, Rgba]] = {
     "modal_window_dim_bg": (0.0, 0.0, 0.0, 0.45),
 }
 
-
+# Of the window that a dialog leaves free on each side, and above and below, px.
+_DIALOG_MARGIN_PX: Final = (20.0, 30.0)
+# Width of the buttons that end a dialog, px.
+_BUTTON_PX: Final = 90.0
 # Smallest and largest text, tenths of its first size.
 _TEXT_TENTHS: Final = (7, 25)
 
@@ -116,6 +130,58 @@ def resized_text(scale: float, steps: int) -> float:
         0.7 to 2.5.
     """
     return min(max(round(10 * scale) + steps, _TEXT_TENTHS[0]), _TEXT_TENTHS[1]) / 10
+
+
+def scaled(px: float) -> float:
+    """Return a length on this screen: it grows with the resolution of the screen and with the text.
+
+    Parameters
+    ----------
+    px : float
+        The length on a usual screen with text of the first size.
+
+    Returns
+    -------
+    float
+        px of this screen.
+    """
+    style = imgui.get_style()
+    return float(px * style.font_scale_dpi * style.font_scale_main)
+
+
+def scaled_across(px: float) -> float:
+    """Return a width on this screen as `scaled` does, at most as wide as a dialog can be in the window.
+
+    Parameters
+    ----------
+    px : float
+
+    Returns
+    -------
+    float
+    """
+    return min(scaled(px), imgui.get_main_viewport().size.x - 2 * _DIALOG_MARGIN_PX[0])
+
+
+def button_size() -> ImVec2:
+    """Return the size of the buttons that end a dialog, on this screen."""
+    return ImVec2(scaled(_BUTTON_PX), 0.0)
+
+
+def dialog_size(width_px: float, height_px: float) -> ImVec2:
+    """Return the size of a dialog on this screen, which leaves a margin of the window around it.
+
+    Parameters
+    ----------
+    width_px, height_px : float
+        On a usual screen with text of the first size.
+
+    Returns
+    -------
+    ImVec2
+    """
+    free_px = imgui.get_main_viewport().size.y - 2 * _DIALOG_MARGIN_PX[1]
+    return ImVec2(scaled_across(width_px), min(scaled(height_px), free_px))
 
 
 def apply_theme(*, night: bool) -> None:

@@ -17,6 +17,7 @@ from glstar.viewer.skysamples import SkySamples
 from glstar.viewer.timeaxis import TimeAxis
 from glstar.viewer.timelinecurves import TimelineCurve, motion_traces
 from glstar.viewer.trace import Trace
+from glstar.viewer.ui.theme import scaled
 from glstar.viewer.ui.timelineevents import TimelineEvents
 from glstar.viewer.ui.timelinestyle import BOX, DAY_PALETTE, NIGHT_PALETTE, Bands, Palette
 
@@ -28,6 +29,8 @@ Float = NDArray[np.float64]
 _MIN_INTERVAL_PX: Final = 4
 # Smallest height of a plot, px: in a low panel only the first plots are shown.
 _LEAST_PX: Final = 60
+# Smallest height of a plot with labels of its values, px: in a lower one they would overlap.
+_LABELLED_PX: Final = 45
 _NO_TIMES: Final = np.empty(0)
 # The plots leave room for the widest name of a line, so that their times are aligned.
 _WIDEST_NAME: Final = max((name for curve in TimelineCurve for name in curve.spec.names), key=len)
@@ -59,6 +62,7 @@ _PLOT: Final = int(
 _X: Final = int(implot.AxisFlags_.no_side_switch | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_menus)
 _X_UNLABELLED: Final = _X | int(implot.AxisFlags_.no_tick_labels)
 _Y: Final = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
+_Y_UNLABELLED: Final = _Y | int(implot.AxisFlags_.no_tick_labels)
 _Y2: Final = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
 _X1_AXIS, _Y1_AXIS, _Y2_AXIS = int(implot.ImAxis_.x1), int(implot.ImAxis_.y1), int(implot.ImAxis_.y2)
 _ALWAYS: Final = int(implot.Cond_.always)
@@ -250,11 +254,12 @@ class Timeline:
         self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
     ) -> bool:
         """Begin a plot with the common axes; the second y axis, from 0 to 1, is for boxes of full height."""
+        is_low = (height_px if height_px > 0 else imgui.get_content_region_avail().y) < scaled(_LABELLED_PX)
         names_px = imgui.calc_text_size(_WIDEST_NAME).x + _PADDING_PX[0]
         if not implot.begin_plot(title, (-names_px, height_px), _PLOT):
             return False
         implot.setup_axis(_X1_AXIS, None, x_flags)
-        implot.setup_axis(_Y1_AXIS, unit, _Y)
+        implot.setup_axis(_Y1_AXIS, "" if is_low else unit, _Y_UNLABELLED if is_low else _Y)
         implot.setup_axis(_Y2_AXIS, None, _Y2)
         implot.setup_axis_limits(_X1_AXIS, self.axis.start_s, self.axis.stop_s, _ALWAYS)
         implot.setup_axis_limits(_Y2_AXIS, 0.0, 1.0, _ALWAYS)

@@ -6,7 +6,7 @@ from imgui_bundle import ImVec2, imgui
 
 from glstar.viewer.keys import shown_chord
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import accent
+from glstar.viewer.ui.theme import accent, scaled_across
 
 __all__ = ["STEPS", "Tour"]
 
@@ -94,7 +94,7 @@ class Tour:
             return
         step = STEPS[self.step]
         _mark(step.panel)
-        viewport, scale = imgui.get_main_viewport(), imgui.get_style().font_scale_dpi
+        viewport = imgui.get_main_viewport()
         corner = ImVec2(
             viewport.pos.x + viewport.size.x - _MARGIN_PX, viewport.pos.y + _LOWEST_FRACTION * viewport.size.y
         )
@@ -102,7 +102,7 @@ class Tour:
         shown, is_open = imgui.begin(_TITLE, True, _FLAGS)
         if shown:
             imgui.text_colored(accent(), f"{self.step + 1} of {len(STEPS)}: {step.title}")
-            _draw_text(step.text, _WIDTH_PX * scale)
+            _draw_text(step.text, scaled_across(_WIDTH_PX))
             self._draw_buttons()
         imgui.end()
         if not is_open:

@@ -9,7 +9,7 @@ from imgui_bundle import ImVec2, imgui
 from glstar.system.resources import bundled_flight
 from glstar.viewer.keys import Action, AnyAction
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import accent
+from glstar.viewer.ui.theme import accent, scaled
 
 __all__ = ["draw_welcome"]
 
@@ -42,12 +42,11 @@ def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyActi
     if session.loaded is not None or session.live is not None or session.loader.is_busy or session.status:
         return
     viewport = imgui.get_main_viewport()
-    scale = imgui.get_style().font_scale_dpi
-    free_px = viewport.size.x - max(_RIGHT_FRACTION * viewport.size.x, _RIGHT_PX * scale)
+    free_px = viewport.size.x - max(_RIGHT_FRACTION * viewport.size.x, scaled(_RIGHT_PX))
     image = ImVec2(viewport.pos.x + free_px / 2, viewport.pos.y + viewport.size.y * 0.36)
     imgui.set_next_window_pos(image, int(imgui.Cond_.always), ImVec2(0.5, 0.5))
     imgui.begin("##welcome", None, _FLAGS)
-    width = min(_WIDTH * scale, free_px - 4 * imgui.get_style().window_padding.x)
+    width = min(scaled(_WIDTH), free_px - 4 * imgui.get_style().window_padding.x)
     imgui.text_colored(accent(), "glstar")
     imgui.text("What a camera fixed to an aircraft records of the night sky.")
     imgui.separator_text("Open")
