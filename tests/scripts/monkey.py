@@ -3,7 +3,7 @@
 A seeded monkey presses every key of the table, clicks, drags, turns the wheel and types anywhere in a window without a
 display, and opens logs, half of them broken.  After each action it draws frames and checks that Python, imgui and
 OpenGL raise no error, and that each broken log is reported.  At the end it prints how the memory of the process
-changed; more than 60 MB after the first quarter is a fault.  ``--only open press`` tells what makes it grow.
+changed; more than 60 MB after the first quarter is a fault.  ``--only open press`` does only these.
 """
 
 import argparse

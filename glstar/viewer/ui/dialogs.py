@@ -19,9 +19,9 @@ __all__ = ["ExportDialog", "MissingDialog", "draw_help"]
 _AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 # Width of the widest field, screen px.
+_WIDTH: Final = 440.0
 # Size of the list of keys, px.
 _HELP_PX: Final = (880.0, 730.0)
-_WIDTH: Final = 440.0
 
 
 class ExportDialog(RangeDialog):

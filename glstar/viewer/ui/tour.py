@@ -137,12 +137,14 @@ def _draw_text(text: str, width_px: float) -> None:
 
 
 def _mark(panel: str) -> None:
-    """Draw a frame around a panel, if it is there and not behind another one."""
+    """Draw a frame around a panel, below all dialogs, if it is there and not behind another one."""
     window = imgui.internal.find_window_by_name(panel)
     if window is not None and not window.hidden:
         last = ImVec2(window.pos.x + window.size.x, window.pos.y + window.size.y)
         colour = imgui.get_color_u32(accent())
-        imgui.get_foreground_draw_list().add_rect(window.pos, last, colour, thickness=2.0)
+        window.draw_list.push_clip_rect_full_screen()
+        window.draw_list.add_rect(window.pos, last, colour, thickness=2.0)
+        window.draw_list.pop_clip_rect()
 
 
 def _with_keys(text: str) -> str:
