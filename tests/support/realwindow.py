@@ -55,7 +55,7 @@ class RealWindow:
 
     def write(self, text: str) -> None:
         """Type text."""
-        self._do("type", "--delay", "20", text)
+        self._do("type", "--delay", "20", "--", text)
 
     def click(self, x: int, y: int) -> None:
         """Click with the left button, px of the screen; the button is down for some frames."""

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
-from glstar.viewer.ui.theme import button_size, centre_next_window
+from glstar.viewer.ui.theme import button_size, centre_next_window, scaled_across
 
 __all__ = ["FileChooser", "has_native_dialogs"]
 
@@ -102,7 +102,7 @@ class FileChooser:
         if self._opening:
             imgui.set_keyboard_focus_here()
             self._opening = False
-        imgui.set_next_item_width(_WIDTH)
+        imgui.set_next_item_width(scaled_across(_WIDTH))
         entered, self._text = imgui.input_text("##path", self._text, _ENTER)
         imgui.text_disabled("or drop it onto the window")
         if imgui.button("OK", button_size()) or entered:

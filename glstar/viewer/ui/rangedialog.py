@@ -6,7 +6,7 @@ from typing import ClassVar, Final
 from imgui_bundle import imgui
 
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import button_size, centre_next_window
+from glstar.viewer.ui.theme import button_size, centre_next_window, scaled_across
 
 __all__ = ["RangeDialog"]
 
@@ -101,12 +101,12 @@ class RangeDialog(ABC):
         """
 
     def _draw_fields(self, session: Session) -> None:
-        imgui.push_item_width(_WIDTH * 0.45)
+        imgui.push_item_width(scaled_across(_WIDTH) * 0.45)
         _, self.start_s = imgui.input_double("from, s", self.start_s, 1.0, 10.0, "%.3f")
         _, self.stop_s = imgui.input_double("to, s", self.stop_s, 1.0, 10.0, "%.3f")
         self.draw_options()
         imgui.pop_item_width()
-        imgui.set_next_item_width(_WIDTH)
+        imgui.set_next_item_width(scaled_across(_WIDTH))
         _, self.path = imgui.input_text("##path", self.path)
         possible = self.draw_summary(session) and bool(self.path.strip())
         imgui.begin_disabled(not possible)

@@ -127,13 +127,12 @@ class Tour:
 
 def _draw_text(text: str, width_px: float) -> None:
     """Draw the text of a step, with room for the longest: the buttons stay where they are from step to step."""
-    left, top = imgui.get_cursor_pos().x, imgui.get_cursor_pos_y()
-    wrap_px = width_px - left
+    wrap_px = width_px - imgui.get_cursor_pos().x
     highest_px = max(imgui.calc_text_size(_with_keys(step.text), wrap_width=wrap_px).y for step in STEPS)
     imgui.push_text_wrap_pos(width_px)
     imgui.text_unformatted(_with_keys(text))
     imgui.pop_text_wrap_pos()
-    imgui.set_cursor_pos_y(top + highest_px + imgui.get_style().item_spacing.y)
+    imgui.dummy(ImVec2(0.0, highest_px - imgui.get_item_rect_size().y))
 
 
 def _mark(panel: str) -> None:
