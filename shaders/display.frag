@@ -12,6 +12,8 @@
 
 uniform usampler2D simulated;
 uniform usampler2D real;                 // of the size of the simulated one
+uniform vec4  screen_from_fragment_px;   // the target's position in the panel, and its directions across and down
+uniform vec4  backdrop;                  // colour behind the picture
 uniform vec2  corner_px;                 // position of the panel's top-left corner on the picture
 uniform float image_px_per_screen_px;    // side of a screen pixel on the picture
 
@@ -123,7 +125,8 @@ vec3 coloured(float brightness) {
 }
 
 void main() {
-    vec2 from_px = corner_px + floor(gl_FragCoord.xy) * image_px_per_screen_px;
+    vec2 screen_px = screen_from_fragment_px.xy + screen_from_fragment_px.zw * floor(gl_FragCoord.xy);
+    vec2 from_px = corner_px + screen_px * image_px_per_screen_px;
     vec2 to_px = from_px + image_px_per_screen_px;
     vec2 centre_px = (from_px + to_px) * 0.5;
     vec2 size_px = vec2(textureSize(simulated, 0));
@@ -145,5 +148,5 @@ void main() {
 #endif
     bool outside = any(lessThan(centre_px, vec2(0.0))) || any(greaterThanEqual(centre_px, size_px));
     vec3 tinted = night != 0 ? vec3(max(shown.r, max(shown.g, shown.b)), 0.0, 0.0) : shown;
-    colour = outside ? vec4(0.0) : vec4(tinted, 1.0);
+    colour = outside ? backdrop : vec4(tinted, 1.0);
 }

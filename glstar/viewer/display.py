@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.images import FittedImage
-from glstar.render.opengl.displaypass import ComparisonInput, DisplayPass, Placement, Tone
+from glstar.render.opengl.displaypass import ComparisonInput, DisplayPass, Placement, Tone, WindowPart
 from glstar.render.opengl.objects import Context, Texture
 from glstar.render.scene import Scene
 from glstar.viewer.colourmap import ColourMap
 from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState
 from glstar.viewer.imageview import ImageView
+from glstar.viewer.simulatedimage import SimulatedImage
 from glstar.viewer.stretch import Stretch
 
-__all__ = ["Display", "PanelContent"]
+__all__ = ["Display", "PanelContent", "Picture"]
 
 # Constants of display.frag; blinking shows one image or the other.
 _SIMULATED, _REAL = 0, 1
@@ -30,8 +31,8 @@ class PanelContent:
 
     Attributes
     ----------
-    image : Texture
-        The developed image.
+    image : Texture or SimulatedImage
+        The developed image; a simulated one is waited for when the picture is drawn.
     white_dn : int
         Its largest digital number.
     real : FittedImage or None
@@ -41,7 +42,7 @@ class PanelContent:
         See `glstar.viewer.comparisonview.compose`.
     """
 
-    image: Texture
+    image: Texture | SimulatedImage
     white_dn: int
     real: FittedImage | None = None
     comparison: ComparisonMode = ComparisonMode.OFF
@@ -51,12 +52,14 @@ class PanelContent:
     real_gain: float = 1.0
 
     @classmethod
-    def of(cls, image: Texture, scene: Scene, real: FittedImage | None, comparison: ComparisonState) -> "PanelContent":
+    def of(
+        cls, image: Texture | SimulatedImage, scene: Scene, real: FittedImage | None, comparison: ComparisonState
+    ) -> "PanelContent":
         """Return the content for an image and, if it has been decoded, the real image beside it.
 
         Parameters
         ----------
-        image : Texture
+        image : Texture or SimulatedImage
             The developed image of the scene.
         scene : Scene
         real : FittedImage or None
@@ -81,6 +84,13 @@ class PanelContent:
         )
 
     @property
+    def texture(self) -> Texture:
+        """The developed image, after waiting for it."""
+        texture = self.image.texture if isinstance(self.image, SimulatedImage) else self.image
+        assert texture is not None
+        return texture
+
+    @property
     def size_px(self) -> tuple[int, int]:
         """Width and height of the picture, px: twice as wide side by side."""
         width_px, height_px = self.image.size
@@ -95,6 +105,58 @@ class PanelContent:
         if self.comparison is ComparisonMode.BLINK:
             return _REAL if self.phase % 1.0 >= 0.5 else _SIMULATED
         return _SHADER_MODE[self.comparison]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A panel's content, where it is in the panel, and how it is stretched.
+
+    Attributes
+    ----------
+    content : PanelContent
+    placement : Placement
+    tone : Tone
+    """
+
+    content: PanelContent
+    placement: Placement
+    tone: Tone
+
+    @classmethod
+    def of(
+        cls,
+        content: PanelContent,
+        view: ImageView,
+        stretch: Stretch,
+        size: tuple[int, int],
+        *,
+        scale: float,
+        night: bool,
+    ) -> "Picture":
+        """Return the picture as a view shows it at present.
+
+        Parameters
+        ----------
+        content : PanelContent
+        view : ImageView
+        stretch : Stretch
+        size : tuple of int
+            Width and height of the panel, px.
+        scale : float
+            Pixels to one screen unit of `view`.
+        night : bool
+            Whether to draw in shades of red.
+
+        Returns
+        -------
+        Picture
+        """
+        size = max(size[0], 1), max(size[1], 1)
+        scissor = _covered(view, content.size_px, size, scale)
+        placement = Placement(size, view.corner, 1 / (view.zoom * scale), scissor)
+        plain = night or stretch.colours is ColourMap.GREY
+        tone = Tone(stretch.black, stretch.boost, stretch.softening, None if plain else stretch.colours.colours, night)
+        return cls(content, placement, tone)
 
 
 class Display:
@@ -118,30 +180,48 @@ class Display:
         scale: float,
         night: bool,
     ) -> int:
+        """Draw the panel and return the OpenGL name of its texture: `draw_picture` of `Picture.of`."""
+        return self.draw_picture(Picture.of(content, view, stretch, size, scale=scale, night=night))
+
+    def draw_picture(self, picture: Picture) -> int:
         """Draw the panel and return the OpenGL name of its texture, which is valid until the size changes.
 
         Parameters
         ----------
-        content : PanelContent
-        view : ImageView
-        stretch : Stretch
-        size : tuple of int
-            Width and height of the panel, px.
-        scale : float
-            Pixels to one screen unit of `view`.
-        night : bool
-            Whether to draw in shades of red.
+        picture : Picture
 
         Returns
         -------
         int
         """
-        size = max(size[0], 1), max(size[1], 1)
-        scissor = _covered(view, content.size_px, size, scale)
-        placement = Placement(size, view.corner, 1 / (view.zoom * scale), scissor)
-        plain = night or stretch.colours is ColourMap.GREY
-        tone = Tone(stretch.black, stretch.boost, stretch.softening, None if plain else stretch.colours.colours, night)
-        return self._pass.draw(content.image, content.white_dn, placement, tone, _compared(content))
+        content = picture.content
+        return self._pass.draw(content.texture, content.white_dn, picture.placement, picture.tone, _compared(content))
+
+    def draw_onto(self, part: WindowPart, picture: Picture) -> None:
+        """Draw the panel onto a window instead of its texture: the same pixels.
+
+        Parameters
+        ----------
+        part : WindowPart
+        picture : Picture
+        """
+        content = picture.content
+        placement, tone = picture.placement, picture.tone
+        self._pass.draw_onto(part, content.texture, content.white_dn, placement, tone, _compared(content))
+
+    def texture(self, size: tuple[int, int]) -> int:
+        """Return the OpenGL name of the panel's texture for a size, before it is drawn.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height, px.
+
+        Returns
+        -------
+        int
+        """
+        return self._pass.texture(size)
 
     def read(self) -> NDArray[np.uint8]:
         """Read back the last picture, (height, width, 3) uint8: for tests."""

@@ -186,6 +186,7 @@ class Viewer:
         self._take_pictures()
         with session.times.span("presenting"):
             surface.present()
+        session.image.begin_next()
         if session.live is not None:
             session.live.presented()
         session.times.end()

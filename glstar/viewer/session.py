@@ -224,10 +224,10 @@ class Session:
     def shown(self) -> PanelContent | None:
         """The contents of the image panel; None until there is an image, and if the exposure touches a gap."""
         image = self.image
-        if image.texture is None or image.scene is None or image.gap is not None:
+        if not image.has_image or image.scene is None or image.gap is not None:
             return None
         real = self.real
-        return PanelContent.of(image.texture, image.scene, None if real is None else real[1], self.comparison)
+        return PanelContent.of(image, image.scene, None if real is None else real[1], self.comparison)
 
     @property
     def real(self) -> tuple[RealImage, FittedImage] | None:

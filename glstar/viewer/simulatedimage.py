@@ -68,8 +68,6 @@ class SimulatedImage:
     ----------
     scene : Scene or None
         The latest scene; None until there is one.
-    texture : Texture or None
-        Its developed image.
     number : int or None
         The number of the camera's exposure; None for an exposure that no camera records.
     error : str
@@ -84,7 +82,6 @@ class SimulatedImage:
     def __init__(self, renderer: GLRenderer, times: FrameTimes) -> None:
         self.renderer = renderer
         self.scene: Scene | None = None
-        self.texture: Texture | None = None
         self.number: int | None = None
         self.error = ""
         self.gap: Gap | None = None
@@ -96,6 +93,9 @@ class SimulatedImage:
         self._drawn: ImageRequest | None = None
         # The image shown: one reference, because the composing thread reads it.
         self._shown: _Drawing | None = None
+        self._texture: Texture | None = None
+        # Whether the renderer has the image shown, and `_texture` an older one or none.
+        self._unread = False
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
         self._saturated: NDArray[np.bool_] | None = None
 
@@ -106,8 +106,8 @@ class SimulatedImage:
         ----------
         request : ImageRequest
         playing : bool
-            Whether an image may be drawn while the one before it is shown and the scene of the next is composed: the
-            image then lags two frames behind the request, and neither the threads nor the GPU wait for each other.
+            Whether an image may be drawn while the one before it is shown: see `begin_next`.  The image then lags a
+            frame behind the request, and neither the threads nor the GPU wait for each other.
 
         Returns
         -------
@@ -119,29 +119,62 @@ class SimulatedImage:
         if self.gap is not None:
             self._ahead = self._developing = self._drawn = None
             self.error = ""
-        elif playing:
-            self._draw_ahead(request)
-        elif self._developing is not None and self._developing.request == request:
+            return False
+        if playing:
+            self._compose_ahead(request)
+            return False
+        self._ahead = None
+        if self._developing is not None and self._developing.request == request:
             self._finish()
             return True
-        elif request != self._drawn or self._developing is not None:
-            self._ahead = self._developing = None
+        if request != self._drawn or self._developing is not None:
+            self._developing = None
             self._draw(request)
             return True
         return False
 
-    def _draw_ahead(self, request: ImageRequest) -> None:
-        """Show the image that was started in the last frame, start the next, and begin to compose the requested one."""
+    def _compose_ahead(self, request: ImageRequest) -> None:
+        """Show the image that was started after the last frame, and begin to compose the requested one."""
         self._finish()
-        if self._ahead is not None:
-            ready, composed = self._ahead
-            if self.texture is not None and not wait([composed], _COMPOSING_S).done:
-                return
-            if not self._begin(ready, composed.result) or self.texture is None:
-                self._finish()
-        self._ahead = None
-        if request != self._drawn:
+        if self._ahead is None and request != self._drawn:
             self._ahead = request, self._composer.submit(self._scene_of, request)
+
+    def begin_next(self) -> None:
+        """Start to draw the image whose scene has been composed meanwhile, if any.
+
+        To be called when a frame has been presented: a software driver then draws the image on its threads, while this
+        one builds the panels of the next frame, and the frame presented did not wait for it.
+        """
+        if self._ahead is None:
+            return
+        ready, composed = self._ahead
+        if self.has_image and not wait([composed], _COMPOSING_S).done:
+            return
+        self._ahead = None
+        if not self._begin(ready, composed.result):
+            self._finish()
+
+    @property
+    def has_image(self) -> bool:
+        """Whether there is a developed image, perhaps an old one."""
+        return self._unread or self._texture is not None
+
+    @property
+    def texture(self) -> Texture | None:
+        """The developed image of `scene`; None if there is none.  Reading it waits until it has been drawn."""
+        if self._unread:
+            self._read()
+        return self._texture
+
+    def _read(self) -> None:
+        self._unread = False
+        with self._times.span("drawing"):
+            self._texture = self.renderer.developed_texture()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image, px; of no image 0."""
+        return (0, 0) if self.scene is None else (self.scene.camera.width_px, self.scene.camera.height_px)
 
     def _draw(self, request: ImageRequest) -> None:
         self._begin(request, lambda: self._scene_of(request))
@@ -150,6 +183,8 @@ class SimulatedImage:
     def _begin(self, request: ImageRequest, compose: Callable[[], Scene]) -> bool:
         """Start to draw an image; return whether the texture shown is still valid."""
         self._drawn = request
+        if self._unread:
+            self._read()  # before the renderer has another image
         try:
             scene = compose()
             with self._times.span("drawing"):
@@ -167,10 +202,9 @@ class SimulatedImage:
             return
         self._shown, self._developing = self._developing, None
         request, scene = self._shown
-        with self._times.span("drawing"):
-            self.texture = self.renderer.developed_texture()
-            stacked = self.renderer.stack.frame
-            self._saturated = None if stacked is None else stacked.saturated
+        self._unread = True
+        stacked = self.renderer.stack.frame
+        self._saturated = None if stacked is None else stacked.saturated
         self._times.new_image()
         self.scene, self.number, self.error = scene, request.number, ""
 
@@ -204,12 +238,14 @@ class SimulatedImage:
 
         For overlays and readouts; drawing on the screen needs no transfer from the GPU.
         """
-        if self.texture is None or self.scene is None or self.gap is not None or self.error:
+        if not self.has_image or self.scene is None or self.gap is not None or self.error:
             return None
         if self._pixels is None or self._pixels[0] is not self.scene:
             # From the texture: the renderer may be drawing the next image.
-            width_px, height_px = self.texture.size
-            read = np.frombuffer(self.texture.read(alignment=1), self.texture.dtype)
+            texture = self.texture
+            assert texture is not None
+            width_px, height_px = texture.size
+            read = np.frombuffer(texture.read(alignment=1), texture.dtype)
             self._pixels = self.scene, read.reshape(height_px, width_px)
         return self._pixels[1]
 
@@ -222,7 +258,8 @@ class SimulatedImage:
     def clear(self) -> None:
         """Show no image until the next one is drawn."""
         self._ahead = self._developing = self._drawn = self.gap = None
-        self.texture = self.scene = self._shown = None
+        self._texture = self.scene = self._shown = None
+        self._unread = False
         self.error = ""
 
     def redraw(self) -> None:

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl.program import linked, set_uniforms
 
-__all__ = ["ComparisonInput", "DisplayPass", "Placement", "Tone"]
+__all__ = ["ComparisonInput", "DisplayPass", "Placement", "Tone", "WindowPart"]
 
 # Screen pixels coarser than this many image pixels sum up to 2 x 2 of them, or any number: see SHRINKS in display.frag.
 _SHRINK_STEPS: Final = (1.0, 2.0)
+# Of a texture whose row 0 is the top, with nothing behind the picture.
+_UPRIGHT: Final = (0.0, 0.0, 1.0, 1.0)
+_CLEAR: Final = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,47 @@ class ComparisonInput:
     less_rgb: tuple[float, float, float]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowPart:
+    """A part of a window that a picture is drawn onto.
+
+    Attributes
+    ----------
+    framebuffer : moderngl.Framebuffer
+        Of the window; row 0 is the bottom.
+    size : tuple of int
+        Its width and height, px.
+    corner_px : tuple of int
+        Left and top of the part, px from the window's top-left corner.
+    clip_px : tuple of int
+        Left, top, right and bottom of what is drawn of it, px from the same corner.
+    colour : tuple of float
+        Red, green, blue behind the picture.
+    """
+
+    framebuffer: moderngl.Framebuffer
+    size: tuple[int, int]
+    corner_px: tuple[int, int]
+    clip_px: tuple[int, int, int, int]
+    colour: tuple[float, float, float]
+
+    @property
+    def screen_from_fragment_px(self) -> tuple[float, float, float, float]:
+        """Offset and direction of the part's pixels, from its top-left corner, against those of the framebuffer."""
+        left, top = self.corner_px
+        return float(-left), float(self.size[1] - 1 - top), 1.0, -1.0
+
+    def scissor(self, part: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+        """Return left, bottom, width, height in the framebuffer of a rectangle left, top, width, height of the part.
+
+        It is cut at the edges of `clip_px`.
+        """
+        left, top = max(self.corner_px[0] + part[0], self.clip_px[0]), max(self.corner_px[1] + part[1], self.clip_px[1])
+        right = min(self.corner_px[0] + part[0] + part[2], self.clip_px[2])
+        bottom = min(self.corner_px[1] + part[1] + part[3], self.clip_px[3])
+        return left, self.size[1] - bottom, max(right - left, 0), max(bottom - top, 0)
+
+
 class DisplayPass:
     """Draws developed images at the resolution of the screen, on the current context.
 
@@ -139,6 +183,48 @@ class DisplayPass:
         int
         """
         target, texture = self._target_of(placement.size)
+        panel = self._prepared(image, white_dn, placement, tone, compared, None)
+        target.use()
+        self._render(panel, placement.scissor)
+        return texture.glo
+
+    def draw_onto(
+        self,
+        part: WindowPart,
+        image: moderngl.Texture,
+        white_dn: int,
+        placement: Placement,
+        tone: Tone,
+        compared: ComparisonInput | None = None,
+    ) -> None:
+        """Draw the picture onto a window that has been cleared: the pixels of `draw`.
+
+        Parameters
+        ----------
+        part : WindowPart
+            Of the size of `placement`.
+        image, white_dn, placement, tone, compared
+            As for `draw`.
+        """
+        panel = self._prepared(image, white_dn, placement, tone, compared, part)
+        part.framebuffer.use()
+        self._context.viewport = 0, 0, *part.size
+        self._render(panel, part.scissor(placement.scissor))
+
+    def texture(self, size: tuple[int, int]) -> int:
+        """Return the OpenGL name of the texture that `draw` draws into."""
+        return self._target_of(size)[1].glo
+
+    def _prepared(
+        self,
+        image: moderngl.Texture,
+        white_dn: int,
+        placement: Placement,
+        tone: Tone,
+        compared: ComparisonInput | None,
+        part: WindowPart | None,
+    ) -> moderngl.VertexArray:
+        """Set uniforms and textures, and return what is to be drawn."""
         coarseness = placement.image_px_per_screen_px
         shrinks = sum(coarseness > step for step in _SHRINK_STEPS)
         program, panel = self._program_for(
@@ -147,6 +233,8 @@ class DisplayPass:
         set_uniforms(
             program,
             simulated=0,
+            screen_from_fragment_px=_UPRIGHT if part is None else part.screen_from_fragment_px,
+            backdrop=_CLEAR if part is None else (*part.colour, 1.0),
             corner_px=placement.corner_px,
             image_px_per_screen_px=coarseness,
             simulated_white_dn=float(white_dn),
@@ -163,13 +251,14 @@ class DisplayPass:
             self._colour_map_of(tone.colours).use(location=2)
         image.repeat_x = image.repeat_y = False  # as the shader expects
         image.use(location=0)
+        return panel
+
+    def _render(self, panel: moderngl.VertexArray, scissor: tuple[int, int, int, int]) -> None:
         self._context.enable_only(moderngl.NOTHING)
-        target.use()
-        self._context.scissor = placement.scissor
+        self._context.scissor = scissor
         panel.render(moderngl.TRIANGLES, vertices=3)
         self._context.scissor = None
         self._screen.use()
-        return texture.glo
 
     def read(self) -> NDArray[np.uint8]:
         """Read the target back, (height, width, 3) uint8, top row first: for tests."""

@@ -7,12 +7,14 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.render.opengl.objects import Framebuffer
 from glstar.sky.catalogue import star_label
 from glstar.viewer.actions import select_object
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.curves import ImageRegion
-from glstar.viewer.display import Display
+from glstar.viewer.display import Display, PanelContent, Picture
 from glstar.viewer.overlays import Overlay
+from glstar.viewer.panelpicture import PanelPicture, WindowPlace
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.starpick import star_at
@@ -55,12 +57,10 @@ class ImagePanel:
     """
 
     def __init__(self, display: Display, selection: Selection) -> None:
-        self._display = display
+        self._picture = PanelPicture(display)
         self._selection = selection
         # Whether pixel and star under the mouse are shown; not in pictures and videos.
         self.has_readout = True
-        self._drawn: tuple[object, ...] = ()
-        self._texture = 0
         # The visible part of the picture: left, top, width, height in px of the window's framebuffer, and the position
         # of the panel's corner there; None if there is no picture.
         self._visible: tuple[tuple[int, int, int, int], tuple[int, int]] | None = None
@@ -81,9 +81,13 @@ class ImagePanel:
         if self._visible is None:
             return None
         (left, top, width, height), (x, y) = self._visible
-        return self._display.read()[top - y : top - y + height, left - x : left - x + width]
+        return self._picture.read()[top - y : top - y + height, left - x : left - x + width]
 
-    def draw(self, session: Session, *, labelled: bool = True) -> None:
+    def paint(self, target: Framebuffer, size: tuple[int, int], colour: tuple[float, float, float]) -> None:
+        """Draw the picture of this frame onto the window, or into a texture: see `PanelPicture.paint`."""
+        self._picture.paint(target, size, colour)
+
+    def draw(self, session: Session, *, labelled: bool = True, is_lowest: bool = False) -> None:
         """Draw the image, and zoom and pan with the mouse.
 
         Parameters
@@ -91,6 +95,8 @@ class ImagePanel:
         session : Session
         labelled : bool
             Whether the sides of a comparison have labels.
+        is_lowest : bool
+            Whether nothing lies below the panel but the cleared window.
         """
         origin, available = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
         width, height = max(round(available.x), 1), max(round(available.y), 1)
@@ -107,11 +113,11 @@ class ImagePanel:
         imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
         hovered = imgui.is_item_hovered()
         self._take_mouse(session, corner, hovered=hovered)
-        with session.times.span("drawing"):
-            texture = self._picture(session, (round(width * scale), round(height * scale)), scale)
+        texture = self._show(session, shown, corner, (round(width * scale), round(height * scale)), is_lowest=is_lowest)
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
         edges = view.to_screen(_EDGES * shown.size_px - 0.5)
-        _put(draw_list, texture, edges, corner, (width, height))
+        if texture is not None:
+            _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
         self._draw_overlays(session, draw_list, corner, clip)
         if labelled:
@@ -146,17 +152,16 @@ class ImagePanel:
         elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
             _select_star(session, self._selection, view.to_picture(_mouse() - corner))
 
-    def _picture(self, session: Session, size: tuple[int, int], scale: float) -> int:
-        """Return the texture of the picture, drawn again if anything has changed."""
-        shown, view = session.shown, session.view
-        assert shown is not None
+    def _show(
+        self, session: Session, shown: PanelContent, corner: Float, size_px: tuple[int, int], *, is_lowest: bool
+    ) -> int | None:
+        """Take the picture of this frame; return the texture to put into the panel, None if it needs none."""
+        view, night, scale = session.view, session.night, imgui.get_io().display_framebuffer_scale.x
         compared = (shown.real, shown.mode, shown.wipe, shown.real_black, shown.real_gain) if shown.mode else ()
         placement = (view.zoom, *view.centre_px)
-        inputs = (session.scene, session.image.number, session.stretch, session.night, size, placement, compared)
-        if inputs != self._drawn:
-            self._drawn = inputs
-            self._texture = self._display.draw(shown, view, session.stretch, size, scale=scale, night=session.night)
-        return self._texture
+        inputs = (session.scene, session.image.number, session.stretch, night, size_px, placement, compared)
+        picture = Picture.of(shown, view, session.stretch, size_px, scale=scale, night=night)
+        return self._picture.show(picture, inputs, _place(corner, scale) if is_lowest else None)
 
     def _draw_overlays(
         self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: tuple[float, float, float, float]
@@ -199,6 +204,16 @@ def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float,
     if left < right and top < bottom:
         reference = imgui.ImTextureRef(texture)
         draw_list.add_image(reference, ImVec2(left, top), ImVec2(right, bottom), ImVec2(u, v), ImVec2(u_to, v_to))
+
+
+def _place(corner: Float, scale: float) -> WindowPlace | None:
+    """Return where a panel is in the window; None between pixels, where imgui would put a texture."""
+    first, last = imgui.get_window_draw_list().get_clip_rect_min(), imgui.get_window_draw_list().get_clip_rect_max()
+    at = [float(px) * scale for px in (*corner, first.x, first.y, last.x, last.y)]
+    if not all(px.is_integer() for px in at):
+        return None
+    left, top, *clip = map(int, at)
+    return WindowPlace((left, top), (clip[0], clip[1], clip[2], clip[3]))
 
 
 def _visible(

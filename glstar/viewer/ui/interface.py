@@ -192,11 +192,17 @@ class Interface:
         size : tuple of int
             Its width and height, px.
         """
-        with self.session.times.span("presenting"):
+        times = self.session.times
+        surface = imgui.get_style_color_vec4(imgui.Col_.window_bg)
+        with times.span("presenting"):
             target.use()
             self._context.viewport = 0, 0, *size
-            surface = imgui.get_style_color_vec4(imgui.Col_.window_bg)
             self._context.clear(surface.x, surface.y, surface.z, 1.0)
+        with times.span("drawing"):
+            self._image.paint(target, size, (surface.x, surface.y, surface.z))
+        with times.span("presenting"):
+            target.use()
+            self._context.viewport = 0, 0, *size
             imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
 
     @property

@@ -40,6 +40,7 @@ OBJECT, _FLIGHT = "Object", "Flight"
 _PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
 _BARE: Final = int(
     imgui.WindowFlags_.no_decoration
+    | imgui.WindowFlags_.no_background
     | imgui.WindowFlags_.no_docking
     | imgui.WindowFlags_.no_saved_settings
     | imgui.WindowFlags_.no_move
@@ -127,7 +128,7 @@ class Panels:
         if self._lays_out:
             _lay_out(dock, list(self._right))
             self._fronts = 1
-        self._draw_image_panel()
+        self._draw_image_panel(dock)
         if self._begin(_TIMELINE, _PLAIN):
             self._draw_time()
         imgui.end()
@@ -153,7 +154,7 @@ class Panels:
         imgui.push_style_var(int(imgui.StyleVar_.window_border_size), 0.0)
         imgui.begin("##alone", None, _BARE)
         imgui.pop_style_var(2)
-        self._image.draw(self._session, labelled=False)
+        self._image.draw(self._session, labelled=False, is_lowest=True)
         imgui.end()
 
     def _show_on_timeline(self, loaded: LoadedFlight) -> None:
@@ -181,12 +182,12 @@ class Panels:
         (self._docked.add if imgui.is_window_docked() else self._docked.discard)(name)
         return visible
 
-    def _draw_image_panel(self) -> None:
+    def _draw_image_panel(self, dock: int) -> None:
         imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))
         visible = imgui.begin(_IMAGE, None, _PLAIN | int(imgui.WindowFlags_.no_background))[0]
         imgui.pop_style_var()
         if visible:
-            self._image.draw(self._session)
+            self._image.draw(self._session, is_lowest=_is_docked_in(dock))
         imgui.end()
 
     def _draw_time(self) -> None:
@@ -248,6 +249,12 @@ class Panels:
             save_comparison(session)
         draw_residual_figures(session)
         self._fit.draw(session)
+
+
+def _is_docked_in(dock: int) -> bool:
+    """Whether the current imgui window is docked in a dock, not in one that floats over others."""
+    node = imgui.internal.dock_builder_get_node(imgui.get_window_dock_id()) if imgui.is_window_docked() else None
+    return node is not None and imgui.internal.dock_node_get_root_node(node).id_ == dock
 
 
 def _lay_out(dock: int, right_panels: list[str]) -> None:
