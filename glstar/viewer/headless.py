@@ -8,6 +8,7 @@ from imgui_bundle import imgui
 
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.objects import Framebuffer
+from glstar.render.opengl.waiting import wait_until_drawn
 
 __all__ = ["HeadlessSurface"]
 
@@ -62,7 +63,7 @@ class HeadlessSurface:
 
     def present(self) -> None:
         """Wait until the frame has been drawn."""
-        self.context.finish()
+        wait_until_drawn(self.context)
 
     def detach(self) -> None:
         """Do nothing: nothing was attached."""

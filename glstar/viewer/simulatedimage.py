@@ -13,6 +13,7 @@ from glstar.export.task import frame_seed
 from glstar.flight import Gap
 from glstar.render.opengl import GLRenderer
 from glstar.render.opengl.objects import Texture
+from glstar.render.opengl.waiting import start_drawing, wait_until_drawn
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.viewer.frametimes import FrameTimes
@@ -49,10 +50,11 @@ class ImageRequest(NamedTuple):
 
 
 class _Drawing(NamedTuple):
-    """An image that the GPU draws or has drawn, and its scene."""
+    """An image that the GPU draws or has drawn, its scene, and whether it is developed or only exposed."""
 
     request: ImageRequest
     scene: Scene
+    is_developed: bool
 
 
 class SimulatedImage:
@@ -168,7 +170,13 @@ class SimulatedImage:
 
     def _read(self) -> None:
         self._unread = False
+        assert self._shown is not None
+        request, scene, is_developed = self._shown
         with self._times.span("drawing"):
+            if not is_developed:
+                wait_until_drawn(self.renderer.context)
+                self._develop(request, scene)
+            wait_until_drawn(self.renderer.context)
             self._texture = self.renderer.developed_texture()
 
     @property
@@ -188,20 +196,30 @@ class SimulatedImage:
         try:
             scene = compose()
             with self._times.span("drawing"):
-                seed = frame_seed(self.seed, request.number or 0)
-                keeps = self.renderer.begin_develop(scene, seed=seed, noiseless=request.noiseless)
+                # Developing would wait for the exposure on software OpenGL.
+                later = self._can_develop_later(scene)
+                keeps = self._develop(request, scene, only_expose=later)
+                start_drawing()
         except GlstarError as error:
             self.error = str(error)
             return True
-        self._developing = _Drawing(request, scene)
+        self._developing = _Drawing(request, scene, not later)
         return keeps
+
+    def _can_develop_later(self, scene: Scene) -> bool:
+        """Whether developing cannot fail, because the image shown was developed with the same sensor."""
+        return self._shown is not None and self._shown.scene.sensor is scene.sensor and not scene.shorts
+
+    def _develop(self, request: ImageRequest, scene: Scene, *, only_expose: bool = False) -> bool:
+        seed = None if only_expose else frame_seed(self.seed, request.number or 0)
+        return self.renderer.begin_develop(scene, seed=seed, noiseless=request.noiseless)
 
     def _finish(self) -> None:
         """Show the image that was started, if any."""
         if self._developing is None:
             return
         self._shown, self._developing = self._developing, None
-        request, scene = self._shown
+        request, scene, _ = self._shown
         self._unread = True
         stacked = self.renderer.stack.frame
         self._saturated = None if stacked is None else stacked.saturated

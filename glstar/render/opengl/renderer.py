@@ -210,8 +210,8 @@ class GLRenderer:
         self.begin_develop(scene, seed=seed)
         return self.developed_texture()
 
-    def begin_develop(self, scene: Scene, *, seed: int, noiseless: bool = False) -> bool:
-        """Start to develop a scene, perhaps without noise, not waiting unless it is stacked: see `developed_texture`.
+    def begin_develop(self, scene: Scene, *, seed: int | None, noiseless: bool = False) -> bool:
+        """Start to develop a scene (without a seed: to expose it), not waiting unless stacked: see `developed_texture`.
 
         Returns
         -------
@@ -220,7 +220,7 @@ class GLRenderer:
         """
         before = self._targets
         draw = partial(self.stack.drawn, self._drawn) if scene.shorts else self._developed
-        draw(scene, seed=seed, noiseless=noiseless)
+        self._exposed(scene) if seed is None else draw(scene, seed=seed, noiseless=noiseless)
         return self._targets is before
 
     def developed_texture(self) -> moderngl.Texture:
