@@ -12,6 +12,6 @@ out float light_dn;
 
 void main() {
     vec4 x = gl_FragCoord.x - centres_x, y = gl_FragCoord.y - centres_y;
-    vec4 gaussians = exp2(-(x * (falloff_xx * x + falloff_xy * y) + falloff_yy * y * y));
+    vec4 gaussians = exp2(x * (falloff_xx * x + falloff_xy * y) + falloff_yy * y * y);
     light_dn = in_mosaic(dot(amplitudes_dn, gaussians));
 }

@@ -100,7 +100,7 @@ void main() {
         high_px = piece.light > 0.0 ? max(high_px, piece.centre_px + reach_px) : high_px;
         vec3 px2 = piece.covariance_px2;
         float determinant = px2.x * px2.z - px2.y * px2.y;
-        vec3 falloff = HALF_LOG2_E / determinant * vec3(px2.z, -2.0 * px2.y, px2.x);
+        vec3 falloff = HALF_LOG2_E / determinant * vec3(-px2.z, 2.0 * px2.y, -px2.x);
         centres_x[k] = piece.centre_px.x + 0.5;
         centres_y[k] = piece.centre_px.y + 0.5;
         falloff_xx[k] = falloff.x;

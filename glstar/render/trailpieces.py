@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.camera.sensor import TRUNCATION_DN
 from glstar.render.bodysources import BODIES
+from glstar.render.camerapath import CameraPath, TrailPieces
 from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.horizoncrossing import NEVER, rise_and_set
 from glstar.render.openpieces import PixelOpenings, SegmentColumns, columns_around, open_pieces
-from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
-from glstar.render.segmentation import probe_rays
-from glstar.render.starpaths import parameter_at
 from glstar.render.trailmodels import AnalyticSegments
 
 __all__ = [
@@ -121,41 +119,9 @@ PIECE_COSTS: Final = PieceCosts()
 PIECES_PER_SPRITE: Final = 4
 # Rasterizers snap points to a grid: rasterization.glsl.
 SNAPPING_PX: Final = 0.125
-# Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
-_THIRD_DERIVATIVE: Final = 1.3801
 # Segments whose transmission of cloud differs by more than this share no piece.
 _PASSAGE_STEP: Final = 0.02
 _NONE: Final = np.zeros(0, np.intp)
-# Intervals per segment in which the length of a path is measured.
-_CHORDS: Final = 4
-# Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
-_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrailPieces:
-    """A trail as the sum of n Gaussians.
-
-    Attributes
-    ----------
-    pointing : Pointing
-        The mean orientation during each piece: n times.
-    covariance_rad2 : (n, 3, 3) float64
-        Covariance of the rotation vector from the mean orientation, camera frame.
-    time_fraction : (n,) float64
-        Duration of each piece as a fraction of the exposure.
-    of_segments : (m, n) float64
-        Which fraction of each piece lies in each segment of the trails.
-    """
-
-    pointing: Pointing
-    covariance_rad2: Float
-    time_fraction: Float
-    of_segments: Float
-
-    def __len__(self) -> int:
-        return len(self.time_fraction)
 
 
 class ScenePart(NamedTuple):
@@ -226,12 +192,12 @@ def in_pieces(
         return None
     rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
     is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)
-    parts, ends, is_rest = [], [], np.ones(len(drawn), np.bool_)
+    path, parts, ends, is_rest = CameraPath(trails, scene.camera), [], [], np.ones(len(drawn), np.bool_)
     for of_part, limits in _classes(
         trails.longest_trail_px(scene.camera), is_up, is_faint, sensor.effective_sigma_px, costs
     ):
         fits = limits.sprite_px(drawn.truncation_radius_px, sensor.effective_sigma_px) <= largest_point_px
-        part = _part(scene, trails, of_part & fits, limits, costs)
+        part = _part(scene, path, of_part & fits, limits, costs)
         if part is None:
             return None
         stars = np.flatnonzero(of_part & fits)
@@ -267,12 +233,12 @@ def _are_faint(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _part(
-    scene: Scene, trails: AnalyticSegments, stars: NDArray[np.bool_], limits: PieceLimits, costs: PieceCosts
+    scene: Scene, path: CameraPath, stars: NDArray[np.bool_], limits: PieceLimits, costs: PieceCosts
 ) -> ScenePart | None:
     """Return some stars in pieces; None where segments cost less."""
     drawn, sigma_px = scene.draw_list[stars], scene.sensor.effective_sigma_px
-    most, divided_at = costs.pieces_per_segment * len(trails), _unlike_segments(drawn.passage)
-    pieces = trail_pieces(trails, scene.camera, sigma_px, limits, most=most, divided_at=divided_at)
+    most, divided_at = costs.pieces_per_segment * len(path), _unlike_segments(drawn.passage)
+    pieces = _divided(path, sigma_px, limits, most, divided_at)
     if pieces is None:
         return None
     if drawn.passage is not None:
@@ -338,141 +304,20 @@ def trail_pieces(
     TrailPieces or None
         None if there are more than `most`.
     """
-    path = _CameraPath(trails, camera)
+    return _divided(CameraPath(trails, camera), sigma_px, limits, most, divided_at)
+
+
+def _divided(
+    path: CameraPath, sigma_px: float, limits: PieceLimits, most: float, divided_at: NDArray[np.intp]
+) -> TrailPieces | None:
+    """Return the pieces of a path: see `trail_pieces`."""
     bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px), divided_at)
     for _ in range(limits.halvings):
         if len(bounds) - 1 > most:
             return None
-        pieces, error = path.pieces(bounds, sigma_px)
-        uneven = np.flatnonzero(error > limits.error)
+        moments = path.moments(bounds)
+        uneven = np.flatnonzero(path.error(moments, sigma_px) > limits.error)
         if not uneven.size:
             break
         bounds = np.insert(bounds, uneven + 1, (bounds[uneven] + bounds[uneven + 1]) / 2)
-    return pieces
-
-
-class _CameraPath:
-    """The orientation of the camera over an exposure as `AnalyticSegments` describe it; parameters of `trail_pieces`.
-
-    Times are numbers of segments: 1.5 is the middle of the second.
-    """
-
-    def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
-        self._trails = trails
-        self._camera = camera
-        self._rays = probe_rays(camera)
-        self._weight = trails.end_weight
-        weight = self._weight[:, np.newaxis, np.newaxis]
-        C = trails.pointing.C_camera_eq
-        self._start, self._middle, self._end = C[:-2:2] * weight, C[1::2], C[2::2] * weight
-
-    def _orientation(self, segment: NDArray[np.intp], u: Float) -> Float:
-        """Return orientations times a factor of nearly 1, (k, 3, 3), at elapsed fractions of segments, (k,) both."""
-        u = parameter_at(u, self._weight[segment])[:, np.newaxis, np.newaxis]
-        start, middle, end = (C.take(segment, axis=0) for C in (self._start, self._middle, self._end))
-        return np.asarray(start + u * (4 * middle - 3 * start - end + 2 * u * (start - 2 * middle + end)))
-
-    def bounds_of_equal_lengths(self, length_px: float) -> Float:
-        """Return the ends of pieces in which the fastest star of the image moves by at most this, (n + 1,)."""
-        count = len(self._trails)
-        segment = np.repeat(np.arange(count), _CHORDS + 1)
-        u = np.tile(np.linspace(0.0, 1.0, _CHORDS + 1), count)
-        directions = np.swapaxes(self._middle, 1, 2) @ self._rays
-        in_camera = self._orientation(segment, u).reshape(count, _CHORDS + 1, 3, 3) @ directions[:, np.newaxis]
-        xy = self._camera.pinhole.project(np.swapaxes(in_camera, -1, -2))
-        chords_px = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=1), axis=-1)).max(axis=-1).ravel()
-        elapsed_px = np.concatenate([[0.0], np.cumsum(chords_px)])
-        pieces = max(1, int(np.ceil(elapsed_px[-1] / length_px)))
-        inner = np.interp(elapsed_px[-1] * np.arange(1, pieces) / pieces, elapsed_px, np.arange(len(elapsed_px)))
-        return np.concatenate([[0.0], inner / _CHORDS, [float(count)]])
-
-    def pieces(self, bounds: Float, sigma_px: float) -> tuple[TrailPieces, Float]:
-        """Return pieces given their ends, and an estimate of the error of the flux of each."""
-        nodes = _Quadrature.of(self._trails.time_fraction, bounds)
-        C = self._orientation(nodes.segment, nodes.u)
-        C_mean = nodes.mean(C)
-        change = C @ np.swapaxes(C_mean, 1, 2)[nodes.piece]
-        scale = np.trace(change, axis1=1, axis2=2) / 3
-        turn_rad = (change - np.swapaxes(change, 1, 2))[:, [2, 0, 1], [1, 2, 0]] / (2 * scale[:, np.newaxis])
-        covariance_rad2 = nodes.mean(turn_rad[:, :, np.newaxis] * turn_rad[:, np.newaxis])
-        pointing = _interpolated(self._trails.pointing, bounds[:-1] + bounds[1:])
-        pieces = TrailPieces(
-            replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, nodes.of_segments(len(self._trails))
-        )
-        x_px, y_px = np.moveaxis(turn_rad @ self._px_per_turn, -1, 0).transpose(0, 2, 1)
-        xx, yy = x_px * x_px, y_px * y_px
-        second = nodes.mean(xx + yy) / sigma_px**2
-        third = [nodes.mean(power) ** 2 for power in (xx * x_px, xx * y_px, x_px * yy, yy * y_px)]
-        norm = np.sqrt(third[0] + 3 * (third[1] + third[2]) + third[3]) / sigma_px**3
-        # The trail where Gaussians of this variance follow each other, over the height of one of them.
-        level = np.maximum(1.0, np.sqrt(np.pi / 6 * (1 + second) / np.maximum(second, 1e-12)))
-        error = (_THIRD_DERIVATIVE / 6) * norm / (1 + second) ** 1.5 / level
-        return pieces, np.asarray(error.max(axis=1))
-
-    @property
-    def _px_per_turn(self) -> Float:
-        """Displacements of the probes in the image per rotation vector of the camera, (probes, 3, 2) px/rad."""
-        x, y = self._rays[:2] / self._rays[2]
-        per_turn = np.array([[-x * y, -(1 + y * y)], [1 + x * x, x * y], [-y, x]])
-        px = np.array([[self._camera.fx_px, 0.0], [self._camera.skew_px, self._camera.fy_px]])
-        return np.asarray(np.moveaxis(per_turn, -1, 0) @ px)
-
-
-class _Quadrature(NamedTuple):
-    """Gauss-Legendre nodes of k intervals, each within one piece and one segment.
-
-    Attributes
-    ----------
-    segment : (3 k,) intp
-    u : (3 k,) float64
-        Elapsed fraction of the segment.
-    piece : (3 k,) intp
-    weight : (3 k,) float64
-        Fractions of the piece's duration.
-    first : (n,) intp
-        The first node of each piece.
-    duration : (n,) float64
-        Durations of the pieces, fractions of the exposure.
-    """
-
-    segment: NDArray[np.intp]
-    u: Float
-    piece: NDArray[np.intp]
-    weight: Float
-    first: NDArray[np.intp]
-    duration: Float
-
-    @classmethod
-    def of(cls, time_fraction: Float, bounds: Float) -> "_Quadrature":
-        """Return the nodes for segments of some durations and pieces between some times."""
-        ends = np.union1d(bounds, np.arange(len(time_fraction) + 1))
-        begins, spans = ends[:-1], np.diff(ends)
-        segment = begins.astype(np.intp)
-        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * _NODES
-        time = ((time_fraction[segment] * spans)[:, np.newaxis] * _WEIGHTS).ravel()
-        first = len(_NODES) * np.searchsorted(ends, bounds[:-1])
-        duration = np.add.reduceat(time, first)
-        piece = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(time))))
-        return cls(np.repeat(segment, len(_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
-
-    def of_segments(self, count: int) -> Float:
-        """Return `TrailPieces.of_segments` of some segments."""
-        fractions = np.zeros((count, len(self.first)))
-        np.add.at(fractions, (self.segment, self.piece), self.weight)
-        return fractions
-
-    def mean(self, values: Float) -> Float:
-        """Return means over the duration of each piece, (n, ...), of values at the nodes, (3 k, ...)."""
-        weight = self.weight.reshape(-1, *(1,) * (values.ndim - 1))
-        return np.asarray(np.add.reduceat(values * weight, self.first, axis=0))
-
-
-def _interpolated(pointing: Pointing, at: Float) -> Pointing:
-    """Return what is above the camera at some times, numbers of half segments; the orientation is not interpolated."""
-    index = np.minimum(at.astype(np.intp), len(pointing) - 2)
-    rest = (at - index)[:, np.newaxis]
-
-    def between(values: Float) -> Float:
-        return np.asarray((1 - rest) * values[index] + rest * values[index + 1])
-
-    return replace(pointing, zenith_eq=between(pointing.zenith_eq), velocity_eq=between(pointing.velocity_eq))
+    return path.pieces(moments)

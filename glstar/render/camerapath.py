@@ -1,0 +1,268 @@
+"""The path of the camera over an exposure in pieces: the mean and the covariance of its motion during each."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.render.pointing import Pointing
+from glstar.render.segmentation import probe_rays
+from glstar.render.starpaths import parameter_at
+from glstar.render.trailmodels import AnalyticSegments
+
+__all__ = ["CameraPath", "PieceMoments", "TrailPieces"]
+
+Float = NDArray[np.float64]
+
+# Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
+_THIRD_DERIVATIVE: Final = 1.3801
+# Intervals per segment in which the length of a path is measured.
+_CHORDS: Final = 4
+# Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
+_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrailPieces:
+    """A trail as the sum of n Gaussians.
+
+    Attributes
+    ----------
+    pointing : Pointing
+        The mean orientation during each piece: n times.
+    covariance_rad2 : (n, 3, 3) float64
+        Covariance of the rotation vector from the mean orientation, camera frame.
+    time_fraction : (n,) float64
+        Duration of each piece as a fraction of the exposure.
+    of_segments : (m, n) float64
+        Which fraction of each piece lies in each segment of the trails.
+    """
+
+    pointing: Pointing
+    covariance_rad2: Float
+    time_fraction: Float
+    of_segments: Float
+
+    def __len__(self) -> int:
+        return len(self.time_fraction)
+
+
+class CameraPath:
+    """The orientation of the camera over an exposure as `AnalyticSegments` describe it.
+
+    Times are numbers of segments: 1.5 is the middle of the second.
+
+    Parameters
+    ----------
+    trails : AnalyticSegments
+    camera : Camera
+        Behind a lens trails are drawn in the undistorted image plane.
+    """
+
+    def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
+        self._trails = trails
+        self._camera = camera
+        self._rays = probe_rays(camera)
+        self._weight = trails.end_weight
+        weight = self._weight[:, np.newaxis, np.newaxis]
+        C = trails.pointing.C_camera_eq
+        self._start, self._middle, self._end = C[:-2:2] * weight, C[1::2], C[2::2] * weight
+
+    def __len__(self) -> int:
+        return len(self._trails)
+
+    def _orientation(self, segment: NDArray[np.intp], u: Float) -> Float:
+        """Return orientations times a factor of nearly 1, (k, 3, 3), at elapsed fractions of segments, (k,) both."""
+        u = parameter_at(u, self._weight[segment])[:, np.newaxis, np.newaxis]
+        start, middle, end = (C.take(segment, axis=0) for C in (self._start, self._middle, self._end))
+        return np.asarray(start + u * (4 * middle - 3 * start - end + 2 * u * (start - 2 * middle + end)))
+
+    @cached_property
+    def _elapsed_px(self) -> Float:
+        """The length of the path of the fastest star of the image until the end of each chord, px, from 0 on."""
+        count = len(self._trails)
+        segment = np.repeat(np.arange(count), _CHORDS + 1)
+        u = np.tile(np.linspace(0.0, 1.0, _CHORDS + 1), count)
+        directions = np.swapaxes(self._middle, 1, 2) @ self._rays
+        in_camera = self._orientation(segment, u).reshape(count, _CHORDS + 1, 3, 3) @ directions[:, np.newaxis]
+        xy = self._camera.pinhole.project(np.swapaxes(in_camera, -1, -2))
+        chords_px = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=1), axis=-1)).max(axis=-1).ravel()
+        return np.concatenate([[0.0], np.cumsum(chords_px)])
+
+    def bounds_of_equal_lengths(self, length_px: float) -> Float:
+        """Return the ends of pieces in which the fastest star of the image moves by at most a length.
+
+        Parameters
+        ----------
+        length_px : float
+
+        Returns
+        -------
+        (n + 1,) float64
+        """
+        elapsed_px = self._elapsed_px
+        pieces = max(1, int(np.ceil(elapsed_px[-1] / length_px)))
+        inner = np.interp(elapsed_px[-1] * np.arange(1, pieces) / pieces, elapsed_px, np.arange(len(elapsed_px)))
+        return np.concatenate([[0.0], inner / _CHORDS, [float(len(self._trails))]])
+
+    def moments(self, bounds: Float) -> "PieceMoments":
+        """Return the motion during pieces.
+
+        Parameters
+        ----------
+        bounds : (n + 1,) float64
+            Their ends, numbers of segments.
+
+        Returns
+        -------
+        PieceMoments
+        """
+        nodes = _Quadrature.of(self._trails.time_fraction, bounds)
+        C = self._orientation(nodes.segment, nodes.u)
+        C_mean = nodes.mean(C)
+        change = C @ np.swapaxes(C_mean, 1, 2)[nodes.piece]
+        scale = np.trace(change, axis1=1, axis2=2) / 3
+        turn_rad = (change - np.swapaxes(change, 1, 2))[:, [2, 0, 1], [1, 2, 0]] / (2 * scale[:, np.newaxis])
+        return PieceMoments(bounds, nodes, C_mean, turn_rad)
+
+    def pieces(self, moments: "PieceMoments") -> TrailPieces:
+        """Return pieces with some motion.
+
+        Parameters
+        ----------
+        moments : PieceMoments
+
+        Returns
+        -------
+        TrailPieces
+        """
+        bounds, nodes, C_mean, turn_rad = moments
+        covariance_rad2 = nodes.mean(turn_rad[:, :, np.newaxis] * turn_rad[:, np.newaxis])
+        pointing = _interpolated(self._trails.pointing, bounds[:-1] + bounds[1:])
+        return TrailPieces(
+            replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, nodes.of_segments(len(self._trails))
+        )
+
+    def error(self, moments: "PieceMoments", sigma_px: float) -> Float:
+        """Return an estimate of the error of the flux of each piece.
+
+        Parameters
+        ----------
+        moments : PieceMoments
+        sigma_px : float
+            Standard deviation of a star as the pixels record it, px.
+
+        Returns
+        -------
+        (n,) float64
+            From the third moments, relative to the trail there.
+        """
+        nodes, px_per_turn = moments.nodes, _px_per_turn(self._camera)
+        x_px, y_px = (moments.turn_rad @ along for along in px_per_turn)
+        xx, yy = x_px * x_px, y_px * y_px
+        powers = np.concatenate([xx + yy, xx * x_px, xx * y_px, x_px * yy, yy * y_px], axis=1)
+        means = nodes.mean(powers).reshape(-1, 5, xx.shape[1]).swapaxes(0, 1)
+        second, third = means[0] / sigma_px**2, means[1:] ** 2
+        norm = np.sqrt(third[0] + 3 * (third[1] + third[2]) + third[3]) / sigma_px**3
+        # The trail where Gaussians of this variance follow each other, over the height of one of them.
+        level = np.maximum(1.0, np.sqrt(np.pi / 6 * (1 + second) / np.maximum(second, 1e-12)))
+        error = (_THIRD_DERIVATIVE / 6) * norm / (1 + second) ** 1.5 / level
+        return np.asarray(error.max(axis=1))
+
+
+# Every exposure of a flight has the same camera.
+@lru_cache(maxsize=64)
+def _px_per_turn(camera: Camera) -> Float:
+    """Return displacements of the probes in the image, x and y, per rotation vector of the camera, (2, 3, probes)."""
+    rays = probe_rays(camera)
+    x, y = rays[:2] / rays[2]
+    per_turn = np.array([[-x * y, -(1 + y * y)], [1 + x * x, x * y], [-y, x]])
+    px = np.array([[camera.fx_px, 0.0], [camera.skew_px, camera.fy_px]])
+    px_per_turn = np.ascontiguousarray(np.moveaxis(np.moveaxis(per_turn, -1, 0) @ px, (2, 1, 0), (0, 1, 2)))
+    px_per_turn.flags.writeable = False
+    return px_per_turn
+
+
+class PieceMoments(NamedTuple):
+    """The motion of the camera during n pieces.
+
+    Attributes
+    ----------
+    bounds : (n + 1,) float64
+        Their ends, numbers of segments.
+    nodes : _Quadrature
+        Of k times.
+    C_mean : (n, 3, 3) float64
+        The mean orientations.
+    turn_rad : (k, 3) float64
+        Rotation vectors from the mean orientation of the piece, camera frame.
+    """
+
+    bounds: Float
+    nodes: "_Quadrature"
+    C_mean: Float
+    turn_rad: Float
+
+
+class _Quadrature(NamedTuple):
+    """Gauss-Legendre nodes of k intervals, each within one piece and one segment.
+
+    Attributes
+    ----------
+    segment : (3 k,) intp
+    u : (3 k,) float64
+        Elapsed fraction of the segment.
+    piece : (3 k,) intp
+    weight : (3 k,) float64
+        Fractions of the piece's duration.
+    first : (n,) intp
+        The first node of each piece.
+    duration : (n,) float64
+        Durations of the pieces, fractions of the exposure.
+    """
+
+    segment: NDArray[np.intp]
+    u: Float
+    piece: NDArray[np.intp]
+    weight: Float
+    first: NDArray[np.intp]
+    duration: Float
+
+    @classmethod
+    def of(cls, time_fraction: Float, bounds: Float) -> "_Quadrature":
+        """Return the nodes for segments of some durations and pieces between some times."""
+        ends = np.union1d(bounds, np.arange(len(time_fraction) + 1))
+        begins, spans = ends[:-1], np.diff(ends)
+        segment = begins.astype(np.intp)
+        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * _NODES
+        time = ((time_fraction[segment] * spans)[:, np.newaxis] * _WEIGHTS).ravel()
+        first = len(_NODES) * np.searchsorted(ends, bounds[:-1])
+        duration = np.add.reduceat(time, first)
+        piece = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(time))))
+        return cls(np.repeat(segment, len(_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
+
+    def of_segments(self, count: int) -> Float:
+        """Return `TrailPieces.of_segments` of some segments."""
+        fractions = np.zeros((count, len(self.first)))
+        np.add.at(fractions, (self.segment, self.piece), self.weight)
+        return fractions
+
+    def mean(self, values: Float) -> Float:
+        """Return means over the duration of each piece, (n, ...), of values at the nodes, (3 k, ...)."""
+        weight = self.weight.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray(np.add.reduceat(values * weight, self.first, axis=0))
+
+
+def _interpolated(pointing: Pointing, at: Float) -> Pointing:
+    """Return what is above the camera at some times, numbers of half segments; the orientation is not interpolated."""
+    index = np.minimum(at.astype(np.intp), len(pointing) - 2)
+    rest = (at - index)[:, np.newaxis]
+
+    def between(values: Float) -> Float:
+        return np.asarray((1 - rest) * values[index] + rest * values[index + 1])
+
+    return replace(pointing, zenith_eq=between(pointing.zenith_eq), velocity_eq=between(pointing.velocity_eq))
