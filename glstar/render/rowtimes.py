@@ -2,20 +2,24 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.render.cameramotion import CameraMotion
+from glstar.render.motiontable import MotionTable
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
+from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.rotation import turn_from_matrix
 
 __all__ = [
+    "RecordedPart",
     "RecordedTimes",
     "exposed_fraction",
+    "recorded_parts",
     "recorded_paths",
     "recorded_positions",
     "recorded_rows",
@@ -134,6 +138,56 @@ def _joined(scene: Scene, direction_eq: Float, shorts: Sequence[RecordedTimes]) 
     )
 
 
+class RecordedPart(NamedTuple):
+    """The true paths of stars during a part of an exposure, and when a rolling shutter records them.
+
+    Attributes
+    ----------
+    paths : SampledPaths or ConicPaths
+    opens, closes : (k,) float64
+        When each star is first and last recorded: fractions of a short exposure since the start of the part.
+    scale : float
+        The length of a short exposure, over the time for which all short exposures expose a row.
+    shorts : int
+        Number of short exposures.
+    """
+
+    paths: SampledPaths | ConicPaths
+    opens: Float
+    closes: Float
+    scale: float
+    shorts: int
+
+    @property
+    def recorded(self) -> Float:
+        """How long each star is recorded, (k,), over the time for which all short exposures expose a row."""
+        last = float(self.paths.time_fraction.sum())
+        return np.asarray((self.closes.clip(0.0, last) - self.opens.clip(0.0, last)).clip(min=0.0) * self.scale)
+
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float, Float]]:
+        """Yield samples of the paths of some of the stars: see `recorded_samples`."""
+        end, opens, closes = 0.0, self.opens[stars], self.closes[stars]
+        for xy_px, time_fraction in self.paths.samples(stars):
+            ends = end + np.cumsum(time_fraction)[:, np.newaxis]
+            weight = np.minimum(ends, closes) - np.maximum(ends - time_fraction[:, np.newaxis], opens)
+            yield xy_px, time_fraction / self.shorts, weight.clip(min=0.0) * self.scale
+            end = float(ends[-1, 0])
+
+
+def recorded_parts(scene: Scene, direction_eq: Float, recorded: RecordedTimes | None = None) -> Iterator[RecordedPart]:
+    """Yield the true paths of stars and when a rolling shutter records them; parameters of `recorded_samples`."""
+    shorts = scene.shorts or (scene,)
+    recorded = recorded_times(scene, direction_eq) if recorded is None else recorded
+    for short, times in zip(shorts, recorded.shorts or (recorded,), strict=True):
+        span_s, begin = short.exposure.span_s, 0.0
+        scale = span_s / (short.exposure.duration_s * len(shorts))
+        for paths in short.star_paths(direction_eq):
+            yield RecordedPart(
+                paths, times.opens_s / span_s - begin, times.closes_s / span_s - begin, scale, len(shorts)
+            )
+            begin += float(paths.time_fraction.sum())
+
+
 def recorded_samples(
     scene: Scene, direction_eq: Float, recorded: RecordedTimes | None = None
 ) -> Iterator[tuple[Float, Float, Float]]:
@@ -158,18 +212,8 @@ def recorded_samples(
         The parts of the exposure time in which the row of each star is open: their sum over all times is
         `RecordedTimes.exposed_s` over the exposure time of all short exposures.
     """
-    shorts = scene.shorts or (scene,)
-    recorded = recorded_times(scene, direction_eq) if recorded is None else recorded
-    for short, times in zip(shorts, recorded.shorts or (recorded,), strict=True):
-        span_s, end = short.exposure.span_s, 0.0
-        opens, closes = times.opens_s / span_s, times.closes_s / span_s
-        scale = span_s / (short.exposure.duration_s * len(shorts))
-        for paths in short.star_paths(direction_eq):
-            for xy_px, time_fraction in paths.samples(np.arange(len(opens))):
-                ends = end + np.cumsum(time_fraction)[:, np.newaxis]
-                weight = np.minimum(ends, closes) - np.maximum(ends - time_fraction[:, np.newaxis], opens)
-                yield xy_px, time_fraction / len(shorts), weight.clip(min=0.0) * scale
-                end = float(ends[-1, 0])
+    for part in recorded_parts(scene, direction_eq, recorded):
+        yield from part.samples(np.arange(len(direction_eq)))
 
 
 def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float, Float]:
@@ -240,6 +284,7 @@ class _RowTimes:
         self._scene = scene
         self._motion = scene.motion
         self._direction_eq = direction_eq
+        self._table = MotionTable.of(scene.motion, scene.exposure)
         self._per_px_s = scene.exposure.opening_s(scene.camera.width_px, scene.camera.height_px)
         self._grid_s = np.linspace(0.0, scene.exposure.span_s, _GRID)
         pointing = _pointing(scene.exposure, scene.motion, self._grid_s)
@@ -284,6 +329,8 @@ class _RowTimes:
 
     def in_camera(self, since_s: Float) -> Float:
         """Return the direction of each star at a time of its own, (k, 3), in the camera frame."""
+        if self._table is not None:
+            return self._table.at(since_s).each_to_camera(self._direction_eq)
         return _in_camera(self._scene.exposure, self._motion, self._direction_eq, since_s)
 
     def _delay_s(self, xy_px: Float) -> Float:

@@ -19,6 +19,12 @@ _POSITIONS_PER_BLOCK: Final = 1 << 15
 # Times that are computed together for a sky of many stars, where a smaller block costs more than a cache miss.
 _MIN_TIMES_PER_BLOCK: Final = 8
 
+# Gauss-Legendre quadrature with three nodes, on [0, 1].
+_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([[-1.0], [0.0], [1.0]])
+_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
+# Of the duration of a segment.
+_ROUNDING: Final = 1e-12
+
 # Samples of an analytic trail per exposure, whatever its length: truth counts them for its fractions.
 _MIN_SAMPLES: Final = 100
 
@@ -158,6 +164,38 @@ class ConicPaths:
     @property
     def weighted_sum_px(self) -> Float:
         """The integral of position over the exposure, (2, m) px; in the undistorted image plane."""
+        return np.stack([self.time_fraction @ coordinate for coordinate in self._ninetieths_px]) / 90
+
+    def integral_between(self, begin: Float, end: Float) -> Float:
+        """Return the integral of the position of each star between two times of its own, (2, m) px.
+
+        Parameters
+        ----------
+        begin, end : (m,) float64
+            Elapsed fractions of the exposure since the start of the first segment.
+
+        Returns
+        -------
+        (2, m) float64
+            Of what is in these segments of the time between them; in the undistorted image plane.
+        """
+        marks = np.concatenate([[0.0], np.cumsum(self.time_fraction)])[:, np.newaxis].clip(begin, end)
+        duration, whole = np.diff(marks, axis=0), self.time_fraction[:, np.newaxis]
+        is_whole = duration > whole * (1 - _ROUNDING)
+        means_px = self._ninetieths_px * (np.where(is_whole, duration, 0.0) / 90)
+        integral_px = means_px.sum(axis=1)
+        segment, star = np.nonzero((duration > 0) & ~is_whole)
+        starts = np.cumsum(self.time_fraction) - self.time_fraction
+        u = (marks[segment, star] - starts[segment] + duration[segment, star] * _NODES) / self.time_fraction[segment]
+        parameter = parameter_at(u, self.weight[segment])
+        start, rate, bend = (of[:, segment, star][:, np.newaxis] for of in self._quadratics())
+        xy_px = _projected(self.camera.pinhole, start + parameter * (rate + parameter * bend))
+        light_px = duration[segment, star] * np.einsum("n,xnp->xp", _WEIGHTS, xy_px)
+        return np.asarray(integral_px + [np.bincount(star, of, minlength=len(begin)) for of in light_px])
+
+    @cached_property
+    def _ninetieths_px(self) -> Float:
+        """Mean positions during each segment, (2, s, m) px, times 90."""
         # Boole's rule: the paths are so smooth that it is exact to float64.
         start, middle, end = self._weighted
         u = parameter_at(np.full(len(self.weight), 0.25), self.weight)[:, np.newaxis]
@@ -173,7 +211,7 @@ class ConicPaths:
         at_ends = 7 * self.nodes_px[:, ::2]
         ninetieths += at_ends[:, :-1]
         ninetieths += at_ends[:, 1:]
-        return np.stack([self.time_fraction @ coordinate for coordinate in ninetieths]) / 90
+        return ninetieths
 
     def positions(self, segment: NDArray[np.intp], elapsed: Float) -> Float:
         """Return the positions of all stars at some times.

@@ -78,7 +78,7 @@ def trail_peaks(
     factor is interpolated.
     """
     sigma_px = scene.sensor.core.effective_sigma_px
-    chains = [_Chain.of(xy_px, weight) for xy_px, weight in _chains(scene, direction_eq, nodes_px, recorded)]
+    chains = list(_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)
     found = (_brightest(scene, chain, transmission) for chain, transmission in zip(chains, transmissions, strict=True))
     points, order = zip(*found, strict=True)
@@ -94,37 +94,45 @@ def trail_peaks(
 
 def _chains(
     scene: Scene, direction_eq: Float, nodes_px: Float | None, recorded: RecordedTimes | None
-) -> Iterator[tuple[Float, Float]]:
-    """Yield `_chain` of each short exposure of a stacked image, or of the exposure, while its rows are open."""
+) -> Iterator["_Chain"]:
+    """Yield the chain of each short exposure of a stacked image, or of the exposure, while its rows are open."""
     trails = scene.trails if scene.listing is None else scene.listing.trails
     if not isinstance(trails, StackedTrails):
-        xy_px, weight = _chain(scene, trails, direction_eq, nodes_px)
-        yield xy_px if recorded is None else _recorded(xy_px, weight, recorded, scene.exposure.span_s), weight
+        xy_px, duration = _chain(scene, trails, direction_eq, nodes_px)
+        yield _Chain.of(*_while_open(xy_px, duration, recorded, scene.exposure.span_s))
         return
     rows = [None] * len(trails.shorts) if recorded is None else recorded.shorts
     span_s = scene.exposure.first.span_s
     for short, times in zip(trails.shorts, rows, strict=True):
-        xy_px, weight = _chain(scene, short, direction_eq, None)
-        yield xy_px if times is None else _recorded(xy_px, weight, times, span_s), weight / len(trails.shorts)
+        xy_px, duration = _chain(scene, short, direction_eq, None)
+        yield _Chain.of(*_while_open(xy_px, duration / len(trails.shorts), times, span_s))
 
 
-def _recorded(xy_px: Float, weight: Float, times: RecordedTimes, span_s: float) -> Float:
-    """Return as many positions along the parts of paths between each star's own opening and closing, (2, n, m) px."""
-    ends = np.concatenate([[0.0], np.cumsum(weight)])
-    wanted = (times.opens_s + ends[:, np.newaxis] * (times.closes_s - times.opens_s)) / span_s
-    before = np.searchsorted(ends, wanted.ravel(), side="right").reshape(wanted.shape).clip(1, len(weight)) - 1
-    part = (wanted - ends[before]) / weight[before]
-    star = np.arange(wanted.shape[1])
-    return np.asarray((1 - part) * xy_px[:, before, star] + part * xy_px[:, before + 1, star])
+def _while_open(
+    xy_px: Float, duration: Float, times: RecordedTimes | None, span_s: float
+) -> tuple[Float, Float, Float | None]:
+    """Return the arguments of `_Chain.of`: of a rolling shutter, the path between each star's opening and closing.
+
+    What is before and after is left as lines of no length and no light.
+    """
+    if times is None:
+        return xy_px, duration, None
+    share = duration.sum()
+    ends_s = (span_s / share) * np.concatenate([[0.0], np.cumsum(duration)])[:, np.newaxis]
+    first_px, last_px = (times.positions[k].T[:, np.newaxis] for k in (0, 2))
+    xy_px = np.where(ends_s < times.opens_s, first_px, np.where(ends_s > times.closes_s, last_px, xy_px))
+    open_s = np.diff(ends_s.clip(times.opens_s, times.closes_s), axis=0)
+    return xy_px, duration, share * open_s / np.maximum(times.closes_s - times.opens_s, 1e-12)
 
 
 def _transmissions(chains: list["_Chain"], passage: CloudPassage | None) -> list[Float | None]:
     """Return what cloud transmits of the stars during each line of each chain, (n, m); None for all."""
     if passage is None:
         return [None] * len(chains)
-    ends = np.cumsum(np.concatenate([chain.weight for chain in chains]))
-    middles = (ends - np.concatenate([chain.weight for chain in chains]) / 2) / ends[-1]
-    counts = np.cumsum([len(chain.weight) for chain in chains])[:-1]
+    durations = np.concatenate([chain.duration for chain in chains])
+    ends = np.cumsum(durations)
+    middles = (ends - durations / 2) / ends[-1]
+    counts = np.cumsum([len(chain.duration) for chain in chains])[:-1]
     return [passage.at(times) for times in np.split(middles, counts)]
 
 
@@ -162,29 +170,32 @@ class _Chain:
         From one to the next, px.
     length_px : (n, m) float64
         Lengths of the lines, px.
-    weight : (n,) float64
+    duration : (n,) float64
         The fraction of the exposure of each line.
     hidden : (n, m) bool or None
         Which lines have an end that is not visible; None if all are visible.
+    recorded : (n, m) float64 or None
+        Under a rolling shutter, the fraction of each star's own exposure of each line; None for `duration`.
     """
 
     xy_px: Float
     step_px: Float
     length_px: Float
-    weight: Float
+    duration: Float
     hidden: NDArray[np.bool_] | None
+    recorded: Float | None
 
     @classmethod
-    def of(cls, xy_px: Float, weight: Float) -> Self:
+    def of(cls, xy_px: Float, duration: Float, recorded: Float | None) -> Self:
         """Return the chain through positions, (2, n + 1, m) px; NaN where a star is not visible."""
         step_px = xy_px[:, 1:] - xy_px[:, :-1]
         length_px = np.sqrt(step_px[0] * step_px[0] + step_px[1] * step_px[1])  # five times as fast as hypot
         if np.isfinite(length_px.sum()):
-            return cls(xy_px, step_px, length_px, weight, None)
+            return cls(xy_px, step_px, length_px, duration, None, recorded)
         hidden = ~np.isfinite(length_px)
         step_px[:, hidden] = 0.0
         length_px[hidden] = 0.0
-        return cls(np.nan_to_num(xy_px), step_px, length_px, weight, hidden)
+        return cls(np.nan_to_num(xy_px), step_px, length_px, duration, hidden, recorded)
 
     def signal_at(self, point: Float, sigma_px: float, transmission: Float | None) -> Float:
         """Return the signal at one point per star, (m,), over the flux of the star, 1/px^2.
@@ -205,7 +216,8 @@ class _Chain:
         length = length_px / sigma_px
         s = off_x * along_x + off_y * along_y
         p2 = np.maximum(off_x * off_x + off_y * off_y - s * s, 0.0)
-        signal = self.weight.take(line) * _density(s, length) * np.exp(-0.5 * p2)
+        weight = self.duration.take(line) if self.recorded is None else self.recorded.ravel().take(near)
+        signal = weight * _density(s, length) * np.exp(-0.5 * p2)
         if transmission is not None:
             signal *= transmission.ravel().take(near)
         summed = np.bincount(star, signal, minlength=len(point))
@@ -215,7 +227,10 @@ class _Chain:
 def _brightest(scene: Scene, chain: _Chain, transmission: Float | None) -> tuple[Float, Float]:
     """Return where each star leaves most light on the image, or its nearest point to it, (m, 2) px; and an order."""
     length_px = chain.length_px
-    order = length_px / chain.weight[:, np.newaxis]
+    if chain.recorded is None:
+        order = length_px / chain.duration[:, np.newaxis]
+    else:
+        order = np.where(chain.recorded > 0, length_px / np.maximum(chain.recorded, 1e-12), np.inf)
     if transmission is not None:
         order /= np.maximum(transmission, 1e-9)
     # On the image the slowest part that has light from both sides, and off it the nearest.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.rowtimes import RecordedTimes, recorded_rows, recorded_samples
+from glstar.render.rowtimes import RecordedPart, RecordedTimes, recorded_parts, recorded_rows
 from glstar.render.scene import Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 
@@ -51,9 +51,7 @@ class TrailStatistics:
             if isinstance(paths, ConicPaths):
                 self._nodes_px.append(paths.nodes_px)
             bounds = paths.bounds_px
-            # Most stars are on the image all the time or never, and far from all saturated pixels.
-            always = scene.camera.contains(bounds).all(axis=0)
-            never = _misses(scene.camera, bounds, scene.listed.truncation_radius_px)
+            always, never = _constant(scene, bounds)
             self.touching += paths.time_fraction.sum() * always
             self.on_image += paths.time_fraction.sum() * always
             self.sum_xy += np.where(always, paths.weighted_sum_px, 0.0)
@@ -67,19 +65,54 @@ class TrailStatistics:
         """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
         directions = scene.stars.direction_eq[scene.visible]
         recorded = np.zeros(len(directions))
-        for xy, _, weight in recorded_samples(scene, directions, times):
-            outside_px = scene.camera.distance_outside_px(xy)
-            touching, on_image = _parts_inside(outside_px, scene.listed.truncation_radius_px)
-            recorded += weight.sum(axis=0)
-            self.touching += (weight * touching).sum(axis=0)
-            self.on_image += (weight * on_image).sum(axis=0)
-            self.sum_xy += np.where(touching > 0, weight * touching * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
-            if saturation is not None:
-                self.saturated |= saturation.crossed_by(xy, (weight > 0) & (outside_px < 0))
+        for part in recorded_parts(scene, directions, times):
+            recorded += part.recorded
+            stars = np.arange(len(directions))
+            if isinstance(part.paths, ConicPaths):
+                if not scene.shorts:
+                    self._nodes_px.append(part.paths.nodes_px)
+                bounds = part.paths.bounds_px
+                always, never = _constant(scene, bounds)
+                self._add_constant(part, always)
+                stars = np.flatnonzero(~(always | never))
+                if saturation is not None:
+                    self._saturate(scene, part, saturation, np.setdiff1d(saturation.near(bounds), stars))
+            self._add_recorded_samples(scene, part, stars, saturation)
         recorded = np.maximum(recorded, 1e-12)
         self.touching /= recorded
         self.on_image /= recorded
         self.sum_xy /= recorded
+
+    def _add_constant(self, part: RecordedPart, stars: Mask) -> None:
+        """Add the paths of stars that are on the image all the time."""
+        assert isinstance(part.paths, ConicPaths)
+        integral_px = part.paths.integral_between(part.opens, part.closes)
+        self.touching += np.where(stars, part.recorded, 0.0)
+        self.on_image += np.where(stars, part.recorded, 0.0)
+        self.sum_xy += np.where(stars, part.scale * integral_px, 0.0)
+
+    def _add_recorded_samples(
+        self, scene: Scene, part: RecordedPart, stars: NDArray[np.intp], saturation: "_SaturationMap | None"
+    ) -> None:
+        """Add the sampled paths of some stars."""
+        radius_px = scene.listed.truncation_radius_px[stars]
+        for xy, _, weight in part.samples(stars):
+            outside_px = scene.camera.distance_outside_px(xy)
+            touching, on_image = _parts_inside(outside_px, radius_px)
+            self.touching[stars] += (weight * touching).sum(axis=0)
+            self.on_image[stars] += (weight * on_image).sum(axis=0)
+            light_px = np.where(touching > 0, weight * touching * np.moveaxis(xy, -1, 0), 0.0)
+            self.sum_xy[:, stars] += light_px.sum(axis=1)
+            if saturation is not None:
+                self.saturated[stars] |= saturation.crossed_by(xy, (weight > 0) & (outside_px < 0))
+
+    def _saturate(
+        self, scene: Scene, part: RecordedPart, saturation: "_SaturationMap", stars: NDArray[np.intp]
+    ) -> None:
+        """Find which of some stars cross a saturated pixel while they are recorded."""
+        for xy, _, weight in part.samples(stars):
+            is_recorded = (weight > 0) & (scene.camera.distance_outside_px(xy) < 0)
+            self.saturated[stars] |= saturation.crossed_by(xy, is_recorded)
 
     def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
         """Add the sampled paths of stars that are on the image for a part of the time."""
@@ -136,6 +169,12 @@ def _parts_inside(
     hidden = np.isnan(outside_px)
     within, on_image = (np.where(hidden, 0.0, part) for part in inside)
     return within, on_image
+
+
+def _constant(scene: Scene, bounds_px: Float) -> tuple[Mask, Mask]:
+    """Return which stars are on the image all the time, and which never touch it: most are one or the other."""
+    never = _misses(scene.camera, bounds_px, scene.listed.truncation_radius_px)
+    return np.asarray(scene.camera.contains(bounds_px).all(axis=0)), never
 
 
 def _misses(camera: Camera, bounds_px: Float, radius_px: Float) -> Mask:
