@@ -23,7 +23,7 @@ _MAX_PARTS: Final = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionTable:
-    """The camera's orientation in n parts of an exposure, each between two samples of the log or shorter.
+    """The camera's orientation in n parts of an exposure, each between two samples of the log, or a half along a spline.
 
     Attributes
     ----------
@@ -47,6 +47,8 @@ class MotionTable:
             return None
         inside_s = np.append(samples_s[first:last] - exposure.start_utc_s, steps)
         ends_s = np.unique(np.concatenate([[0.0], inside_s.clip(0.0, exposure.span_s), [exposure.span_s]]))
+        if motion.flight.attitude.interpolation != "slerp":
+            ends_s = np.sort(np.append(ends_s, (ends_s[1:] + ends_s[:-1]) / 2))
         times_s = np.empty(2 * len(ends_s) - 1)
         times_s[::2], times_s[1::2] = ends_s, (ends_s[1:] + ends_s[:-1]) / 2
         (pointing,) = motion.pointings(np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s))

@@ -1,0 +1,53 @@
+"""The table of the camera's orientation, and integrals of paths between times of each star, against dense positions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.render.motiontable import MotionTable
+from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
+
+
+SECOND = np.arange(0.0, 1.0, 0.02)
+
+
+@pytest.mark.parametrize(
+    "simulator",
+    [
+        *(rough(hz, how) for hz in (10.0, 200.0) for how in ("slerp", "spline")),
+        flown(SECOND, [5.0 * SECOND, 0 * SECOND, SECOND]),
+    ],
+    ids=["10", "10-spline", "200", "200-spline", "286-deg-per-s"],
+)
+def test_the_table_has_the_orientation_of_the_attitude_at_any_time(simulator):
+    motion, exposure = simulator.motion, replace(EXPOSURE, readout_s=0.05)
+    since_s = np.random.default_rng(1).uniform(0.0, exposure.span_s, 2000)
+    (expected,) = motion.pointings(exposure.start_utc_s + since_s)
+    table = MotionTable.of(motion, exposure).at(since_s)
+    # A thousandth of a pixel.
+    np.testing.assert_allclose(table.C_camera_eq, expected.C_camera_eq, rtol=0, atol=1e-3 / LENS.fx_px)
+    np.testing.assert_allclose(table.zenith_eq, expected.zenith_eq, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(table.velocity_eq, expected.velocity_eq, rtol=0, atol=1e-12)
+
+
+def test_an_exposure_of_very_many_samples_has_no_table():
+    assert (
+        MotionTable.of(rough(200.0).motion, replace(EXPOSURE, start_utc_s=EXPOSURE.start_utc_s - 60.0, duration_s=60.0))
+        is None
+    )
+
+
+def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():
+    scene = rough(50.0).scene(EXPOSURE)
+    middle = len(scene.trails)
+    directions_eq = LENS.unproject(CORNERS_AND_MORE) @ scene.trails.pointing.C_camera_eq[middle]
+    directions_eq /= np.linalg.norm(directions_eq, axis=1, keepdims=True)
+    begin, end = np.random.default_rng(2).uniform([[0.0], [0.5]], [[0.5], [1.0]], (2, len(directions_eq)))
+    end[0] = begin[0] + 1e-3
+    (paths,) = scene.trails.star_paths(LENS, directions_eq, 1e3)
+    steps = (np.arange(4000) + 0.5) / 4000
+    for star, integral_px in enumerate(paths.integral_between(begin, end).T):
+        time = begin[star] + (end[star] - begin[star]) * steps
+        expected_px = scene.positions(directions_eq[star : star + 1], time)[:, 0].mean(axis=0)
+        np.testing.assert_allclose(integral_px / (end[star] - begin[star]), expected_px, rtol=0, atol=1e-3)
