@@ -23,7 +23,7 @@ _MAX_PARTS: Final = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionTable:
-    """The camera's orientation in n parts of an exposure, each between two samples of the log, or a half along a spline.
+    """The camera's orientation in n parts of an exposure: between samples of the log, or of halves along a spline.
 
     Attributes
     ----------

@@ -8,7 +8,6 @@ import pytest
 from glstar.render.motiontable import MotionTable
 from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
 
-
 SECOND = np.arange(0.0, 1.0, 0.02)
 
 
@@ -25,8 +24,8 @@ def test_the_table_has_the_orientation_of_the_attitude_at_any_time(simulator):
     since_s = np.random.default_rng(1).uniform(0.0, exposure.span_s, 2000)
     (expected,) = motion.pointings(exposure.start_utc_s + since_s)
     table = MotionTable.of(motion, exposure).at(since_s)
-    # A thousandth of a pixel.
-    np.testing.assert_allclose(table.C_camera_eq, expected.C_camera_eq, rtol=0, atol=1e-3 / LENS.fx_px)
+    # UTC in seconds is rounded to 2e-7 s, a thousandth of a pixel at the highest rate.
+    np.testing.assert_allclose(table.C_camera_eq, expected.C_camera_eq, rtol=0, atol=3e-3 / LENS.fx_px)
     np.testing.assert_allclose(table.zenith_eq, expected.zenith_eq, rtol=0, atol=1e-9)
     np.testing.assert_allclose(table.velocity_eq, expected.velocity_eq, rtol=0, atol=1e-12)
 
