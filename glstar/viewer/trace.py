@@ -1,6 +1,6 @@
 """Lines of many samples, thinned for a screen of few pixels."""
 
-from math import log2
+from math import inf, log2
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,11 @@ class Trace:
         # Whether each sample is the first of an unbroken segment.
         self._begins = np.append(True, broken)[: x.size]
         self._levels: dict[int, tuple[Float, Float]] = {}
+        # The last part, and the points left of the last one that stayed the same.
+        self._part: tuple[float, ...] = ()
+        self._straight: tuple[tuple[float, ...], tuple[Float, Float]] = (), (x, y)
 
-    def thinned(self, start: float, stop: float, columns: int) -> tuple[Float, Float]:
+    def thinned(self, start: float, stop: float, columns: int, tolerance: float = 0.0) -> tuple[Float, Float]:
         """Return the points that a plot of a given width needs to draw the same picture.
 
         Parameters
@@ -39,6 +42,9 @@ class Trace:
             The part that is shown, in the units of x.
         columns : int
             Its width, px.
+        tolerance : float
+            How far the line may pass by a point, in the units of y.  Such points are left out of a part that stays the
+            same for two calls: while it moves, finding them would take longer than drawing them.
 
         Returns
         -------
@@ -49,11 +55,19 @@ class Trace:
         """
         first, last = self._x.searchsorted((start, stop)).tolist()
         in_a_column = (last - first) / max(columns, 1)
-        x, y = self._level(max(round(log2(in_a_column)), 0) if in_a_column > 0 else 0)
+        level = max(round(log2(in_a_column)), 0) if in_a_column > 0 else 0
+        x, y = self._level(level)
         begin, end = x.searchsorted((start, stop)).tolist()
         # One group and the NaN of a break to either side.
         shown = slice(max(begin - 3, 0), end + 3)
-        return x[shown], y[shown]
+        part: tuple[float, ...] = level, begin, end, tolerance
+        if part != self._part or not tolerance:
+            self._part = part
+            return x[shown], y[shown]
+        if self._straight[0] != part:
+            left = _corners(x[shown], y[shown], tolerance)
+            self._straight = part, (x[shown][left], y[shown][left])
+        return self._straight[1]
 
     def _level(self, level: int) -> tuple[Float, Float]:
         """Return the line with the minimum and the maximum of each 2 ** level samples."""
@@ -79,3 +93,36 @@ class Trace:
         breaks = np.flatnonzero(begins[first][1:]) + 1
         width = x.shape[1]
         return np.insert(x.ravel(), breaks * width, x[breaks, 0]), np.insert(y.ravel(), breaks * width, np.nan)
+
+
+def _corners(x: Float, y: Float, tolerance: float) -> list[int]:
+    """Return the points of a line that the others lie within a tolerance of, above or below.
+
+    The swinging door (Bristol 1990): from the last point kept, a line to each next point is tried, whose slope has to
+    lie between those that pass by all points in between.  The extrema are kept, so that the axis stays the same, and
+    the ends of unbroken parts.
+    """
+    if not np.isfinite(y).any():
+        return list(range(len(y)))
+    breaks = np.flatnonzero(np.isnan(y))
+    fixed = {
+        *breaks.tolist(),
+        *(breaks - 1).tolist(),
+        *(breaks + 1).tolist(),
+        int(np.nanargmin(y)),
+        int(np.nanargmax(y)),
+    }
+    at, height = x.tolist(), y.tolist()
+    kept, last, low, high = [0], 0, -inf, inf
+    for point in range(1, len(at)):
+        run, rise = at[point] - at[last], height[point] - height[last]
+        if run <= 0 or not low <= rise / run <= high:
+            last, low, high = point - 1, -inf, inf
+            kept.append(last)
+            run, rise = at[point] - at[last], height[point] - height[last]
+        if run <= 0 or point in fixed:
+            last, low, high = point, -inf, inf
+            kept.append(last)
+        else:
+            low, high = max(low, (rise - tolerance) / run), min(high, (rise + tolerance) / run)
+    return sorted({*kept, len(at) - 1})

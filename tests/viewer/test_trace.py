@@ -120,3 +120,48 @@ def test_a_trace_may_have_no_sample_or_one(n: int) -> None:
     shown_x, shown_y = Trace(x, y, unbroken(n)).thinned(0.0, 1.0, 500)
 
     assert shown_x.size == shown_y.size == n
+
+
+# --- points that are left out of a part that rests ---
+
+
+@many
+@given(st.integers(2, 3000), st.floats(0.001, 1.0), st.integers(0, 9))
+def test_the_line_passes_within_the_tolerance_of_every_point_left_out(n: int, tolerance: float, seed: int) -> None:
+    # A walk, as an attitude is: straight in some parts and rough in others.
+    x, step = noise(n, seed)
+    y = np.cumsum(step * (np.sin(x / 100) > 0.5)) * 0.1
+    trace = Trace(x, y, unbroken(n))
+    trace.thinned(-1.0, float(n), n, tolerance)
+    shown_x, shown_y = trace.thinned(-1.0, float(n), n, tolerance)
+
+    np.testing.assert_allclose(np.interp(x, shown_x, shown_y), y, rtol=0, atol=tolerance * (1 + 1e-9) + 1e-12)
+    # The axis, which fits the line, does not move.
+    assert (shown_y.min(), shown_y.max()) == (y.min(), y.max())
+
+
+def test_a_straight_line_keeps_its_ends_and_its_breaks() -> None:
+    x = np.arange(1000.0)
+    broken = unbroken(1000)
+    broken[399] = True
+    trace = Trace(x, np.where(x < 400, 2 * x, 2 * x - 2000), broken)
+    moving = trace.thinned(-1.0, 1000.0, 1000, 0.1)
+    at_rest = trace.thinned(-1.0, 1000.0, 1000, 0.1)
+
+    assert moving[0].size == 1001
+    assert [part.tolist() for part in segments(at_rest[1])] == [[0.0, 798.0], [-1200.0, -2.0]]
+    assert at_rest[0][np.isfinite(at_rest[1])].tolist() == [0.0, 399.0, 400.0, 999.0]
+
+
+def test_a_spike_between_samples_of_the_same_time_is_kept() -> None:
+    x = np.repeat(np.arange(50.0), 2)
+    y = np.zeros(100)
+    y[41] = 30.0
+    y[71] = -7.0
+    trace = Trace(x, y, unbroken(100))
+    trace.thinned(-1.0, 50.0, 200, 0.5)
+
+    shown_x, shown_y = trace.thinned(-1.0, 50.0, 200, 0.5)
+    assert shown_y.max() == 30.0
+    assert -7.0 in shown_y
+    assert shown_x[shown_y == -7.0].tolist() == [35.0]

@@ -39,6 +39,8 @@ _SMALL_PX: Final = (100.0, 40.0)
 _PADDING_PX: Final = (6.0, 4.0)
 # Margin above and below the lines, as a fraction of their height.
 _MARGIN: Final = (0.0, 0.05)
+# How far a line may pass by a sample, px.
+_STRAIGHT_PX: Final = 0.1
 # Zoom factor of a notch of the mouse wheel.
 _WHEEL: Final = 1.25
 
@@ -146,6 +148,8 @@ class Timeline:
         self._scrubbing = False
         # Width of the plots when they were drawn last.
         self._width_px = 800.0
+        # What a pixel of its height was then, in the unit of the curve.
+        self._per_px: dict[TimelineCurve, float] = {}
         self._followed_s = first_s
 
     def show(self, lines: FlightLines) -> None:
@@ -248,7 +252,9 @@ class Timeline:
             if self._motion is None:
                 self._motion = motion_traces(self._flight, self._origin_s)
             traces = self._motion[curve]
-        return [trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)) for trace in traces]
+        tolerance = _STRAIGHT_PX * self._per_px.get(curve, 0.0)
+        part = self.axis.start_s, self.axis.stop_s, round(self._width_px)
+        return [trace.thinned(*part, tolerance) for trace in traces]
 
     def _begin(
         self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
@@ -309,6 +315,7 @@ class Timeline:
         for name, (second, value), style in zip(curve.spec.names, points, verticals.palette.lines, strict=False):
             if second.size and name not in self._hidden:
                 implot.plot_line(name, second, value, style)
+        self._per_px[curve] = implot.get_plot_limits(_X1_AXIS, _Y1_AXIS).size().y / implot.get_plot_size().y
         verticals.draw_in_front()
         self._take_mouse(head)
         implot.end_plot()
