@@ -21,12 +21,14 @@ _WIDTH_STEP: Final = 0.02
 _FAINTEST_DN: Final = 0.1 * TRUNCATION_DN
 
 
-def psf_scale(scene: Scene) -> NDArray[np.float64]:
-    """Return the widths of the visible stars over the width on the axis, where they are in the middle of the exposure.
+def psf_scale(scene: Scene, direction_eq: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the widths of stars over the width on the axis, where they are in the middle of the exposure.
 
     Parameters
     ----------
     scene : Scene
+    direction_eq : (k, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
 
     Returns
     -------
@@ -35,15 +37,15 @@ def psf_scale(scene: Scene) -> NDArray[np.float64]:
     """
     psf, camera = scene.sensor.point_spread, scene.camera
     if not psf.psf_growth:
-        return np.ones(len(scene.visible))
+        return np.ones(len(direction_eq))
     centre_px = np.array([camera.cx_px, camera.cy_px])
-    xy_px = camera.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq[scene.visible], below_horizon=True))[0]
+    xy_px = camera.project(scene.shutter[1:2].to_camera(direction_eq, below_horizon=True))[0]
     half_diagonal_px = hypot(camera.width_px, camera.height_px) / 2
     distance = np.linalg.norm(xy_px - centre_px, axis=1) / half_diagonal_px
     # A star that is behind the camera then, or far outside the image, touches it near a corner.
     scale = psf.scale_at(np.minimum(np.nan_to_num(distance, nan=1.0), 1.0))
     steps = np.floor(np.log(scale) / np.log1p(_WIDTH_STEP))
-    return np.asarray((1 + _WIDTH_STEP) ** (steps + 0.5) if psf.psf_growth else np.ones_like(scale))
+    return np.asarray((1 + _WIDTH_STEP) ** (steps + 0.5))
 
 
 def gaussian_scenes(scene: Scene) -> list[Scene]:
@@ -69,7 +71,7 @@ def _split(scene: Scene) -> list[Scene]:
     psf = scene.sensor.point_spread
     if psf.is_gaussian:
         return [scene if scene.sensor.colour.mosaic == "none" else _with_radii(scene)]
-    scales = psf_scale(scene)
+    scales = psf_scale(scene, scene.stars.direction_eq[scene.visible])
     made = []
     for scale in np.unique(scales).tolist():
         stars = scene.with_visible(scales == scale)

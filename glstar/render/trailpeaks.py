@@ -2,12 +2,16 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import sqrt
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.limitingmagnitude import noise_equivalent_area_px2
+from glstar.camera.sensor import Sensor
 from glstar.render.clouds import CloudPassage
+from glstar.render.gaussianscenes import psf_scale
 from glstar.render.rowtimes import RecordedTimes
 from glstar.render.scene import Scene
 from glstar.render.stacking import StackedTrails
@@ -16,6 +20,7 @@ from glstar.render.trailmodels import AnalyticSegments, TrailModel
 __all__ = ["TrailPeaks", "trail_peaks"]
 
 Float = NDArray[np.float64]
+_Stars = slice | NDArray[np.intp]
 
 # Parts of an exposure at whose ends a path is evaluated, at least.
 _MIN_PARTS: Final = 16
@@ -23,8 +28,9 @@ _MIN_PARTS: Final = 16
 _SHORT_SIGMA: Final = 0.5
 # Lines whose ends are farther than their length and this, sigma, add less than 1e-5.
 _FAR_SIGMA: Final = 5.0
-# Closer to the end of a trail than this, sigma, light from beyond is missing.
+# Closer to the end of a trail than this, sigma, light from beyond is missing; that of wings counts too.
 _REACH_SIGMA: Final = 2.0
+_REACH_OF_WINGS_SIGMA: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,23 +79,59 @@ def trail_peaks(
     -----
     The point is where the star is slowest, relative to what cloud transmits, while it is on the image; the light of the
     whole path arrives there, because a vibrating star passes it several times.  The path is a chain of lines, whose
-    light is a Gaussian across and a difference of error functions along.  A star at rest has the area 4 pi sigma^2, and
-    a long trail of length L the area 2 sqrt(pi) sigma L: flux over peak times 2 and times sqrt(2); between them the
-    factor is interpolated.
+    light is a Gaussian across and a difference of error functions along, for each Gaussian of a star's profile.  A
+    Gaussian at rest has the area 4 pi sigma^2, and a long trail of length L the area 2 sqrt(pi) sigma L: flux over peak
+    times 2 and times sqrt(2); other profiles have other factors.  Between them the factor is interpolated.
     """
-    sigma_px = scene.sensor.core.effective_sigma_px
     chains = list(_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)
     found = (_brightest(scene, chain, transmission) for chain, transmission in zip(chains, transmissions, strict=True))
     points, order = zip(*found, strict=True)
     point = points[0] if len(chains) == 1 else _least(np.stack(points), np.stack(order))
     peak, mean = np.zeros(len(point)), np.ones(1) if passage is None else passage.mean
+    profiles = list(_profiles(scene, direction_eq))
     for chain, transmission in zip(chains, transmissions, strict=True):
-        peak += chain.signal_at(point, sigma_px, transmission)
+        for stars, gaussians in profiles:
+            of_stars, passing = chain[stars], None if transmission is None else transmission[:, stars]
+            for fraction, sigma_px, offset_px in gaussians:
+                peak[stars] += fraction * of_stars.signal_at(point[stars] - offset_px, sigma_px, passing)
     dimmed = peak / np.maximum(mean, 1e-30)
-    concentration = np.minimum(2 * np.pi * sigma_px**2 * dimmed, 1.0)
-    factor = np.sqrt(2) + (2 - np.sqrt(2)) * concentration
-    return TrailPeaks(peak, factor / np.maximum(dimmed, 1e-30))
+    return TrailPeaks(peak, _area_factor(scene, direction_eq, dimmed) / np.maximum(dimmed, 1e-30))
+
+
+def _profiles(scene: Scene, direction_eq: Float) -> Iterator[tuple[_Stars, list[tuple[float, float, Float]]]]:
+    """Yield the stars with each profile, and its Gaussians: fraction of the flux, sigma in px, offset (x, y) in px."""
+    sensor = scene.sensor
+    if sensor.point_spread.is_gaussian:
+        yield slice(None), [(1.0, sensor.effective_sigma_px, np.zeros(2))]
+        return
+    scales = psf_scale(scene, direction_eq)
+    for scale in np.unique(scales).tolist():
+        yield (
+            np.flatnonzero(scales == scale),
+            [
+                (one.flux_fraction, sensor.of_component(one).effective_sigma_px, np.array(one.offset_px))
+                for one in sensor.point_spread.components(sensor.psf_sigma_px, scale=scale)
+            ],
+        )
+
+
+def _area_factor(scene: Scene, direction_eq: Float, peak: Float) -> Float:
+    """Return the noise-equivalent areas of trails times their peaks, of a flux of 1."""
+    sensor = scene.sensor
+    at_rest, along_line, rest_px2 = 2.0, sqrt(2.0), 2 * np.pi * sensor.effective_sigma_px**2
+    if not sensor.point_spread.is_gaussian:
+        parts = [
+            (one.flux_fraction, sensor.of_component(one).effective_sigma_px ** 2)
+            for one in sensor.point_spread.circular(sensor.psf_sigma_px)
+        ]
+        rest_px2 = 1 / sum(fraction / (2 * np.pi * variance) for fraction, variance in parts)
+        at_rest = noise_equivalent_area_px2(sensor) / rest_px2
+        pairs = [(f * g, s + t) for f, s in parts for g, t in parts]
+        across = sum(fraction / sqrt(2 * np.pi * variance) for fraction, variance in parts)
+        along_line = across / sum(fraction / sqrt(2 * np.pi * variance) for fraction, variance in pairs)
+    concentration = np.minimum(rest_px2 * peak * psf_scale(scene, direction_eq) ** 2, 1.0)
+    return np.asarray(along_line + (at_rest - along_line) * concentration)
 
 
 def _chains(
@@ -197,6 +239,13 @@ class _Chain:
         length_px[hidden] = 0.0
         return cls(np.nan_to_num(xy_px), step_px, length_px, duration, hidden, recorded)
 
+    def __getitem__(self, stars: _Stars) -> Self:
+        """Return the chain of some stars."""
+        hidden = None if self.hidden is None else self.hidden[:, stars]
+        recorded = None if self.recorded is None else self.recorded[:, stars]
+        parts = self.xy_px[..., stars], self.step_px[..., stars], self.length_px[:, stars], self.duration
+        return type(self)(*parts, hidden, recorded)
+
     def signal_at(self, point: Float, sigma_px: float, transmission: Float | None) -> Float:
         """Return the signal at one point per star, (m,), over the flux of the star, 1/px^2.
 
@@ -238,7 +287,7 @@ def _brightest(scene: Scene, chain: _Chain, transmission: Float | None) -> tuple
     total_px = from_start_px[-1].copy()
     from_start_px -= length_px / 2
     to_end_px = np.minimum(from_start_px, total_px - from_start_px)
-    reaches_px = np.minimum(_REACH_SIGMA * scene.sensor.core.effective_sigma_px, to_end_px.max(axis=0))
+    reaches_px = np.minimum(_reach_px(scene.sensor), to_end_px.max(axis=0))
     order *= np.where(to_end_px < reaches_px, 1e6, 1.0)
     middle = chain.xy_px[:, 1:] + chain.xy_px[:, :-1]
     middle /= 2
@@ -253,6 +302,11 @@ def _brightest(scene: Scene, chain: _Chain, transmission: Float | None) -> tuple
     brightest = middle[:, slowest, stars].T
     size_px = np.array([scene.camera.width_px, scene.camera.height_px])
     return np.asarray(brightest.clip(-0.5, size_px - 0.5)), order[slowest, stars]
+
+
+def _reach_px(sensor: Sensor) -> float:
+    psf, sigma_px = sensor.point_spread, sensor.effective_sigma_px
+    return _REACH_SIGMA * sigma_px if psf.is_gaussian else _REACH_OF_WINGS_SIGMA * sigma_px * (1 + psf.psf_growth)
 
 
 def _density(s: Float, length: Float) -> Float:

@@ -402,7 +402,8 @@ def _widths(scene: Scene, drawn: NDArray[np.intp]) -> dict[str, Float]:
     """Return the column of the widths of stars, if they differ."""
     if not scene.sensor.point_spread.psf_growth:
         return {}
-    return {"psf_sigma_px": _rounded(scene.sensor.psf_sigma_px * psf_scale(scene)[drawn])}
+    scale = psf_scale(scene, scene.stars.direction_eq[scene.visible[drawn]])
+    return {"psf_sigma_px": _rounded(scene.sensor.psf_sigma_px * scale)}
 
 
 def _to_test(frame: Frame) -> Pixels:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import asin, degrees, isfinite, log10, nan, pi, radians, sqrt
+from math import asin, degrees, isfinite, log10, nan, pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,7 +227,7 @@ def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     sensor, duration_s, frames = scene.sensor, scene.exposure.duration_s, scene.exposure.frames
     rest_px2 = noise_equivalent_area_px2(sensor)
     at_rest_mag = limiting_mag(sensor, duration_s, rest_px2, sky_dn=sky_dn, frames=frames)
-    trail_px2 = nan if is_ground else _trail_area_px2(scene, axis, rest_px2)
+    trail_px2 = nan if is_ground else _trail_area_px2(scene, axis)
     trail_mag = nan
     if isfinite(trail_px2):
         trail_mag = limiting_mag(sensor, duration_s, trail_px2, sky_dn=sky_dn, frames=frames)
@@ -238,14 +238,7 @@ def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     return LimitingMagnitude(at_rest_mag - lost_mag, trail_mag - lost_mag, mean)
 
 
-def _trail_area_px2(scene: Scene, direction_eq: Float, rest_px2: float) -> float:
-    """Return the noise-equivalent area of the trail of a star.
-
-    `trail_peaks` has that of the core's Gaussian.  The area of a star at rest grows with the square of the width, that
-    of a long trail with the width.
-    """
+def _trail_area_px2(scene: Scene, direction_eq: Float) -> float:
+    """Return the noise-equivalent area of the trail of a star."""
     recorded = recorded_times(scene, direction_eq[np.newaxis]) if scene.exposure.readout_s else None
-    core_px2 = 4 * pi * scene.sensor.core.effective_sigma_px**2
-    area_px2 = float(trail_peaks(scene, direction_eq[np.newaxis], recorded=recorded).area_px2[0])
-    concentration = min(core_px2 / area_px2, 1.0)
-    return float(area_px2 * sqrt(rest_px2 / core_px2) ** (1 + concentration))
+    return float(trail_peaks(scene, direction_eq[np.newaxis], recorded=recorded).area_px2[0])
