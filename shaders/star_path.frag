@@ -22,6 +22,8 @@
 // Where a long segment continues smoothly into the next, neither has an end: they meet at a joint across the path, whose
 // corners both read from `joint`, so that every pixel belongs to exactly one of them.
 
+// ENDS: 1 for parts of trails near the opening and closing of their rows, whose segments are all drawn by trail_rows.vert.
+
 // SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
 
 uniform sampler2D positions;      // of project_stars.frag
@@ -197,7 +199,7 @@ void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_durati
     float reach_px = radius_px + SNAPPING_PX + (is_short ? 0.0 : 0.1 * abs(path.shape.z) * path.shape.x);
     vec2 bounds = opening_bounds(path, chord, ahead, reach_px);
     bool never = bounds.x >= end || bounds.y + open_time <= begin;
-    bool always = bounds.y <= begin + ROUNDING && bounds.x + open_time >= end - ROUNDING;
+    bool always = ENDS == 0 && bounds.y <= begin + ROUNDING && bounds.x + open_time >= end - ROUNDING;
     vec2 lit = clamp((vec2(bounds.x, bounds.y + open_time) - begin) / max(end - begin, ROUNDING), 0.0, 1.0);
     path.times = vec4(begin, 1.0 / max(end - begin, 1e-9), is_short ? lit : lengths_at(lit, path.flux.y, path.flux.z));
     if (never || always) {
@@ -297,14 +299,19 @@ vec4 boundary_of(Path path) {
 
 void main() {
     int star = int(gl_FragCoord.x), segment = int(gl_FragCoord.y), segments = last_time / 2;
-    Path path = path_of(star, min(segment, segments - 1)), before = path_of(star, max(segment - 1, 0));
+    Path path = path_of(star, min(segment, segments - 1));
     chord = path.chord;
     shape = path.shape;
     flux = path.flux;
-    boundary = boundary_of(path);
 #if ROWS
     times = path.times;
 #endif
+#if ENDS
+    boundary = joint = vec4(0.0);
+#else
+    boundary = boundary_of(path);
     bool has_neighbours = segment > 0 && segment < segments;
+    Path before = path_of(star, max(segment - 1, 0));
     joint = has_neighbours ? joint_between(before, path, projected(star, last_time + 1).y) : vec4(0.0);
+#endif
 }

@@ -34,7 +34,7 @@ Float = NDArray[np.float64]
 
 # Steps of the search for the time at which a star meets an opening row: each divides the error by the speed of the
 # readout over that of the star.
-_STEPS: Final = 5
+_STEPS: Final = 4
 # Speed of stars relative to that of the readout above which no trail is divided.
 _FASTEST: Final = 0.9
 

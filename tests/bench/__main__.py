@@ -2,7 +2,7 @@
 
 From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), over Adelaide at night: the bright stars to
 6.5, rolling, sigma 1.2 px, half a second, in a field with the mean star density of the sky.  Times are medians of some
-rounds, ms.  Prints seven tables, or those chosen by ``--only``:
+rounds, ms.  Prints eight tables, or those chosen by ``--only``:
 
 rates       by image size and turn rate: analytic trails, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
             takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
@@ -17,6 +17,8 @@ stars       by stars of the catalogue, of random ones as the sky has them: 9 tho
 exposures   by exposure, sub-exposures and brightness
 flights     real flights, if their logs are given by ``--logs`` or GLSTAR_BENCH_LOGS, beside the steady turn: medians
             over exposures spread evenly over each flight
+rolling     the same flights with a rolling shutter: processor time of scene, frame and truth, means over fewer
+            exposures, and their sum over that of a global shutter
 """
 
 import argparse
@@ -48,6 +50,7 @@ from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.render.trailmodels import AnalyticSegments
+from glstar.render.truth import frame_truth
 from glstar.sky.starfield import StarField
 from glstar.sky.timescale import parse_utc
 from tests.bench.realflights import add_logs_option, logs_of, missing_logs
@@ -110,7 +113,7 @@ def main() -> None:
                 console.print(TABLES[name](renderer, asked.rounds, size))
             peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             console.print(f"peak memory {peak_mb:.0f} MB")
-        if "flights" in asked.only and (message := missing_logs(asked.logs)):
+        if {"flights", "rolling"} & set(asked.only) and (message := missing_logs(asked.logs)):
             console.print(message, style="bold red")
 
 
@@ -281,16 +284,7 @@ def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
 def flights(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     columns = ("flight", "median stars", "median parts", "scene", "frame", "frame, 95 %", "mean")
     table = _table(f"one exposure of {_size(size)}, ms, trail = auto", columns)
-    turning = _simulator(camera(*size), 10.0)
-    simulators = {"a turn at 10 deg/s": (turning, [Exposure(OPENS_S, 0.5)] * FLIGHT_EXPOSURES)}
-    for name, log in _LOGS.items():
-        settings = Config()
-        flight = settings.open_flight(log)
-        first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
-        exposures = [Exposure(float(start_s), 0.5) for start_s in np.linspace(first_s, last_s - 0.5, FLIGHT_EXPOSURES)]
-        free = [e for e in exposures if flight.attitude.gap_within(e.start_utc_s, e.stop_utc_s) is None]
-        simulators[name] = replace(settings.simulator(flight), camera=camera(*size)), free
-    for name, (simulator, exposures) in simulators.items():
+    for name, (simulator, exposures) in _flown(size, FLIGHT_EXPOSURES).items():
         scenes = [simulator.scene(exposure) for exposure in exposures]
         few = max(2, rounds // 5)
         composed = _median_ms([partial(simulator.scene, exposure) for exposure in exposures], few)
@@ -303,7 +297,44 @@ def flights(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     return table
 
 
-BY_SIZE = ("rates", "flow", "steps", "stages", "stars", "flights")
+def rolling(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    columns = ("flight", "readout, ms", "scene", "frame", "truth", "sum", "over global")
+    table = _table(f"one exposure of {_size(size)}, processor time, ms, trail = auto", columns)
+    few = max(2, rounds // 5)
+    for name, (simulator, exposures) in _flown(size, FLIGHT_EXPOSURES // 3).items():
+        global_ms = 0.0
+        for readout_s in (0.0, 0.023, 0.087):
+            shuttered = [replace(exposure, readout_s=readout_s) for exposure in exposures]
+            scenes = [simulator.scene(exposure) for exposure in shuttered]
+            lines = [partial(frame_truth, one, renderer.render(one, seed=0), number=0, file="frame") for one in scenes]
+            works = (
+                [partial(simulator.scene, exposure) for exposure in shuttered],
+                [*map(partial(_frame, renderer), scenes)],
+            )
+            times = [statistics.fmean(_median_ms(work, few, time.process_time)) for work in (*works, lines)]
+            global_ms = global_ms or sum(times)
+            row = (*times, sum(times))
+            ratio = f"{sum(times) / global_ms:.2f}"
+            table.add_row(name, f"{1e3 * readout_s:g}", *(f"{ms:.1f}" for ms in row), ratio)
+    return table
+
+
+def _flown(size: Size, count: int) -> dict[str, tuple[Simulator, list[Exposure]]]:
+    """Return a steady turn and the real flights, each with some exposures spread evenly over it."""
+    turning = _simulator(camera(*size), 10.0)
+    simulators = {"a turn at 10 deg/s": (turning, [Exposure(OPENS_S, 0.5)] * count)}
+    for name, log in _LOGS.items():
+        settings = Config()
+        flight = settings.open_flight(log)
+        first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
+        starts_s = np.linspace(first_s, last_s - 0.6, count).tolist()
+        exposures = [Exposure(start_s, 0.5) for start_s in starts_s]
+        free = [e for e in exposures if flight.attitude.gap_within(e.start_utc_s, e.stop_utc_s + 0.1) is None]
+        simulators[name] = replace(settings.simulator(flight), camera=camera(*size)), free
+    return simulators
+
+
+BY_SIZE = ("rates", "flow", "steps", "stages", "stars", "flights", "rolling")
 TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
     "rates": rates,
     "flow": flow,
@@ -312,6 +343,7 @@ TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
     "stars": stars,
     "exposures": exposures,
     "flights": flights,
+    "rolling": rolling,
 }
 
 
@@ -384,16 +416,17 @@ def _finish(renderer: GLRenderer) -> None:
         renderer.context.finish()
 
 
-def _median_ms(works: Sequence[Work], rounds: int) -> list[float]:
-    """Return the median times of some functions, ms."""
+def _median_ms(works: Sequence[Work], rounds: int, clock: Callable[[], float] | None = None) -> list[float]:
+    """Return the median times of some functions, ms, by the clock of all tables or another."""
+    now = clock or _clock
     times: list[list[float]] = [[] for _ in works]
     for turn in range(rounds + (rounds > 1)):
         for work, taken in zip(works, times, strict=True):
-            began_s = _clock()
+            began_s = now()
             work()
             # The first round compiles shaders and creates targets.
             if turn or rounds == 1:
-                taken.append(1e3 * (_clock() - began_s))
+                taken.append(1e3 * (now() - began_s))
     return [statistics.median(taken) for taken in times]
 
 

@@ -110,9 +110,9 @@ class TrailPass:
         self._stars = StarTextures(context)
         self._owned.callback(self._stars.release)
         self._positions = _TextureTable(context, 1)
-        # By ROWS of readout.glsl, and draw passes also by whether the point spread function is narrow, and whether
-        # there is a mosaic.
-        self._path_tables: dict[int, _PathTable] = {}
+        # By ROWS of readout.glsl, path tables also by ENDS of star_path.frag, and draw passes by whether the point
+        # spread function is narrow, and whether there is a mosaic.
+        self._path_tables: dict[tuple[int, bool], _PathTable] = {}
         self._draw_passes: dict[tuple[bool, bool, int], list[_DrawPass]] = {}
         try:
             self._make()
@@ -130,7 +130,7 @@ class TrailPass:
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
-        self._path_table(0)
+        self._path_table(0, ends=False)
         for narrow in (False, True):
             self._draw_passes_of(narrow, mosaic=False, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
@@ -172,12 +172,15 @@ class TrailPass:
         if divided is None:
             self._draw_segments(scene, trails, light, guard_band_px, clock)
             return
-        for part in divided.parts:
-            self._piece_pass.draw(part, light, guard_band_px, clock)
+        # First what needs textures to be drawn: software OpenGL stores the target before them and loads it afterwards.
         ends = joined_columns(divided.ends, len(trails)) if divided.ends else None
         if ends is not None:
             self._draw_segments(scene, trails, light, guard_band_px, clock, ends)
-        if len(divided.rest.draw_list):
+        if clock.rows and len(divided.rest.draw_list):
+            self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
+        for part in divided.parts:
+            self._piece_pass.draw(part, light, guard_band_px, clock)
+        if not clock.rows and len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
 
     def _draw_segments(
@@ -190,7 +193,8 @@ class TrailPass:
         columns: SegmentColumns | None = None,
     ) -> None:
         """Draw the trails of a scene in segments, or parts of trails of at most `_SEGMENTS_PER_CALL` segments."""
-        paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
+        ends = columns is not None
+        paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock, ends=ends)
         if scene.draw_list.passage is None:
             self._passage.write_table(np.ones((1, 1), np.float32))
         texels = _segment_texels(trails)
@@ -222,6 +226,8 @@ class TrailPass:
         light: moderngl.Framebuffer,
         guard_band_px: int,
         clock: ReadoutClock,
+        *,
+        ends: bool,
     ) -> tuple["_PathTable", list[_DrawPass]]:
         """Return the path table and the draw passes for a scene, after setting the uniforms of all programs."""
         sensor, camera = scene.sensor, scene.camera
@@ -237,7 +243,7 @@ class TrailPass:
             skew_px=camera.skew_px,
             guard_band_px=guard_band_px,
         )
-        paths = self._path_table(clock.rows)
+        paths = self._path_table(clock.rows, ends=ends)
         set_uniforms(
             paths.program,
             sigma_px=sigma_px,
@@ -254,6 +260,7 @@ class TrailPass:
             "sigma_px": sigma_px,
         }
         draw_passes = self._draw_passes_of(narrow, sensor.colour.mosaic != "none", clock.rows)
+        draw_passes = [one for one in draw_passes if one.shape in _ROW_SHAPES or not ends]
         for program, *_ in draw_passes:
             set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
             clock.bind(program, sigma_px)
@@ -295,9 +302,9 @@ class TrailPass:
                 vertex_array.render(shape.mode, vertices=shape.vertices * len(primitives))
         self._context.enable_only(moderngl.NOTHING)
 
-    def _path_table(self, rows: int) -> "_PathTable":
-        """Return the path pass for one value of ROWS."""
-        if rows not in self._path_tables:
+    def _path_table(self, rows: int, *, ends: bool) -> "_PathTable":
+        """Return the path pass for one value of ROWS and of ENDS."""
+        if (rows, ends) not in self._path_tables:
             program = self._own(
                 linked(
                     self._context,
@@ -307,6 +314,7 @@ class TrailPass:
                     MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
                     MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
                     ROWS=rows,
+                    ENDS=int(ends),
                 )
             )
             units = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
@@ -314,8 +322,8 @@ class TrailPass:
             vertex_array = self._own(self._context.vertex_array(program, []))
             textures = _TextureTable(self._context, len(_PATH_TEXTURES) if rows else len(_PATH_TEXTURES) - 1)
             self._owned.callback(textures.release)
-            self._path_tables[rows] = _PathTable(program, vertex_array, textures)
-        return self._path_tables[rows]
+            self._path_tables[rows, ends] = _PathTable(program, vertex_array, textures)
+        return self._path_tables[rows, ends]
 
     def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int) -> list[_DrawPass]:
         """Return the draw passes for narrow or wide point spread functions, with a mosaic, and one value of ROWS."""
@@ -393,7 +401,7 @@ class _TextureTable:
 
 
 class _PathTable(NamedTuple):
-    """The path pass for one value of ROWS, and the textures that it fills."""
+    """The path pass for one value of ROWS and of ENDS, and the textures that it fills."""
 
     program: moderngl.Program
     vertex_array: moderngl.VertexArray
