@@ -6,7 +6,7 @@ segments.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,18 +14,23 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.horizoncrossing import NEVER, rise_and_set
+from glstar.render.motiontable import MotionTable
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.rotation import turn_from_matrix
 
 __all__ = [
+    "DividedTrails",
     "OpenPieces",
+    "OpenSpans",
     "PixelOpenings",
     "SegmentColumns",
     "columns_around",
+    "divided_trails",
     "joined_columns",
     "open_pieces",
+    "open_spans",
     "overtaking",
     "whole_trails",
 ]
@@ -35,6 +40,10 @@ Float = NDArray[np.float64]
 # Steps of the search for the time at which a star meets an opening row: each divides the error by the speed of the
 # readout over that of the star.
 _STEPS: Final = 4
+# Further than a star is drawn, px: what a quadratic between the times of segments may be off.
+_PATH_PX: Final = 0.5
+# Segments are divided where the longest trail is longer than this during each, standard deviations.
+_WORTH_SIGMA: Final = 30.0
 # Speed of stars relative to that of the readout above which no trail is divided.
 _FASTEST: Final = 0.9
 
@@ -157,26 +166,37 @@ def overtaking(trails: AnalyticSegments, camera: Camera, openings: PixelOpenings
     return float(rate_rad.max() * camera.max_px_per_rad * openings.per_px)
 
 
-def open_pieces(
-    scene: Scene, pointing: Pointing, ends: Float, reach_px: Float, openings: PixelOpenings
-) -> OpenPieces | None:
-    """Return which pieces of the trails of a scene's stars are recorded in full.
+class OpenSpans(NamedTuple):
+    """When all rows are open that a star lights, of k stars, and when any of them is: fractions of the exposure.
+
+    Attributes
+    ----------
+    begin, end : (k,) float64
+        All are open from the first to the second, if that is later; NaN if unknown.
+    opens, closes : (k,) float64
+        Bounds of the times at which the first one opens, and the last one closes.
+    """
+
+    begin: Float
+    end: Float
+    opens: Float
+    closes: Float
+
+
+def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSpans | None:
+    """Return when all rows are open that the stars of a scene light.
 
     Parameters
     ----------
     scene : Scene
         Its stars are up throughout the exposure.
-    pointing : Pointing
-        The mean orientation during each of n pieces.
-    ends : (n + 1,) float64
-        Where pieces begin and end, fractions of the exposure.
     reach_px : (k,) float64
-        How far from its mean position during a piece each star is drawn.
+        How far from its position each star is drawn.
     openings : PixelOpenings
 
     Returns
     -------
-    OpenPieces or None
+    OpenSpans or None
         None where stars may be as fast as the readout.
 
     Notes
@@ -184,27 +204,87 @@ def open_pieces(
     A star at p(t) meets an opening row at t = o(p(t)).  Where it is slower than the readout, o(p(t)) is a contraction:
     there is one solution, within the last step of an iteration times r / (1 - r), r the ratio of the speeds.
     """
-    assert isinstance(scene.trails, AnalyticSegments)
-    ratio = overtaking(scene.trails, scene.camera, openings)
+    trails = scene.trails
+    assert isinstance(trails, AnalyticSegments)
+    ratio = overtaking(trails, scene.camera, openings)
     if ratio > _FASTEST:
         return None
-    direction_eq = np.tile(scene.stars.direction_eq[scene.draw_list.index], (2, 1))
-    margin = openings.per_px * reach_px * np.array([[1.0], [-1.0]])
+    own = trails.pointing
     # Behind no horizon: the stars are up.
-    plain = Pointing(pointing.C_camera_eq, pointing.zenith_eq, pointing.velocity_eq, pointing.refraction_scale)
+    plain = Pointing(own.C_camera_eq, own.zenith_eq, own.velocity_eq, own.refraction_scale)
+    table = MotionTable(np.concatenate([[0.0], np.cumsum(trails.time_fraction)]), plain)
+    direction_eq = np.tile(scene.stars.direction_eq[scene.draw_list.index], (2, 1))
+    margin = openings.per_px * (reach_px + _PATH_PX) * np.array([[1.0], [-1.0]])
     is_closing = np.array([[0.0], [1.0]])
     time = np.zeros_like(margin) + is_closing
     for _ in range(_STEPS):
-        piece = (np.searchsorted(ends, time.ravel(), side="right") - 1).clip(0, len(ends) - 2)
-        xy_px = scene.camera.pinhole.project(plain[piece].each_to_camera(direction_eq))
+        xy_px = scene.camera.pinhole.project(table.at(np.nan_to_num(time.ravel())).each_to_camera(direction_eq))
         opens = (openings.at(xy_px).reshape(margin.shape) + margin).clip(0.0, 1.0 - openings.open_time)
         before, time = time, opens + is_closing * openings.open_time
     error = np.abs(time - before) * (ratio / (1 - ratio))
-    opens_late, closes_early = time[0] + error[0], time[1] - error[1]
-    first = np.searchsorted(ends, np.nan_to_num(opens_late, nan=1.0))
-    last = np.searchsorted(ends, np.nan_to_num(closes_early, nan=0.0), side="right") - 1
+    begin, end = time[0] + error[0], time[1] - error[1]
     around = 2 * (margin[0] / (1 - ratio) + error)
-    return OpenPieces(first, np.maximum(first, last), opens_late - around[0], closes_early + around[1])
+    return OpenSpans(begin, end, begin - around[0], end + around[1])
+
+
+def open_pieces(scene: Scene, ends: Float, reach_px: Float, openings: PixelOpenings) -> OpenPieces | None:
+    """Return which pieces of the trails of a scene's stars are recorded in full.
+
+    Parameters
+    ----------
+    scene, reach_px, openings
+        As of `open_spans`.
+    ends : (n + 1,) float64
+        Where pieces begin and end, fractions of the exposure.
+
+    Returns
+    -------
+    OpenPieces or None
+        None where stars may be as fast as the readout.
+    """
+    spans = open_spans(scene, reach_px, openings)
+    if spans is None:
+        return None
+    first = np.searchsorted(ends, np.nan_to_num(spans.begin, nan=1.0))
+    last = np.searchsorted(ends, np.nan_to_num(spans.end, nan=0.0), side="right") - 1
+    return OpenPieces(first, np.maximum(first, last), spans.opens, spans.closes)
+
+
+class DividedTrails(NamedTuple):
+    """The trails of a scene's stars in parts.
+
+    Attributes
+    ----------
+    while_open : SegmentColumns
+        While all rows are open that a star lights.
+    ends : SegmentColumns or None
+        Before and after, of the same stars; None of none.
+    whole : SegmentColumns
+        The trails of the other stars, which rise or set.
+    """
+
+    while_open: SegmentColumns
+    ends: SegmentColumns | None
+    whole: SegmentColumns
+
+
+def divided_trails(scene: Scene, trails: AnalyticSegments, openings: PixelOpenings) -> DividedTrails | None:
+    """Return the trails of a scene in parts; None where that costs more, or stars may be as fast as the readout."""
+    sigma_px, radius_px = scene.sensor.effective_sigma_px, scene.draw_list.truncation_radius_px
+    if trails.longest_trail_px(scene.camera) < _WORTH_SIGMA * sigma_px * len(trails):
+        return None
+    spans = open_spans(scene, openings.reach * radius_px, openings)
+    if spans is None:
+        return None
+    whole = whole_trails(scene, trails)
+    is_split = (whole.rises_and_sets == [0.0, NEVER]).all(axis=1) & (spans.end > spans.begin)
+    of_split = OpenSpans(*(values[is_split] for values in tuple(spans)))
+    around = _columns_around(
+        trails, whole.star[is_split], of_split.begin, of_split.end, of_split.opens, of_split.closes
+    )
+    times = np.column_stack([of_split.begin, of_split.end])
+    while_open = replace(whole.of(is_split), rises_and_sets=times)
+    return DividedTrails(while_open, joined_columns([around], len(trails)), whole.of(~is_split))
 
 
 def columns_around(
@@ -226,14 +306,17 @@ def columns_around(
     -------
     SegmentColumns
     """
-    begins, stops = ends[pieces.first], ends[pieces.last]
-    parts = np.concatenate([np.column_stack([pieces.opens, begins]), np.column_stack([stops, pieces.closes])])
+    return _columns_around(trails, stars, ends[pieces.first], ends[pieces.last], pieces.opens, pieces.closes)
+
+
+def _columns_around(
+    trails: AnalyticSegments, stars: NDArray[np.intp], begins: Float, stops: Float, opens: Float, closes: Float
+) -> SegmentColumns:
+    """Return the parts of trails from an opening to the begin of another part, and from its end to a closing."""
+    parts = np.concatenate([np.column_stack([opens, begins]), np.column_stack([stops, closes])])
     parts = parts.clip(0.0, 1.0)
     marks = np.concatenate([[0.0], np.cumsum(trails.time_fraction)])
     first = (np.searchsorted(marks, parts[:, 0], side="right") - 1).clip(0, len(trails) - 1)
     last = (np.searchsorted(marks, parts[:, 1]) - 1).clip(0, len(trails) - 1)
-    rises_and_sets = np.zeros((len(parts), 2))
-    rises_and_sets[: len(stars), 1] = begins
-    rises_and_sets[len(stars) :] = np.column_stack([stops, np.full(len(stars), NEVER)])
-    columns = SegmentColumns(np.tile(stars, 2), rises_and_sets, first, np.maximum(last - first + 1, 1))
+    columns = SegmentColumns(np.tile(stars, 2), parts, first, np.maximum(last - first + 1, 1))
     return columns.of(parts[:, 1] > parts[:, 0])

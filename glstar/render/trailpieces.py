@@ -257,7 +257,7 @@ def _recorded(
     assert isinstance(scene.trails, AnalyticSegments)
     times = np.concatenate([[0.0], np.cumsum(part.pieces.time_fraction)])
     reach_px = openings.reach * limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
-    recorded = open_pieces(scene, part.pieces.pointing, times, reach_px, openings)
+    recorded = open_pieces(scene, times, reach_px, openings)
     if recorded is None:
         return None
     some = recorded.last > recorded.first

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.render.horizoncrossing import NEVER
-from glstar.render.openpieces import PixelOpenings
+from glstar.render.openpieces import PixelOpenings, divided_trails
 from glstar.render.trailpieces import PieceCosts, in_pieces
-from tests.render.test_pathfit import EXPOSURE, LENS, rough
+from tests.render.test_pathfit import EXPOSURE, LENS, flown, rough
 
 FREE = PieceCosts(min_segments=1, pieces_per_segment=np.inf)
 TIMES = 2001
+SECOND = np.arange(0.0, 1.0, 0.02)
 
 
 def openings_of(exposure: Exposure) -> PixelOpenings:
@@ -51,7 +51,7 @@ def test_every_piece_is_drawn_while_all_rows_of_the_star_are_open_and_the_rest_i
             # Little more than one piece at either end, and what the wings take, is left for segments.
             assert np.count_nonzero(is_open & ~in_piece) < TIMES * (4 * np.diff(ends).max() + 6 * reach)
             mine = scene.draw_list.index[columns.star] == drawn.index[star]
-            assert {tuple(times) for times in columns.rises_and_sets[mine]} <= {(0.0, begin), (stop, NEVER)}
+            assert all(sets == begin or rises == stop for rises, sets in columns.rises_and_sets[mine])
             is_lit = (time >= earliest) & (time <= latest + openings.open_time) & ((time < begin) | (time > stop))
             covered = np.zeros(TIMES, np.bool_)
             for (rises, sets), first, count in zip(
@@ -67,3 +67,26 @@ def test_no_trail_is_divided_where_stars_may_be_as_fast_as_the_readout():
     slow = replace(openings, per_px=1e3 * openings.per_px)
     assert in_pieces(scene, scene.trails, FREE, openings=openings) is not None
     assert in_pieces(scene, scene.trails, FREE, openings=slow) is None
+
+
+def test_the_parts_of_a_long_trail_in_segments_join_and_the_middle_one_is_lit_in_full():
+    exposure = replace(EXPOSURE, readout_s=0.087)
+    turn = flown(SECOND, np.deg2rad([40.0 * SECOND, 0 * SECOND, 0 * SECOND]))
+    openings, scene = openings_of(exposure), turn.scene(exposure)
+    divided = divided_trails(scene, scene.trails, openings)
+    assert divided is not None
+    assert len(divided.whole.star) + len(divided.while_open.star) == len(scene.draw_list)
+    time = np.linspace(0.0, 1.0, TIMES)
+    xy_px = scene.positions(scene.stars.direction_eq[scene.draw_list.index], time)
+    for star, (begin, end) in list(zip(divided.while_open.star, divided.while_open.rises_and_sets, strict=True))[::9]:
+        since, reach = openings.at(xy_px[:, star]), openings.per_px * scene.draw_list.truncation_radius_px[star]
+        earliest, latest = (np.clip(since + off, 0.0, 1 - openings.open_time) for off in (-reach, reach))
+        inside = (time > begin) & (time < end)
+        assert (time[inside] >= latest[inside]).all()
+        assert (time[inside] <= earliest[inside] + openings.open_time).all()
+        assert end - begin > openings.open_time - 0.02 - 6 * reach
+        parts = divided.ends.rises_and_sets[divided.ends.star == star]
+        is_lit = (time >= earliest) & (time <= latest + openings.open_time) & ~inside
+        covered = [(time >= rises) & (time <= sets) for rises, sets in parts]
+        assert not (is_lit & ~np.any(covered, axis=0) & (time != begin) & (time != end)).any()
+        assert all(sets == begin or rises == end for rises, sets in parts)

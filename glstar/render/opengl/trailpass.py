@@ -1,6 +1,7 @@
 """The trail pass: analytic trails, one sprite or quad per star and segment of the exposure."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, Final, NamedTuple, TypeVar
 
 import moderngl
@@ -14,7 +15,7 @@ from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texel
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
-from glstar.render.openpieces import SegmentColumns, joined_columns, whole_trails
+from glstar.render.openpieces import SegmentColumns, divided_trails, joined_columns, whole_trails
 from glstar.render.scene import Scene
 from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.render.trailmodels import AnalyticSegments
@@ -165,23 +166,44 @@ class TrailPass:
         clock : ReadoutClock
             When the pixels of the target open.
         """
-        divided = None
-        if not clock.rows or len(trails) <= _SEGMENTS_PER_CALL:
-            openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
-            divided = in_pieces(scene, trails, largest_point_px=self._point_size_px, openings=openings)
-        if divided is None:
+        openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
+        if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
             self._draw_segments(scene, trails, light, guard_band_px, clock)
+            return
+        divided = in_pieces(scene, trails, largest_point_px=self._point_size_px, openings=openings)
+        if divided is None:
+            self._draw_trails(scene, trails, light, guard_band_px, clock)
             return
         # First what needs textures to be drawn: software OpenGL stores the target before them and loads it afterwards.
         ends = joined_columns(divided.ends, len(trails)) if divided.ends else None
         if ends is not None:
-            self._draw_segments(scene, trails, light, guard_band_px, clock, ends)
+            self._draw_segments(scene, trails, light, guard_band_px, clock, ends, ends=True)
         if clock.rows and len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
         for part in divided.parts:
             self._piece_pass.draw(part, light, guard_band_px, clock)
         if not clock.rows and len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
+
+    def _draw_trails(
+        self,
+        scene: Scene,
+        trails: AnalyticSegments,
+        light: moderngl.Framebuffer,
+        guard_band_px: int,
+        clock: ReadoutClock,
+    ) -> None:
+        """Draw the trails of a scene in segments; where all rows are open, as under a global shutter."""
+        openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
+        divided = None if openings is None else divided_trails(scene, trails, openings)
+        if divided is None:
+            self._draw_segments(scene, trails, light, guard_band_px, clock)
+            return
+        if divided.ends is not None:
+            self._draw_segments(scene, trails, light, guard_band_px, clock, divided.ends, ends=True)
+        for parts, how in ((divided.while_open, replace(clock, rows=0)), (divided.whole, clock)):
+            if len(parts.star):
+                self._draw_segments(scene, trails, light, guard_band_px, how, parts)
 
     def _draw_segments(
         self,
@@ -190,16 +212,17 @@ class TrailPass:
         light: moderngl.Framebuffer,
         guard_band_px: int,
         clock: ReadoutClock,
-        columns: SegmentColumns | None = None,
+        parts: SegmentColumns | None = None,
+        *,
+        ends: bool = False,
     ) -> None:
-        """Draw the trails of a scene in segments, or parts of trails of at most `_SEGMENTS_PER_CALL` segments."""
-        ends = columns is not None
+        """Draw the trails of a scene, or parts of them, in segments; ends have at most `_SEGMENTS_PER_CALL`."""
         paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock, ends=ends)
         if scene.draw_list.passage is None:
             self._passage.write_table(np.ones((1, 1), np.float32))
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
-        parts = whole_trails(scene, trails) if columns is None else columns
+        parts = whole_trails(scene, trails) if parts is None else parts
         field, chosen = self._stars.of(scene.stars), _texels_of_parts(scene, parts)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
@@ -215,8 +238,8 @@ class TrailPass:
                     segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
                     self._passage.write_table(drawn.passage[stars, segments].T)
                 near = _near_image(scene, trails, times, stars)
-                if columns is not None:
-                    near = columns.of(some).rows_of(near)
+                if ends:
+                    near = parts.of(some).rows_of(near)
                 self._draw(paths, draw_passes, field, chosen[:, some], near, light)
 
     def _with_uniforms(
