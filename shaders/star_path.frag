@@ -199,10 +199,10 @@ void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_durati
     float reach_px = radius_px + SNAPPING_PX + (is_short ? 0.0 : 0.1 * abs(path.shape.z) * path.shape.x);
     vec2 bounds = opening_bounds(path, chord, ahead, reach_px);
     bool never = bounds.x >= end || bounds.y + open_time <= begin;
-    bool always = ENDS == 0 && bounds.y <= begin + ROUNDING && bounds.x + open_time >= end - ROUNDING;
+    bool always = bounds.y <= begin + ROUNDING && bounds.x + open_time >= end - ROUNDING;
     vec2 lit = clamp((vec2(bounds.x, bounds.y + open_time) - begin) / max(end - begin, ROUNDING), 0.0, 1.0);
     path.times = vec4(begin, 1.0 / max(end - begin, 1e-9), is_short ? lit : lengths_at(lit, path.flux.y, path.flux.z));
-    if (never || always) {
+    if (never || (always && ENDS == 0)) {
         path.flux.w = never ? NOTHING : path.flux.w;
         return;
     }
