@@ -53,6 +53,7 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
         "falloff_sky_low": sky[:4],
         "falloff_sky_high": sky[4:],
         "falloff_largest_q": fit.largest_q,
+        "falloff_bend": fit.bend,
         "falloff_focal_px": (camera.fx_px, camera.fy_px),
         "falloff_principal_px": (camera.cx_px, camera.cy_px),
         "falloff_skew_px": camera.skew_px,
@@ -82,12 +83,12 @@ LENS_FALLOFF = Effect(
     truth=_truth,
     is_active=lambda values: values["vignetting"] in {"cos4", "polynomial"},
     glsl="""\
-// Transmission for stars, and what the uniform sky differs from them, DN: polynomials of degree 7 in q.
+// Transmission for stars, and what the uniform sky differs from them, DN: polynomials of degree 7 in w.
 uniform vec4 falloff_star_low, falloff_star_high, falloff_sky_low, falloff_sky_high;
 uniform vec2 falloff_focal_px, falloff_principal_px;
-uniform float falloff_largest_q, falloff_skew_px;
+uniform float falloff_largest_q, falloff_bend, falloff_skew_px;
 
-// Value, slope and half of the second derivative of a polynomial at q, by Horner's rule.
+// Value, slope and half of the second derivative of a polynomial, by Horner's rule.
 vec3 falloff_series(float q, vec4 low, vec4 high) {
     vec3 found = vec3(high.z + q * high.w, high.w, 0.0);
     found = found * q + vec3(high.y, found.xy);
@@ -99,8 +100,8 @@ vec3 falloff_series(float q, vec4 low, vec4 high) {
 }
 
 // The same at columns around the middle: quadratic in px between the four quads, linear in each of them.
-vec4 falloff_around(vec3 of_q, vec2 q_per_px, float quad_px) {
-    vec3 of_px = vec3(of_q.x, of_q.y * q_per_px.x, of_q.y * q_per_px.y + of_q.z * q_per_px.x * q_per_px.x);
+vec4 falloff_around(vec3 of_w, vec2 w_per_px, float quad_px) {
+    vec3 of_px = vec3(of_w.x, of_w.y * w_per_px.x, of_w.y * w_per_px.y + of_w.z * w_per_px.x * w_per_px.x);
     float slope = of_px.y + 2.0 * quad_px * of_px.z;
     return of_px.x + quad_px * (of_px.y + quad_px * of_px.z) + vec4(-1.5, -0.5, 0.5, 1.5) * slope;
 }
@@ -113,10 +114,14 @@ vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
     // Slope and half of the second derivative of q along the row; the lens shows nothing beyond the largest q.
     vec2 q_per_px = vec2(2.0 * x, 1.0 / falloff_focal_px.x) / (falloff_focal_px.x * falloff_largest_q);
     q_per_px = q < 1.0 ? q_per_px : vec2(0.0);
-    vec3 star = falloff_series(min(q, 1.0), falloff_star_low, falloff_star_high);
-    vec3 sky = falloff_series(min(q, 1.0), falloff_sky_low, falloff_sky_high);
+    q = min(q, 1.0);
+    float bent = 1.0 / (1.0 + falloff_bend * q), w = (1.0 + falloff_bend) * q * bent;
+    float w_per_q = (1.0 + falloff_bend) * bent * bent;
+    vec2 w_per_px = w_per_q * vec2(q_per_px.x, q_per_px.y - falloff_bend * bent * q_per_px.x * q_per_px.x);
+    vec3 star = falloff_series(w, falloff_star_low, falloff_star_high);
+    vec3 sky = falloff_series(w, falloff_sky_low, falloff_sky_high);
     float quad_px = columns_px(quad).x + 1.5 - middle_column_px();
-    return signal_dn * falloff_around(star, q_per_px, quad_px) + falloff_around(sky, q_per_px, quad_px);
+    return signal_dn * falloff_around(star, w_per_px, quad_px) + falloff_around(sky, w_per_px, quad_px);
 }
 """,
 )
