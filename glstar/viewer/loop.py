@@ -15,6 +15,7 @@ from glstar.errors import GlstarError, RenderError
 from glstar.link import Endpoint, Link
 from glstar.render.opengl import GLRenderer
 from glstar.sky.timescale import CLOCK_GRAIN_S
+from glstar.system.heap import share_one_heap
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.overlays import Overlay
@@ -100,6 +101,7 @@ class Viewer:
         output: Path | None = None,
         memory: WindowMemory | None = None,
     ) -> None:
+        share_one_heap()  # before there are threads that read logs and write files
         self._surface = surface
         self._owned = ExitStack()
         try:

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+NAMES = ("MALLOC_ARENA_MAX", "MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 # Frees blocks of 64 KB that together are 30 MB, and prints what the process still holds of them, bytes.
 PROGRAM = """
 import ctypes
@@ -29,10 +30,45 @@ print(keeps, resident() - before)
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has the setting")
 @pytest.mark.parametrize(("chosen", "keeps"), [({}, True), ({"MALLOC_TRIM_THRESHOLD_": "131072"}, False)])
 def test_freed_memory_stays_unless_the_environment_chooses_otherwise(monkeypatch, chosen, keeps):
-    for name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"):
+    for name in NAMES:
         monkeypatch.delenv(name, raising=False)
     for name, value in chosen.items():
         monkeypatch.setenv(name, value)
     answer = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout.split()
     assert answer[0] == str(keeps)
     assert (int(answer[1]) > 20_000_000) == keeps
+
+
+# Eight threads allocate and free 30 MB each, one after the other, and live on; prints what the process still holds.
+THREADS = (
+    PROGRAM[: PROGRAM.index("before =")]
+    + """
+import threading
+from glstar.system.heap import share_one_heap
+shares = share_one_heap()
+before, end = resident(), threading.Event()
+def work(done):
+    blocks = [libc.malloc(65000) for _ in range(460)]
+    for block in blocks:
+        ctypes.memset(block, 1, 65000)
+    for block in reversed(blocks):
+        libc.free(block)
+    done.set()
+    end.wait()
+for _ in range(8):
+    done = threading.Event()
+    threading.Thread(target=work, args=(done,)).start()
+    done.wait()
+print(shares, resident() - before)
+end.set()
+"""
+)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has the setting")
+def test_all_threads_together_keep_what_one_thread_keeps(monkeypatch):
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+    answer = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, check=True).stdout.split()
+    assert answer[0] == "True"
+    assert int(answer[1]) < 60_000_000
