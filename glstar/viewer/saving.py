@@ -33,6 +33,8 @@ __all__ = [
 
 # Frame rate of a video that is recorded while the viewer is used, 1/s.
 SCREEN_FRAMES_PER_S: Final = 30.0
+# Suffixes of the files that the window saves beside frames; other names are those of directories.
+_FILES: Final = frozenset({".png", ".mp4", ".md", ".tlog"})
 
 
 def save_frame(session: Session) -> None:
@@ -227,7 +229,7 @@ def unused_path(path: Path) -> Path:
     Parameters
     ----------
     path : Path
-        A PNG or MP4 file, or a directory of frames, beside which are its settings and, of a live flight, its table.
+        A file of `_FILES`, or a directory of frames, beside which are its settings and, of a live flight, its table.
 
     Returns
     -------
@@ -235,7 +237,7 @@ def unused_path(path: Path) -> Path:
     """
     number = 2
     chosen = path
-    is_file = path.suffix in {".png", ".mp4"}
+    is_file = path.suffix in _FILES
     beside = ("",) if is_file else ("", ".toml", ".csv")
     while any(chosen.with_name(chosen.name + suffix).exists() for suffix in beside):
         chosen = path.with_name(f"{path.stem}-{number}{path.suffix}" if is_file else f"{path.name}-{number}")

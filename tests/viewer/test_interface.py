@@ -15,6 +15,7 @@ from glstar.viewer.keys import KEYS, Action, key_of
 from glstar.viewer.loop import Viewer
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
+from glstar.viewer.saving import unused_path
 from glstar.viewer.ui.interface import Interface
 from glstar.viewer.ui.keyboard import parse_chord
 from glstar.viewer.window import text_scale
@@ -435,3 +436,17 @@ def test_no_control_is_cut_off(small, log, tmp_path, size, scale, text):
         panel = imgui.internal.find_window_by_name("Time")
         assert panel.content_size.y <= panel.size.y
     surface.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "second"),
+    [
+        ("problem-report.md", "problem-report-2.md"),
+        ("link-20240310.tlog", "link-20240310-2.tlog"),
+        ("adelaide-12.5s", "adelaide-12.5s-2"),
+    ],
+)
+def test_a_second_file_of_the_same_name_keeps_its_suffix(tmp_path, name, second):
+    assert unused_path(tmp_path / name) == tmp_path / name
+    (tmp_path / name).touch()
+    assert unused_path(tmp_path / name) == tmp_path / second

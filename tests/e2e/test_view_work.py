@@ -1,0 +1,252 @@
+"""A session of work in one real window, by mouse and keys: each step is checked by what it writes, or by the screen."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from glstar.config import Config
+from glstar.sky.timescale import parse_utc
+from glstar.system.resources import asset
+from tests.e2e.test_view import GLSTAR, needs_xvfb, started, until
+from tests.e2e.test_view_panels import Places, display
+from tests.support.links import soon
+from tests.support.realwindow import RealWindow
+from tests.viewer.test_missing import dataflash
+
+pytest.importorskip("Xlib", reason="needs python-xlib")
+from tests.support.dragsource import drag_onto_window  # noqa: E402
+
+__all__ = ["display"]
+
+PLACES = Places(1280, 800)
+# Parts of the window: the tour, the times below the timeline, the menus, the image, and the panel on the right.
+TOUR, TIMES, MENUS = np.s_[482:660, 1004:1266], np.s_[748:764, 60:880], np.s_[2:22, :600]
+IMAGE, RIGHT = np.s_[60:490, 160:780], np.s_[60:780, 960:1270]
+# Colours of arrows of residuals, of rings around identified stars, and of highlights: blue, green, red.
+ARROW, RING, ACCENT = (242, 217, 51), (168, 224, 97), (237, 168, 107)
+
+
+def count(part: np.ndarray, colour: tuple[int, int, int]) -> int:
+    """Return how many pixels have about this colour."""
+    return int((np.abs(part.astype(int) - colour) < 14).all(axis=2).sum())
+
+
+def changed(first: np.ndarray, second: np.ndarray) -> int:
+    """Return how many pixels differ."""
+    return int((first != second).any(axis=2).sum())
+
+
+class Work:
+    """A window, and what is saved from it.
+
+    Parameters
+    ----------
+    window : RealWindow
+    saved : Path
+        The folder of what it saves.
+    """
+
+    def __init__(self, window: RealWindow, saved: Path) -> None:
+        self.window, self.saved = window, saved
+
+    def until_changed(self, part: Any, press: str, what: str, pixels: int = 100) -> np.ndarray:
+        """Press keys until a part of the screen differs, and return the screen."""
+        before = self.window.still()
+        return self.window.until(
+            lambda screen: changed(screen[part], before[part]) > pixels, what, again=lambda: self.window.press(press)
+        )
+
+    def command(self, name: str) -> None:
+        """Perform a command by its name in the palette."""
+        self.until_changed(np.s_[60:200, 300:700], "ctrl+p", "the list of commands", 1000)
+        self.window.write(name)
+        self.window.press("Return")
+
+    def until_saved(self, pattern: str, act: Callable[[], None]) -> Path:
+        """Do something until there is a new file that ends with a line, and return its path."""
+        before = set(self.saved.glob(pattern))
+
+        def new() -> list[Path]:
+            return [path for path in set(self.saved.glob(pattern)) - before if path.read_text().endswith("\n")]
+
+        until(lambda: act() or soon(new, 8.0), pattern)
+        return new()[0]
+
+    def truth(self) -> dict[str, Any]:
+        """Save the frame shown, and return its truth."""
+        truth = self.until_saved("*/truth.jsonl", lambda: self.window.press("ctrl+s"))
+        return dict(json.loads(truth.read_text()))
+
+
+def follow_tour(work: Work) -> None:
+    """Go a step on in the tour of the first start, and end it."""
+    window = work.window
+    first = window.until(lambda screen: count(screen[TOUR], ACCENT) > 60, "the tour")
+    window.until(
+        lambda screen: changed(screen[TOUR], first[TOUR]) > 400, "a step", again=lambda: window.click(1035, 636)
+    )
+    window.until(
+        lambda screen: count(screen[TOUR], ACCENT) < 20, "the end of the tour", again=lambda: window.click(1155, 636)
+    )
+    window.away()
+
+
+def change_time(work: Work) -> None:
+    """Type a time, and export what is between the in and out points."""
+    window = work.window
+    first = window.still()
+
+    def type_time() -> None:
+        window.click(60, 577)
+        window.press("ctrl+a")
+        window.write("12.6")
+        window.press("Return")
+        window.away()
+
+    window.until(lambda screen: changed(screen[IMAGE], first[IMAGE]) > 2000, "the sky at 12.6 s", again=type_time)
+    assert work.truth()["frame"] == 4  # one every 3 s
+    window.press("shift+i", *2 * ["shift+Right"], "shift+o")
+    work.until_changed(RIGHT, "ctrl+e", "the dialog of the export", 10000)
+    exported = work.until_saved("adelaide-frames/truth.jsonl", lambda: window.press("Return"))
+    [only] = map(json.loads, exported.read_text().splitlines())
+    # Exposures are counted from the in point.
+    begins_s = Config().open_flight(asset("adelaide.BIN")).attitude.first_s + 12.6
+    assert parse_utc(only["utc_start"]) == pytest.approx(begins_s, abs=2e-6)
+
+
+def zoom_timeline(work: Work) -> None:
+    """Zoom the timeline at the cursor, and show the whole flight again by its button."""
+    window = work.window
+    whole = window.still()
+
+    def zoom() -> None:
+        window.wheel(400, 655, 6)
+        window.away()
+
+    def fit() -> None:
+        window.click(178, 604)
+        window.away()
+
+    window.until(lambda screen: changed(screen[TIMES], whole[TIMES]) > 100, "other times", again=zoom)
+    window.until(lambda screen: changed(screen[TIMES], whole[TIMES]) == 0, "all times", again=fit)
+
+
+def change_window(work: Work) -> None:
+    """Enlarge the text and back, move the border of a panel, and reset the layout."""
+    window = work.window
+    before = window.still()
+
+    def menu_px(screen: np.ndarray) -> int:
+        """Return where the last menu ends."""
+        return int(np.flatnonzero(screen[MENUS].max(axis=(0, 2)) > 150).max())
+
+    usual_px = menu_px(before)
+    window.press(*3 * ["ctrl+shift+equal"])
+    window.until(lambda screen: menu_px(screen) > 1.2 * usual_px, "larger text")
+    window.press(*3 * ["ctrl+shift+minus"])
+    window.until(lambda screen: changed(screen[MENUS], before[MENUS]) == 0, "the usual text")
+
+    def move() -> None:
+        window.drag((944, 300), (800, 300))
+        window.away()
+
+    window.until(lambda screen: changed(screen[RIGHT], before[RIGHT]) > 2000, "a wider panel", again=move)
+    work.command("panels as")
+    window.until(lambda screen: changed(screen[RIGHT], before[RIGHT]) < 200, "the first layout")
+
+
+def compare(work: Work, number: str, images: Path) -> None:
+    """Drop a folder of real images, show the residuals, and click on the brightest star."""
+    window = work.window
+    window.press("Home", "v")
+    drag_onto_window(number, images, (300, 300))
+    window.away()
+    blue = np.s_[776:, :940]  # the status line names the time of the real image
+    window.until(lambda screen: count(screen[blue], ACCENT) > 30, "the time of the real image")
+    window.until(
+        lambda screen: count(screen[IMAGE], ARROW) > 150, "the residuals", again=lambda: window.press("shift+r")
+    )
+    window.press("shift+r", "x")
+    window.until(lambda screen: count(screen[IMAGE], ARROW) == 0, "no residuals")
+    window.away()
+    light = cv2.blur(window.still()[IMAGE].min(axis=2), (7, 7))
+    down, across = np.unravel_index(np.argmax(light), light.shape)
+    x, y = int(across) + IMAGE[1].start, int(down) + IMAGE[0].start
+    around = np.s_[y - 20 : y + 20, x - 20 : x + 20]
+
+    def click() -> None:
+        window.click(x, y)
+        window.away()
+
+    window.until(lambda screen: count(screen[around], ACCENT) > 20, "a ring around the star", again=click)
+
+
+def calibrate(work: Work, number: str, photograph: Path) -> None:
+    """Drop a photograph, apply its calibration to the camera, and take it back."""
+    window = work.window
+
+    def focal_length_px() -> float:
+        report = work.until_saved("problem-report*.md", lambda: work.command("report"))
+        [line] = (line for line in report.read_text().splitlines() if line.startswith("fx_px"))
+        return float(line.split("=")[1])
+
+    first_px = focal_length_px()
+    drag_onto_window(number, photograph, (300, 300))
+    window.away()
+    window.until(lambda screen: count(screen, RING) > 1000, "the identified stars")
+    window.still()
+    window.click(315, 552)
+    window.still()
+    window.press("Escape")
+    window.until(lambda screen: count(screen, RING) < 100, "the window below")
+    window.away()
+    fitted_px = focal_length_px()
+    assert fitted_px == pytest.approx(first_px, rel=1e-3)
+    assert fitted_px != first_px
+    window.press("ctrl+z")
+    assert focal_length_px() == first_px
+
+
+def answer_questions(work: Work, number: str, log: Path) -> None:
+    """Drop a log without UTC and position, and type both."""
+    window = work.window
+    before = window.still()
+    drag_onto_window(number, log, (300, 300))
+    window.until(lambda screen: changed(screen[RIGHT], before[RIGHT]) > 10000, "the questions")
+    for answer in ("2024-03-10T11:00:07.5Z", "-34.93", "138.6", "48"):
+        window.write(answer)
+        window.still()
+        window.press("Tab" if answer != "48" else "Return")
+        window.still()
+    window.until(lambda screen: changed(screen[TIMES], before[TIMES]) > 100, "the timeline of the other flight")
+    assert parse_utc(work.truth()["utc_start"]) == pytest.approx(parse_utc("2024-03-10T11:00:07.5Z"), abs=2e-6)
+
+
+@needs_xvfb
+def test_a_session_of_work_in_one_window(tmp_path: Path, display: Callable[[int, int], str]) -> None:
+    number, log = display(1280, 800), asset("adelaide.BIN")
+    images = tmp_path / "real images"
+    words = ["export", str(log), "--start", "0", "--frames", "1", "--exif", "-o", str(images)]
+    subprocess.run([*GLSTAR, *words], check=True, capture_output=True, timeout=120)
+    with started("view", str(log), "--size", "1280x800", display=number, home=tmp_path) as child:
+        window = RealWindow(number, tmp_path)
+        window.focus()
+        work = Work(window, tmp_path / "glstar-saved")
+        follow_tour(work)
+        window.until(lambda screen: (PLACES.image(screen).min(axis=2) > 200).sum() > 100, "stars")
+        zoom_timeline(work)
+        change_time(work)
+        change_window(work)
+        compare(work, number, images)
+        calibrate(work, number, images / "frame_000000.png")
+        answer_questions(work, number, dataflash(tmp_path / "bare.BIN"))
+        window.press("ctrl+q")
+        assert child.wait(60) == 0
+        assert child.stderr is not None
+        assert child.stderr.read() == b""
