@@ -20,21 +20,22 @@ from tests.support.realwindow import RealWindow
 from tests.viewer.test_missing import dataflash
 
 pytest.importorskip("Xlib", reason="needs python-xlib")
-from tests.support.dragsource import drag_onto_window  # noqa: E402
+from tests.support.dragsource import drag_onto_window
 
 __all__ = ["display"]
 
 PLACES = Places(1280, 800)
 # Parts of the window: the tour, the times below the timeline, the menus, the image, and the panel on the right.
 TOUR, TIMES, MENUS = np.s_[482:660, 1004:1266], np.s_[748:764, 60:880], np.s_[2:22, :600]
-IMAGE, RIGHT = np.s_[60:490, 160:780], np.s_[60:780, 960:1270]
+IMAGE, RIGHT, PHOTO = np.s_[60:490, 160:780], np.s_[60:780, 960:1270], np.s_[140:680, 460:1170]
 # Colours of arrows of residuals, of rings around identified stars, and of highlights: blue, green, red.
 ARROW, RING, ACCENT = (242, 217, 51), (168, 224, 97), (237, 168, 107)
 
 
 def count(part: np.ndarray, colour: tuple[int, int, int]) -> int:
     """Return how many pixels have about this colour."""
-    return int((np.abs(part.astype(int) - colour) < 14).all(axis=2).sum())
+    least, most = ([each + by for each in colour] for by in (-13, 13))
+    return int(cv2.countNonZero(cv2.inRange(np.ascontiguousarray(part), np.array(least), np.array(most))))
 
 
 def changed(first: np.ndarray, second: np.ndarray) -> int:
@@ -199,12 +200,12 @@ def calibrate(work: Work, number: str, photograph: Path) -> None:
     first_px = focal_length_px()
     drag_onto_window(number, photograph, (300, 300))
     window.away()
-    window.until(lambda screen: count(screen, RING) > 1000, "the identified stars")
+    window.until(lambda screen: count(screen[PHOTO], RING) > 1000, "the identified stars")
     window.still()
     window.click(315, 552)
     window.still()
     window.press("Escape")
-    window.until(lambda screen: count(screen, RING) < 100, "the window below")
+    window.until(lambda screen: count(screen[PHOTO], RING) < 100, "the window below")
     window.away()
     fitted_px = focal_length_px()
     assert fitted_px == pytest.approx(first_px, rel=1e-3)
