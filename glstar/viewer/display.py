@@ -84,6 +84,11 @@ class PanelContent:
         )
 
     @property
+    def is_there(self) -> bool:
+        """Whether there is an image still: a panel that is drawn later may have taken the flight away."""
+        return not isinstance(self.image, SimulatedImage) or self.image.texture is not None
+
+    @property
     def texture(self) -> Texture:
         """The developed image, after waiting for it."""
         texture = self.image.texture if isinstance(self.image, SimulatedImage) else self.image

@@ -90,6 +90,8 @@ class PanelPicture:
         if not self._is_shown or self._picture is None:
             return
         self._is_shown = False
+        if not self._picture.content.is_there:
+            return
         if self._place is None:
             self._draw_texture(self._picture)
         else:
