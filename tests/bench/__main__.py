@@ -15,6 +15,8 @@ steps       steps a second of `glstar.Environment` (scene, image, navigator's re
 stages      time of each stage: composing the scene, flux, developing, reading, and writing a PNG with truth
 stars       by stars of the catalogue, of random ones as the sky has them: 9 thousand, 118 thousand, 1 million
 exposures   by exposure, sub-exposures and brightness
+effects     effects of the preset imx477:4056x3040 over the paper's sensor at 12 bits, each added to electrons, and
+            all together; 4056 x 3040 px, a still camera.  The limits are 1.15 for electrons and 1.6 for all
 flights     real flights, if their logs are given by ``--logs`` or GLSTAR_BENCH_LOGS, beside the steady turn: medians
             over exposures spread evenly over each flight
 rolling     the same flights with a rolling shutter: processor time of scene, frame and truth, means over fewer
@@ -41,7 +43,7 @@ from glstar import __version__
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
-from glstar.config import Config
+from glstar.config import Config, scene_at_pose
 from glstar.export.environment import Environment
 from glstar.export.frames import FlightFrames
 from glstar.export.plan import Plan, PlannedFrame
@@ -281,6 +283,49 @@ def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     return table
 
 
+def effects(renderer: GLRenderer, rounds: int, _size: Size) -> Table:
+    scenes = {
+        name: scene_at_pose(
+            utc="2024-03-10T11:00:00Z", latitude_deg=-34.93, longitude_deg=138.60, config=Config().override(**keys)
+        )
+        for name, keys in _sensors().items()
+    }
+    # Targets are made anew where the width of the guard band differs: before each measured frame, an unmeasured one.
+    times = {name: list[float]() for name in scenes}
+    for _ in range(max(2, rounds // 2)):
+        for name, scene in scenes.items():
+            times[name] += _median_ms([_frame(renderer, scene)], 2)
+    table = _table("a frame, ms, by effects of a sensor", ("effects", "frame", "over paper"))
+    for name, taken in times.items():
+        frame_ms, paper_ms = (statistics.median(each) for each in (taken, times["paper, 12 bits"]))
+        table.add_row(name, f"{frame_ms:.1f}", f"{frame_ms / paper_ms:.2f}")
+    return table
+
+
+def _sensors() -> dict[str, dict[str, Any]]:
+    """Return the keys of the sensors that `effects` measures, by name."""
+    preset = {
+        "camera.preset": "imx477:4056x3040",
+        "camera.lens_mm": 6.0,
+        "camera.f_number": 1.2,
+        "sensor.preset": "imx477:4056x3040",
+    }
+    electrons: dict[str, Any] = preset | {"sensor.hot_pixels_per_mpx": 0.0}
+    vignetting, moffat = {"lens.vignetting": "cos4"}, {"sensor.psf": "moffat"}
+    mosaic = {"sensor.band": "imx477", "sensor.mosaic": "rggb"}
+    uneven = {"sensor.prnu_fraction": 0.008, "sensor.dsnu_fraction": 0.3, "sensor.row_noise_e": 0.3}
+    return {
+        "paper, 12 bits": {"camera.preset": "picamhq-6mm", "sensor.bit_depth": 12},
+        "electrons": electrons,
+        "electrons, hot pixels": preset,
+        "electrons, cos4": electrons | vignetting,
+        "electrons, Moffat": electrons | moffat,
+        "electrons, mosaic": electrons | mosaic,
+        "all of these": preset | vignetting | moffat | mosaic,
+        "all, and PRNU, DSNU, row noise": preset | vignetting | moffat | mosaic | uneven,
+    }
+
+
 def flights(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     columns = ("flight", "median stars", "median parts", "scene", "frame", "frame, 95 %", "mean")
     table = _table(f"one exposure of {_size(size)}, ms, trail = auto", columns)
@@ -342,6 +387,7 @@ TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
     "stages": stages,
     "stars": stars,
     "exposures": exposures,
+    "effects": effects,
     "flights": flights,
     "rolling": rolling,
 }
