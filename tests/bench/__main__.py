@@ -290,7 +290,7 @@ def effects(renderer: GLRenderer, rounds: int, _size: Size) -> Table:
         )
         for name, keys in _sensors().items()
     }
-    # Targets are made anew where the width of the guard band differs: before each measured frame, an unmeasured one.
+    # A guard band of another width needs other targets: one unmeasured frame comes before each measured one.
     times = {name: list[float]() for name in scenes}
     for _ in range(max(2, rounds // 2)):
         for name, scene in scenes.items():
