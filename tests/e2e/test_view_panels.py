@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glstar.config import Config
 from glstar.system.resources import asset
-from tests.e2e.test_view import GLSTAR, needs_xvfb, started, until
-from tests.support.links import free_port, playing, soon
+from tests.e2e.test_view import GLSTAR, needs_xvfb, started
 from tests.support.realwindow import RealWindow
 
 TOP_PX, TABS_PX = 46, 35
@@ -289,37 +287,6 @@ def test_a_log_real_images_and_a_camera_are_dropped_and_compared(tmp_path, displ
         window.press("ctrl+q")
         assert child.wait(60) == 0
         assert child.stderr.read() == b""
-
-
-@needs_xvfb
-def test_a_link_is_opened_from_the_dialog_and_saves_its_frames(tmp_path, display):
-    number, places, port = display(1280, 800), Places(1280, 800), free_port()
-    flight = Config().open_flight(asset("adelaide.BIN"))
-    with (
-        playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=20, start_s=20.0),
-        started("view", "--size", "1280x800", display=number, home=tmp_path) as child,
-    ):
-        window = RealWindow(number, tmp_path)
-        window.focus()
-        window.until(lambda screen: np.ptp(places.image(screen)) > 150, "the welcome panel")
-        welcome = window.still()
-
-        def centre(screen: np.ndarray) -> np.ndarray:
-            return screen[350:450, 500:780]
-
-        window.until(
-            lambda screen: differ(centre(screen), centre(welcome)), "the dialog", again=lambda: window.press("ctrl+l")
-        )
-        window.click(620, 427)
-        window.press("ctrl+a")
-        window.write(f"udpin:127.0.0.1:{port}")
-        window.press("Return")
-        window.until(places.has_status, "the flight of the link")
-        saved = tmp_path / "glstar-saved"
-        until(lambda: window.press("ctrl+s") or soon(lambda: list(saved.glob("live-*/truth.jsonl")), 3.0), "a frame")
-        window.press("ctrl+q")
-        assert child.wait(60) == 0
-        assert b"Traceback" not in child.stderr.read()
 
 
 @needs_xvfb
