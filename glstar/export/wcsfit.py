@@ -12,6 +12,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 
 __all__ = ["TanSip", "fit_tan_sip"]
@@ -71,7 +72,7 @@ class TanSip:
 
 
 def fit_tan_sip(scene: Scene) -> TanSip | None:
-    """Fit the world coordinates of an image in the middle of its exposure.
+    """Fit the world coordinates of an image in the middle of its exposure, of a rolling shutter that of each row.
 
     Parameters
     ----------
@@ -136,20 +137,28 @@ class _SkyOfPixels:
 
     def _unrefracted(self, xy_px: Float, steps: int) -> Float:
         """Return the geocentric apparent directions whose stars are drawn at pixels, (n, 3); NaN below the horizon."""
-        scene, middle = self._scene, self._scene.shutter[1:2]
-        seen = scene.camera.unit_vectors(xy_px)
-        C = middle.C_camera_eq[0]
-        direction: Float = seen @ C
+        seen = self._scene.camera.unit_vectors(xy_px)
+        observer = self._observer(xy_px)
+        direction = observer.to_sky(seen)
         for _ in range(steps):
-            drawn = middle.to_camera(direction, below_horizon=True)[0]
-            drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
-            direction = direction + (seen - drawn) @ C
+            direction = direction + observer.to_sky(seen - observer.drawn(direction, below_horizon=True))
             direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         if steps:
-            drawn = middle.to_camera(direction)[0]
-            drawn /= np.linalg.norm(drawn, axis=1, keepdims=True)
+            drawn = observer.drawn(direction, below_horizon=False)
             direction[~(np.abs(drawn - seen).max(axis=1) < _CONVERGED_RAD)] = np.nan
         return direction
+
+    def _observer(self, xy_px: Float) -> "_Observer":
+        """Return the camera in the middle of the exposure, of a rolling shutter that of each pixel's row."""
+        scene, exposure = self._scene, self._scene.exposure
+        if exposure.readout_s == 0 or scene.motion is None:
+            return _Observer(scene.shutter[1:2])
+        per_column_s, per_row_s, first_s = exposure.opening_s(scene.camera.width_px, scene.camera.height_px)
+        opening_s = per_column_s * xy_px[:, 0] + per_row_s * xy_px[:, 1] + first_s
+        utc_s = exposure.mid_utc_s + opening_s - exposure.readout_s / 2
+        # The fit extends a little beyond the first and the last row.
+        (pointing,) = scene.motion.pointings(utc_s.clip(exposure.start_utc_s, exposure.stop_utc_s))
+        return _Observer(pointing)
 
     def _icrs(self, direction_eq: Float) -> Float:
         """Return astrometric directions, (n, 3): without annual aberration, in the axes of ICRS."""
@@ -160,6 +169,27 @@ class _SkyOfPixels:
         along = proper @ velocity
         moved = inverse_gamma * proper + (1 + along / (1 + inverse_gamma))[:, np.newaxis] * velocity
         return np.asarray(moved / (1 + along)[:, np.newaxis])
+
+
+@dataclass(frozen=True, eq=False)
+class _Observer:
+    """The camera at the time of n pixels: one for all of them, or one for each."""
+
+    pointing: Pointing
+
+    def to_sky(self, seen: Float) -> Float:
+        """Return vectors of the camera's axes, (n, 3), in those of the true equator and equinox."""
+        C = self.pointing.C_camera_eq
+        return np.asarray(seen @ C[0] if len(C) == 1 else np.einsum("ni,nij->nj", seen, C))
+
+    def drawn(self, direction_eq: Float, *, below_horizon: bool) -> Float:
+        """Return the unit vectors of the camera's axes, (n, 3), along which stars of some directions are drawn."""
+        pointing = self.pointing
+        if len(pointing) == 1:
+            drawn = pointing.to_camera(direction_eq, below_horizon=below_horizon)[0]
+        else:
+            drawn = pointing.each_to_camera(direction_eq, below_horizon=below_horizon)
+        return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
 def _grid(scene: Scene, nodes: Float) -> Float:

@@ -195,24 +195,27 @@ class Pointing:
         above_lowest = sine_altitude - (np.sin(LOWEST_ALTITUDE_RAD) + self.sine_horizon)
         return np.where(above_lowest < 0, np.minimum(height, above_lowest), height)
 
-    def each_to_camera(self, direction_eq: ArrayLike) -> Float:
+    def each_to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
         """Return the observed direction of each of n stars at one of the n times, as `to_camera` does.
 
         Parameters
         ----------
         direction_eq : (n, 3) array_like
             Geocentric apparent unit vectors, true equator and equinox: one per time.
+        below_horizon : bool
+            Whether directions below the apparent horizon are returned too.
 
         Returns
         -------
         (n, 3) float64
-            Vectors right, down and along the optical axis; NaN below the apparent horizon.
+            Vectors right, down and along the optical axis; NaN below the apparent horizon unless `below_horizon`.
         """
         direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
         sine_altitude = np.sum(self.zenith_eq * direction, axis=1)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
-        refraction = np.where(self._height(sine_altitude, refraction) < 0, np.nan, refraction)
-        if self.profile is not None:
+        if not below_horizon:
+            refraction = np.where(self._height(sine_altitude, refraction) < 0, np.nan, refraction)
+        if not below_horizon and self.profile is not None:
             sine = _sine_apparent(sine_altitude, refraction)
             above = self.above_horizon(direction, self.zenith_eq, sine, self.pole_eq)
             refraction = np.where(above < 0, np.nan, refraction)

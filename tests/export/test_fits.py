@@ -16,6 +16,7 @@ from glstar.camera.model import Mount
 from glstar.export.fitsfile import damage_of_fits, decode_fits, encode_fits
 from glstar.export.images import find_damage
 from glstar.export.wcsfit import fit_tan_sip
+from glstar.render.rowtimes import recorded_times
 from glstar.render.scene import Frame, Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.apparent import ASTROMETRY
@@ -28,10 +29,12 @@ TILTED = Mount(0.3, np.deg2rad(35), 0.5)  # down to 15 deg above the horizon
 PIXELS = (np.arange(480 * 360, dtype=np.uint32).reshape(360, 480) % 65536).astype(np.uint16)
 
 
-def scene_of(lens=PINHOLE, *, astrometry="erfa", **settings) -> tuple[Scene, StarCatalogue]:
+def scene_of(lens=PINHOLE, *, astrometry="erfa", readout=None, **settings) -> tuple[Scene, StarCatalogue]:
     simulator = sky_over_adelaide(lens, **settings)
     simulator = replace(simulator, sky=replace(simulator.sky, astrometry=ASTROMETRY[astrometry]))
     simulator = Simulator.of(simulator.flight, simulator.sky, simulator.camera, simulator.mount, simulator.sensor)
+    if readout is not None:  # before a turning aircraft is far from level
+        return simulator.scene(Exposure(NIGHT_UTC_S, 0.2, readout_s=0.08, readout=readout)), simulator.sky.catalogue
     return simulator.scene(Exposure(NIGHT_UTC_S + 3, 0.5)), simulator.sky.catalogue
 
 
@@ -42,8 +45,14 @@ def encoded(scene: Scene) -> bytes:
 def errors_px(scene: Scene, catalogue, header) -> NDArray[np.float64]:
     """Return the distances between the stars of a scene and where astropy places the catalogue's coordinates."""
     ids = scene.stars.star_id[scene.visible]
-    x_y = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[scene.visible]))[1]
-    on_image = scene.camera.contains(x_y)
+    directions = scene.stars.direction_eq[scene.visible]
+    if scene.exposure.readout_s:
+        # Beyond the border rows open with the first or the last one.
+        positions = recorded_times(scene, directions).positions
+        x_y, on_image = positions[1], scene.camera.contains(positions).all(axis=0)
+    else:
+        x_y = scene.camera.project(scene.shutter.to_camera(directions))[1]
+        on_image = scene.camera.contains(x_y)
     row = {int(number): at for at, number in enumerate(catalogue.star_id)}
     at = [row[int(number)] for number in ids[on_image]]
     years = (Time(scene.exposure.mid_utc_s, format="unix") - Time("J2000")).to_value("jd") / 365.25
@@ -62,6 +71,18 @@ def test_astropy_places_every_star_of_a_fits_image_within_a_twentieth_of_a_pixel
     with fits.open(BytesIO(encoded(scene))) as file:
         errors = errors_px(scene, catalogue, file[0].header)
     assert errors.max() < 0.05
+
+
+@pytest.mark.parametrize("lens", [PINHOLE, BARREL], ids=["pinhole", "barrel"])
+@pytest.mark.parametrize("readout", ["down", "left"])
+def test_astropy_places_the_stars_of_a_rolling_shutter_where_their_rows_record_them(lens, readout):
+    scene, catalogue = scene_of(
+        lens, readout=readout, mount=Mount(0.3, 1.0), roll_rate_rad_per_s=0.4, yaw_rate_rad_per_s=0.3
+    )
+    header = fits.getheader(BytesIO(encoded(scene)))
+    errors = errors_px(scene, catalogue, header)
+    assert errors.max() < 0.05
+    assert header["WCSMAX"] < 0.01
 
 
 def test_stars_of_an_image_of_the_zenith_lie_within_the_error_that_its_header_quotes():
