@@ -162,6 +162,78 @@ def change_window(work: Work) -> None:
     window.until(lambda screen: changed(screen[RIGHT], before[RIGHT]) < 200, "the first layout")
 
 
+def change_setting(work: Work) -> None:
+    """Read the tooltip of the exposure time, type another, and take the default back by a right click."""
+    window, below = work.window, np.s_[110:170, 1050:1270]
+    before = window.still()
+    window.until(
+        lambda screen: changed(screen[below], before[below]) > 2000, "the tooltip", again=lambda: window.hover(1035, 94)
+    )
+
+    window.away()
+    number = np.s_[88:102, 1005:1065]
+    window.until(lambda screen: changed(screen[number], before[number]) == 0, "no tooltip")
+
+    def type_time() -> None:
+        window.control_click(1035, 94)
+        window.still()
+        window.press("ctrl+a")
+        window.write("0.25")
+        window.press("Return")
+        window.away()
+
+    window.until(lambda screen: changed(screen[number], before[number]) > 20, "the number", again=type_time)
+    window.still()
+    assert work.truth()["duration_s"] == 0.25
+
+    def reset() -> None:
+        window.right_click(1035, 94)
+        window.away()
+
+    window.until(lambda screen: changed(screen[number], before[number]) == 0, "the default", again=reset)
+    assert work.truth()["duration_s"] == 0.5
+
+
+def fit_mount(work: Work) -> None:
+    """Fit the mount to the real images, apply it, and take it back."""
+    window, fitted_lines = work.window, np.s_[674:750, 957:1240]
+
+    def text(part: np.ndarray) -> int:
+        return int((part.min(axis=2) > 150).sum())
+
+    def mount_deg() -> tuple[float, float]:
+        report = work.until_saved("problem-report*.md", lambda: work.command("report"))
+        lines = report.read_text().split("[mount]")[1].splitlines()
+        yaw, roll = (next(one for one in lines if one.startswith(f"{key}_deg")) for key in ("yaw", "roll"))
+        return float(yaw.split("=")[1]), float(roll.split("=")[1])
+
+    before = mount_deg()
+    window.click(1106, 35)
+    window.still()
+
+    def fit() -> None:
+        window.click(971, 657)
+        window.away()
+
+    def apply() -> None:
+        window.wheel(1100, 640, -20)
+        window.away()
+        window.still()
+        window.click(980, 757)
+        window.away()
+
+    # Notifications, which may cover the buttons, are gone after some seconds.
+    window.until(lambda screen: text(screen[fitted_lines]) > 1500, "what was fitted", again=fit)
+    window.until(lambda screen: text(screen[fitted_lines]) < 500, "the applied mount", again=apply)
+    fitted = mount_deg()
+    assert fitted != before
+    # Towards the zenith yaw and roll turn about the same axis.
+    difference_deg = np.subtract(*fitted) - np.subtract(*before)
+    assert abs((difference_deg + 180) % 360 - 180) < 0.05
+    window.press("ctrl+z")
+    assert mount_deg() == before
+
+
 def compare(work: Work, number: str, images: Path) -> None:
     """Drop a folder of real images, show the residuals, and click on the brightest star."""
     window = work.window
@@ -233,7 +305,7 @@ def answer_questions(work: Work, number: str, log: Path) -> None:
 def test_a_session_of_work_in_one_window(tmp_path: Path, display: Callable[[int, int], str]) -> None:
     number, log = display(1280, 800), asset("adelaide.BIN")
     images = tmp_path / "real images"
-    words = ["export", str(log), "--start", "0", "--frames", "1", "--exif", "-o", str(images)]
+    words = ["export", str(log), "--start", "0", "--frames", "2", "--exif", "-o", str(images)]
     subprocess.run([*GLSTAR, *words], check=True, capture_output=True, timeout=120)
     with started("view", str(log), "--size", "1280x800", display=number, home=tmp_path) as child:
         window = RealWindow(number, tmp_path)
@@ -243,8 +315,10 @@ def test_a_session_of_work_in_one_window(tmp_path: Path, display: Callable[[int,
         window.until(lambda screen: (PLACES.image(screen).min(axis=2) > 200).sum() > 100, "stars")
         zoom_timeline(work)
         change_time(work)
+        change_setting(work)
         change_window(work)
         compare(work, number, images)
+        fit_mount(work)
         calibrate(work, number, images / "frame_000000.png")
         answer_questions(work, number, dataflash(tmp_path / "bare.BIN"))
         window.press("ctrl+q")

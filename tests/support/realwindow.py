@@ -61,6 +61,19 @@ class RealWindow:
         """Click with the left button, px of the screen; the button is down for some frames."""
         self._do("mousemove", str(x), str(y), "sleep", "0.05", "mousedown", "1", "sleep", "0.05", "mouseup", "1")
 
+    def hover(self, x: int, y: int) -> None:
+        """Move the mouse to a position."""
+        self._do("mousemove", str(x), str(y))
+
+    def control_click(self, x: int, y: int) -> None:
+        """Click with the left button while Ctrl is down."""
+        words = ["mousemove", str(x), str(y), "sleep", "0.05", "keydown", "ctrl", "sleep", "0.05", "mousedown", "1"]
+        self._do(*words, "sleep", "0.05", "mouseup", "1", "sleep", "0.05", "keyup", "ctrl")
+
+    def right_click(self, x: int, y: int) -> None:
+        """Click with the right button."""
+        self._do("mousemove", str(x), str(y), "sleep", "0.05", "mousedown", "3", "sleep", "0.05", "mouseup", "3")
+
     def drag(self, first: tuple[int, int], last: tuple[int, int]) -> None:
         """Drag with the left button from one position to another, and leave the mouse there."""
         middle = [(a + b) // 2 for a, b in zip(first, last, strict=True)]
@@ -69,8 +82,9 @@ class RealWindow:
         self._do(*words, "mouseup", "1")
 
     def wheel(self, x: int, y: int, steps: int) -> None:
-        """Turn the wheel away from the user at a position."""
-        self._do("mousemove", str(x), str(y), "sleep", "0.05", "click", "--repeat", str(steps), "--delay", "30", "4")
+        """Turn the wheel at a position: away from the user, or towards for negative steps."""
+        turn = ["click", "--repeat", str(abs(steps)), "--delay", "30", "4" if steps > 0 else "5"]
+        self._do("mousemove", str(x), str(y), "sleep", "0.05", *turn)
 
     def away(self) -> None:
         """Move the mouse to the corner, where it highlights nothing; GLFW does not report (0, 0)."""
