@@ -231,6 +231,24 @@ class Exposure:
         per_s, first_s = (step_s, 0.0) if self.readout in {"down", "right"} else (-step_s, step_s * (count - 1))
         return (0.0, per_s, first_s) if self.readout in {"down", "up"} else (per_s, 0.0, first_s)
 
+    def opening_at_s(self, xy_px: NDArray[np.float64], width_px: int, height_px: int) -> NDArray[np.float64]:
+        """Return how long after ``start_utc_s`` the row at some positions opens; beside the image as on it.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) float64
+            Positions, px.
+        width_px, height_px : int
+            Size of the image.
+
+        Returns
+        -------
+        (...) float64
+            See `opening_s`.
+        """
+        per_column_s, per_row_s, first_s = self.opening_s(width_px, height_px)
+        return np.asarray(per_column_s * xy_px[..., 0] + per_row_s * xy_px[..., 1] + first_s)
+
     def with_readout_s(self, readout_s: float) -> "Exposure":
         """Return the exposure with another readout time and the same start.
 

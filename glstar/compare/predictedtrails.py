@@ -254,8 +254,7 @@ def _trail_jacobians(scene: Scene, paths: ExposedPaths, stars: NDArray[np.intp],
 def _row_fraction(scene: Scene, xy_px: Float) -> Float:
     """Return the fraction of the readout time after which the pixels at some positions open: 0 to 1."""
     whole = scene.exposure.first.with_readout_s(1.0)
-    per_column, per_row, first = whole.opening_s(scene.camera.width_px, scene.camera.height_px)
-    return np.asarray(per_column * xy_px[..., 0] + per_row * xy_px[..., 1] + first)
+    return whole.opening_at_s(xy_px, scene.camera.width_px, scene.camera.height_px)
 
 
 def trail_jacobian(fields: Float, trails: Trails) -> Float:

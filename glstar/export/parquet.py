@@ -69,6 +69,8 @@ _OBJECTS: Final = pa.schema(
 # By the name of the table; those of bodies and of satellites are written if there is any.
 _SCHEMAS: Final = dict(zip(TABLES, (_FRAMES, _STARS, _OBJECTS, _OBJECTS), strict=True))
 _ALWAYS: Final = TABLES[:2]
+# Keys of a frame that are tables or columns of their own.
+_ELSEWHERE: Final = frozenset({"schema", "site", "camera", "stars", "bodies", "satellites", "settings"})
 
 Row = dict[str, Any]
 
@@ -151,18 +153,18 @@ def _groups(truth: Path) -> Iterator[dict[str, list[Row]]]:
     """Yield the rows of all tables, of some frames at a time."""
     with truth.open("rb") as file:
         while lines := [orjson.loads(line) for line in islice(file, _FRAMES_PER_GROUP)]:
-            stars = (
+            frames = [_frame_row(line) for line in lines]
+            stars = [
                 _object_row(line, star) | {"catalogue": line["catalogue"]} for line in lines for star in line["stars"]
-            )
-            others = (
+            ]
+            bodies, satellites = (
                 [_object_row(line, one) for line in lines for one in line.get(key, ())]
                 for key in ("bodies", "satellites")
             )
-            yield dict(zip(TABLES, ([_frame_row(line) for line in lines], list(stars), *others), strict=True))
+            yield dict(zip(TABLES, (frames, stars, bodies, satellites), strict=True))
 
 
 def _frame_row(line: Row) -> Row:
-    camera = dict(line["camera"])
     row = {key: value for key, value in line.items() if key not in _ELSEWHERE}
     return {
         **_flat(row),
@@ -170,14 +172,10 @@ def _frame_row(line: Row) -> Row:
         **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in _TIMES},
         "C_camera_body": list(chain.from_iterable(line["C_camera_body"])),
         "C_camera_icrs": list(chain.from_iterable(line["C_camera_icrs"])),
-        **camera,
-        "K": list(chain.from_iterable(camera["K"])),
+        **line["camera"],
+        "K": list(chain.from_iterable(line["camera"]["K"])),
         **line.get("settings", {}),
     }
-
-
-# Keys of a frame that are tables or columns of their own.
-_ELSEWHERE: Final = frozenset({"schema", "site", "camera", "stars", "bodies", "satellites", "settings"})
 
 
 def _flat(record: Row) -> Row:
@@ -193,6 +191,6 @@ def _flat(record: Row) -> Row:
 
 def _object_row(line: Row, one: Row) -> Row:
     """Return the row of a star, a body or a satellite."""
-    (start_x, start_y), (end_x, end_y) = (one.get(name) or (None, None) for name in ("start", "end"))
-    ends = dict(zip(_ENDS, (start_x, start_y, end_x, end_y), strict=True))
+    positions = chain.from_iterable(one.get(name) or (None, None) for name in ("start", "end"))
+    ends = dict(zip(_ENDS, positions, strict=True))
     return {"frame": line["frame"], **{key: value for key, value in one.items() if key not in {"start", "end"}}, **ends}

@@ -153,8 +153,7 @@ class _SkyOfPixels:
         scene, exposure = self._scene, self._scene.exposure
         if exposure.readout_s == 0 or scene.motion is None:
             return _Observer(scene.shutter[1:2])
-        per_column_s, per_row_s, first_s = exposure.opening_s(scene.camera.width_px, scene.camera.height_px)
-        opening_s = per_column_s * xy_px[:, 0] + per_row_s * xy_px[:, 1] + first_s
+        opening_s = exposure.opening_at_s(xy_px, scene.camera.width_px, scene.camera.height_px)
         utc_s = exposure.mid_utc_s + opening_s - exposure.readout_s / 2
         # The fit extends a little beyond the first and the last row.
         (pointing,) = scene.motion.pointings(utc_s.clip(exposure.start_utc_s, exposure.stop_utc_s))

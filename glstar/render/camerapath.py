@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.render.pointing import Pointing
 from glstar.render.segmentation import probe_rays
-from glstar.render.starpaths import parameter_at
+from glstar.render.starpaths import QUADRATURE_NODES, QUADRATURE_WEIGHTS, parameter_at
 from glstar.render.trailmodels import AnalyticSegments
 
 __all__ = ["CameraPath", "PieceMoments", "TrailPieces"]
@@ -21,9 +21,6 @@ Float = NDArray[np.float64]
 _THIRD_DERIVATIVE: Final = 1.3801
 # Intervals per segment in which the length of a path is measured.
 _CHORDS: Final = 4
-# Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
-_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,12 +235,12 @@ class _Quadrature(NamedTuple):
         ends = np.union1d(bounds, np.arange(len(time_fraction) + 1))
         begins, spans = ends[:-1], np.diff(ends)
         segment = begins.astype(np.intp)
-        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * _NODES
-        time = ((time_fraction[segment] * spans)[:, np.newaxis] * _WEIGHTS).ravel()
-        first = len(_NODES) * np.searchsorted(ends, bounds[:-1])
+        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * QUADRATURE_NODES
+        time = ((time_fraction[segment] * spans)[:, np.newaxis] * QUADRATURE_WEIGHTS).ravel()
+        first = len(QUADRATURE_NODES) * np.searchsorted(ends, bounds[:-1])
         duration = np.add.reduceat(time, first)
         piece = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(time))))
-        return cls(np.repeat(segment, len(_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
+        return cls(np.repeat(segment, len(QUADRATURE_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
 
     def of_segments(self, count: int) -> Float:
         """Return `TrailPieces.of_segments` of some segments."""

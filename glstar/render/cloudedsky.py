@@ -18,7 +18,6 @@ from glstar.render.ridges import divided, ridge_parts, ridge_passage, ridge_time
 from glstar.render.satellitemotion import SatelliteMotion
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
-from glstar.rotation import turn_from_matrix
 from glstar.sky.cloudsheet import CloudSheet
 from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.scintillation import Scintillation
@@ -111,8 +110,7 @@ class CloudedSky:
             return 2
         times_s = np.linspace(self.exposure.start_utc_s, self.exposure.stop_utc_s, _TURN_TIMES)
         (pointing,) = self.motion.pointings(times_s)
-        C = pointing.C_camera_eq
-        turned_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1).sum()
+        turned_rad = pointing.rotation_rad.sum()
         span_s = self.exposure.stop_utc_s - self.exposure.start_utc_s
         steps = ceil(min(turned_rad * self._px_per_rad / _STEP_PX, span_s / _STEP_S, _MOST_STEPS))
         return steps + 1 if steps >= _LEAST_STEPS else 2

@@ -18,7 +18,6 @@ from glstar.render.motiontable import MotionTable
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
-from glstar.rotation import turn_from_matrix
 
 __all__ = [
     "DividedTrails",
@@ -160,9 +159,7 @@ def joined_columns(several: Sequence[SegmentColumns], segments: int) -> SegmentC
 
 def overtaking(trails: AnalyticSegments, camera: Camera, openings: PixelOpenings) -> float:
     """Return an upper bound of the speed of stars on the image, relative to that of the readout."""
-    C = trails.pointing.C_camera_eq
-    rotation_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1)
-    rate_rad = rotation_rad / np.repeat(trails.time_fraction / 2, 2)
+    rate_rad = trails.pointing.rotation_rad / np.repeat(trails.time_fraction / 2, 2)
     return float(rate_rad.max() * camera.max_px_per_rad * openings.per_px)
 
 
@@ -278,10 +275,8 @@ def divided_trails(scene: Scene, trails: AnalyticSegments, openings: PixelOpenin
         return None
     whole = whole_trails(scene, trails)
     is_split = (whole.rises_and_sets == [0.0, NEVER]).all(axis=1) & (spans.end > spans.begin)
-    of_split = OpenSpans(*(values[is_split] for values in tuple(spans)))
-    around = _columns_around(
-        trails, whole.star[is_split], of_split.begin, of_split.end, of_split.opens, of_split.closes
-    )
+    of_split = OpenSpans(*(values[is_split] for values in spans))
+    around = _columns_around(trails, whole.star[is_split], of_split)
     times = np.column_stack([of_split.begin, of_split.end])
     while_open = replace(whole.of(is_split), rises_and_sets=times)
     return DividedTrails(while_open, joined_columns([around], len(trails)), whole.of(~is_split))
@@ -306,14 +301,13 @@ def columns_around(
     -------
     SegmentColumns
     """
-    return _columns_around(trails, stars, ends[pieces.first], ends[pieces.last], pieces.opens, pieces.closes)
+    spans = OpenSpans(ends[pieces.first], ends[pieces.last], pieces.opens, pieces.closes)
+    return _columns_around(trails, stars, spans)
 
 
-def _columns_around(
-    trails: AnalyticSegments, stars: NDArray[np.intp], begins: Float, stops: Float, opens: Float, closes: Float
-) -> SegmentColumns:
+def _columns_around(trails: AnalyticSegments, stars: NDArray[np.intp], spans: OpenSpans) -> SegmentColumns:
     """Return the parts of trails from an opening to the begin of another part, and from its end to a closing."""
-    parts = np.concatenate([np.column_stack([opens, begins]), np.column_stack([stops, closes])])
+    parts = np.concatenate([np.column_stack([spans.opens, spans.begin]), np.column_stack([spans.end, spans.closes])])
     parts = parts.clip(0.0, 1.0)
     marks = np.concatenate([[0.0], np.cumsum(trails.time_fraction)])
     first = (np.searchsorted(marks, parts[:, 0], side="right") - 1).clip(0, len(trails) - 1)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.render.starpaths import times_per_block
+from glstar.rotation import turn_from_matrix
 from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
 from glstar.sky.horizonprofile import HorizonProfile
 
@@ -61,6 +62,12 @@ class Pointing:
     def boresight_eq(self) -> Float:
         """The optical axis at each time, (n, 3) unit vectors, true equator and equinox."""
         return self.C_camera_eq[:, 2]
+
+    @property
+    def rotation_rad(self) -> Float:
+        """By how much the camera turns from each time to the next, (n - 1,) rad."""
+        C = self.C_camera_eq
+        return np.asarray(np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1))
 
     def to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
         """Return the observed directions of stars in the camera frame, as `projection.glsl` does in float32.

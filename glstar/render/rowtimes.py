@@ -285,7 +285,6 @@ class _RowTimes:
         self._motion = scene.motion
         self._direction_eq = direction_eq
         self._table = MotionTable.of(scene.motion, scene.exposure)
-        self._per_px_s = scene.exposure.opening_s(scene.camera.width_px, scene.camera.height_px)
         self._grid_s = np.linspace(0.0, scene.exposure.span_s, _GRID)
         pointing = _pointing(scene.exposure, scene.motion, self._grid_s)
         blocks = [scene.camera.project(block.to_camera(direction_eq)) for block in pointing.blocks(len(direction_eq))]
@@ -335,9 +334,9 @@ class _RowTimes:
 
     def _delay_s(self, xy_px: Float) -> Float:
         """Return how long after the first row those at some positions open; the first where there is no position."""
-        per_column_s, per_row_s, first_s = self._per_px_s
-        delay_s = per_column_s * xy_px[..., 0] + per_row_s * xy_px[..., 1] + first_s
-        return np.nan_to_num(delay_s).clip(0.0, self._scene.exposure.readout_s)
+        exposure, camera = self._scene.exposure, self._scene.camera
+        delay_s = exposure.opening_at_s(xy_px, camera.width_px, camera.height_px)
+        return np.nan_to_num(delay_s).clip(0.0, exposure.readout_s)
 
 
 def _pointing(exposure: Exposure, motion: CameraMotion, since_s: Float) -> Pointing:

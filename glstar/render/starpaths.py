@@ -19,9 +19,9 @@ _POSITIONS_PER_BLOCK: Final = 1 << 15
 # Times that are computed together for a sky of many stars, where a smaller block costs more than a cache miss.
 _MIN_TIMES_PER_BLOCK: Final = 8
 
-# Gauss-Legendre quadrature with three nodes, on [0, 1].
-_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([[-1.0], [0.0], [1.0]])
-_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
+# Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
+QUADRATURE_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+QUADRATURE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
 # Of the duration of a segment.
 _ROUNDING: Final = 1e-12
 
@@ -186,11 +186,13 @@ class ConicPaths:
         integral_px = means_px.sum(axis=1)
         segment, star = np.nonzero((duration > 0) & ~is_whole)
         starts = np.cumsum(self.time_fraction) - self.time_fraction
-        u = (marks[segment, star] - starts[segment] + duration[segment, star] * _NODES) / self.time_fraction[segment]
+        u = (
+            marks[segment, star] - starts[segment] + duration[segment, star] * QUADRATURE_NODES[:, np.newaxis]
+        ) / self.time_fraction[segment]
         parameter = parameter_at(u, self.weight[segment])
         start, rate, bend = (of[:, segment, star][:, np.newaxis] for of in self._quadratics())
         xy_px = _projected(self.camera.pinhole, start + parameter * (rate + parameter * bend))
-        light_px = duration[segment, star] * np.einsum("n,xnp->xp", _WEIGHTS, xy_px)
+        light_px = duration[segment, star] * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px)
         return np.asarray(integral_px + [np.bincount(star, of, minlength=len(begin)) for of in light_px])
 
     @cached_property

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.camera.model import Camera
 from glstar.render.pointing import Pointing
 from glstar.render.starpaths import ConicPaths, SampledPaths, end_weights
-from glstar.rotation import turn_from_matrix
 
 __all__ = ["SAMPLE_SPACING_SIGMA", "AnalyticSegments", "SubExposureRule", "SubExposures", "TrailModel"]
 
@@ -114,9 +113,7 @@ class SubExposures:
         SubExposures
             The middle of each group of equal number; neighbouring ones differ by at most 1.5 sigma.
         """
-        C = self.pointing.C_camera_eq
-        rotation_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1)
-        path_px = np.concatenate([[0.0], np.cumsum(rotation_rad)]) * camera.max_px_per_rad
+        path_px = np.concatenate([[0.0], np.cumsum(self.pointing.rotation_rad)]) * camera.max_px_per_rad
         limit_px = SAMPLE_SPACING_SIGMA * sigma_px
         group = 1
         for k in (k for k in range(2, len(self) + 1) if len(self) % k == 0):
@@ -183,9 +180,7 @@ class AnalyticSegments:
 
     def longest_trail_px(self, camera: Camera) -> float:
         """Return an upper bound of the length of any star's trail on the image, px."""
-        C = self.pointing.C_camera_eq
-        rotation_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1)
-        return float(rotation_rad.sum() * camera.max_px_per_rad)
+        return float(self.pointing.rotation_rad.sum() * camera.max_px_per_rad)
 
     def positions(self, camera: Camera, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are at some times: see `TrailModel.positions`."""

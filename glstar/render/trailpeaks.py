@@ -89,23 +89,22 @@ def trail_peaks(
     points, order = zip(*found, strict=True)
     point = points[0] if len(chains) == 1 else _least(np.stack(points), np.stack(order))
     peak, mean = np.zeros(len(point)), np.ones(1) if passage is None else passage.mean
-    profiles = list(_profiles(scene, direction_eq))
+    scales = psf_scale(scene, direction_eq)
+    profiles = list(_profiles(scene.sensor, scales))
     for chain, transmission in zip(chains, transmissions, strict=True):
         for stars, gaussians in profiles:
             of_stars, passing = chain[stars], None if transmission is None else transmission[:, stars]
             for fraction, sigma_px, offset_px in gaussians:
                 peak[stars] += fraction * of_stars.signal_at(point[stars] - offset_px, sigma_px, passing)
     dimmed = peak / np.maximum(mean, 1e-30)
-    return TrailPeaks(peak, _area_factor(scene, direction_eq, dimmed) / np.maximum(dimmed, 1e-30))
+    return TrailPeaks(peak, _area_factor(scene.sensor, scales, dimmed) / np.maximum(dimmed, 1e-30))
 
 
-def _profiles(scene: Scene, direction_eq: Float) -> Iterator[tuple[_Stars, list[tuple[float, float, Float]]]]:
+def _profiles(sensor: Sensor, scales: Float) -> Iterator[tuple[_Stars, list[tuple[float, float, Float]]]]:
     """Yield the stars with each profile, and its Gaussians: fraction of the flux, sigma in px, offset (x, y) in px."""
-    sensor = scene.sensor
     if sensor.point_spread.is_gaussian:
         yield slice(None), [(1.0, sensor.effective_sigma_px, np.zeros(2))]
         return
-    scales = psf_scale(scene, direction_eq)
     for scale in np.unique(scales).tolist():
         yield (
             np.flatnonzero(scales == scale),
@@ -116,9 +115,8 @@ def _profiles(scene: Scene, direction_eq: Float) -> Iterator[tuple[_Stars, list[
         )
 
 
-def _area_factor(scene: Scene, direction_eq: Float, peak: Float) -> Float:
+def _area_factor(sensor: Sensor, scales: Float, peak: Float) -> Float:
     """Return the noise-equivalent areas of trails times their peaks, of a flux of 1."""
-    sensor = scene.sensor
     at_rest, along_line, rest_px2 = 2.0, sqrt(2.0), 2 * np.pi * sensor.effective_sigma_px**2
     if not sensor.point_spread.is_gaussian:
         parts = [
@@ -130,7 +128,7 @@ def _area_factor(scene: Scene, direction_eq: Float, peak: Float) -> Float:
         pairs = [(f * g, s + t) for f, s in parts for g, t in parts]
         across = sum(fraction / sqrt(2 * np.pi * variance) for fraction, variance in parts)
         along_line = across / sum(fraction / sqrt(2 * np.pi * variance) for fraction, variance in pairs)
-    concentration = np.minimum(rest_px2 * peak * psf_scale(scene, direction_eq) ** 2, 1.0)
+    concentration = np.minimum(rest_px2 * peak * scales**2, 1.0)
     return np.asarray(along_line + (at_rest - along_line) * concentration)
 
 
