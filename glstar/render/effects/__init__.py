@@ -9,10 +9,20 @@ from typing import Any
 
 from glstar.camera.sensor import Sensor
 from glstar.render.effects.blacklevel import BLACK_LEVEL
+from glstar.render.effects.blooming import BLOOMING
 from glstar.render.effects.cloud import CLOUD
 from glstar.render.effects.colourkeys import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS
 from glstar.render.effects.darkcurrent import DARK_CURRENT
-from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.effect import (
+    ChargeTransfer,
+    Control,
+    Effect,
+    EffectTexture,
+    Key,
+    Stage,
+    UniformValue,
+    Values,
+)
 from glstar.render.effects.falloff import FLAT_FALLOFF, LENS_FALLOFF
 from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
 from glstar.render.effects.flare import FLARE
@@ -33,6 +43,7 @@ from glstar.render.scene import Scene
 __all__ = [
     "EFFECTS",
     "PROCESSING_DEFAULTS",
+    "ChargeTransfer",
     "Control",
     "Effect",
     "EffectTexture",
@@ -54,6 +65,7 @@ EFFECTS: tuple[Effect, ...] = (
     RESPONSE_PATTERN,
     DARK_CURRENT,
     DARK_PATTERN,
+    BLOOMING,
     FULL_WELL,
     SHOT_NOISE,
     ROW_NOISE,

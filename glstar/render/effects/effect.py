@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,17 @@ from glstar.camera.electrons import ElectronModel
 from glstar.camera.sensor import EffectValue, NoiseModel, Sensor
 from glstar.render.scene import Scene
 
-__all__ = ["Control", "Effect", "EffectTexture", "Key", "Stage", "UniformValue", "Values", "no_uniforms"]
+__all__ = [
+    "ChargeTransfer",
+    "Control",
+    "Effect",
+    "EffectTexture",
+    "Key",
+    "Stage",
+    "UniformValue",
+    "Values",
+    "no_uniforms",
+]
 
 # The values of an effect by the names of its keys, without the section.
 Values = Mapping[str, EffectValue]
@@ -120,6 +130,24 @@ class EffectTexture:
     per_quad: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class ChargeTransfer:
+    """Charge that moves along the columns or rows of the image, computed on the CPU.
+
+    Attributes
+    ----------
+    along : {"columns", "rows"}
+    threshold_dn : float
+        Lines without a pixel above this signal do not change, and are not read from the GPU.
+    moved : callable
+        Signal of lines, (lines, pixels) float64 DN, to the signal after the charge has moved.
+    """
+
+    along: Literal["columns", "rows"]
+    threshold_dn: float
+    moved: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
 def _always(_values: Values) -> bool:
     return True
 
@@ -173,6 +201,9 @@ class Effect:
     options : callable
         (values, scene) to numbers of the preprocessor, such as ``{"FINE": 1}`` for ``#if FINE``.  The shader is
         compiled for each combination; a texture whose sampler it does not read is not computed.  Default: none.
+    transfer : callable or None
+        (values, scene) to a `ChargeTransfer`.  The GLSL reads the result by ``with_moved_charge(signal_dn, quad)``.  At
+        most one active effect has it.
     """
 
     name: str
@@ -187,6 +218,7 @@ class Effect:
     noise_model: NoiseModel | None = None
     reads: tuple[Key, ...] = ()
     options: Callable[[Values, Scene], Mapping[str, int]] = _no_options
+    transfer: Callable[[Values, Scene], ChargeTransfer] | None = None
 
     def values(self, sensor: Sensor) -> Values:
         """Return the values of the effect's keys.

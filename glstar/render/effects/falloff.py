@@ -108,7 +108,7 @@ vec4 falloff_around(vec3 of_w, vec2 w_per_px, float quad_px) {
 
 // The polynomials are evaluated once per fragment, in the middle of its pixels; the compiler shares that between quads.
 vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
-    float y = (floor(gl_FragCoord.y) - falloff_principal_px.y) / falloff_focal_px.y;
+    float y = (floor(fragment.y) - falloff_principal_px.y) / falloff_focal_px.y;
     float x = (middle_column_px() - falloff_principal_px.x - falloff_skew_px * y) / falloff_focal_px.x;
     float q = (x * x + y * y) / falloff_largest_q;
     // Slope and half of the second derivative of q along the row; the lens shows nothing beyond the largest q.

@@ -401,12 +401,12 @@ uniform sampler2D sky_of_spans;
 float span_of(uvec2 quad) {
     if (float(SKY_SPAN_PX) < SPAN_PX)
         return float(quad.x / uint(SKY_SPAN_PX / 4));
-    return floor(floor(gl_FragCoord.x) * (SPAN_PX / float(SKY_SPAN_PX)));
+    return floor(floor(fragment.x) * (SPAN_PX / float(SKY_SPAN_PX)));
 }
 
 vec4 sky_span(uvec2 quad) {
     vec2 size = vec2(textureSize(sky_of_spans, 0));
-    float row = (floor(gl_FragCoord.y) + 0.5) / image_px.y * (size.y - 1.0);
+    float row = (floor(fragment.y) + 0.5) / image_px.y * (size.y - 1.0);
     return textureLod(sky_of_spans, (vec2(span_of(quad), row) + 0.5) / size, 0.0);
 }
 

@@ -12,6 +12,7 @@ import numpy as np
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS, Effect, EffectTexture, Stage, UniformValue, Values, active_effects
+from glstar.render.opengl.chargetransferpass import ChargeTransferPass
 from glstar.render.opengl.effectsources import composed_sources
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.scene import Scene
@@ -20,6 +21,11 @@ __all__ = ["DevelopPass"]
 
 # Largest number of a float of 16 bits.
 _MOST_HALF = float(np.finfo(np.float16).max)
+
+# Value of OUTPUT in develop.frag.
+_DIGITAL_NUMBERS = 0
+
+_NO_TEXTURES: Mapping[str, moderngl.Texture] = MappingProxyType({})
 
 PixelType = type[np.uint8] | type[np.uint16]
 
@@ -50,10 +56,11 @@ class DevelopPass:
     def __init__(self, context: moderngl.Context, effects: Sequence[Effect] = EFFECTS) -> None:
         self._context = context
         self._effects = tuple(effects)
-        self._programs: dict[tuple[PixelType, tuple[Effect, ...], tuple[tuple[str, int], ...]], _Program] = {}
+        self._programs: dict[Hashable, _Program] = {}
         self._textures: dict[tuple[str, str], _Texture] = {}
+        self._charge_transfer_pass = ChargeTransferPass(context)
         for dtype in (np.uint8, np.uint16):
-            self._program(dtype, _in_this_pass(Sensor(), self._effects))
+            self._program(dtype, _in_this_pass(Sensor(), self._effects), _Output(_DIGITAL_NUMBERS, 0))
 
     def draw(
         self,
@@ -92,16 +99,51 @@ class DevelopPass:
             If an effect declares a uniform and gives no value for it.
         """
         active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
-        program = self._program(dtype, active, _options(active, scene))
+        inputs = _Inputs(scene, signal, guard_band_px, dtype, seed)
+        active, lines, textures = self._with_moved_charge(active, inputs, image)
+        self._draw(active, _Output(_DIGITAL_NUMBERS, lines), inputs, image, textures)
+
+    def _with_moved_charge(
+        self, active: tuple[Effect, ...], inputs: "_Inputs", image: moderngl.Framebuffer
+    ) -> tuple[tuple[Effect, ...], int, Mapping[str, moderngl.Texture]]:
+        """Return the effects to apply, LINES of develop.frag and the lines whose charge an effect moves."""
+        moving = [number for number, effect in enumerate(active) if effect.transfer is not None]
+        if not moving:
+            return active, 0, _NO_TEXTURES
+        (number,), scene = moving, inputs.scene
+        before, effect, after = active[:number], active[number], active[number + 1 :]
+        assert effect.transfer is not None
+        transfer = effect.transfer(effect.values(scene.sensor), scene)
+        lines = 1 if transfer.along == "columns" else 2
+
+        def draw(target: moderngl.Framebuffer, output: int, textures: Mapping[str, moderngl.Texture]) -> None:
+            self._draw(before, _Output(output, lines), inputs, target, textures)
+
+        moved = self._charge_transfer_pass.moved(transfer, scene.camera.width_px, image, draw)
+        return (active, lines, moved) if moved else (before + after, 0, moved)
+
+    def _draw(
+        self,
+        active: tuple[Effect, ...],
+        output: "_Output",
+        inputs: "_Inputs",
+        target: moderngl.Framebuffer,
+        textures: Mapping[str, moderngl.Texture],
+    ) -> None:
+        scene = inputs.scene
+        program = self._program(inputs.dtype, active, output, _options(active, scene))
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
-            "signal_border_px": guard_band_px,
-            "signal_size_px": signal.size,
+            "signal_border_px": inputs.guard_band_px,
+            "signal_size_px": inputs.signal.size,
             "image_size_px": (scene.camera.width_px, scene.camera.height_px),
-            "noise_seed": seed,
+            "noise_seed": inputs.seed,
         }
-        signal.use(location=0)
+        inputs.signal.use(location=0)
         units = count(1)
+        for sampler, given in textures.items():
+            uniforms[sampler] = unit = next(units)
+            given.use(location=unit)
         for effect in active:
             values = effect.values(scene.sensor)
             uniforms |= effect.uniforms(values, scene)
@@ -112,13 +154,17 @@ class DevelopPass:
             raise RenderError(f"no effect gives a value to the uniform {min(missing)} of the develop shader")
         set_uniforms(program.program, **{name: uniforms[given] for name, given in program.names.items()})
         self._context.enable_only(moderngl.NOTHING)
-        image.use()
+        target.use()
         program.whole_image.render(moderngl.TRIANGLES, vertices=3)
 
     def _program(
-        self, dtype: PixelType, active: tuple[Effect, ...], options: Mapping[str, int] = MappingProxyType({})
+        self,
+        dtype: PixelType,
+        active: tuple[Effect, ...],
+        output: "_Output",
+        options: Mapping[str, int] = MappingProxyType({}),
     ) -> "_Program":
-        key = dtype, active, tuple(options.items())
+        key = dtype, active, output, tuple(options.items())
         if key not in self._programs:
             sources = composed_sources(active)
             program = linked(
@@ -127,6 +173,8 @@ class DevelopPass:
                 "develop.frag",
                 generated=sources.by_name,
                 SIXTEEN_BITS=int(dtype is np.uint16),
+                OUTPUT=output.kind,
+                LINES=output.lines,
                 **options,
             )
             names = {
@@ -162,7 +210,25 @@ class DevelopPass:
                 owned.callback(program.whole_image.release)
             for texture in self._textures.values():
                 owned.callback(texture.texture.release)
+            owned.callback(self._charge_transfer_pass.release)
             self._programs, self._textures = {}, {}
+
+
+class _Inputs(NamedTuple):
+    """What an image is developed from."""
+
+    scene: Scene
+    signal: moderngl.Texture
+    guard_band_px: int
+    dtype: PixelType
+    seed: int
+
+
+class _Output(NamedTuple):
+    """What develop.frag draws."""
+
+    kind: int  # OUTPUT
+    lines: int  # LINES
 
 
 class _Program(NamedTuple):
