@@ -109,6 +109,7 @@ GROUPS: dict[str, list[Settings]] = {
     "pattern": [
         {"sensor.hot_pixels_per_mpx": 5000.0, "sensor.prnu_fraction": 0.01, "sensor.dsnu_fraction": 0.3},
         {"sensor.row_noise_e": 2.0, "sensor.black_drift_dn": 3.0, "sensor.dead_pixels_per_mpx": 500.0},
+        {"sensor.blooming": "columns", "sensor.full_well_e": 1000.0, "sensor.hot_pixels_per_mpx": 100.0},
     ],
     "lens": [
         {"lens.vignetting": "cos4"},

@@ -57,7 +57,7 @@ class ChargeTransferPass:
             Until the next call.
         """
         self.release()
-        largest_dn = self._drawn(image.size, 1, draw, _LARGEST)[..., 0]
+        largest_dn = self._drawn(image, image.size, 1, draw, _LARGEST)[..., 0]
         quads, by_columns = -(-width_px // 4), transfer.along == "columns"
         above = largest_dn.max(axis=0 if by_columns else 1) > transfer.threshold_dn
         if by_columns:
@@ -68,7 +68,7 @@ class ChargeTransferPass:
         size = (len(chosen), image.height) if by_columns else (quads, len(chosen))
         lines = self._line_texture(chosen)
         try:
-            signal_dn = self._drawn(size, 4, draw, _CHOSEN_LINES, {"chosen_lines": lines})
+            signal_dn = self._drawn(image, size, 4, draw, _CHOSEN_LINES, {"chosen_lines": lines})
         finally:
             lines.release()
         number = np.zeros(len(above))
@@ -86,6 +86,7 @@ class ChargeTransferPass:
 
     def _drawn(
         self,
+        image: moderngl.Framebuffer,
         size: tuple[int, int],
         components: int,
         draw: DrawSignal,
@@ -100,6 +101,7 @@ class ChargeTransferPass:
             draw(target, output, textures)
             target.read_into(drawn_dn, components=components, dtype="f4")
         finally:
+            image.use()  # a bound target cannot be released
             target.release()
             texture.release()
         return drawn_dn

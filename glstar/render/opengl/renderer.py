@@ -156,6 +156,8 @@ class GLRenderer:
     def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
         """Start to draw a scene without waiting for it; `end_read` returns the frame.
 
+        Stacks and frames with blooming are waited for.
+
         Parameters
         ----------
         scene, seed, light
@@ -211,7 +213,7 @@ class GLRenderer:
         return self.developed_texture()
 
     def begin_develop(self, scene: Scene, *, seed: int | None, noiseless: bool = False) -> bool:
-        """Start to develop a scene (without a seed: to expose it), not waiting unless stacked: see `developed_texture`.
+        """Start to develop a scene (without a seed: to expose it); stacks and blooming wait: see `developed_texture`.
 
         Returns
         -------
