@@ -90,7 +90,7 @@ def test_lines_are_those_of_charge_moved_pixel_by_pixel(fraction: float) -> None
 
 def test_charge_is_conserved_and_blooms_are_as_long_as_they_must_be() -> None:
     line = np.full((1, 101), 20.0)
-    line[0, 50] = 100.0 + 1600.0  # 800 each way fill ten pixels of 80
+    line[0, 50] = 100.0 + 1600.0  # 800 in each direction fill ten pixels of 80
 
     full = bloomed(line, 100.0)
 

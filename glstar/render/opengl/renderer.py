@@ -154,9 +154,7 @@ class GLRenderer:
         return self.read(light=light)
 
     def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
-        """Start to draw a scene without waiting for it; `end_read` returns the frame.
-
-        Stacks and frames with blooming are waited for.
+        """Start to draw a scene, waiting for stacks and blooming only; `end_read` returns the frame.
 
         Parameters
         ----------
