@@ -26,7 +26,7 @@ uniform sampler2D chosen_lines;   // the column of each quad or the row
 #endif
 
 // Where develop draws the pixels: the column of their fragment and their row, each + 0.5.
-vec2 fragment;
+vec2 fragment = gl_FragCoord.xy;
 
 // Effects process four neighbouring pixels of a row at a time: quad = (x / 4, y) of the first of them.
 
@@ -106,7 +106,6 @@ uint packed_dn(uvec2 quad) {
 #endif
 
 void main() {
-    fragment = gl_FragCoord.xy;
     uvec2 quad = uvec2(gl_FragCoord.xy), next = uvec2(1u, 0u);
 #if SIXTEEN_BITS
     quad.x *= 2u;
@@ -118,7 +117,6 @@ void main() {
 }
 #elif OUTPUT == 1
 void main() {
-    fragment = gl_FragCoord.xy;
     uvec2 quad = uvec2(gl_FragCoord.xy);
     quad.x *= uint(SPAN_PX / 4.0);
     vec4 largest = developed_dn(quad);
