@@ -6,7 +6,7 @@ import sys
 from functools import cache
 from typing import Final
 
-__all__ = ["keep_freed_memory", "share_one_heap"]
+__all__ = ["keep_freed_memory", "return_freed_memory", "share_one_heap"]
 
 # Parameters of glibc's `mallopt`, from malloc.h.
 _M_ARENA_MAX: Final = -8
@@ -50,6 +50,18 @@ def share_one_heap() -> bool:
     if any(name in os.environ for name in ("MALLOC_ARENA_MAX", "GLIBC_TUNABLES")):
         return False
     return _set((_M_ARENA_MAX, _HEAPS))
+
+
+def return_freed_memory() -> None:
+    """Return the C library's freed memory to the system, except for 64 MiB at the end of the heap.
+
+    Without this only free memory at the end of the heap is ever returned: one small block that stays in use holds
+    everything that was freed below it.
+    """
+    malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if malloc_trim is not None:  # musl has none
+        malloc_trim.argtypes = [ctypes.c_size_t]
+        malloc_trim(_KEPT_BYTES)
 
 
 def _set(*parameters: tuple[int, int]) -> bool:

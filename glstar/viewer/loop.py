@@ -15,7 +15,7 @@ from glstar.errors import GlstarError, RenderError
 from glstar.link import Endpoint, Link
 from glstar.render.opengl import GLRenderer
 from glstar.sky.timescale import CLOCK_GRAIN_S
-from glstar.system.heap import share_one_heap
+from glstar.system.heap import return_freed_memory, share_one_heap
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.overlays import Overlay
@@ -197,9 +197,11 @@ class Viewer:
             surface.set_full_screen(self._full_screen)
 
     def _remember(self) -> None:
-        """Remember the flight shown, once."""
+        """Remember the flight shown, once, and return the memory of the one before."""
         loaded = self.session.loaded
         if loaded is not self._remembered:
+            if self._remembered is not None:
+                return_freed_memory()
             self._remembered = loaded
             if loaded is not None and loaded.path is not None:
                 self._memory.opened(loaded.path)

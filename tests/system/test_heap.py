@@ -72,3 +72,31 @@ def test_all_threads_together_keep_what_one_thread_keeps(monkeypatch):
     answer = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, check=True).stdout.split()
     assert answer[0] == "True"
     assert int(answer[1]) < 60_000_000
+
+
+# Frees blocks that together are 200 MB below one that stays in use; prints what the process still holds of them, bytes.
+BELOW = (
+    PROGRAM[: PROGRAM.index("before =")]
+    + """
+from glstar.system.heap import return_freed_memory
+before = resident()
+blocks = [libc.malloc(65000) for _ in range(3080)]
+for block in blocks:
+    ctypes.memset(block, 1, 65000)
+kept = libc.malloc(65000)
+for block in reversed(blocks):
+    libc.free(block)
+held = resident() - before
+return_freed_memory()
+print(held, resident() - before)
+"""
+)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has the setting")
+def test_freed_memory_is_returned_from_below_what_is_in_use(monkeypatch):
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+    answer = subprocess.run([sys.executable, "-c", BELOW], capture_output=True, text=True, check=True).stdout.split()
+    assert int(answer[0]) > 150_000_000
+    assert int(answer[1]) < 80_000_000

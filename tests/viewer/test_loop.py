@@ -266,3 +266,15 @@ def test_a_click_shows_although_the_button_is_released_while_the_window_comes_to
     left = screen(window).copy()
     window.frame(0.0)
     np.testing.assert_array_equal(left, screen(window))
+
+
+def test_memory_of_a_flight_is_returned_when_another_replaces_it(window, tmp_path, monkeypatch):
+    returned = []
+    monkeypatch.setattr("glstar.viewer.loop.return_freed_memory", lambda: returned.append(window.session.loaded))
+    window.frame(0.0)
+    assert returned == []
+    window.open(write_flight(tmp_path / "other.csv"))
+    window.session.wait_for_flight()
+    window.frame(0.0)
+    window.frame(0.0)
+    assert len(returned) == 1
