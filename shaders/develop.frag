@@ -7,22 +7,23 @@
 // OpenGL this takes half the time (tests/bench): fetching the signal of sixteen pixels takes as long as that of one.
 
 // SIXTEEN_BITS: 1 for pixels of 16 bits, 0 for 8 bits.
-// OUTPUT: 0 for digital numbers; 1 and 2 for the signal before charge moves along lines (glstar/render/opengl/
-// chargetransferpass.py): 1, its largest value among the pixels of a fragment; 2, that of four pixels of chosen lines.
-// LINES: 0 if no charge moves, 1 along columns, 2 along rows.
+// OUTPUT: 0 for digital numbers; 1 for these and the largest signal of the fragment's pixels before charge moves along
+// lines (glstar/render/opengl/chargetransferpass.py); 2 for that signal only, of four pixels of chosen lines.
+// LINES: 1 if charge moves along columns, 2 along rows, 0 if none has moved or yet to move.
 
 uniform sampler2D signal;         // DN, with the guard band
 flat in vec2 image_px;            // width, height without the guard band
 flat in vec2 texels_per_px;       // of signal: 1 / width, 1 / height
 flat in float guard_band_px;
 
-#if OUTPUT == 0
-out uvec4 texel;
-#elif OUTPUT == 1
-out float largest_dn;
+#if OUTPUT < 2
+layout(location = 0) out uvec4 texel;
 #else
-out vec4 quad_dn;
+layout(location = 0) out vec4 quad_dn;
 uniform sampler2D chosen_lines;   // the column of each quad or the row
+#endif
+#if OUTPUT == 1
+layout(location = 1) out float largest_dn;
 #endif
 
 // Where develop draws the pixels: the column of their fragment and their row, each + 0.5.
@@ -65,14 +66,21 @@ vec4 between_nodes(uvec2 quad, bool by_quads, float first, float last) {
 }
 
 #if OUTPUT == 0 && LINES != 0
-// The signal of lines whose charge has moved, four pixels a texel, and of all lines their number among these + 1, or 0.
+// The signal of lines whose charge has moved, four pixels a texel, and the number among these of each line.
 uniform sampler2D moved_dn, number_of_line;
 
 vec4 with_moved_charge(vec4 signal_dn, uvec2 quad) {
     float line = LINES == 1 ? float(quad.x) : float(quad.y);
     float number = textureLod(number_of_line, vec2((line + 0.5) / float(textureSize(number_of_line, 0).x), 0.5), 0.0).r;
-    vec2 at = LINES == 1 ? vec2(number - 0.5, float(quad.y) + 0.5) : vec2(float(quad.x) + 0.5, number - 0.5);
-    return number > 0.0 ? textureLod(moved_dn, at / vec2(textureSize(moved_dn, 0)), 0.0) : signal_dn;
+    vec2 at = LINES == 1 ? vec2(number, quad.y) : vec2(quad.x, number);
+    return textureLod(moved_dn, (at + 0.5) / vec2(textureSize(moved_dn, 0)), 0.0);
+}
+#elif OUTPUT == 1
+vec4 largest = vec4(0.0);
+
+vec4 with_moved_charge(vec4 signal_dn, uvec2 quad) {
+    largest = max(largest, signal_dn);
+    return signal_dn;
 }
 #endif
 
@@ -88,7 +96,7 @@ vec4 developed_dn(uvec2 quad) {
     return with_effects(signal_dn, quad);
 }
 
-#if OUTPUT == 0
+#if OUTPUT < 2
 uvec4 digital_numbers(uvec2 quad) {
     return uvec4(developed_dn(quad));
 }
@@ -114,15 +122,9 @@ void main() {
     quad.x *= 4u;
     texel = uvec4(packed_dn(quad), packed_dn(quad + next), packed_dn(quad + 2u * next), packed_dn(quad + 3u * next));
 #endif
-}
-#elif OUTPUT == 1
-void main() {
-    uvec2 quad = uvec2(gl_FragCoord.xy);
-    quad.x *= uint(SPAN_PX / 4.0);
-    vec4 largest = developed_dn(quad);
-    for (uint k = 1u; k < uint(SPAN_PX / 4.0); ++k)
-        largest = max(largest, developed_dn(quad + uvec2(k, 0u)));
+#if OUTPUT == 1
     largest_dn = max(max(largest.x, largest.y), max(largest.z, largest.w));
+#endif
 }
 #else
 void main() {

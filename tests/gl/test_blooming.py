@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import moderngl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,7 +12,9 @@ from glstar.camera.distortion import Lens
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
-from glstar.render.effects.blooming import bloomed
+from glstar.errors import RenderError
+from glstar.render.effects import EFFECTS
+from glstar.render.effects.blooming import BLOOMING, bloomed
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Frame, Scene
 from glstar.render.truth import frame_truth
@@ -193,3 +196,12 @@ def test_a_star_in_the_bloom_of_another_is_saturated_in_the_truth(renderer: GLRe
         assert truth.get("blooming") == (None if along == "none" else {"along": along, "fraction": 1.0})
 
     assert marked == {"none": [True, False, False], "columns": [True, True, False], "rows": [True, False, False]}
+
+
+def test_two_effects_that_move_charge_are_refused(context: moderngl.Context) -> None:
+    again = replace(BLOOMING, name="again", glsl=BLOOMING.glsl.replace("blooming", "again"))
+    with (
+        GLRenderer(context, effects=[*EFFECTS, again]) as renderer,
+        pytest.raises(RenderError, match="at most one effect moves charge, not blooming and again"),
+    ):
+        renderer.render(star(sensor("columns")), seed=0)

@@ -12,7 +12,7 @@ import numpy as np
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS, Effect, EffectTexture, Stage, UniformValue, Values, active_effects
-from glstar.render.opengl.chargetransferpass import ChargeTransferPass
+from glstar.render.opengl.chargetransferpass import ChargeTransferPass, DevelopOutput, Rectangle
 from glstar.render.opengl.effectsources import composed_sources
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.scene import Scene
@@ -22,8 +22,7 @@ __all__ = ["DevelopPass"]
 # Largest number of a float of 16 bits.
 _MOST_HALF = float(np.finfo(np.float16).max)
 
-# Value of OUTPUT in develop.frag.
-_DIGITAL_NUMBERS = 0
+_DIGITAL_NUMBERS = DevelopOutput(output=0, lines=0)
 
 _NO_TEXTURES: Mapping[str, moderngl.Texture] = MappingProxyType({})
 
@@ -60,7 +59,7 @@ class DevelopPass:
         self._textures: dict[tuple[str, str], _Texture] = {}
         self._charge_transfer_pass = ChargeTransferPass(context)
         for dtype in (np.uint8, np.uint16):
-            self._program(dtype, _in_this_pass(Sensor(), self._effects), _Output(_DIGITAL_NUMBERS, 0))
+            self._program(dtype, _in_this_pass(Sensor(), self._effects), _DIGITAL_NUMBERS)
 
     def draw(
         self,
@@ -96,40 +95,47 @@ class DevelopPass:
         ShaderError
             If the driver rejects the shader of these effects.
         RenderError
-            If an effect declares a uniform and gives no value for it.
+            If an effect declares a uniform and gives no value for it, or several effects move charge.
         """
         active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
         inputs = _Inputs(scene, signal, guard_band_px, dtype, seed)
-        active, lines, textures = self._with_moved_charge(active, inputs, image)
-        self._draw(active, _Output(_DIGITAL_NUMBERS, lines), inputs, image, textures)
-
-    def _with_moved_charge(
-        self, active: tuple[Effect, ...], inputs: "_Inputs", image: moderngl.Framebuffer
-    ) -> tuple[tuple[Effect, ...], int, Mapping[str, moderngl.Texture]]:
-        """Return the effects to apply, LINES of develop.frag and the lines whose charge an effect moves."""
         moving = [number for number, effect in enumerate(active) if effect.transfer is not None]
         if not moving:
-            return active, 0, _NO_TEXTURES
-        (number,), scene = moving, inputs.scene
-        before, effect, after = active[:number], active[number], active[number + 1 :]
-        assert effect.transfer is not None
-        transfer = effect.transfer(effect.values(scene.sensor), scene)
-        lines = 1 if transfer.along == "columns" else 2
+            self._draw(active, inputs, image, _DIGITAL_NUMBERS)
+        elif len(moving) == 1:
+            self._draw_with_moved_charge(active, moving[0], inputs, image)
+        else:
+            raise RenderError(f"at most one effect moves charge, not {' and '.join(active[k].name for k in moving)}")
 
-        def draw(target: moderngl.Framebuffer, output: int, textures: Mapping[str, moderngl.Texture]) -> None:
-            self._draw(before, _Output(output, lines), inputs, target, textures)
+    def _draw_with_moved_charge(
+        self, active: tuple[Effect, ...], number: int, inputs: "_Inputs", image: moderngl.Framebuffer
+    ) -> None:
+        """Draw an image in which the effect of some number moves charge."""
+        transfer, scene = active[number].transfer, inputs.scene
+        assert transfer is not None
 
-        moved = self._charge_transfer_pass.moved(transfer, scene.camera.width_px, image, draw)
-        return (active, lines, moved) if moved else (before + after, 0, moved)
+        def developed(
+            target: moderngl.Framebuffer,
+            output: DevelopOutput,
+            textures: Mapping[str, moderngl.Texture] = _NO_TEXTURES,
+            rectangles: Sequence[Rectangle] = (),
+        ) -> None:
+            effects = active[:number] if output.output == 2 else active
+            self._draw(effects, inputs, target, output, textures, rectangles)
+
+        given = transfer(active[number].values(scene.sensor), scene)
+        self._charge_transfer_pass.draw(given, scene.camera.width_px, image, developed)
 
     def _draw(
         self,
         active: tuple[Effect, ...],
-        output: "_Output",
         inputs: "_Inputs",
         target: moderngl.Framebuffer,
-        textures: Mapping[str, moderngl.Texture],
+        output: DevelopOutput,
+        textures: Mapping[str, moderngl.Texture] = _NO_TEXTURES,
+        rectangles: Sequence[Rectangle] = (),
     ) -> None:
+        """Draw the image or a signal to a target: in rectangles of it, or everywhere."""
         scene = inputs.scene
         program = self._program(inputs.dtype, active, output, _options(active, scene))
         uniforms: dict[str, UniformValue] = {
@@ -155,13 +161,17 @@ class DevelopPass:
         set_uniforms(program.program, **{name: uniforms[given] for name, given in program.names.items()})
         self._context.enable_only(moderngl.NOTHING)
         target.use()
-        program.whole_image.render(moderngl.TRIANGLES, vertices=3)
+        whole = (0, 0, *target.size)
+        for rectangle in rectangles or [whole]:
+            target.scissor = rectangle
+            program.whole_image.render(moderngl.TRIANGLES, vertices=3)
+        target.scissor = whole
 
     def _program(
         self,
         dtype: PixelType,
         active: tuple[Effect, ...],
-        output: "_Output",
+        output: DevelopOutput,
         options: Mapping[str, int] = MappingProxyType({}),
     ) -> "_Program":
         key = dtype, active, output, tuple(options.items())
@@ -173,7 +183,7 @@ class DevelopPass:
                 "develop.frag",
                 generated=sources.by_name,
                 SIXTEEN_BITS=int(dtype is np.uint16),
-                OUTPUT=output.kind,
+                OUTPUT=output.output,
                 LINES=output.lines,
                 **options,
             )
@@ -210,7 +220,6 @@ class DevelopPass:
                 owned.callback(program.whole_image.release)
             for texture in self._textures.values():
                 owned.callback(texture.texture.release)
-            owned.callback(self._charge_transfer_pass.release)
             self._programs, self._textures = {}, {}
 
 
@@ -222,13 +231,6 @@ class _Inputs(NamedTuple):
     guard_band_px: int
     dtype: PixelType
     seed: int
-
-
-class _Output(NamedTuple):
-    """What develop.frag draws."""
-
-    kind: int  # OUTPUT
-    lines: int  # LINES
 
 
 class _Program(NamedTuple):
