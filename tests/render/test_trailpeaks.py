@@ -1,0 +1,80 @@
+"""Expected peaks and areas of the trails of rough flights, against brute force along their true paths."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.render.rowtimes import recorded_positions, recorded_times
+from glstar.render.simulator import Simulator
+from glstar.render.trailpeaks import trail_peaks
+from glstar.render.trailstatistics import TrailStatistics
+from glstar.rotation import quaternion_from_euler
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+
+LENS = camera(1014, 760, 967.7425)
+EXPOSURE = Exposure(NIGHT_UTC_S + 0.213, 0.5, trail="analytic")
+SAMPLES, STEP, STARS = 2400, 8, 24
+
+
+def shaken(deg: float, seed: int) -> Simulator:
+    """Return an aircraft that turns at some deg/s and swings by some degrees at three frequencies about each axis."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 1.0, 0.02)
+    rate_hz, phase = random.uniform(2, 8, (3, 3, 1)), random.uniform(0, 6, (3, 3, 1))
+    angles_deg = deg * np.sin(2 * np.pi * rate_hz * t + phase).sum(axis=1) + np.outer([8.0, -3.0, 5.0], t)
+    track = AttitudeTrack.from_samples(NIGHT_UTC_S + t, quaternion_from_euler(*np.deg2rad(angles_deg)))
+    still = sky_over_adelaide(LENS)
+    return Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), still.sky, LENS, Mount(), still.sensor)
+
+
+def brute_force(path_px: np.ndarray, sigma_px: float) -> tuple[float, float]:
+    """Return the largest signal of a path on the image over its flux, and the area of its part on the image."""
+    point_px = path_px[::STEP]
+    square_px2 = ((point_px[:, np.newaxis] - path_px) ** 2).sum(axis=-1)
+    signal, overlap = (
+        np.exp(square_px2 / (-2 * width_px2)).mean(axis=1) / (2 * np.pi * width_px2)
+        for width_px2 in (sigma_px**2, 2 * sigma_px**2)
+    )
+    on_image = LENS.contains(point_px)
+    return signal[on_image].max(), on_image.mean() / (overlap * on_image).mean()
+
+
+@pytest.mark.parametrize(
+    ("deg", "exposure"),
+    [
+        (0.3, EXPOSURE),
+        (0.3, replace(EXPOSURE, readout_s=0.087)),
+        (2.0, EXPOSURE),
+        (0.3, replace(EXPOSURE, duration_s=0.15, frames=3, gap_s=0.02)),
+    ],
+)
+def test_expected_peaks_and_areas_of_rough_flights_are_those_of_brute_force(deg, exposure):
+    simulator = shaken(deg, seed=4)
+    scene = simulator.scene(exposure)
+    listed_eq = scene.stars.direction_eq[scene.visible[np.flatnonzero(TrailStatistics(scene).touching)]]
+    assert len(listed_eq) > 300
+    recorded = recorded_times(scene, listed_eq) if exposure.readout_s else None
+    peaks = trail_peaks(scene, listed_eq, recorded=recorded)
+    some = np.random.default_rng(0).choice(len(listed_eq), STARS, replace=False)
+    paths_px = recorded_positions(
+        scene if exposure.frames > 1 else simulator.scene(replace(exposure, path_tolerance_px=0.0)),
+        listed_eq[some],
+        (np.arange(SAMPLES) + 0.5) / SAMPLES,
+    )
+
+    sigma_px, errors = scene.sensor.effective_sigma_px, []
+    for star, path_px in zip(some, np.moveaxis(paths_px, 1, 0), strict=True):
+        if np.isfinite(path_px).all() and LENS.contains(path_px[::STEP]).any():
+            peak, area_px2 = brute_force(path_px, sigma_px)
+            errors.append((peaks.peak_fraction_per_px2[star] / peak - 1, peaks.area_px2[star] / area_px2 - 1))
+
+    assert len(errors) >= STARS - 4
+    peak_errors, area_errors = np.abs(errors).T
+    limit = 0.03 if deg < 1 else 0.06
+    assert np.median(peak_errors) < limit
+    assert np.quantile(peak_errors, 0.9) < 2 * limit
+    assert np.median(area_errors) < 0.02
+    assert np.quantile(area_errors, 0.9) < limit
