@@ -13,6 +13,7 @@ import exifread
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.bitalignment import as_digital_numbers, stated_shift_bits
 from glstar.camera.photofile import PhotoPixels, decode_photo
 from glstar.errors import CalibrationError
 from glstar.system.imagesize import size_error
@@ -80,8 +81,10 @@ def read_image(
     channel : {"value", "red", "green", "blue", "mean"}
         Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
     bit_depth : int, optional
-        Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits.  By default 8;
-        for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG states it.
+        Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits, whether its
+        numbers are in the lowest bits or, left-aligned, in the highest.  By default 8;
+        for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG states it, and so does a
+        grey PNG or TIFF whose numbers are shifted up to the highest bits.
     demosaiced : bool
         Whether a DNG's mosaic becomes a colour image.
 
@@ -117,6 +120,8 @@ def read_image(
         raise CalibrationError(message, path=path)
     stated = _depth_of(pixels) if white_dn is None else white_dn.bit_length()
     depth = stated if bit_depth is None else bit_depth
+    if bit_depth is not None and grey.max() > 2**depth - 1:
+        grey = as_digital_numbers(grey, 16 - depth)
     if grey.max() > 2**depth - 1:
         message = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
         raise CalibrationError(message, path=path)
@@ -141,7 +146,9 @@ def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> PhotoPixels:
     if pixels.dtype not in (np.uint8, np.uint16):
         message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
         raise CalibrationError(message, path=path)
-    return PhotoPixels(np.asarray(pixels))
+    shift = stated_shift_bits(content)
+    shifted_back = as_digital_numbers(np.asarray(pixels), shift)
+    return PhotoPixels(shifted_back, None if shifted_back is pixels else 2 ** (16 - shift) - 1)
 
 
 def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import typer
 
+from glstar.cli.bitnotes import bit_note
 from glstar.cli.exportoptions import (
     FRAMES_PER_WORKER,
     MAX_WORKERS,
@@ -355,6 +356,8 @@ def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
 def _report(
     job: "Export", report: "ExportReport", took_s: float, video: Path | None, tables: tuple[Path, ...], *, as_json: bool
 ) -> None:
+    if note := bit_note(job.task):
+        echo_note(f"glstar: {note}")
     if as_json:
         facts = {
             "directory": str(report.directory),

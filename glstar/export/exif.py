@@ -8,6 +8,7 @@ from math import floor
 from pathlib import Path
 from typing import Any, Final
 
+from glstar.camera.bitalignment import stated_shift_bits
 from glstar.errors import ExportError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import EXIF_END, decode, tiff
@@ -127,14 +128,15 @@ def exif_of(line: dict[str, Any]) -> bytes:
 def _tiff_with_exif(content: bytes, line: dict[str, Any]) -> bytes:
     """Return a TIFF with its EXIF after the pixels; links in the first directory lead to it."""
     stamp, shot, place = _tags(line)
-    pixels = decode(content, ".tiff")
+    pixels, shift = decode(content, ".tiff"), stated_shift_bits(content)
 
     def gps_at(exif_at: int) -> int:
         return exif_at + _size(shot)
 
     def written(exif_at: int) -> bytes:
         links = {_EXIF_IFD: exif_at, _GPS_IFD: gps_at(exif_at)}
-        whole = tiff(pixels, date_time=stamp, tags=[(_STANDS_FOR[tag], at) for tag, at in links.items()])
+        tags = [(_STANDS_FOR[tag], at) for tag, at in links.items()]
+        whole = tiff(pixels, date_time=stamp, tags=tags, shift_bits=shift)
         for tag in links:  # the directory precedes the pixels
             whole = whole.replace(_entry(_STANDS_FOR[tag]), _entry(tag), 1)
         return whole

@@ -25,7 +25,7 @@ Value = str | float | int | bool
 Card = tuple[str, Value, str]
 
 
-def encode_fits(scene: Scene, frame: Frame, *, number: int) -> bytes:
+def encode_fits(scene: Scene, frame: Frame, *, number: int, shift_bits: int = 0) -> bytes:
     """Return an image as a FITS file of 16 bits.
 
     Parameters
@@ -35,6 +35,8 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int) -> bytes:
         Its pixels; row 0 of the image is the first row of the file.
     number : int
         The frame's number.
+    shift_bits : int
+        By how many bits the stored numbers are shifted up; BSCALE and BZERO scale them back.
 
     Returns
     -------
@@ -46,7 +48,7 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int) -> bytes:
     FITS standard 4.0, sections 3, 4.4.2.5 (BZERO) and 4.4.2.7 (checksums); SIP, Shupe et al. 2005.
     """
     rows, columns = frame.pixels.shape
-    stored = (frame.pixels.astype(np.int32) - _ZERO).astype(">i2").tobytes()
+    stored = ((frame.pixels.astype(np.int32) << shift_bits) - _ZERO).astype(">i2").tobytes()
     data = stored + bytes(-len(stored) % _BLOCK)
     cards: list[Card] = [
         ("SIMPLE", True, "FITS"),
@@ -54,8 +56,8 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int) -> bytes:
         ("NAXIS", 2, ""),
         ("NAXIS1", columns, "px"),
         ("NAXIS2", rows, "px"),
-        ("BZERO", _ZERO, "unsigned integers"),
-        ("BSCALE", 1, ""),
+        ("BZERO", _ZERO >> shift_bits, "unsigned integers"),
+        ("BSCALE", 1 if not shift_bits else 2.0**-shift_bits, "" if not shift_bits else "numbers in the highest bits"),
         *_exposure_cards(scene, frame, number),
         *_sensor_cards(scene),
         *_wcs_cards(fit_tan_sip(scene)),
@@ -303,4 +305,6 @@ def decode_fits(content: bytes) -> NDArray[Any]:
         raise ValueError("is damaged: a wrong checksum")
     length, shape = header
     pixels = np.frombuffer(content, ">i2", shape[0] * shape[1], offset=length).reshape(shape)
-    return (pixels.astype(np.int32) + _ZERO).astype(np.uint16)
+    scale = re.search(rb"BSCALE  = +([0-9.]+)", content[:length])
+    per_dn = 1 if scale is None else round(1 / float(scale[1]))
+    return ((pixels.astype(np.int32) + _ZERO) // per_dn).astype(np.uint16)

@@ -14,6 +14,7 @@ import numpy as np
 import tifffile
 from zlib_ng import zlib_ng
 
+from glstar.camera.bitalignment import MAX_SAMPLE_VALUE, as_digital_numbers, stated_shift_bits
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
@@ -46,7 +47,9 @@ SUFFIX: Final[dict[ImageFormat, str]] = {
 }
 
 
-def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_quality: int = 93) -> bytes:
+def encode(
+    pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_quality: int = 93, shift_bits: int = 0
+) -> bytes:
     """Return an image as the bytes of its file.
 
     Parameters
@@ -57,6 +60,8 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_qual
         8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.  FITS needs a scene: `glstar.export.fitsfile`.
     jpeg_quality : int
         1 to 100.
+    shift_bits : int
+        By how many bits the numbers are shifted up in a file of 16 bits, which states it; `decode` undoes it.
 
     Returns
     -------
@@ -65,9 +70,11 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_qual
     if image_format == "jpeg":
         return encode_jpeg(pixels, jpeg_quality)
     if image_format == "tiff":
-        return tiff(pixels.astype(np.uint16, copy=False))
+        return tiff(pixels.astype(np.uint16, copy=False), shift_bits=shift_bits)
     if pixels.ndim == 3:
         return encode_colour_png(pixels)
+    if shift_bits:
+        return encode_png(pixels.astype(np.uint16) << shift_bits, significant_bits=16 - shift_bits)
     pixel_type = np.uint16 if image_format == "png16" else np.uint8
     return encode_png(pixels.astype(pixel_type, copy=False))
 
@@ -129,7 +136,13 @@ def _fit_sum(image_format: ImageFormat | None, sensor: Sensor, summed: int) -> I
     return image_format or "png16"
 
 
-def tiff(pixels: np.ndarray[Any, Any], *, date_time: str | None = None, tags: Sequence[tuple[int, int]] = ()) -> bytes:
+def tiff(
+    pixels: np.ndarray[Any, Any],
+    *,
+    date_time: str | None = None,
+    tags: Sequence[tuple[int, int]] = (),
+    shift_bits: int = 0,
+) -> bytes:
     """Return an array as an uncompressed TIFF.  Without a date equal pixels give equal bytes.
 
     Parameters
@@ -139,6 +152,8 @@ def tiff(pixels: np.ndarray[Any, Any], *, date_time: str | None = None, tags: Se
         "2024:03:10 11:00:00".
     tags : sequence of (int, int)
         Further tags, each with a number of 32 bits.
+    shift_bits : int
+        By how many bits uint16 is shifted up; the tag MaxSampleValue states it.
 
     Returns
     -------
@@ -147,6 +162,9 @@ def tiff(pixels: np.ndarray[Any, Any], *, date_time: str | None = None, tags: Se
     target = BytesIO()
     photometric = "rgb" if pixels.ndim == 3 else "minisblack"
     more = [(tag, "I", 1, number, True) for tag, number in tags]
+    if shift_bits:
+        pixels = pixels << shift_bits
+        more.append((MAX_SAMPLE_VALUE, "H", 1, (0xFFFF >> shift_bits) << shift_bits, True))
     tifffile.imwrite(
         target, pixels, photometric=photometric, metadata=None, software="glstar", datetime=date_time, extratags=more
     )
@@ -230,6 +248,10 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     ------
     ValueError
         If it is damaged; the message continues "FILE: ".
+
+    Notes
+    -----
+    Numbers that ``[output] align`` has shifted up are shifted back.
     """
     if damage := _damage(suffix, len(content), content[:FITS_START], content[-len(_PNG_END) :]):
         raise ValueError(damage)
@@ -239,10 +261,12 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
         return _decode_by_opencv(content)
     if suffix == ".tiff":
         try:
-            return np.asarray(tifffile.imread(BytesIO(content)))
+            pixels = np.asarray(tifffile.imread(BytesIO(content)))
         except Exception as error:  # tifffile may raise anything for damaged bytes
             raise ValueError(f"cannot be decoded ({error})") from error
-    return _decode_png(content)
+    else:
+        pixels = _decode_png(content)
+    return as_digital_numbers(pixels, stated_shift_bits(content))
 
 
 def _decode_by_opencv(content: bytes) -> np.ndarray[Any, Any]:
@@ -319,9 +343,11 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
 
 def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
     # Not cv2.imread: on Windows it opens no path with letters outside the code page.
-    pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    content = path.read_bytes()
+    pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ExportError(path, "is no image that can be read back for the video")
+    pixels = as_digital_numbers(pixels, stated_shift_bits(content))
     full_scale = int(np.iinfo(pixels.dtype).max)
     if pixels.ndim == 3:  # processed, to the full scale of its type
         pixels, saturation_dn = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), full_scale

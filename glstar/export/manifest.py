@@ -21,6 +21,7 @@ from glstar.export.links import create, refuse_link
 from glstar.export.masks import masks_of
 from glstar.export.options import ExportOptions
 from glstar.export.plan import Plan
+from glstar.export.processing import CameraProcessing
 from glstar.flight import Flight
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import described_earth_orientation
@@ -99,6 +100,7 @@ def describe(
         "flight": _described(flight_path, flight),
         "catalogue": _catalogue(config.sky.catalogue),
         "frames": len(plan.frames),
+        **_alignment(config, sensor),
         "skipped": [asdict(frame) for frame in plan.skipped],
         **_earth_orientation(config, flight),
         **_common(config, sensor, options),
@@ -147,6 +149,13 @@ def describe_data_set(
         **_earth_orientation(frames.config, frames.flights[0]),
         **_common(frames.config, sensor, options),
     }
+
+
+def _alignment(config: Config, sensor: Sensor) -> dict[str, Any]:
+    """Return by how many bits the numbers of images are shifted up in their files, if they are."""
+    full_scale_dn = sensor.saturation_dn * config.exposure.signal_factor
+    shift = CameraProcessing.of(sensor).shift_bits(full_scale_dn)
+    return {"shift_bits": shift} if shift else {}
 
 
 def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str, Any]:

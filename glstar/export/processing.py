@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.bitalignment import shift_bits
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError
 from glstar.render.effects import PROCESSING_DEFAULTS
@@ -59,6 +60,7 @@ class CameraProcessing:
     colour_matrix : {"none", "rpi"}
     gamma : {"linear", "srgb", "rpi"}
     channel : {"rgb", "luma", "max", "green"}
+    align : {"low", "high"}
     jpeg_quality : int
     """
 
@@ -74,6 +76,7 @@ class CameraProcessing:
     denoise: float
     gamma: str
     channel: str
+    align: str
     jpeg_quality: int
 
     @classmethod
@@ -102,6 +105,21 @@ class CameraProcessing:
     def is_active(self) -> bool:
         """Whether the raw image is processed."""
         return self.process == "isp"
+
+    def shift_bits(self, full_scale_dn: int) -> int:
+        """Return by how many bits the numbers of a raw image are shifted up in its file.
+
+        Parameters
+        ----------
+        full_scale_dn : int
+            The largest digital number of the image.
+
+        Returns
+        -------
+        int
+            0 for a processed image, which fills the pixels of its file.
+        """
+        return shift_bits(full_scale_dn) if self.align == "high" and not self.is_active else 0
 
 
 def _of_effects(effects: Mapping[str, object]) -> CameraProcessing:

@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 import orjson
 
-from glstar.camera.sensor import Sensor
 from glstar.export.exif import with_exif
 from glstar.export.fitsfile import encode_fits
 from glstar.export.frames import ComposedFrame, Frames
@@ -20,7 +19,7 @@ from glstar.export.lease import Lease
 from glstar.export.links import make_folder
 from glstar.export.masks import MASK_SUFFIXES, MaskKind, encoded_masks
 from glstar.export.processing import CameraProcessing, process
-from glstar.render.scene import Frame, Renderer
+from glstar.render.scene import Frame, Renderer, Scene
 from glstar.render.truth import frame_truth
 from glstar.system.durable import write_atomically
 
@@ -122,9 +121,9 @@ class FrameTask:
         if on_pixels is not None:
             on_pixels(frame.pixels, line)
         if self.image_format == "fits":
-            image = encode_fits(composed.scene, frame, number=number)
+            image = encode_fits(composed.scene, frame, number=number, shift_bits=_shift_bits(composed.scene))
         else:
-            image = self._encoded(composed.scene.sensor, frame.pixels)
+            image = self._encoded(composed.scene, frame.pixels)
         if self.exif:
             image = with_exif(image, SUFFIX[self.image_format], orjson.loads(line))
         return EncodedFrame(
@@ -135,12 +134,13 @@ class FrameTask:
             masks=encoded_masks(self.masks, composed.scene, frame),
         )
 
-    def _encoded(self, sensor: Sensor, pixels: np.ndarray[Any, Any]) -> bytes:
+    def _encoded(self, scene: Scene, pixels: np.ndarray[Any, Any]) -> bytes:
         """Return an image as the bytes of its file, after the camera's processing."""
-        processing = CameraProcessing.of(sensor)
+        processing = CameraProcessing.of(scene.sensor)
         if processing.is_active:
-            pixels = process(pixels, sensor, sixteen_bits=self.image_format in {"png16", "tiff"})
-        return encode(pixels, self.image_format, jpeg_quality=processing.jpeg_quality)
+            pixels = process(pixels, scene.sensor, sixteen_bits=self.image_format in {"png16", "tiff"})
+        quality = processing.jpeg_quality
+        return encode(pixels, self.image_format, jpeg_quality=quality, shift_bits=_shift_bits(scene))
 
     def draw(
         self,
@@ -262,6 +262,12 @@ class FrameTask:
         for kind in self.masks:
             kinds[MASK_SUFFIXES[kind]] = partial(self.mask_path, kind)
         return kinds
+
+
+def _shift_bits(scene: Scene) -> int:
+    """Return by how many bits the numbers of a frame are shifted up in its file."""
+    full_scale_dn = scene.exposure.full_scale_dn(scene.sensor.saturation_dn)
+    return CameraProcessing.of(scene.sensor).shift_bits(full_scale_dn)
 
 
 def frame_seed(seed: int, number: int) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from glstar.camera.bitalignment import as_digital_numbers, stated_shift_bits
 from glstar.camera.photofile import decode_photo, has_image_signature
 from glstar.errors import ImagesError
 from glstar.system.imagesize import size_error
@@ -82,7 +83,8 @@ def read_grey(path: Path) -> Grey:
     Returns
     -------
     (height, width) uint8 or uint16
-        Colour becomes grey by the value channel of HSV, the largest of red, green and blue.
+        Colour becomes grey by the value channel of HSV, the largest of red, green and blue.  Numbers that a grey PNG or
+        TIFF states to be shifted up (``[output] align``) are shifted back.
 
     Raises
     ------
@@ -116,7 +118,7 @@ def read_grey(path: Path) -> Grey:
             f"holds {pixels.dtype} in {pixels.ndim} axes; only grey or colour images of 8 or 16 bits are supported",
         )
     if pixels.ndim == 2:
-        return pixels
+        return as_digital_numbers(pixels, stated_shift_bits(content))
     # Two or four channels: the last one is opacity, not light.
     colours = cv2.split(pixels)[: pixels.shape[2] - (pixels.shape[2] in (2, 4))]
     value: Grey = colours[0]

@@ -19,13 +19,15 @@ _RUN_FRACTION: Final = 0.4
 _SAMPLED_ROWS: Final = 64
 
 
-def encode_png(pixels: np.ndarray[Any, Any]) -> bytes:
+def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = None) -> bytes:
     """Return an image as the bytes of a greyscale PNG file.
 
     Parameters
     ----------
     pixels : (height, width) uint8 or uint16
         Digital numbers; 8 or 16 bits per pixel in the file.
+    significant_bits : int, optional
+        Number of the highest bits that have the digital number, if it is shifted up; the file states it (sBIT).
 
     Returns
     -------
@@ -45,7 +47,8 @@ def encode_png(pixels: np.ndarray[Any, Any]) -> bytes:
     strategy = zlib_ng.Z_RLE if _has_runs(rows) else zlib_ng.Z_HUFFMAN_ONLY
     deflate = zlib_ng.compressobj(1, zlib_ng.DEFLATED, zlib_ng.MAX_WBITS, 9, strategy)
     header = struct.pack(">IIBBBBB", width_px, height_px, 8 * pixels.itemsize, 0, 0, 0, 0)  # greyscale
-    chunks = ((b"IHDR", header), (b"IDAT", deflate.compress(unfiltered), deflate.flush()), (b"IEND",))
+    stated = () if significant_bits is None else ((b"sBIT", bytes((significant_bits,))),)
+    chunks = ((b"IHDR", header), *stated, (b"IDAT", deflate.compress(unfiltered), deflate.flush()), (b"IEND",))
     # Joined once at the end: a large image is several megabytes, and copying it holds up other threads.
     return b"".join(chain([PNG_SIGNATURE], *(_chunk(*chunk) for chunk in chunks)))
 

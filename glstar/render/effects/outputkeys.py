@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from glstar.camera.bitalignment import shift_bits
 from glstar.camera.sensor import EffectValue
 from glstar.render.effects.effect import Effect, Key, Stage, Values
 from glstar.render.scene import Scene
@@ -18,8 +19,11 @@ def _choice(name: str, *choices: str) -> Key:
     return Key(name, choices[0], allowed=f"one of {', '.join(choices)}", choices=choices)
 
 
-def _truth(values: Values, _scene: Scene) -> Mapping[str, Any]:
-    return {"output": dict(values)}
+def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
+    if values["process"] == "isp":  # which fills the pixels of the file
+        return {"output": {name: value for name, value in values.items() if name != "align"}}
+    shift = shift_bits(scene.exposure.full_scale_dn(scene.sensor.saturation_dn))
+    return {"output": {"align": values["align"], "shift_bits": shift}}
 
 
 CAMERA_PROCESSING = Effect(
@@ -38,11 +42,12 @@ CAMERA_PROCESSING = Effect(
         _fraction("denoise", 0.0),
         _choice("gamma", "linear", "srgb", "rpi"),
         _choice("channel", "rgb", "luma", "max", "green"),
+        _choice("align", "low", "high"),
         Key("jpeg_quality", 93, allowed="a whole number from 1 to 100", minimum=1, maximum=100),
     ),
     stage=Stage.PROCESSING,
     glsl="",
     truth=_truth,
-    is_active=lambda values: values["process"] == "isp",
+    is_active=lambda values: values["process"] == "isp" or values["align"] == "high",
 )
 PROCESSING_DEFAULTS: Final[Mapping[str, EffectValue]] = {key.name: key.default for key in CAMERA_PROCESSING.keys}
