@@ -11,7 +11,9 @@ from glstar.camera.electrons import ElectronModel
 from glstar.camera.pixelpattern import PixelPattern
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
-from glstar.render.opengl import GLRenderer
+from glstar.render.effects import EFFECTS
+from glstar.render.effects.fixedpattern import DARK_PATTERN
+from glstar.render.opengl import GLRenderer, developpass
 from glstar.render.scene import Scene
 from tests.support.scenes import camera, stars_at
 
@@ -50,6 +52,32 @@ def test_each_pixel_has_its_dark_current_and_its_response(renderer: GLRenderer) 
     sigma_e = np.sqrt(np.maximum(expected_e, 0.3) / 40) + 5e-4 * expected_e + 0.02
     assert np.abs(error_e / sigma_e).max() < 5.5
     assert (error_e / sigma_e).std() == pytest.approx(0.8, abs=0.25)
+
+
+@pytest.mark.parametrize("bit_depth", [8, 16])
+def test_few_hot_pixels_are_drawn_alone_with_the_same_bytes(
+    renderer: GLRenderer, monkeypatch: pytest.MonkeyPatch, bit_depth: int
+) -> None:
+    scene = empty(replace(QUIET, black_level_dn=20.0, sky_e_per_s=40.0), hot_pixels_per_mpx=300.0, prnu_fraction=0.02)
+    scene = replace(scene, sensor=replace(scene.sensor, bit_depth=bit_depth))
+    cool = replace(scene, sensor=replace(scene.sensor, effects={"sensor.prnu_fraction": 0.02}))
+    whole, without = (renderer.render(one, seed=7).pixels for one in (scene, cool))
+    monkeypatch.setattr(developpass, "_LARGE_PX", 1)
+    hot_px = developpass._changed_px(EFFECTS, scene)[DARK_PATTERN]
+
+    np.testing.assert_array_equal(renderer.render(scene, seed=7).pixels, whole)
+    changed = {(x, y) for y, x in np.argwhere(whole != without).tolist()}
+    assert len(changed) > 15
+    assert changed <= set(map(tuple, hot_px.tolist()))
+
+
+@pytest.mark.parametrize("keys", [{"dsnu_fraction": 0.1}, {"hot_pixels_per_mpx": 600.0}, {"dark_frame": "dark.npy"}])
+def test_many_pixels_that_differ_in_the_dark_are_drawn_with_the_others(
+    monkeypatch: pytest.MonkeyPatch, keys: dict[str, float | str]
+) -> None:
+    monkeypatch.setattr(developpass, "_LARGE_PX", 1)
+
+    assert developpass._changed_px([DARK_PATTERN], empty(**keys)) == {}
 
 
 def test_frames_of_one_camera_share_their_pattern_and_those_of_another_do_not(renderer: GLRenderer) -> None:

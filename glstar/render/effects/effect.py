@@ -201,6 +201,9 @@ class Effect:
     options : callable
         (values, scene) to numbers of the preprocessor, such as ``{"FINE": 1}`` for ``#if FINE``.  The shader is
         compiled for each combination; a texture whose sampler it does not read is not computed.  Default: none.
+    only_at : callable or None
+        (values, scene) to the pixels that the effect changes if they are few, (n, 2) columns and rows; None for all.  A
+        large image is drawn without the effect, and the surroundings of these pixels again with it.
     transfer : callable or None
         (values, scene) to a `ChargeTransfer`.  The GLSL reads the result by ``with_moved_charge(signal_dn, quad)``.  At
         most one active effect has it.
@@ -218,6 +221,7 @@ class Effect:
     noise_model: NoiseModel | None = None
     reads: tuple[Key, ...] = ()
     options: Callable[[Values, Scene], Mapping[str, int]] = _no_options
+    only_at: Callable[[Values, Scene], NDArray[np.int64] | None] | None = None
     transfer: Callable[[Values, Scene], ChargeTransfer] | None = None
 
     def values(self, sensor: Sensor) -> Values:

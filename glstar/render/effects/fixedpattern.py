@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Mapping
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -105,6 +106,20 @@ def _dark_depends_on(_values: Values, scene: Scene) -> Hashable:
     return pattern_of(scene.sensor.effects), model.dn_per_e, dark_e, size
 
 
+@lru_cache(maxsize=2)
+def _defects_px(pattern: PixelPattern, width_px: int, height_px: int) -> NDArray[np.int64]:
+    defects = pattern.defects(width_px, height_px)
+    return np.stack([defects.x_px, defects.y_px], axis=-1)
+
+
+def _hot_px(_values: Values, scene: Scene) -> NDArray[np.int64] | None:
+    """Return the pixels that differ in the dark; None if all do."""
+    pattern = pattern_of(scene.sensor.effects)
+    if pattern.dsnu_fraction or pattern.dark_frame:
+        return None
+    return _defects_px(pattern, scene.camera.width_px, scene.camera.height_px)
+
+
 def _response(_values: Values, scene: Scene) -> NDArray[np.float32]:
     pattern = pattern_of(scene.sensor.effects)
     return _quads(pattern.response(scene.camera.width_px, scene.camera.height_px))
@@ -129,6 +144,7 @@ DARK_PATTERN = Effect(
     textures=(EffectTexture("dark_pattern_dn", _dark_dn, _dark_depends_on, per_quad=True),),
     truth=_truth,
     is_active=lambda values: pattern_of(values).has_dark,
+    only_at=_hot_px,
     glsl="""\
 uniform sampler2D dark_pattern_dn;
 

@@ -22,16 +22,19 @@ _NO_TEXTURES: Mapping[str, moderngl.Texture] = MappingProxyType({})
 
 
 class DevelopOutput(NamedTuple):
-    """What develop.frag draws.
+    """What the shaders of the develop pass draw.
 
     Attributes
     ----------
     output, lines : int
-        ``OUTPUT`` and ``LINES`` there.
+        ``OUTPUT`` and ``LINES`` of develop.frag.
+    points : int
+        ``POINTS`` of develop.vert.
     """
 
     output: int
     lines: int
+    points: int = 0
 
 
 class DrawDeveloped(Protocol):
