@@ -25,8 +25,8 @@ _MOST_HALF = float(np.finfo(np.float16).max)
 
 _DIGITAL_NUMBERS = DevelopOutput(output=0, lines=0)
 _AT_POINTS = DevelopOutput(output=0, lines=0, points=1)
-# Effects that change at most one pixel in `_FEW_IN` are drawn only around these, in images of at least `_LARGE_PX`: 2500 hot
-# pixels in 12 megapixels take a third of the time of a texture of all pixels.
+# Effects that change at most one pixel in `_FEW_IN` are drawn only around these, in images of at least `_LARGE_PX`.
+# Of 2500 hot pixels in 12 megapixels that takes a third of the time of a texture of all pixels.
 _FEW_IN = 2000
 _LARGE_PX = 1_000_000
 
