@@ -123,6 +123,9 @@ def test_rows_share_their_noise_and_frames_their_black_level(renderer: GLRendere
     # Two hundred draws of 50 DN, beside the mean of 240 rows of 20 DN.
     assert means.std() == pytest.approx(50.0, rel=0.15)
     assert means.mean() == pytest.approx(500.0, abs=4 * 50 / np.sqrt(200))
+    # Without drift the same noise of the rows.
+    steady = renderer.render(empty(model, row_noise_e=10.0), seed=5).pixels.astype(float)
+    np.testing.assert_allclose(steady - frames[5], (steady - frames[5]).mean(), rtol=0, atol=1.01)
 
 
 def test_maps_of_a_config_are_relative_to_it_and_must_fit(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ ROW_NOISE = Effect(
     noise_model="electrons",
     uniforms=_uniforms,
     is_active=lambda values: bool(values["row_noise_e"] or values["black_drift_dn"]),
+    options=lambda values, _scene: {"BLACK_DRIFT": int(values["black_drift_dn"] != 0)},
     glsl="""\
 uniform float row_noise_dn, black_drift_dn;
 
@@ -47,7 +48,11 @@ uniform float row_noise_dn, black_drift_dn;
 vec4 row_noise(vec4 signal_dn, uvec2 quad) {
     uvec4 of_frame = hash(seed ^ uvec4(0x51ed270bu, 0xa3b19535u, 0x1f83d9abu, 0x5be0cd19u));
     float row = normal_deviates(hash(of_frame ^ (quad.y * 0x9e3779b9u))).x;
+#if BLACK_DRIFT
     return signal_dn + row_noise_dn * row + black_drift_dn * normal_deviates(of_frame).x;
+#else
+    return signal_dn + row_noise_dn * row;
+#endif
 }
 """,
 )
