@@ -258,6 +258,8 @@ def _doubtful(
             " the blur; hold the camera still, focus, and use a shorter exposure"
         )
     if not fit.linear:
+        exponent = fit.slope_dex_per_mag / LIGHT_DEX_PER_MAG
+        same = f"; [output] gamma = {1 / exponent:.2f} draws such images" if 0.1 <= exponent <= 10 else ""
         slope, span = fit.slope_dex_per_mag, stars.vmag[fit.used]
         ends = ", ".join(
             f"{100 * (10 ** ((LIGHT_DEX_PER_MAG - slope) * (m - fit.reference_vmag)) - 1):+.0f} % at {m:.1f} mag"
@@ -265,7 +267,7 @@ def _doubtful(
         )
         notes.append(
             f"brightness falls by {-slope:.2f} dex per magnitude and flux by {-LIGHT_DEX_PER_MAG:.2f}: the response is"
-            f" not linear, but has a gamma of {slope / LIGHT_DEX_PER_MAG:.2f} (JPEG, processing): take raw images; the"
+            f" not linear, but has a gamma of {exponent:.2f} (JPEG, processing{same}): take raw images; the"
             f" calibration holds at"
             f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
         )

@@ -16,6 +16,7 @@ from glstar.camera.sensor import Sensor
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.lenssection import checked_lens
 from glstar.config.navigatorsection import NavigatorSection
+from glstar.config.outputsection import checked_output
 from glstar.config.reading import (
     BUNDLED_CAMERA,
     Tables,
@@ -24,6 +25,7 @@ from glstar.config.reading import (
     camera_of,
     extinction_of,
     flight_of,
+    is_path,
     known_tables,
     observed_sky,
     section_of,
@@ -39,7 +41,6 @@ from glstar.config.reading import (
 from glstar.config.sections import (
     EFFECT_DEFAULTS,
     HORIZONS,
-    PATHS,
     SECTIONS,
     SOURCES,
     AirSection,
@@ -389,7 +390,7 @@ class Config:
         named = {
             absolute(key, value, folder)
             for key, value in given
-            if key in PATHS and key not in {"sky.catalogue", "flight.columns", "flight.position"}
+            if is_path(key, value) and key not in {"sky.catalogue", "flight.columns", "flight.position"}
             if key != "sky.horizon" or value not in HORIZONS
         }
         if self._star_brightness is not None:
@@ -457,6 +458,7 @@ class Config:
         navigator = section_of(NavigatorSection, "navigator", tables, faults)
         effects = effect_values(lambda model, name: section_of(model, name, tables, faults))
         effects["lens"] = checked_lens(effects["lens"], camera, folder, faults)
+        effects["output"] = checked_output(effects["output"], folder, faults)
         if faults:
             raise config_error(faults, source)
         exposure = with_readout(exposure, tables, lens.preset, sensor.preset)

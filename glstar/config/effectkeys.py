@@ -1,7 +1,7 @@
 """The keys that sensor and sky effects add to the sections of the config."""
 
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, create_model
 
@@ -43,5 +43,10 @@ def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
 
 def _field(key: Key) -> Any:
     """Return the type and the checks of an effect's key for `pydantic.create_model`."""
+    if key.or_number:
+        number = Annotated[float, Field(ge=key.minimum, le=key.maximum)]
+        return Literal[key.choices] | number, Field(default=key.default, description=key.allowed)
+    if key.or_points:
+        return str | list[Any], Field(default=key.default, description=key.allowed)
     kind = Literal[key.choices] if key.choices else type(key.default)
     return kind, Field(default=key.default, ge=key.minimum, gt=key.above, le=key.maximum, description=key.allowed)

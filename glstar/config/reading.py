@@ -18,6 +18,7 @@ from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset
 from glstar.camera.sensor import EffectValue
 from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
+from glstar.camera.tonecurve import is_curve_text
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.sections import (
     HORIZONS,
@@ -57,6 +58,7 @@ __all__ = [
     "camera_of",
     "extinction_of",
     "flight_of",
+    "is_path",
     "known_tables",
     "observed_sky",
     "section_of",
@@ -142,7 +144,8 @@ def section_of(model: type[S], name: str, tables: Tables, faults: list[Fault]) -
                 message = f"is no key of [{name}]{at_home(key) or did_you_mean(key, list(model.model_fields))}"
             else:
                 message = f"must be {allowed(model, key)}, not {shown(error['input'])}{hint(model, key, error)}"
-            faults.append((f"{name}.{key_text(key)}", message))
+            if (f"{name}.{key_text(key)}", message) not in faults:  # of a key of several types: once
+                faults.append((f"{name}.{key_text(key)}", message))
         return model()
 
 
@@ -336,15 +339,22 @@ def source_of(keys: Mapping[str, Any]) -> dict[str, str]:
     return {key: keys[key] for key in SOURCES if key in keys}
 
 
+def is_path(dotted: str, value: object) -> bool:
+    """Return whether this value of a key is a path; some keys have other values too."""
+    if dotted not in PATHS or not isinstance(value, str | PathLike) or not str(value):
+        return False
+    return dotted != "output.tone_curve" or not is_curve_text(str(value))
+
+
 def absolute(dotted: str, value: object, folder: Path) -> object:
     """Return the absolute path if this key holds a path; return other values unchanged."""
-    if dotted not in PATHS or not isinstance(value, str | PathLike) or not str(value):
+    if not is_path(dotted, value):
         return value
     if dotted in {"sky.catalogue", "sky.horizon"} and not is_file_name(str(value)):
         return value
     if dotted == "flight.columns" and not is_map_file(str(value)):
         return value
-    return str((folder / value).absolute())
+    return str((folder / str(value)).absolute())
 
 
 def sky_of(section: SkySection, folder: Path, faults: list[Fault]) -> SkySection:

@@ -375,6 +375,7 @@ PATHS = (
     *("flight.columns", "flight.position"),
     *(f"sensor.{key}" for key in SENSOR_MAPS),
     "lens.vignetting_file",
+    "output.tone_curve",
 )
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")

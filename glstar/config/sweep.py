@@ -6,7 +6,7 @@ from datetime import datetime
 from itertools import chain
 from math import exp, isfinite, log, prod
 from types import UnionType
-from typing import Any, Final, Self, TypeGuard, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, Self, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,6 +302,9 @@ def _kind(key: str) -> str:
     section, name = split_key(key)
     annotation: Any = SECTIONS[section].model_fields[name].annotation
     kinds = set(get_args(annotation)) - {type(None)} if get_origin(annotation) in {UnionType, Union} else {annotation}
+    # A number with limits, and names besides it.
+    kinds = {get_args(kind)[0] if get_origin(kind) is Annotated else kind for kind in kinds}
+    kinds = {str if get_origin(kind) is Literal and len(kinds) > 1 else kind for kind in kinds}
     return "float" if kinds in ({float}, {float, str}) else "int" if kinds == {int} else "other"
 
 

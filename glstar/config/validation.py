@@ -38,8 +38,9 @@ def allowed(model: type[Section], key: str) -> str:
 def _options(model: type[Section], key: str) -> tuple[str, ...]:
     """Return the choices of a key; empty if it has none."""
     annotation = model.model_fields[key].annotation
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
+    for kind in (annotation, *get_args(annotation)):
+        if get_origin(kind) is Literal:
+            return get_args(kind)
     return {"catalogue": CATALOGUES, "horizon": HORIZONS}.get(key, ())
 
 

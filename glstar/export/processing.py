@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.bitalignment import shift_bits
 from glstar.camera.sensor import Sensor
+from glstar.camera.tonecurve import parse_curve
 from glstar.errors import ConfigError
 from glstar.render.effects import PROCESSING_DEFAULTS
 
@@ -58,7 +59,10 @@ class CameraProcessing:
     defect_ratio, defect_threshold, red_gain, blue_gain, denoise : float
     demosaic : {"none", "bilinear", "edges"}
     colour_matrix : {"none", "rpi"}
-    gamma : {"linear", "srgb", "rpi"}
+    gamma : {"linear", "srgb", "rpi"} or float
+        The name of a tone curve, or the number whose inverse is the exponent.
+    tone_curve : str
+        Points of a tone curve as `glstar.camera.tonecurve.curve_text` writes them; empty for `gamma`.
     channel : {"rgb", "luma", "max", "green"}
     align : {"low", "high"}
     jpeg_quality : int
@@ -74,7 +78,8 @@ class CameraProcessing:
     blue_gain: float
     colour_matrix: str
     denoise: float
-    gamma: str
+    gamma: str | float
+    tone_curve: str
     channel: str
     align: str
     jpeg_quality: int
@@ -170,9 +175,7 @@ def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
             linear = np.clip(linear @ _RPI_MATRIX.T, 0, 1)
         linear = _one_channel(linear, steps.channel)
     full_scale = 65535 if sixteen_bits else 255
-    table = _curve(steps.gamma)
-    toned = np.interp(linear, np.linspace(0, 1, len(table)), table)
-    limited = toned * full_scale + 0.5
+    limited = _toned(linear, steps) * full_scale + 0.5
     return limited.astype(np.uint16) if sixteen_bits else limited.astype(np.uint8)
 
 
@@ -246,6 +249,17 @@ def _one_channel(rgb: Float, channel: str) -> Float:
         return np.asarray(rgb.max(axis=2))
     weights = _LUMA if channel == "luma" else (0.0, 1.0, 0.0)
     return np.asarray(rgb @ np.array(weights, np.float32))
+
+
+def _toned(linear: Float, steps: CameraProcessing) -> NDArray[np.float64]:
+    """Return values from 0 to 1 after the tone curve."""
+    if steps.tone_curve:
+        given, toned = np.transpose(parse_curve(steps.tone_curve))
+        return np.asarray(np.interp(linear, given, toned))
+    if not isinstance(steps.gamma, str):
+        return np.asarray(linear, dtype=np.float64) ** (1 / steps.gamma)
+    table = _curve(steps.gamma)
+    return np.asarray(np.interp(linear, np.linspace(0, 1, len(table)), table))
 
 
 @lru_cache(maxsize=8)

@@ -80,7 +80,7 @@ def _default(field: FieldInfo) -> str:
 
 def _valid(field: FieldInfo) -> str:
     choices = _choices(field.annotation)
-    if choices:
+    if choices and not any(float in {kind, *get_args(kind)} for kind in get_args(field.annotation)):
         return ", ".join(f'`"{choice}"`' for choice in choices)
     return (field.description or "").replace("|", "\\|")
 

@@ -95,6 +95,10 @@ class Key:
         A number that the key must exceed.
     choices : tuple of str
         Allowed strings.
+    or_number : bool
+        Whether a number from `minimum` to `maximum` is allowed besides the choices.
+    or_points : bool
+        Whether a list of points is allowed besides a string; `Sensor.effects` has it as a string.
     """
 
     name: str
@@ -105,6 +109,8 @@ class Key:
     maximum: float | None = None
     above: float | None = None
     choices: tuple[str, ...] = ()
+    or_number: bool = False
+    or_points: bool = False
 
 
 @dataclass(frozen=True, slots=True)

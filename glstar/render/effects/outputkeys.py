@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from glstar.camera.bitalignment import shift_bits
 from glstar.camera.sensor import EffectValue
+from glstar.camera.tonecurve import parse_curve
 from glstar.render.effects.effect import Effect, Key, Stage, Values
 from glstar.render.scene import Scene
 
@@ -21,7 +22,9 @@ def _choice(name: str, *choices: str) -> Key:
 
 def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
     if values["process"] == "isp":  # which fills the pixels of the file
-        return {"output": {name: value for name, value in values.items() if name != "align"}}
+        output: dict[str, Any] = {name: value for name, value in values.items() if name not in {"align", "tone_curve"}}
+        curve = str(values["tone_curve"])
+        return {"output": output | ({"tone_curve": parse_curve(curve)} if curve else {})}
     shift = shift_bits(scene.exposure.full_scale_dn(scene.sensor.saturation_dn))
     return {"output": {"align": values["align"], "shift_bits": shift}}
 
@@ -40,7 +43,16 @@ CAMERA_PROCESSING = Effect(
         Key("blue_gain", 1.4, allowed="a number from 0.1 to 20", minimum=0.1, maximum=20.0),
         _choice("colour_matrix", "none", "rpi"),
         _fraction("denoise", 0.0),
-        _choice("gamma", "linear", "srgb", "rpi"),
+        Key(
+            "gamma",
+            "linear",
+            allowed='"linear", "srgb", "rpi", or a number from 0.1 to 10',
+            minimum=0.1,
+            maximum=10.0,
+            choices=("linear", "srgb", "rpi"),
+            or_number=True,
+        ),
+        Key("tone_curve", "", allowed="a list of [input, output] from 0 to 1, or a CSV or JSON file", or_points=True),
         _choice("channel", "rgb", "luma", "max", "green"),
         _choice("align", "low", "high"),
         Key("jpeg_quality", 93, allowed="a whole number from 1 to 100", minimum=1, maximum=100),
