@@ -10,6 +10,7 @@ from glstar.viewer.keys import Action, AnyAction
 from glstar.viewer.linkactions import disconnect, export_link, record_link
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
+from glstar.viewer.processedimage import why_not_processed
 from glstar.viewer.saving import record_video, save_comparison, save_frame
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
@@ -123,6 +124,18 @@ def _next_colours(session: Session) -> None:
     session.notify(f"colours: {session.stretch.colours}")
 
 
+def _show_processed(session: Session) -> None:
+    session.shows_processed = not session.shows_processed
+    if not session.shows_processed:
+        session.notify("the raw image")
+    elif session.scene is not None and (reason := why_not_processed(session.scene)):
+        session.notify(reason)
+    elif session.comparison.active:
+        session.notify("the processed image, when no real image is compared")
+    else:
+        session.notify("the processed image, as [output] writes it; the stretch does not change it")
+
+
 def _compare(session: Session, mode: ComparisonMode) -> None:
     if session.comparison.images is None:
         session.notify("no real images: drop their folder onto the window, or open it (Ctrl+I)")
@@ -146,6 +159,7 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.BLINK_NOISE: lambda session: session.comparison.toggle_noise(),
     Action.COLOURS: _next_colours,
     Action.PIXEL_GRID: lambda session: setattr(session.view, "pixel_grid", not session.view.pixel_grid),
+    Action.PROCESSED: _show_processed,
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
     Action.RECORD_LINK: record_link,
@@ -176,6 +190,7 @@ def is_on(action: AnyAction, session: Session) -> bool:
     head = session.head
     return {
         Action.NIGHT: session.night,
+        Action.PROCESSED: session.shows_processed,
         Action.PIXEL_GRID: session.view.pixel_grid,
         Action.VIDEO: session.video is not None,
         Action.BLINK_NOISE: session.comparison.blinks_noise,

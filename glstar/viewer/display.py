@@ -15,6 +15,7 @@ from glstar.render.scene import Scene
 from glstar.viewer.colourmap import ColourMap
 from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState
 from glstar.viewer.imageview import ImageView
+from glstar.viewer.processedimage import why_not_processed
 from glstar.viewer.simulatedimage import SimulatedImage
 from glstar.viewer.stretch import Stretch
 
@@ -40,6 +41,8 @@ class PanelContent:
     comparison : ComparisonMode
     wipe, phase, real_black, real_gain : float
         See `glstar.viewer.comparisonview.compose`.
+    is_processed : bool
+        Whether a simulated image is shown as ``[output]`` writes it; not while it is compared.
     """
 
     image: Texture | SimulatedImage
@@ -50,10 +53,17 @@ class PanelContent:
     phase: float = 0.0
     real_black: float = 0.0
     real_gain: float = 1.0
+    is_processed: bool = False
 
     @classmethod
     def of(
-        cls, image: Texture | SimulatedImage, scene: Scene, real: FittedImage | None, comparison: ComparisonState
+        cls,
+        image: Texture | SimulatedImage,
+        scene: Scene,
+        real: FittedImage | None,
+        comparison: ComparisonState,
+        *,
+        is_processed: bool = False,
     ) -> "PanelContent":
         """Return the content for an image and, if it has been decoded, the real image beside it.
 
@@ -64,6 +74,8 @@ class PanelContent:
         scene : Scene
         real : FittedImage or None
         comparison : ComparisonState
+        is_processed : bool
+            Whether to show it as ``[output]`` writes it, if it does process it and there is no real image.
 
         Returns
         -------
@@ -81,6 +93,7 @@ class PanelContent:
             comparison.phase,
             comparison.real_black,
             comparison.real_gain,
+            is_processed and real is None and not why_not_processed(scene),
         )
 
     @property
@@ -94,6 +107,12 @@ class PanelContent:
         texture = self.image.texture if isinstance(self.image, SimulatedImage) else self.image
         assert texture is not None
         return texture
+
+    @property
+    def picture(self) -> Texture | NDArray[np.uint8]:
+        """What is drawn: the processed image, red, green and blue, or the developed one."""
+        processed = self.image.processed if self.is_processed and isinstance(self.image, SimulatedImage) else None
+        return self.texture if processed is None else processed
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -200,7 +219,7 @@ class Display:
         int
         """
         content = picture.content
-        return self._pass.draw(content.texture, content.white_dn, picture.placement, picture.tone, _compared(content))
+        return self._pass.draw(content.picture, content.white_dn, picture.placement, picture.tone, _compared(content))
 
     def draw_onto(self, part: WindowPart, picture: Picture) -> None:
         """Draw the panel onto a window instead of its texture: the same pixels.
@@ -212,7 +231,7 @@ class Display:
         """
         content = picture.content
         placement, tone = picture.placement, picture.tone
-        self._pass.draw_onto(part, content.texture, content.white_dn, placement, tone, _compared(content))
+        self._pass.draw_onto(part, content.picture, content.white_dn, placement, tone, _compared(content))
 
     def texture(self, size: tuple[int, int]) -> int:
         """Return the OpenGL name of the panel's texture for a size, before it is drawn.

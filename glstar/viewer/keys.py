@@ -70,6 +70,7 @@ class Action(StrEnum):
     FIT_STRETCH = "fit stretch"
     COLOURS = "colours"
     PIXEL_GRID = "pixel grid"
+    PROCESSED = "processed image"
     NIGHT = "night"
     HIDE = "hide"
     RESET_LAYOUT = "reset layout"
@@ -175,6 +176,7 @@ KEYS: Final = (
     KeyBinding(Action.FIT_STRETCH, "View", "Fit black and white to the image", ("Shift+A",)),
     KeyBinding(Action.COLOURS, "View", "Next colour map", ("Shift+C",)),
     KeyBinding(Action.PIXEL_GRID, "View", "Grid of the image's pixels where it is magnified", ("J",)),
+    KeyBinding(Action.PROCESSED, "View", "Raw or processed image, as [output] writes it", ("Shift+P",)),
     KeyBinding(Action.NIGHT, "View", "Night-vision red", ("N",)),
     KeyBinding(Action.HIDE, "View", "Hide all but the image", ("H", "Ctrl+T")),
     KeyBinding(Action.FULL_SCREEN, "View", "Full screen", ("F11",)),

@@ -74,7 +74,7 @@ class Session:
         Shows a message for some seconds: `Notifications.add`.
     view : ImageView
     stretch : Stretch
-    night : bool
+    night, shows_processed : bool
     shown_overlays : set of Overlay
     name_vmag_limit : float
         Magnitude limit of star names.
@@ -107,7 +107,7 @@ class Session:
         self.view, self.navigator = ImageView(), NavigatorView()
         self.stretch = Stretch.for_sensor(config.sensor())
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
-        self.night, self.name_vmag_limit = False, 3.0
+        self.night, self.shows_processed, self.name_vmag_limit = False, False, 3.0
         self.comparison = ComparisonState(clock)
         self.export: BackgroundExport | None = None
         self.video: Video | None = None
@@ -226,8 +226,8 @@ class Session:
         image = self.image
         if not image.has_image or image.scene is None or image.gap is not None:
             return None
-        real = self.real
-        return PanelContent.of(image, image.scene, None if real is None else real[1], self.comparison)
+        real = None if self.real is None else self.real[1]
+        return PanelContent.of(image, image.scene, real, self.comparison, is_processed=self.shows_processed)
 
     @property
     def real(self) -> tuple[RealImage, FittedImage] | None:

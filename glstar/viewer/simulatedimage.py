@@ -17,6 +17,7 @@ from glstar.render.opengl.waiting import start_drawing, wait_until_drawn
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.viewer.frametimes import FrameTimes
+from glstar.viewer.processedimage import ProcessedImage, why_not_processed
 
 __all__ = ["ImageRequest", "SimulatedImage"]
 
@@ -99,6 +100,7 @@ class SimulatedImage:
         # Whether the renderer has the image shown, and `_texture` an older one or none.
         self._unread = False
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
+        self._processed = ProcessedImage()
         self._saturated: NDArray[np.bool_] | None = None
 
     def update(self, request: ImageRequest, *, playing: bool) -> bool:
@@ -266,6 +268,14 @@ class SimulatedImage:
             read = np.frombuffer(texture.read(alignment=1), texture.dtype)
             self._pixels = self.scene, read.reshape(height_px, width_px)
         return self._pixels[1]
+
+    @property
+    def processed(self) -> NDArray[np.uint8] | None:
+        """What ``[output]`` writes of `pixels` with 8 bits, (height, width, 3) uint8; None if it writes them raw."""
+        pixels, scene = self.pixels, self.scene
+        if pixels is None or scene is None or why_not_processed(scene):
+            return None
+        return self._processed.of(pixels, scene)
 
     @property
     def tested(self) -> NDArray[Any] | None:

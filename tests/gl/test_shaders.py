@@ -78,6 +78,7 @@ def compile_all_programs(context: moderngl.Context) -> None:
         for compares in (0, 1):
             made = program.linked(context, "whole_image.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)
             made.release()
+    program.linked(context, "whole_image.vert", "processed.frag").release()
 
 
 def draw(

@@ -154,13 +154,13 @@ class DisplayPass:
         self._programs: dict[tuple[int, bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._target: moderngl.Framebuffer | None = None
         self._texture: moderngl.Texture | None = None
-        self._real: moderngl.Texture | None = None
-        self._real_pixels: NDArray[Any] | None = None
+        self._real, self._processed = _Uploaded(context), _Uploaded(context)
+        self._processed_program: tuple[moderngl.Program, moderngl.VertexArray] | None = None
         self._colour_map: moderngl.Texture | None = None
 
     def draw(
         self,
-        image: moderngl.Texture,
+        image: moderngl.Texture | NDArray[np.uint8],
         white_dn: int,
         placement: Placement,
         tone: Tone,
@@ -170,8 +170,9 @@ class DisplayPass:
 
         Parameters
         ----------
-        image : moderngl.Texture
-            A developed image of one unsigned integer component; row 0 is the top.
+        image : moderngl.Texture or (height, width, 3) uint8
+            A developed image of one unsigned integer component, or the red, green and blue of a processed one, which is
+            shown without stretch and comparison; row 0 is the top.
         white_dn : int
             Its largest digital number.
         placement : Placement
@@ -191,7 +192,7 @@ class DisplayPass:
     def draw_onto(
         self,
         part: WindowPart,
-        image: moderngl.Texture,
+        image: moderngl.Texture | NDArray[np.uint8],
         white_dn: int,
         placement: Placement,
         tone: Tone,
@@ -217,7 +218,7 @@ class DisplayPass:
 
     def _prepared(
         self,
-        image: moderngl.Texture,
+        image: moderngl.Texture | NDArray[np.uint8],
         white_dn: int,
         placement: Placement,
         tone: Tone,
@@ -225,6 +226,8 @@ class DisplayPass:
         part: WindowPart | None,
     ) -> moderngl.VertexArray:
         """Set uniforms and textures, and return what is to be drawn."""
+        if isinstance(image, np.ndarray):
+            return self._prepared_processed(image, placement, part, night=tone.night)
         coarseness = placement.image_px_per_screen_px
         shrinks = sum(coarseness > step for step in _SHRINK_STEPS)
         program, panel = self._program_for(
@@ -251,6 +254,26 @@ class DisplayPass:
             self._colour_map_of(tone.colours).use(location=2)
         image.repeat_x = image.repeat_y = False  # as the shader expects
         image.use(location=0)
+        return panel
+
+    def _prepared_processed(
+        self, image: NDArray[np.uint8], placement: Placement, part: WindowPart | None, *, night: bool
+    ) -> moderngl.VertexArray:
+        """Set uniforms and texture of a processed image, and return what is to be drawn."""
+        if self._processed_program is None:
+            program = linked(self._context, "whole_image.vert", "processed.frag")
+            self._processed_program = program, self._context.vertex_array(program, [])
+        program, panel = self._processed_program
+        set_uniforms(
+            program,
+            processed=0,
+            screen_from_fragment_px=_UPRIGHT if part is None else part.screen_from_fragment_px,
+            backdrop=_CLEAR if part is None else (*part.colour, 1.0),
+            corner_px=placement.corner_px,
+            image_px_per_screen_px=placement.image_px_per_screen_px,
+            night=int(night),
+        )
+        self._processed.of(image).use(location=0)
         return panel
 
     def _render(self, panel: moderngl.VertexArray, scissor: tuple[int, int, int, int]) -> None:
@@ -280,7 +303,7 @@ class DisplayPass:
             more_rgb=compared.more_rgb,
             less_rgb=compared.less_rgb,
         )
-        self._uploaded(compared.pixels).use(location=1)
+        self._real.of(compared.pixels).use(location=1)
 
     def _program_for(
         self, *, shrinks: int, compares: bool, coloured: bool
@@ -313,37 +336,53 @@ class DisplayPass:
         self._colour_map.write(colours.tobytes(), alignment=1)
         return self._colour_map
 
-    def _uploaded(self, pixels: NDArray[Any]) -> moderngl.Texture:
-        size, dtype = (pixels.shape[1], pixels.shape[0]), f"u{pixels.itemsize}"
-        if self._real is None or self._real.size != size or self._real.dtype != dtype:
-            self._release_real()
-            self._real = self._context.texture(size, 1, dtype=dtype, alignment=1)
-            self._real.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._real.repeat_x = self._real.repeat_y = False
-        if self._real_pixels is not pixels:
-            self._real.write(np.ascontiguousarray(pixels), alignment=1)
-            self._real_pixels = pixels
-        return self._real
-
     def _release_target(self) -> None:
         if self._target is not None and self._texture is not None:
             self._target.release()
             self._texture.release()
         self._target = self._texture = None
 
-    def _release_real(self) -> None:
-        if self._real is not None:
-            self._real.release()
-        self._real = self._real_pixels = None
-
     def close(self) -> None:
         """Release all OpenGL objects; a second call does nothing."""
         self._release_target()
-        self._release_real()
+        self._real.release()
+        self._processed.release()
         if self._colour_map is not None:
             self._colour_map.release()
             self._colour_map = None
-        for program, panel in self._programs.values():
+        more = [] if self._processed_program is None else [self._processed_program]
+        for program, panel in (*self._programs.values(), *more):
             panel.release()
             program.release()
         self._programs.clear()
+        self._processed_program = None
+
+
+class _Uploaded:
+    """A texture with the pixels of an array, which is uploaded again only if it is another array."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._texture: moderngl.Texture | None = None
+        self._pixels: NDArray[Any] | None = None
+
+    def of(self, pixels: NDArray[Any]) -> moderngl.Texture:
+        """Return the texture of (height, width) or (height, width, components) uint8 or uint16."""
+        size, dtype = (pixels.shape[1], pixels.shape[0]), f"u{pixels.itemsize}"
+        components = 1 if pixels.ndim == 2 else pixels.shape[2]
+        texture = self._texture
+        if texture is None or (texture.size, texture.dtype, texture.components) != (size, dtype, components):
+            self.release()
+            texture = self._texture = self._context.texture(size, components, dtype=dtype, alignment=1)
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            texture.repeat_x = texture.repeat_y = False
+        if self._pixels is not pixels:
+            texture.write(np.ascontiguousarray(pixels), alignment=1)
+            self._pixels = pixels
+        return texture
+
+    def release(self) -> None:
+        """Release the texture; a second call does nothing."""
+        if self._texture is not None:
+            self._texture.release()
+        self._texture = self._pixels = None

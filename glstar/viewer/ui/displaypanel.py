@@ -7,9 +7,10 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from numpy.typing import NDArray
 
-from glstar.viewer.actions import fit_stretch
+from glstar.viewer.actions import fit_stretch, perform
 from glstar.viewer.colourmap import ColourMap
 from glstar.viewer.histogram import Histogram
+from glstar.viewer.keys import Action
 from glstar.viewer.session import Session
 from glstar.viewer.stretch import Stretch, StretchKind
 from glstar.viewer.ui.theme import accent, scaled
@@ -52,6 +53,13 @@ class DisplayPanel:
         imgui.set_item_tooltip("Faintest star whose name is written, V magnitude")
         if changed:
             session.name_vmag_limit = limit
+        changed, _ = imgui.checkbox("Processed image", session.shows_processed)
+        imgui.set_item_tooltip(
+            "The image as [output] writes it: defects, black level, colours, tone curve (Shift+P);"
+            "\nstretch and colour map do not change it"
+        )
+        if changed:
+            perform(Action.PROCESSED, session)
         _, session.view.pixel_grid = imgui.checkbox("Pixel grid", session.view.pixel_grid)
         imgui.set_item_tooltip(
             "Borders of the image's own pixels, when it is magnified 8 times or more;"

@@ -159,7 +159,8 @@ class ImagePanel:
         view, night, scale = session.view, session.night, imgui.get_io().display_framebuffer_scale.x
         compared = (shown.real, shown.mode, shown.wipe, shown.real_black, shown.real_gain) if shown.mode else ()
         placement = (view.zoom, *view.centre_px)
-        inputs = (session.scene, session.image.number, session.stretch, night, size_px, placement, compared)
+        tone = (session.stretch, shown.is_processed, night)
+        inputs = (session.scene, session.image.number, *tone, size_px, placement, compared)
         picture = Picture.of(shown, view, session.stretch, size_px, scale=scale, night=night)
         return self._picture.show(picture, inputs, _place(corner, scale) if is_lowest else None)
 
