@@ -15,7 +15,7 @@ from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.images import _eight_bits, decode, find_damage, fit_format
-from glstar.export.processing import process
+from glstar.export.processing import _curve, _interpolated, process
 
 SETTINGS = """
 [camera]
@@ -63,6 +63,15 @@ def test_half_of_the_noise_of_a_black_sky_is_cut_off_with_the_black_level():
 def test_tone_curves_have_their_published_values(gamma, raw, toned):
     pixels = np.full((4, 4), raw, np.uint16)
     assert process(pixels, sensor_with(gamma=gamma), sixteen_bits=True)[1, 1] / 65535 == pytest.approx(toned, abs=1e-4)
+
+
+@pytest.mark.parametrize("gamma", ["linear", "srgb", "rpi"])
+def test_a_tone_curve_is_applied_as_numpy_interpolates_it(gamma):
+    table = _curve(gamma)
+    numbers = np.arange(65536)
+    values = np.concatenate([numbers / 65535, numbers / np.float32(65535), np.random.default_rng(4).random(100_000)])
+    values = np.concatenate([values.astype(np.float32), np.float32([0, 1, 1e-9, 1 - 2**-24])]).reshape(2, -1)
+    np.testing.assert_array_equal(_interpolated(values, table), np.interp(values, np.linspace(0, 1, 65536), table))
 
 
 def test_the_correction_of_defects_takes_a_hot_pixel_of_its_colour_and_leaves_a_wide_star():
