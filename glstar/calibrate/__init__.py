@@ -22,6 +22,7 @@ from glstar.calibrate.geometry import GeometryCalibration, calibrate_geometry
 from glstar.calibrate.labels import Label, identify_by_labels
 from glstar.calibrate.lensfit import CameraFit, fit_camera, fit_lens
 from glstar.calibrate.lenstrials import LensChoice, LensTrial
+from glstar.calibrate.linearise import fit_gamma, linearised, recorded_again
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.matches import Matches
 from glstar.calibrate.near import identify_again, identify_near
@@ -79,6 +80,7 @@ __all__ = [
     "draw_twin",
     "fit_brightness",
     "fit_camera",
+    "fit_gamma",
     "fit_lens",
     "fit_readout",
     "fit_sensor",
@@ -87,9 +89,11 @@ __all__ = [
     "identify_by_labels",
     "identify_lost",
     "identify_near",
+    "linearised",
     "measure_photograph",
     "prepare_to_draw",
     "read_image",
+    "recorded_again",
     "render_twin",
     "search_readout",
     "share_geometry",

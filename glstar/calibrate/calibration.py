@@ -2,7 +2,7 @@
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -239,6 +239,7 @@ def calibrate(
         *_doubtful(detected, sensor, fit, stars, misfit),
         *misfit.notes(sensor, linear=fit.linear),
     )
+    sensor = replace(sensor, effects=dict(sensor.effects) | image.output_keys)
     return Calibration(image, detected, reference, matches, sensor, fit, stars, method, notes, misfit)
 
 
@@ -259,7 +260,6 @@ def _doubtful(
         )
     if not fit.linear:
         exponent = fit.slope_dex_per_mag / LIGHT_DEX_PER_MAG
-        same = f"; [output] gamma = {1 / exponent:.2f} draws such images" if 0.1 <= exponent <= 10 else ""
         slope, span = fit.slope_dex_per_mag, stars.vmag[fit.used]
         ends = ", ".join(
             f"{100 * (10 ** ((LIGHT_DEX_PER_MAG - slope) * (m - fit.reference_vmag)) - 1):+.0f} % at {m:.1f} mag"
@@ -267,8 +267,8 @@ def _doubtful(
         )
         notes.append(
             f"brightness falls by {-slope:.2f} dex per magnitude and flux by {-LIGHT_DEX_PER_MAG:.2f}: the response is"
-            f" not linear, but has a gamma of {exponent:.2f} (JPEG, processing{same}): take raw images; the"
-            f" calibration holds at"
+            f" not linear, but has a gamma of {exponent:.2f} (JPEG, processing): take raw images, or try"
+            f" --gamma {1 / max(exponent, 0.1):.2g}; the calibration holds at"
             f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
         )
     sky = detected.sky

@@ -54,6 +54,10 @@ class Photograph:
         The colour channel; ``"grey"`` for a monochrome image.
     exposure_s : float or None
         Exposure stated in the file, s.
+    gamma : str or float
+        The tone curve of the file, if `pixels_dn` are the light before it: see `linearised`.
+    recorded_bits : int
+        Bits of the file, if it has a tone curve.
     """
 
     path: Path
@@ -61,6 +65,15 @@ class Photograph:
     bit_depth: int
     channel: str
     exposure_s: float | None
+    gamma: str | float = "linear"
+    recorded_bits: int = 8
+
+    @property
+    def output_keys(self) -> dict[str, str | float | bool]:
+        """The keys of ``[output]`` with which a simulated camera processes as that of the photograph did."""
+        if self.gamma == "linear":
+            return {}
+        return {"output.process": "isp", "output.subtract_black": False, "output.gamma": self.gamma}
 
     @property
     def saturation_dn(self) -> int:

@@ -309,6 +309,7 @@ def _sensor(
     old, refused = calibration.sensor, []
     exposure_s = old.reference_exposure_s
     effects: dict[str, EffectValue] = {f"sensor.{key}": value for key, value in joint.psf.keys.items()}
+    effects |= calibration.image.output_keys
     errors = dict(joint.standard_error)
     if terms.colour is not None:
         effects |= {"sensor.band": "custom", "sensor.band_slope": round(terms.colour.value, 4)}

@@ -1,12 +1,14 @@
 """The twin of a photograph: the image that the simulator makes of the same stars, and how it differs."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.calibration import Calibration
+from glstar.calibrate.linearise import linearised, recorded_again
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.photographmodel import PhotographModel
 from glstar.calibrate.psf import fit_stars
 from glstar.calibrate.siderealtrails import sidereal_trails
@@ -189,14 +191,14 @@ def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[An
     Twin
     """
     calibration = model.calibration
-    real, twin = calibration.image.pixels_dn, pixels.astype(np.float64)
+    real, twin, other = calibration.image.pixels_dn, *(_light_dn(calibration.image, image) for image in (pixels, again))
     both = (real, twin)
     sky = model.sky
     of_twin = SkyMap(sky.texels_dn, sky.level_dn, twin - sky.level_dn, sky.is_sky, sky.error_dn)
     noise = measure_noise(of_twin)
     matches = calibration.matches
     at = np.rint(matches.predicted_xy_px[np.isin(matches.predicted, matches.star)]).astype(int)
-    peaks = np.array([_peaks_dn(image, at) for image in (*both, again.astype(np.float64))])
+    peaks = np.array([_peaks_dn(image, at) for image in (*both, other)])
     good = peaks[0] > _PEAK_SNR * calibration.sensor.background_std_dn(calibration.sensor.reference_exposure_s)
     order = np.flatnonzero(good)[np.argsort(-peaks[0][good], kind="stable")]
     whole = order[[_unsaturated(calibration, both, star) for star in at[order]]]
@@ -216,6 +218,14 @@ def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[An
         width_stars=min(counts),
     )
     return Twin(pixels, figures, peaks[:2, good], profiles, noise)
+
+
+def _light_dn(image: Photograph, pixels: NDArray[Any]) -> Float:
+    """Return raw pixels with the steps that the file of a photograph has, DN of light."""
+    if image.gamma == "linear":
+        return pixels.astype(np.float64)
+    recorded = recorded_again(image, pixels).astype(np.float64)
+    return linearised(replace(image, pixels_dn=recorded, bit_depth=image.recorded_bits), image.gamma).pixels_dn
 
 
 def _distance(one: Float, other: Float) -> float:

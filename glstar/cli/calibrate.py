@@ -121,6 +121,13 @@ ExtinctionTaken = Annotated[
         help="Brightness above the air: 'fit' the extinction to the stars, or mag per air mass, such as 0.28.",
     ),
 ]
+Gamma = Annotated[
+    str | None,
+    typer.Option(
+        help="Tone curve of processed images (JPEG): linear, srgb, rpi, a number such as 2.2, or 'fit' to the noise.",
+        show_default="fit with --twin, else linear",
+    ),
+]
 CameraOut = Annotated[
     Path | None,
     typer.Option(help="Also write the camera as a file for [camera] file, ROS and OpenCV.", show_default="none"),
@@ -145,6 +152,7 @@ def calibrate(
     labels: Labels = None,
     channel: ColourChannel = _Channel.value,
     bit_depth: BitDepth = None,
+    gamma: Gamma = None,
     criterion: BrightnessCriterion = _Criterion.median,
     lens: LensModel = _Lens.auto,
     fit_lens: FitLens = False,
@@ -160,9 +168,7 @@ def calibrate(
 ) -> None:
     """Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.
 
-    The stars are identified from the attitude (--utc, --lat, --lon, --yaw, --pitch, --roll, or --flight and --utc),
-    from labels, or from their pattern alone.  Several images also measure the camera's magnitude of each star, and
-    with --fit-lens they share one lens.
+    Stars are identified by attitude, labels or pattern.  Several images also measure the magnitude of each star.
 
     Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
     """
@@ -187,6 +193,7 @@ def calibrate(
         twin=twin,
         extinction=extinction,
         fit_readout=fit_readout,
+        gamma=gamma,
     )
     _run(images or [], options, output, camera_out, as_json=as_json)
 
@@ -251,13 +258,22 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
     if len(images) == 1:
         if options.fit_lens:
             raise ConfigError("--fit-lens needs several images: the lens of a single one is always fitted, see --lens")
-        return
+    else:
+        _require_several(options)
+
+
+def _require_several(options: CalibrateOptions) -> None:
+    """Refuse options that take one image."""
     if options.geometry_only and not options.fit_lens:
         raise ConfigError("--geometry-only of several images needs --fit-lens: one lens for all of them")
     if options.shape:
         raise ConfigError("--shape takes one image: calibrate the sharpest one with it")
     if options.twin:
         raise ConfigError("--twin takes one image: its sky is that of the one photograph")
+    if options.gamma == "fit":
+        raise ConfigError(
+            "--gamma fit takes one image: fit it on that with the widest range of sky, and give the number"
+        )
     if options.labels is not None:
         raise ConfigError("--labels belong to one image: leave them out, or calibrate the images one by one")
     if options.criterion == "paper":

@@ -28,3 +28,4 @@ class CalibrateOptions:
     twin: bool = False
     extinction: str = "none"
     fit_readout: bool = False
+    gamma: str | None = None

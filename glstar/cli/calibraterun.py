@@ -13,6 +13,7 @@ from glstar.calibrate import (
     Criterion,
     GeometryCalibration,
     LensChoice,
+    Photograph,
     SharedGeometry,
     SharedLensFit,
     above_air,
@@ -21,8 +22,10 @@ from glstar.calibrate import (
     calibrate_geometry,
     combine,
     detect_stars,
+    fit_gamma,
     fit_lens,
     fit_shared_lens,
+    linearised,
     prepare_to_draw,
     read_image,
     share_geometry,
@@ -41,6 +44,7 @@ from glstar.cli.calibrateinputs import (
 from glstar.cli.calibrateoptions import CalibrateOptions
 from glstar.cli.calibrateoutput import files_of, files_of_all, write_camera, write_files
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import echo_note
 from glstar.config import Config
 from glstar.errors import CalibrationError
 
@@ -124,7 +128,7 @@ def _identified_images(
     waiting: list[DetectedPhotograph] = []
     for number, path in enumerate(images):
         with naming(path if len(images) > 1 else None):
-            image = read_image(path, channel=cast("Channel", options.channel), bit_depth=options.bit_depth)
+            image = _read(path, options)
             duration_s = 0.0 if options.geometry_only else exposure_s(exposures[number], image)
             camera = camera_of(image, given, options.fov_deg, known=labels is not None)
             on_step((_STEPS - 1) * number + 1)
@@ -142,6 +146,22 @@ def _identified_images(
     if options.fit_readout:
         return identified_with_readout(waiting, cast("LensChoice", options.lens))
     return found
+
+
+def _read(path: Path, options: CalibrateOptions) -> Photograph:
+    """Return the light of a photograph."""
+    image = read_image(path, channel=cast("Channel", options.channel), bit_depth=options.bit_depth)
+    gamma = options.gamma or ("fit" if options.twin else "linear")
+    if gamma != "fit":
+        return linearised(image, gamma)
+    found = fit_gamma(image, detect_stars(image))
+    allowed = f"the noise of the sky allows gammas from {found.low:.2f} to {found.high:.2f}"
+    if found.value != 1:
+        echo_note(f"note: {allowed}; the least curve is taken, --gamma {found.value:.2f}")
+        return linearised(image, f"{found.value:.2f}")
+    if options.gamma == "fit":
+        echo_note(f"note: {allowed}: the image is taken as linear; if it is processed, give --gamma srgb or 2.2")
+    return image
 
 
 def _combined(

@@ -17,6 +17,7 @@ from glstar.calibrate import (
     compare_twin,
     draw_twin,
     measure_photograph,
+    recorded_again,
     render_twin,
 )
 from glstar.cli.calibrateoutput import files_of, print_result, write_files
@@ -79,7 +80,7 @@ def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     rest = files_of(calibration, with_toml=False)
     rest |= {
         ".json": (json.dumps(result.to_json(), indent=1) + "\n").encode(),
-        ".twin.png": _encoded(".png", pixels),
+        ".twin.png": _encoded(".png", recorded_again(calibration.image, pixels)),
         ".pair.png": draw_twin(model, result.twin),
     }
     write_files(output, rest)

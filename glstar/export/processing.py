@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import Any, Final
 
 import cv2
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.bitalignment import shift_bits
 from glstar.camera.sensor import Sensor
-from glstar.camera.tonecurve import parse_curve
+from glstar.camera.tonecurve import recorded_by
 from glstar.errors import ConfigError
 from glstar.render.effects import PROCESSING_DEFAULTS
 
@@ -20,15 +19,6 @@ __all__ = ["CameraProcessing", "encode_colour_png", "encode_jpeg", "process", "s
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Float = NDArray[np.float32]
 
-# Tone curve of the Raspberry Pi HQ camera: (input, output) of 65535, linear between; libcamera, tuning file of the
-# IMX477 for the older processor (BSD-2-Clause).
-_RPI_CURVE: Final = (
-    *((0, 0), (1024, 5040), (2048, 9338), (3072, 12356), (4096, 15312), (5120, 18051), (6144, 20790), (7168, 23193)),
-    *((8192, 25744), (9216, 27942), (10240, 30035), (11264, 32005), (12288, 33975), (13312, 35815), (14336, 37600)),
-    *((15360, 39168), (16384, 40642), (18432, 43379), (20480, 45749), (22528, 47753), (24576, 49621), (26624, 51253)),
-    *((28672, 52698), (30720, 53796), (32768, 54876), (36864, 57012), (40960, 58656), (45056, 59954), (49152, 61183)),
-    *((53248, 62355), (57344, 63419), (61440, 64476), (65535, 65535)),
-)
 # Luminance of linear red, green and blue: ITU-R BT.601, which libcamera uses for still images.
 _LUMA: Final = (0.299, 0.587, 0.114)
 # A colour matrix of the kind that libcamera has for the IMX477 in daylight; rows add up to 1, so that grey stays grey.
@@ -46,8 +36,6 @@ _BAYER: Final = {
 # Diameter of the denoising filter, px, and its width in space, px.
 _DENOISE_PX: Final = 5
 _DENOISE_SIGMA_PX: Final = 1.5
-# Values that a tone curve is applied to at once: 256 kB of float64.
-_BLOCK: Final = 1 << 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +165,7 @@ def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
             linear = np.clip(linear @ _RPI_MATRIX.T, 0, 1)
         linear = _one_channel(linear, steps.channel)
     full_scale = 65535 if sixteen_bits else 255
-    limited = _toned(linear, steps) * full_scale + 0.5
+    limited = recorded_by(linear, steps.gamma, steps.tone_curve) * full_scale + 0.5
     return limited.astype(np.uint16) if sixteen_bits else limited.astype(np.uint8)
 
 
@@ -251,45 +239,6 @@ def _one_channel(rgb: Float, channel: str) -> Float:
         return np.asarray(rgb.max(axis=2))
     weights = _LUMA if channel == "luma" else (0.0, 1.0, 0.0)
     return np.asarray(rgb @ np.array(weights, np.float32))
-
-
-def _toned(linear: Float, steps: CameraProcessing) -> NDArray[np.float64]:
-    """Return values from 0 to 1 after the tone curve."""
-    if steps.tone_curve:
-        given, toned = np.transpose(parse_curve(steps.tone_curve))
-        return np.asarray(np.interp(linear, given, toned))
-    if not isinstance(steps.gamma, str):
-        return np.asarray(linear, dtype=np.float64) ** (1 / steps.gamma)
-    return _interpolated(linear, _curve(steps.gamma))
-
-
-def _interpolated(values: Float, table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what `numpy.interp` does of values from 0 to 1 in a table at equidistant inputs, in a quarter of its time.
-
-    An index replaces the binary search, in blocks that stay in the cache of the processor.  The product of a float32
-    and the number of steps is exact in float64, so that the index is too.
-    """
-    last = len(table) - 1
-    inputs = np.linspace(0, 1, len(table))
-    slopes = np.append(np.diff(table) / np.diff(inputs), 0.0)
-    flat, found = values.ravel(), np.empty(values.size)
-    for first in range(0, flat.size, _BLOCK):
-        given = flat[first : first + _BLOCK].astype(np.float64)
-        at = np.minimum((given * last).astype(np.intp), last)
-        found[first : first + _BLOCK] = slopes[at] * (given - inputs[at]) + table[at]
-    return found.reshape(values.shape)
-
-
-@lru_cache(maxsize=8)
-def _curve(gamma: str) -> NDArray[np.float64]:
-    """Return a tone curve at equidistant inputs from 0 to 1."""
-    x = np.linspace(0, 1, 65536)
-    if gamma == "srgb":  # IEC 61966-2-1
-        return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-    if gamma == "rpi":
-        given, toned = np.transpose(_RPI_CURVE)
-        return np.asarray(np.interp(65535 * x, given, toned) / 65535)
-    return x
 
 
 def encode_jpeg(pixels: Any, quality: int) -> bytes:

@@ -137,6 +137,17 @@ def test_the_twin_and_options_that_contradict_it_are_refused(ground: Path, tmp_p
     assert not (tmp_path / "c.toml").exists()
 
 
+@pytest.mark.parametrize(("gamma", "images"), [("film", 1), ("fit", 2)])
+def test_a_gamma_that_is_none_or_cannot_be_fitted_is_refused(
+    ground: Path, tmp_path: Path, gamma: str, images: int
+) -> None:
+    frames = [found_frame(ground)] * images
+    result = run("calibrate", *frames, "-o", tmp_path / "c.toml", "--exposure", "0.5", "--gamma", gamma)
+    assert result.exit_code != 0
+    assert "--gamma" in result.output + result.stderr
+    assert not (tmp_path / "c.toml").exists()
+
+
 def found_frame(ground: Path) -> Path:
     return ground / "frames" / "frame_000000.png"
 

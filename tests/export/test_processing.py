@@ -11,11 +11,12 @@ from typer.testing import CliRunner
 
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.sensor import Sensor
+from glstar.camera.tonecurve import _interpolated, _named_curve
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.images import _eight_bits, decode, find_damage, fit_format
-from glstar.export.processing import _curve, _interpolated, process
+from glstar.export.processing import process
 
 SETTINGS = """
 [camera]
@@ -67,7 +68,7 @@ def test_tone_curves_have_their_published_values(gamma, raw, toned):
 
 @pytest.mark.parametrize("gamma", ["linear", "srgb", "rpi"])
 def test_a_tone_curve_is_applied_as_numpy_interpolates_it(gamma):
-    table = _curve(gamma)
+    table = _named_curve(gamma)
     numbers = np.arange(65536)
     values = np.concatenate([numbers / 65535, numbers / np.float32(65535), np.random.default_rng(4).random(100_000)])
     values = np.concatenate([values.astype(np.float32), np.float32([0, 1, 1e-9, 1 - 2**-24])]).reshape(2, -1)

@@ -1,6 +1,6 @@
 """Twins of real photographs: ``glstar calibrate --twin`` on each, and a table of the figures.
 
-    python -m tests.scripts.twins IMAGE:EXPOSURE_S:FOV_DEG ... [-o DIRECTORY]
+    python -m tests.scripts.twins IMAGE:EXPOSURE_S:FOV_DEG ... [-o DIRECTORY] [--gamma fit]
 
 Each comparison is DIRECTORY/NAME.pair.png; the table is Markdown.
 """
@@ -19,7 +19,7 @@ _UNKNOWN = {"--yaw": None, "--pitch": None, "--roll": None}
 _COLUMNS = ("photograph", "sky KS", "noise %", "correlation, twin", "peaks %", "noise alone %", "widths", "profile %")
 
 
-def options_of(exposure_s: float, fov_deg: float) -> CalibrateOptions:
+def options_of(exposure_s: float, fov_deg: float, gamma: str | None) -> CalibrateOptions:
     return CalibrateOptions(
         config=None,
         fov_deg=fov_deg,
@@ -37,14 +37,15 @@ def options_of(exposure_s: float, fov_deg: float) -> CalibrateOptions:
         geometry_only=False,
         shape=False,
         twin=True,
+        gamma=gamma,
     )
 
 
-def row_of(path: Path, exposure_s: float, fov_deg: float, directory: Path) -> str:
+def row_of(path: Path, exposure_s: float, fov_deg: float, gamma: str | None, directory: Path) -> str:
     """Return a row of the table."""
     output = directory / f"{path.stem}.toml"
     try:
-        calibration = calibrate_images([path], options_of(exposure_s, fov_deg), output, None)
+        calibration = calibrate_images([path], options_of(exposure_s, fov_deg, gamma), output, None)
         if not isinstance(calibration, Calibration):
             return f"| {path.name} | {calibration.notes[0]} |"
         found = write_twin(calibration, output).twin.figures
@@ -63,12 +64,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("images", nargs="+")
     parser.add_argument("-o", "--output", type=Path, default=Path("twins"))
+    parser.add_argument("--gamma", default=None, help="as of glstar calibrate")
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
     print(f"| {' | '.join(_COLUMNS)} |\n|{'---|' * len(_COLUMNS)}")
     for image in given.images:
         name, exposure, fov = image.rsplit(":", 2)
-        print(row_of(Path(name), float(exposure), float(fov), given.output), flush=True)
+        print(row_of(Path(name), float(exposure), float(fov), given.gamma, given.output), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from glstar.camera.bitalignment import shift_bits
 from glstar.camera.sensor import EffectValue
-from glstar.camera.tonecurve import parse_curve
+from glstar.camera.tonecurve import GAMMAS, parse_curve
 from glstar.render.effects.effect import Effect, Key, Stage, Values
 from glstar.render.scene import Scene
 
@@ -49,7 +49,7 @@ CAMERA_PROCESSING = Effect(
             allowed='"linear", "srgb", "rpi", or a number from 0.1 to 10',
             minimum=0.1,
             maximum=10.0,
-            choices=("linear", "srgb", "rpi"),
+            choices=GAMMAS,
             or_number=True,
         ),
         Key("tone_curve", "", allowed="a list of [input, output] from 0 to 1, or a CSV or JSON file", or_points=True),
