@@ -1,9 +1,9 @@
 """Decoding of image files to grey digital numbers, and scaling to the size of the simulated image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import cv2
 import numpy as np
@@ -36,6 +36,8 @@ class FittedImage:
         The part that the real image covers, px: columns left to right - 1, rows top to bottom - 1.
     note : str
         How the image was scaled, for the user; empty if it was not.
+    full_scale_dn : int or None
+        The largest digital number of its camera, if that is known: see `with_full_scale`.
     """
 
     pixels: Grey
@@ -44,11 +46,28 @@ class FittedImage:
     right: int
     bottom: int
     note: str = ""
+    full_scale_dn: int | None = None
 
     @property
     def white_dn(self) -> int:
-        """The largest digital number of the file's depth: 255 or 65535."""
-        return int(np.iinfo(self.pixels.dtype).max)
+        """The largest digital number of its camera, or of the file's depth: 255 or 65535."""
+        return int(np.iinfo(self.pixels.dtype).max) if self.full_scale_dn is None else self.full_scale_dn
+
+    def with_full_scale(self, full_scale_dn: int) -> Self:
+        """Return the image as one of a camera with this full scale, if it may be: 12 bits in a file of 16.
+
+        Parameters
+        ----------
+        full_scale_dn : int
+            The largest digital number of the simulated sensor.
+
+        Returns
+        -------
+        FittedImage
+            This one if it has 8 bits or the sensor has, or if a pixel exceeds the full scale.
+        """
+        is_deep = self.pixels.dtype == np.uint16 and full_scale_dn > np.iinfo(np.uint8).max
+        return replace(self, full_scale_dn=full_scale_dn) if is_deep and self.pixels.max() <= full_scale_dn else self
 
 
 def is_image(path: Path) -> bool:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -124,6 +125,12 @@ def compose(
     columns = np.arange(width_px) + 0.5
     simulated_here = columns < wipe * width_px if mode is ComparisonMode.WIPE else np.full(width_px, phase % 1.0 < 0.5)
     return stretch.colours.picture(stretch(np.where(simulated_here, shown, other)))
+
+
+@lru_cache(maxsize=1)
+def _with_full_scale(real: FittedImage, full_scale_dn: int) -> FittedImage:
+    """Return `FittedImage.with_full_scale`, the same object in every frame."""
+    return real.with_full_scale(full_scale_dn)
 
 
 def _signal(dn: Grey, white_dn: int) -> NDArray[np.float32]:
@@ -353,7 +360,7 @@ class ComparisonState:
         """Camera clock minus log clock, s: the flight's offset and the panel's."""
         return self.flight_offset_s + self.offset_s
 
-    def decoded_at(self, utc_s: float, camera: Camera) -> tuple[RealImage, FittedImage] | None:
+    def decoded_at(self, utc_s: float, camera: Camera, full_scale_dn: int) -> tuple[RealImage, FittedImage] | None:
         """Return the real image at a time with its pixels; None without one, and until they are decoded.
 
         Parameters
@@ -362,6 +369,8 @@ class ComparisonState:
             UTC seconds since 1970 of the log's clock.
         camera : Camera
             The image is fitted to its size.
+        full_scale_dn : int
+            The largest digital number of the simulated image.
 
         Returns
         -------
@@ -370,7 +379,7 @@ class ComparisonState:
         if not self.active or self.images is None or (image := self.image_at(utc_s)) is None:
             return None
         pixels = self.images.fitted(image, camera.width_px, camera.height_px)
-        return None if pixels is None else (image, pixels)
+        return None if pixels is None else (image, _with_full_scale(pixels, full_scale_dn))
 
     def image_at(self, utc_s: float) -> RealImage | None:
         """Return the real image that belongs to a time of the log; None if nothing is compared.

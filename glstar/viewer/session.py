@@ -226,15 +226,15 @@ class Session:
         image = self.image
         if not image.has_image or image.scene is None or image.gap is not None:
             return None
-        real = None if self.real is None else self.real[1]
-        return PanelContent.of(image, image.scene, real, self.comparison, is_processed=self.shows_processed)
+        real = self.real  # once: it also decodes ahead
+        return PanelContent.of(image, image.scene, real and real[1], self.comparison, is_processed=self.shows_processed)
 
     @property
     def real(self) -> tuple[RealImage, FittedImage] | None:
         """The real image at the play head with its pixels; None until they are decoded."""
         if self.loaded is None or self.scene is None:
             return None
-        return self.comparison.decoded_at(self.loaded.head.utc_s, self.scene.camera)
+        return self.comparison.decoded_at(self.loaded.head.utc_s, self.scene.camera, self.scene.white_dn)
 
     @property
     def status(self) -> str:

@@ -367,3 +367,23 @@ def test_the_caption_names_the_position_of_each_image(mode: ComparisonMode, word
 
     assert caption.splitlines()[0].endswith(f"; {words}")
     state.close()
+
+
+def test_a_real_image_of_12_bits_in_16_is_as_bright_as_the_simulated_one():
+    pixels = np.random.default_rng(8).integers(0, 4096, (30, 40)).astype(np.uint16)
+    real = fit(pixels, 40, 30).with_full_scale(4095)
+    alone = compose(pixels, None, ComparisonMode.OFF, saturation_dn=4095)
+    np.testing.assert_array_equal(compose(pixels, real, ComparisonMode.BLINK, phase=0.7, saturation_dn=4095), alone)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "full_scale_dn", "white_dn"),
+    [
+        (np.uint16([[0, 4095]]), 4095, 4095),
+        (np.uint16([[0, 4096]]), 4095, 65535),  # of a camera of more bits
+        (np.uint16([[0, 200]]), 255, 65535),
+        (np.uint8([[0, 200]]), 4095, 255),
+    ],
+)
+def test_the_white_of_a_real_image_is_the_sensor_s_if_no_pixel_exceeds_it(pixels, full_scale_dn, white_dn):
+    assert fit(pixels, 2, 1).with_full_scale(full_scale_dn).white_dn == white_dn
