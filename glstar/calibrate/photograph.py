@@ -97,7 +97,7 @@ def read_image(
         Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits, whether its
         numbers are in the lowest bits or, left-aligned, in the highest.  By default 8;
         for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG states it, and so does a
-        grey PNG or TIFF whose numbers are shifted up to the highest bits.
+        grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits.
     demosaiced : bool
         Whether a DNG's mosaic becomes a colour image.
 

@@ -1,5 +1,6 @@
 """Photographs in the formats of cameras that OpenCV does not read: DNG, HEIC and FITS."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ _SIGNATURES: Final = (
     *(b"II+\0", b"MM\0+"),
 )
 _LARGEST_DN: Final = 65535
+# Stored numbers to a digital number of 15 to 9 bits that is in the highest of 16.
+_LEFT_ALIGNED: Final = frozenset(2.0**shift for shift in range(1, 8))
 # LibRaw's number of a rotation, and the quarter turns to the left that make the image upright.
 _QUARTER_TURNS: Final = {3: 2, 5: 1, 6: 3}
 
@@ -91,7 +94,7 @@ def decode_photo(content: bytes, *, demosaiced: bool = True, upright: bool = Fal
         If it is damaged or too large, or the library that reads it is not installed; the message continues "FILE: ".
     """
     if content.startswith(_FITS):
-        return PhotoPixels(_decoded_fits(content))
+        return PhotoPixels(_decoded_fits(content), _white_dn_of_fits(content))
     if content.startswith(_TIFF) and any(tag in content[:_HEAD_BYTES] for tag in _DNG_TAGS):
         return _decoded_dng(content, demosaiced=demosaiced, upright=upright)
     if _is_heif(content):
@@ -115,6 +118,13 @@ def _decoded_fits(content: bytes) -> NDArray[np.uint16]:
             f" {_LARGEST_DN}"
         )
     return pixels.astype(np.uint16)
+
+
+def _white_dn_of_fits(content: bytes) -> int | None:
+    """Return the largest digital number of a file whose numbers are in the highest of 16 bits; None of another."""
+    scale = re.search(rb"BSCALE  = +([0-9.]+)", content[:_HEAD_BYTES])
+    per_dn = 1 / float(scale[1]) if scale is not None and float(scale[1]) else 1.0
+    return (_LARGEST_DN + 1) // int(per_dn) - 1 if per_dn in _LEFT_ALIGNED else None
 
 
 def _decoded_dng(content: bytes, *, demosaiced: bool, upright: bool) -> PhotoPixels:

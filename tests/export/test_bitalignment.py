@@ -66,7 +66,9 @@ def test_every_format_is_shifted_and_read_back(image_format, low, tmp_path):
     assert np.array_equal(stored(file), raw << 4)
     assert np.array_equal(decode(file.read_bytes(), file.suffix), raw)
     assert np.array_equal(read_grey(file), raw)
-    assert np.array_equal(read_image(file).pixels_dn, raw)
+    image = read_image(file)
+    assert np.array_equal(image.pixels_dn, raw)
+    assert (image.bit_depth, image.saturation_dn) == (12, 4095)
     assert ("output" in low_line, line["output"]) == (False, {"align": "high", "shift_bits": 4})
     assert {**line, "output": 0, "file": ""} == {**low_line, "output": 0, "file": ""}  # peaks and fluxes stay in DN
     assert ("shift_bits" in low_manifest, manifest["shift_bits"]) == (False, 4)
