@@ -176,9 +176,10 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
     faults.extend(_lens_faults(section))
     sources = [*(key for key in ("file", "preset") if key in keys), *numbers[:1]]
     if len(sources) > 1:
-        faults.append(
-            ("camera", f"has {' and '.join(sources)}; give a file, or a preset, or numbers, and only one of them")
-        )
+        message = f"has {' and '.join(sources)}; give a file, or a preset, or numbers, and only one of them"
+        if section.preset is not None and is_sensor_mode(section.preset):
+            message += f' (the same sensor behind your own lens is [sensor] preset = "{section.preset}")'
+        faults.append(("camera", message))
     elif section.camera is not None and (section.file is None or section.file.lower().endswith(".toml")):
         faults.append(("camera.camera", "names a camera of a YAML or JSON file with several; give camera.file too"))
     elif section.file is not None and section.file.lower().endswith(".toml"):

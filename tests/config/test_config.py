@@ -348,6 +348,7 @@ def test_the_message_for_an_unknown_key_has_a_suggestion(write: Write, text: str
     [
         ('preset = "picam2"\nfile = "calib.yaml"', "camera: has file and preset; give a file, or a preset, or numbers"),
         ('preset = "picam2"\nfx_px = 3', "camera: has preset and fx_px; give a file, or a preset, or numbers"),
+        ('preset = "imx477:2028x1520"\nfx_px = 3', '[sensor] preset = "imx477:2028x1520"'),
         ('file = "calib.yaml"\nskew_px = 0', "camera: has file and skew_px; give a file, or a preset, or numbers"),
     ],
 )
