@@ -27,8 +27,8 @@ _GRID: Final = (8, 6)
 _SMALLEST_GRID: Final = (3, 2)
 # Pairs of lines of all example directions, at most: 20 ms.
 _MOST_PAIRS: Final = 8_000_000
-# Lines of a path, at most: groups of sub-exposures if there are more.
-_MOST_LINES: Final = 512
+# Lines of a path, at most: groups of neighbours if there are more.
+_MOST_LINES: Final = 64
 # Points of a path at which the signal is evaluated exactly.
 _CANDIDATES: Final = 2
 # Pairs of lines that are computed at once: more of them fall out of the processor's cache.
@@ -83,7 +83,7 @@ def brightest_points(
     on_image = (outside_px <= 0).astype(np.float64)
     signals, overlaps = _interpolated(scene, direction_eq, lines)
     clouded = [transmission for transmission in transmissions if transmission is not None]
-    passing = _grouped(np.concatenate(clouded), mean=True) if clouded else np.ones_like(lines.weight)
+    passing = _grouped(_joined(clouded), mean=True) if clouded else np.ones_like(lines.weight)
     nearby = _smoothed(lines, passing, scene.sensor.effective_sigma_px, on_image) if clouded else passing
     light: Float = np.where(lines.weight > 0, signals * nearby, 0.0)
     light = np.where(outside_px > 0, -outside_px, light)
@@ -114,22 +114,26 @@ class _Lines(NamedTuple):
     @classmethod
     def of(cls, chains: Sequence[LineChain]) -> Self:
         """Return the lines of chains."""
-        middle_px = np.concatenate([chain.middle_px for chain in chains], axis=1)
-        step_px = np.concatenate([chain.step_px for chain in chains], axis=1)
-        weight = np.concatenate([chain.weight for chain in chains])
-        middle_px = np.stack([_grouped(axis, mean=True) for axis in middle_px])
-        step_px = np.stack([_grouped(axis) for axis in step_px])
-        return cls(middle_px, step_px, _grouped(weight), np.all([chain.is_whole for chain in chains], axis=0))
+        middle_px = _grouped(_joined([chain.middle_px for chain in chains]), mean=True)
+        step_px = _grouped(_joined([chain.step_px for chain in chains]))
+        weight = _grouped(_joined([chain.weight for chain in chains]))
+        return cls(middle_px, step_px, weight, np.all([chain.is_whole for chain in chains], axis=0))
+
+
+def _joined(values: list[Float]) -> Float:
+    """Return the values of several chains one after the other, without a copy of those of a single one."""
+    return values[0] if len(values) == 1 else np.concatenate(values, axis=-2)
 
 
 def _grouped(values: Float, *, mean: bool = False) -> Float:
-    """Return the sums or means of groups of consecutive lines, (k, m) of (n, m), so that there are not too many."""
-    size = -(-len(values) // _MOST_LINES)
+    """Return the sums or means of groups of consecutive lines, (..., k, m) of (..., n, m), that are not too many."""
+    count = values.shape[-2]
+    size = -(-count // _MOST_LINES)
     if size == 1:
         return values
-    starts = np.arange(0, len(values), size)
-    sums = np.add.reduceat(values, starts, axis=0)
-    return np.asarray(sums / np.diff(starts, append=len(values))[:, np.newaxis] if mean else sums)
+    starts = np.arange(0, count, size)
+    sums = np.add.reduceat(values, starts, axis=-2)
+    return np.asarray(sums / np.diff(starts, append=count)[:, np.newaxis] if mean else sums)
 
 
 def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -> Float:
