@@ -21,6 +21,8 @@ _ROUNDING_DN2: Final = 1 / 12
 # A pixel is hot if its mean dark value exceeds the median by this many standard deviations of ordinary pixels, and DN.
 _HOT_SIGMA: Final = 10.0
 _HOT_DN: Final = 4.0
+# Dark frames of one exposure, gain and temperature differ in level by at most one read noise, or 2 DN.
+_DRIFT_DN: Final = 2.0
 # A pixel is dead if it responds with less than this fraction of its surroundings.
 _DEAD_RESPONSE: Final = 0.5
 # Flat fields brighter than this fraction of the range are not used: pixels saturate and their variance falls.
@@ -120,7 +122,8 @@ def photon_transfer(darks: Sequence[Photograph], flats: Sequence[Photograph] = (
     Raises
     ------
     CalibrationError
-        If there are too few images, their sizes differ, or the flat fields are too dark, too bright or unpaired.
+        If there are too few images, their sizes differ, the dark frames differ in exposure or level, or the flat fields
+        are too dark, too bright or unpaired.
 
     Notes
     -----
@@ -136,6 +139,7 @@ def photon_transfer(darks: Sequence[Photograph], flats: Sequence[Photograph] = (
     hot = mean_dark > usual + max(_HOT_SIGMA * sigma, _HOT_DN)
     dead = np.zeros_like(hot)
     read_dn = float(np.sqrt(max(variance_dark - _ROUNDING_DN2, 0.0)))
+    _require_one_level(darks, read_dn)
     gain = error = prnu = flat_field = None
     if flats:
         gain, error = _gain(flats, mean_dark, variance_dark, ~hot)
@@ -164,6 +168,21 @@ def _require_one_size(images: Sequence[Photograph]) -> None:
     if len(sizes) > 1:
         listed = ", ".join(f"{path.name} has {shape[1]} x {shape[0]} px" for shape, path in sizes.items())
         raise CalibrationError(f"dark frames and flat fields must be of one size: {listed}")
+
+
+def _require_one_level(darks: Sequence[Photograph], read_dn: float) -> None:
+    exposures_s = {dark.exposure_s: dark.path.name for dark in darks if dark.exposure_s is not None}
+    if len(exposures_s) > 1:
+        listed = ", ".join(f"{name} has {exposure_s:g} s" for exposure_s, name in exposures_s.items())
+        raise CalibrationError(f"dark frames must be of one exposure time: {listed}")
+    levels_dn = np.array([np.median(dark.pixels_dn) for dark in darks])
+    limit_dn = max(read_dn, _DRIFT_DN)
+    if np.ptp(levels_dn) > limit_dn:
+        low, high = (darks[int(end(levels_dn))].path.name for end in (np.argmin, np.argmax))
+        raise CalibrationError(
+            f"dark frames must be of one exposure time, gain and temperature: the level of {low} is"
+            f" {levels_dn.min():g} DN, and that of {high} is {levels_dn.max():g} DN (limit {limit_dn:.1f} DN)"
+        )
 
 
 def _mean_and_variance(images: Sequence[Photograph]) -> tuple[Float, float]:

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -10,12 +11,16 @@ import typer
 from glstar.calibrate.photograph import read_image
 from glstar.calibrate.photontransfer import PhotonTransfer, images_in, photon_transfer
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import echo_note
 from glstar.config.tomlvalues import toml_value
 from glstar.errors import CalibrationError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.system.durable import write_atomically
 
 __all__ = ["calibrate_from_darks"]
+
+# More hot pixels than this fraction of all are said: real sensors have some hundred in a million.
+_MANY_HOT: Final = 0.01
 
 
 def calibrate_from_darks(
@@ -69,6 +74,9 @@ def calibrate_from_darks(
         "flat_fields": found.flat_fields,
         **files,
     }
+    hot = found.hot / found.dark_frame_dn.size
+    if hot > _MANY_HOT:
+        echo_note(f"note: {100 * hot:.1f} % of the pixels are hot: is the lens capped, and the sensor cool?")
     if as_json:
         typer.echo(json.dumps(facts))
     else:

@@ -1,6 +1,7 @@
 """Photon transfer: gain, read noise and maps from dark frames and flat fields of known statistics."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -50,6 +51,30 @@ def test_gain_noise_and_defects_are_found() -> None:
     assert found.is_dead.sum() == 5
     assert found.prnu_fraction == pytest.approx(0.01, rel=0.05)
     np.testing.assert_allclose(found.dark_frame_dn[HOT], BLACK_DN + GAIN * 300, rtol=0, atol=6 * GAIN * READ_E)
+
+
+@pytest.mark.parametrize("brighter_dn", [-80, 8, 120])
+def test_a_dark_frame_of_another_exposure_or_gain_is_refused(brighter_dn: int) -> None:
+    darks = photographs(frames(0.0, 8, 7))
+    darks[3] = replace(darks[3], pixels_dn=darks[3].pixels_dn + brighter_dn)
+
+    with pytest.raises(CalibrationError, match=r"one exposure time, gain and temperature: the level of .*3\.png"):
+        photon_transfer(darks)
+
+
+def test_dark_frames_whose_files_state_different_exposures_are_refused() -> None:
+    darks = [replace(dark, exposure_s=0.5) for dark in photographs(frames(0.0, 4, 7))]
+    darks[1] = replace(darks[1], exposure_s=1.0)
+
+    with pytest.raises(CalibrationError, match=r"0\.5 s, 1\.png has 1 s"):
+        photon_transfer(darks)
+
+
+def test_a_small_drift_of_the_black_level_is_allowed() -> None:
+    darks = photographs(frames(0.0, 8, 7))
+    darks[3] = replace(darks[3], pixels_dn=darks[3].pixels_dn + 1)
+
+    assert photon_transfer(darks).black_level_dn == pytest.approx(BLACK_DN, abs=1.0)
 
 
 def test_dark_frames_alone_have_no_gain() -> None:
