@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.system.inputfile import read_text
+from glstar.system.inputfile import is_number, read_text
 
 __all__ = [
     "GAMMAS",
@@ -247,15 +247,7 @@ def _rows_of_csv(text: str) -> list[list[str]]:
     """Return the rows of a CSV file with commas, semicolons, tabs or spaces, without its header and comments."""
     rows = [line.replace(";", " ").replace(",", " ").split() for line in text.splitlines()]
     rows = [row for row in rows if row and not row[0].startswith("#")]
-    return rows[1:] if rows and not _is_number(rows[0][0]) else rows
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return rows[1:] if rows and not is_number(rows[0][0]) else rows
 
 
 def _rows_of_json(text: str) -> list[Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
+from glstar.system.inputfile import is_number
 
 __all__ = ["HorizonProfile"]
 
@@ -108,7 +109,7 @@ def _read(file: Path, _changed_ns: int, _size: int) -> HorizonProfile:
     with file.open(encoding="utf-8-sig", newline="") as lines:
         rows = [(number, row) for number, row in enumerate(csv.reader(lines), 1) if any(cell.strip() for cell in row)]
     rows = [(number, row) for number, row in rows if not row[0].lstrip().startswith("#")]
-    if rows and not _is_number(rows[0][1][0]):
+    if rows and not is_number(rows[0][1][0]):
         _check_header(file, rows.pop(0)[1])
     points = [_point(file, number, row) for number, row in rows]
     if len(points) < 2:
@@ -124,14 +125,6 @@ def _read(file: Path, _changed_ns: int, _size: int) -> HorizonProfile:
     return HorizonProfile(tuple(map(radians, azimuths_deg)), tuple(map(radians, altitudes_deg)))
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _check_header(file: Path, names: Sequence[str]) -> None:
     found = tuple(name.strip() for name in names)
     if found != _COLUMNS:
@@ -140,7 +133,7 @@ def _check_header(file: Path, names: Sequence[str]) -> None:
 
 def _point(file: Path, number: int, row: Sequence[str]) -> tuple[float, float]:
     """Return azimuth and altitude of a line, deg."""
-    if len(row) != 2 or not all(map(_is_number, row)):
+    if len(row) != 2 or not all(map(is_number, row)):
         raise ConfigError(f"{file}, line {number}: must be an azimuth and an altitude in degrees", key=_KEY)
     azimuth_deg, altitude_deg = map(float, row)
     lowest_deg, highest_deg = _ALTITUDES_DEG

@@ -9,7 +9,7 @@ import stat
 from os import PathLike, strerror
 from typing import Final
 
-__all__ = ["read_bytes", "read_text", "refuse_irregular"]
+__all__ = ["is_number", "read_bytes", "read_text", "refuse_irregular"]
 
 _KINDS: Final = (
     (stat.S_ISDIR, "this is a directory; give a file"),
@@ -97,3 +97,21 @@ def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"is not UTF-8 text (byte 0x{content[error.start]:02x} at offset {error.start})") from None
+
+
+def is_number(text: str) -> bool:
+    """Return whether a cell of a table holds a number, rather than a name of its header.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    bool
+    """
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
