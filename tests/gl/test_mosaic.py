@@ -89,12 +89,23 @@ def test_a_monochrome_image_has_the_magnitudes_of_the_band(bv, magnitude):
     assert ColourBand("imx477").magnitude_minus_v(bv) == pytest.approx(magnitude, abs=1e-9)
 
 
-def test_the_mean_band_is_the_mean_of_its_colours():
+@pytest.mark.parametrize("band", ["imx477", "imx219", "ov5647"])
+def test_the_mean_band_is_the_mean_of_its_colours(band):
     """Both were fitted to the same spectra, each with its own polynomial."""
-    for bv in (-0.2, 0.0, 0.4, 0.8, 1.2, 1.6):
-        mean = (ratio(bv, "r") + 2 * ratio(bv, "g") + ratio(bv, "b")) / 4
-        of_band = 10 ** (-0.4 * float(ColourBand("imx477").magnitude_minus_v(bv)))
-        assert -2.5 * np.log10(mean / of_band) == pytest.approx(0, abs=0.03)
+    colour, bv = ColourBand(band), np.linspace(-0.3, 1.7, 21)
+    r, g, b = (colour.photons(one) * 10 ** (-0.4 * colour.magnitude_minus_v(bv, one)) for one in "rgb")
+    mean_mag = -2.5 * np.log10((r + 2 * g + b) / 4)
+    np.testing.assert_allclose(mean_mag, colour.magnitude_minus_v(bv), rtol=0, atol=0.01)
+
+
+@pytest.mark.parametrize("band", ["imx219", "ov5647"])
+def test_a_mosaic_has_the_colours_of_its_camera(renderer, band):
+    white = light(renderer, star_of_colour(1.1, sensor_with()))
+    drawn = light(renderer, star_of_colour(1.1, sensor_with(band=band, mosaic="bggr")))
+    for at, channel in enumerate("bggr"):
+        cells = slice(at // 2, None, 2), slice(at % 2, None, 2)
+        signal = ColourBand(band).photons(channel) * 10 ** (-0.4 * ColourBand(band).magnitude_minus_v(1.1, channel))
+        assert drawn[cells].max() == pytest.approx(signal * white[cells].max(), rel=1e-4, abs=0)
 
 
 def test_red_stars_are_fainter_behind_an_infra_red_filter_and_brighter_without():
@@ -134,7 +145,11 @@ def test_stars_are_centred_at_the_same_place_in_all_colours(renderer):
 
 @pytest.mark.parametrize(
     ("keys", "named"),
-    [({"mosaic": "rggb"}, "sensor.mosaic"), ({"band": "imx477", "band_slope": 0.3}, "sensor.band_slope")],
+    [
+        ({"mosaic": "rggb"}, "sensor.mosaic"),
+        ({"mosaic": "rggb", "band": "bare"}, "sensor.mosaic"),
+        ({"band": "imx477", "band_slope": 0.3}, "sensor.band_slope"),
+    ],
 )
 def test_contradicting_keys_of_colour_are_an_error(keys, named):
     with pytest.raises(ConfigError) as error:

@@ -36,7 +36,7 @@ COLOUR_BAND = Effect(
         Key(
             "band",
             _PLAIN.band,
-            allowed="one of v, imx477, bare, custom",
+            allowed=f"one of {', '.join(BAND_CHOICES)}",
             choices=BAND_CHOICES,
             control=Control("Band"),
         ),
