@@ -22,6 +22,8 @@ def pytest_configure() -> None:
     # A suite that runs in the background of a shell ignores SIGINT, and its children would, too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     # Children take this glstar, from whatever directory they run in, not another one on the user's PYTHONPATH.
     if paths := os.environ.get("PYTHONPATH"):
         ours = Path(glstar.__file__).parents[1]
