@@ -34,13 +34,15 @@ def dominant_star(renderer: GLRenderer, scene: Scene, margin: float) -> tuple[np
     r2 = scene.sensor.effects.get("lens.vignetting_r2", 0.0)
     # The flat field over the solid angle of the pixels.
     falloff = (1 + r2 * squared / (160**2 + 120**2)) * (1 + squared / 300**2) ** 1.5 if r2 else np.ones((240, 320))
-    images = [np.full((240, 320), mask_threshold_dn(scene))]
-    for index in order:
+    brightest_dn, second_dn = np.full((240, 320), mask_threshold_dn(scene)), np.full((240, 320), -np.inf)
+    entry = np.zeros((240, 320), np.intp)
+    for number, index in enumerate(order, 1):
         alone = scene.with_visible(scene.visible == index)
-        images.append(renderer.render(alone, seed=0, light=True).light_dn * falloff)
-    values = np.stack(images)
-    two = np.sort(values, axis=0)[-2:]
-    return values.argmax(axis=0), two[1] - two[0] > margin * two[1] + 0.02
+        image_dn = renderer.render(alone, seed=0, light=True).light_dn * falloff
+        entry[image_dn > brightest_dn] = number
+        second_dn = np.maximum(second_dn, np.minimum(brightest_dn, image_dn))
+        brightest_dn = np.maximum(brightest_dn, image_dn)
+    return entry, brightest_dn - second_dn > margin * brightest_dn + 0.02
 
 
 @pytest.mark.parametrize("case", ["turning", "still", "lens", "rolling", "wings", "sprites", "vignetting"])
