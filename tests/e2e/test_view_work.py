@@ -215,18 +215,17 @@ def fit_mount(work: Work) -> None:
         window.click(971, 657)
         window.away()
 
-    def apply() -> None:
+    def applied() -> bool:
         window.wheel(1100, 640, -20)
         window.away()
         window.still()
         window.click(980, 757)
         window.away()
+        return mount_deg() != before
 
-    # Notifications, which may cover the buttons, are gone after some seconds.
     window.until(lambda screen: text(screen[fitted_lines]) > 1500, "what was fitted", again=fit)
-    window.until(lambda screen: text(screen[fitted_lines]) < 500, "the applied mount", again=apply)
+    until(applied, "the applied mount")
     fitted = mount_deg()
-    assert fitted != before
     # Towards the zenith yaw and roll turn about the same axis.
     difference_deg = np.subtract(*fitted) - np.subtract(*before)
     assert abs((difference_deg + 180) % 360 - 180) < 0.05

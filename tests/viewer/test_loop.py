@@ -234,6 +234,29 @@ def test_a_notification_is_drawn_completely_in_a_paused_window(window: Viewer) -
     assert shown.pos.y + shown.size.y <= 600
 
 
+@pytest.mark.parametrize("is_error", [False, True])
+def test_a_message_lets_clicks_through_and_an_error_is_dismissed_by_one(
+    window: Viewer, decoder: threading.Event, is_error: bool
+) -> None:
+    session, io = window.session, imgui.get_io()
+    session.notify("a notice", is_error=is_error)
+    for _ in range(2):
+        window.frame(0.0)
+    covering = imgui.internal.find_window_by_name("##notification0")
+    below = []
+    for event in (
+        lambda: io.add_mouse_pos_event(covering.pos.x + 5.0, covering.pos.y + 5.0),
+        lambda: io.add_mouse_button_event(0, True),
+        lambda: io.add_mouse_button_event(0, False),
+    ):
+        event()
+        window.frame(0.0)
+        below.append(imgui.get_current_context().hovered_window)
+    under_mouse = [hovered.name if hovered is not None else "" for hovered in below]
+    assert ("##notification0" in under_mouse) == is_error
+    assert bool(session.notifications.current) == (not is_error)
+
+
 @pytest.mark.parametrize("polls", [1, 2])
 def test_a_click_shows_although_the_button_is_released_while_the_window_comes_to_rest(
     window: Viewer, polls: int

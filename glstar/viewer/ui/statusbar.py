@@ -183,7 +183,9 @@ def _item(text: str, colour: ImVec4 | None = None) -> None:
 
 
 def draw_notifications(session: Session) -> list[Notification]:
-    """Draw the notifications in the bottom right corner, the latest lowest; a click dismisses one.
+    """Draw the notifications in the bottom right corner, the latest lowest.
+
+    A click dismisses an error. A message lets the mouse through to the controls that it covers for some seconds.
 
     Parameters
     ----------
@@ -201,7 +203,8 @@ def draw_notifications(session: Session) -> list[Notification]:
     for index, notification in enumerate(reversed(drawn)):
         imgui.set_next_window_pos(ImVec2(right, bottom), 0, ImVec2(1.0, 1.0))
         imgui.set_next_window_bg_alpha(0.95)
-        imgui.begin(f"##notification{index}", None, _NOTIFICATION)
+        ignored = 0 if notification.is_error else int(imgui.WindowFlags_.no_mouse_inputs)
+        imgui.begin(f"##notification{index}", None, _NOTIFICATION | ignored)
         imgui.push_text_wrap_pos(scaled_across(_WRAP_PX))
         colour = error() if notification.is_error else imgui.get_style_color_vec4(imgui.Col_.text)
         imgui.text_colored(colour, notification.message)
