@@ -301,6 +301,7 @@ def answer_questions(work: Work, number: str, log: Path) -> None:
 
 
 @needs_xvfb
+@pytest.mark.timeout(900)
 def test_a_session_of_work_in_one_window(tmp_path: Path, display: Callable[[int, int], str]) -> None:
     number, log = display(1280, 800), asset("adelaide.BIN")
     images = tmp_path / "real images"

@@ -1,6 +1,7 @@
 """Importing glstar opens no window, makes no context and loads nothing heavy."""
 
 import ast
+import functools
 import pkgutil
 import subprocess
 import sys
@@ -98,7 +99,8 @@ def python(code: str) -> str:
     return child.stdout
 
 
-def imported(source: Path) -> set[str]:
+@functools.cache
+def imported(source: Path) -> frozenset[str]:
     """Return the packages that a source file imports, anywhere in it."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
@@ -106,7 +108,7 @@ def imported(source: Path) -> set[str]:
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             names.add(node.module.split(".")[0])
-    return names
+    return frozenset(names)
 
 
 def may_load(name: str) -> set[str]:

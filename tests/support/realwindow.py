@@ -10,8 +10,8 @@ import numpy as np
 
 __all__ = ["RealWindow"]
 
-# Longest wait for the screen, s.
-_PATIENCE_S = 60.0
+# Longest wait for the screen, s: a fit in a window takes a minute on a busy machine.
+_PATIENCE_S = 180.0
 # The screen is still if it is the same for this time, s.
 _STILL_S = 0.25
 # Interval at which an action is repeated that the window may have missed, s.
