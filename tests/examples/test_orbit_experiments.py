@@ -19,6 +19,9 @@ height_px = 40
 fx_px = 64.0
 fy_px = 64.0
 
+[sky]
+vmag_limit = 2.0
+
 [exposure]
 duration_s = 0.05
 interval_s = 4.0
