@@ -39,6 +39,7 @@ from glstar.calibrate.sharedgeometry import SharedGeometry, share_geometry
 from glstar.calibrate.sharedlens import SharedLensFit, fit_shared_lens
 from glstar.calibrate.twin import Twin, TwinFigures, compare_twin, render_twin
 from glstar.calibrate.twinreport import draw_twin
+from glstar.calibrate.zenithfit import find_zenith
 
 __all__ = [
     "LONGEST_READOUT_S",
@@ -78,6 +79,7 @@ __all__ = [
     "draw_geometry",
     "draw_report",
     "draw_twin",
+    "find_zenith",
     "fit_brightness",
     "fit_camera",
     "fit_gamma",

@@ -71,8 +71,12 @@ class GeometryCalibration:
         solution, camera = matches.solution, matches.solution.camera
         ra_rad, dec_rad = self.boresight_rad
         boresight = {"ra_deg": np.rad2deg(ra_rad), "dec_deg": np.rad2deg(dec_rad)}
+        axis_eq = solution.C_camera_eq[2]
+        if self.reference.zenith_error_rad is not None:
+            boresight |= {"altitude_deg": float(np.rad2deg(np.arcsin(axis_eq @ self.reference.zenith_eq)))}
+            boresight |= {"zenith_error_deg": float(np.rad2deg(self.reference.zenith_error_rad))}
         if self.reference.C_ned_eq is not None:
-            azimuth, altitude = ned_to_azimuth_altitude_rad(self.reference.C_ned_eq @ solution.C_camera_eq[2])
+            azimuth, altitude = ned_to_azimuth_altitude_rad(self.reference.C_ned_eq @ axis_eq)
             boresight |= {"azimuth_deg": np.rad2deg(float(azimuth)), "altitude_deg": np.rad2deg(float(altitude))}
         return {
             "image": {
@@ -202,7 +206,7 @@ def calibrate_geometry(
 
 
 def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, ...]:
-    """Return a note where refraction is ignored and the focal length is precise enough to show it.
+    """Return a note on a zenith from refraction, or where refraction is ignored and the focal length would show it.
 
     Parameters
     ----------
@@ -213,6 +217,14 @@ def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, 
     -------
     tuple of str
     """
+    if reference.zenith_error_rad is not None:
+        from_axis = np.arccos(np.clip(matches.solution.C_camera_eq[2] @ reference.zenith_eq, -1, 1))
+        declination_deg, error_deg = np.rad2deg([np.arcsin(reference.zenith_eq[2]), reference.zenith_error_rad])
+        return (
+            f"time and site are unknown; refraction shows the zenith {np.rad2deg(from_axis):.0f} ± {error_deg:.0f} deg"
+            f" from the optical axis, at declination {declination_deg:.0f} deg (the latitude of the site): camera and"
+            " horizon are those of this zenith, whose error the standard errors leave out; give --utc, --lat and --lon",
+        )
     error_px = matches.standard_error.get("fx_px")
     focal_px = matches.solution.camera.fx_px
     if reference.C_ned_eq is not None or error_px is None or error_px > _ZENITH_REFRACTION * focal_px:

@@ -29,12 +29,15 @@ class ReferenceStars:
         The brightest first.
     zenith_eq, velocity_eq : (3,) float64
         The direction of the zenith, and the observer's velocity over the speed of light; zeros if the site is unknown.
+        The zenith may be known from the refraction of the photograph alone; see `glstar.calibrate.zenithfit`.
     refraction_scale : float
         The result of `glstar.sky.horizon.refraction_scale`; 0 if the site is unknown.
     C_ned_eq : (3, 3) float64 or None
         Rotation from the true equator and equinox of date to north, east, down; None if site or time is unknown.
     rows : RowTurns or None
         How the aircraft turned while a rolling shutter read the image; None if one attitude holds for all rows.
+    zenith_error_rad : float or None
+        Standard error of a zenith from refraction, rad; None if time and site state it, or if it is unknown.
     """
 
     stars: StarField
@@ -43,6 +46,7 @@ class ReferenceStars:
     refraction_scale: float
     C_ned_eq: Float | None
     rows: RowTurns | None = None
+    zenith_error_rad: float | None = None
 
     @staticmethod
     def over(sky: Sky, utc_s: float, site: Site) -> "ReferenceStars":

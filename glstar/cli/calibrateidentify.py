@@ -16,6 +16,7 @@ from glstar.calibrate import (
     Photograph,
     PlateSolution,
     ReferenceStars,
+    find_zenith,
     fit_readout,
     identify_by_labels,
     identify_lost,
@@ -27,7 +28,7 @@ from glstar.cli.calibrateinputs import Reference
 from glstar.config import Config
 from glstar.errors import CalibrationError
 
-__all__ = ["DetectedPhotograph", "Identified", "given_solution", "identified_with_readout", "naming"]
+__all__ = ["DetectedPhotograph", "Identified", "given_solution", "identified_with_readout", "naming", "with_zenith"]
 
 # A given attitude is reported as wrong if the optical axis is off by more than this, rad.
 _ATTITUDE_TOLERANCE_RAD: Final = np.deg2rad(0.02)
@@ -89,6 +90,14 @@ class DetectedPhotograph:
         if off_rad < _ATTITUDE_TOLERANCE_RAD:
             return ()
         return (f"the given attitude points {np.rad2deg(off_rad):.2f} deg away from the camera's direction",)
+
+
+def with_zenith(part: Identified) -> Identified:
+    """Return an image without time or site with the zenith that its refraction shows, if it shows one."""
+    stars = find_zenith(
+        part.detected, part.reference.stars, part.matches, refraction_scale=part.reference.refraction_scale
+    )
+    return replace(part, reference=replace(part.reference, stars=stars))
 
 
 def given_solution(settings: Config, reference: Reference, camera: Camera) -> PlateSolution | None:

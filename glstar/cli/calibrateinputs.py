@@ -58,12 +58,15 @@ class Reference:
     catalogue : StarCatalogue
     notes : tuple of str
         Remarks for the user: what the flight says that the calibration leaves out.
+    refraction_scale : float
+        Refraction of the config's air over that of standard air, for a zenith that only the photograph shows.
     """
 
     stars: ReferenceStars
     C_body_ned: NDArray[np.float64] | None
     catalogue: StarCatalogue
     notes: tuple[str, ...] = ()
+    refraction_scale: float = 0.0
 
 
 def exposures_of(exposures: list[float] | None, images: int) -> list[float | None]:
@@ -179,7 +182,8 @@ def references(
             found.append(found[0])  # this image has no inputs either
         elif utc_s is None or site is None:
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
-            found.append(Reference(stars, None, catalogue))
+            scale = sky.refraction_scale(replace(Site(0.0, 0.0), **air))
+            found.append(Reference(stars, None, catalogue, refraction_scale=scale))
         else:
             stars = ReferenceStars.over(sky, utc_s, replace(site, **air))
             if recorded is not None:

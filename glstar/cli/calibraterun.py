@@ -31,7 +31,14 @@ from glstar.calibrate import (
     share_geometry,
     with_point_spread,
 )
-from glstar.cli.calibrateidentify import DetectedPhotograph, Identified, given_solution, identified_with_readout, naming
+from glstar.cli.calibrateidentify import (
+    DetectedPhotograph,
+    Identified,
+    given_solution,
+    identified_with_readout,
+    naming,
+    with_zenith,
+)
 from glstar.cli.calibrateinputs import (
     all_or_none,
     camera_of,
@@ -85,6 +92,7 @@ def calibrate_images(
         on_step(0, steps)
         ready = executor.submit(prepare_to_draw)
         identified = _identified_images(images, options, lambda done: on_step(done, steps))
+        identified = [with_zenith(part) for part in identified]
         shared: SharedLensFit | None = None
         if options.fit_lens:
             shared = _shared_lens(identified, options)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from glstar.calibrate import Calibration, GeometryCalibration, detect_stars, identify_again, read_image
-from glstar.cli.calibrateidentify import DetectedPhotograph, Identified, given_solution
+from glstar.cli.calibrateidentify import DetectedPhotograph, Identified, given_solution, with_zenith
 from glstar.cli.calibrateinputs import camera_of, exposure_s, references
 from glstar.cli.calibrateoptions import CalibrateOptions
 from glstar.cli.calibrateoutput import files_of, report_lines, write_files
@@ -58,6 +58,7 @@ def calibration_of(request: CalibrationRequest, progress: CalibrationProgress) -
     )
     part = _first(request, progress) if request.before is None else _again(request, progress)
     progress.begin("fitting lens and sensor", 3)
+    part = with_zenith(part)
     return _result(part, calibrated_image(part, options, single=True, lens_is_fitted=False))
 
 

@@ -737,8 +737,8 @@ def test_a_precise_focal_length_without_time_and_site_is_noted_as_too_short(erro
         standard_error={} if error_px is None else {"fx_px": error_px}, solution=SimpleNamespace(camera=camera)
     )
 
-    without = refraction_notes(SimpleNamespace(C_ned_eq=None), matches)
+    without = refraction_notes(SimpleNamespace(C_ned_eq=None, zenith_error_rad=None), matches)
 
     assert len(without) == noted
     assert all("0.03% too short" in note and "--utc" in note for note in without)
-    assert refraction_notes(SimpleNamespace(C_ned_eq=np.eye(3)), matches) == ()
+    assert refraction_notes(SimpleNamespace(C_ned_eq=np.eye(3), zenith_error_rad=None), matches) == ()

@@ -34,11 +34,12 @@ class Detected:
 class Photo:
     """Known stars projected by a hidden camera; every second star is identified."""
 
-    def __init__(self, lens, *, f_px=900.0, vmag_limit=6.0, mirrored=False, seed=1, yaw_rad=1.2):
+    def __init__(self, lens, *, f_px=900.0, vmag_limit=6.0, mirrored=False, seed=1, yaw_rad=1.2, pitch_rad=0.07):
         self.camera = Camera(1280, 960, f_px, f_px, 641.3, 473.8, 0.0, lens)
         simulator = sky_over_adelaide(
-            self.camera, vmag_limit=vmag_limit, roll_rad=0.05, pitch_rad=0.07, yaw_rad=yaw_rad
+            self.camera, vmag_limit=vmag_limit, roll_rad=0.05, pitch_rad=pitch_rad, yaw_rad=yaw_rad
         )
+        self.sky = simulator.sky
         scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.1))
         self.C_camera_eq = scene.shutter.C_camera_eq[1]
         self.reference = ReferenceStars.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)

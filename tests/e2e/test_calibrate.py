@@ -339,6 +339,28 @@ def test_geometry_alone_needs_no_exposure(ground: Path, tmp_path: Path) -> None:
     assert "--geometry-only of several images needs --fit-lens" in several.stderr
 
 
+def test_a_photograph_without_time_and_site_shows_its_zenith(ground: Path, tmp_path: Path) -> None:
+    pytest.importorskip("tetra3rs")
+    still = (ground / "still.csv").read_text(encoding="utf-8")
+    (tmp_path / "low.csv").write_text(still.replace(",-4,3,70,", ",-4,65,70,"), encoding="utf-8")
+    frames = ("export", tmp_path / "low.csv", "-o", tmp_path / "frames", "-c", ground / "camera.toml", "--frames", "1")
+    assert run(*frames, "--start", "5", "--exposure", "0.5").exit_code == 0
+    words = ("calibrate", tmp_path / "frames/frame_000000.png", "--fov", "43", "--geometry-only", "--json")
+
+    result = run(*words, "-o", tmp_path / "low.toml")
+
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    [note] = (note for note in found["notes"] if "refraction shows the zenith" in note)
+    place, [truth] = found["identification"], (tmp_path / "frames/truth.jsonl").read_text().splitlines()
+    up = json.loads(truth)["up_camera"]
+    assert 0 < place["zenith_error_deg"] < 5
+    assert place["altitude_deg"] == pytest.approx(np.rad2deg(np.arcsin(up[2])), abs=4 * place["zenith_error_deg"])
+    assert place["fx_px"] == pytest.approx(1000.0, rel=2e-4)
+    latitude_deg = float(note.split("declination ")[1].split(" deg")[0])
+    assert latitude_deg == pytest.approx(-34.93, abs=4 * place["zenith_error_deg"] + 0.5)
+
+
 def test_an_all_sky_camera_is_never_fitted_as_a_pinhole(tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = photograph(tmp_path / "allsky.png", all_sky().image.pixels_dn)
