@@ -253,4 +253,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+    # Threads of OpenBLAS wait in a loop, which takes the processors from the threads that draw.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _program(sys.argv[1:])()

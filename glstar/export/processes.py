@@ -237,8 +237,8 @@ class ProcessExecutor:
 
 def _worker_environment(index: int, count: int) -> dict[str, str]:
     """Return the environment variables of a worker: its OpenGL device, and thread counts of LLVMpipe and OpenBLAS."""
-    threads = str(_processors_per_worker(count))
-    settings = {name: os.environ.get(name, threads) for name in ("LP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    usual = {"LP_NUM_THREADS": str(_processors_per_worker(count)), "OPENBLAS_NUM_THREADS": "1"}
+    settings = {name: os.environ.get(name, threads) for name, threads in usual.items()}
     devices = [device.strip() for device in os.environ.get("GLSTAR_DEVICE", "").split(",") if device.strip()]
     if devices:
         settings["GLSTAR_DEVICE"] = devices[index % len(devices)]

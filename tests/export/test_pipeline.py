@@ -132,6 +132,8 @@ def test_workers_are_assigned_to_devices_in_turn_and_divide_the_processors(monke
     assert [one["GLSTAR_DEVICE"] for one in settings] == ["0", "2", "0", "2", "0"]
     assert {one["LP_NUM_THREADS"] for one in settings} == {"3"}
     assert {one["OPENBLAS_NUM_THREADS"] for one in settings} == {"2"}
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    assert _worker_environment(0, 5)["OPENBLAS_NUM_THREADS"] == "1"
 
 
 def test_environment_variables_for_a_worker_are_restored(monkeypatch):

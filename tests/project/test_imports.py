@@ -213,6 +213,26 @@ except SystemExit as leaving:
     assert python(code).splitlines() == [f"glstar {glstar.__version__}", "0"]
 
 
+@pytest.mark.parametrize(("given", "threads"), [(None, "1"), ("4", "4")])
+def test_the_command_line_leaves_the_processors_to_what_draws(
+    monkeypatch: pytest.MonkeyPatch, given: str | None, threads: str
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if given is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    code = """
+import os, sys
+from glstar.cli import main
+print("numpy" in sys.modules)
+sys.argv = ["glstar", "--version"]
+try:
+    main()
+except SystemExit:
+    print(os.environ["OPENBLAS_NUM_THREADS"])
+"""
+    assert python(code).splitlines() == ["False", f"glstar {glstar.__version__}", threads]
+
+
 def test_importing_what_draws_makes_no_context() -> None:
     code = """
 import sys
