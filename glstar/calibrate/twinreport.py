@@ -129,6 +129,18 @@ def _peaks(axes: Any, twin: Twin) -> None:
         axes.plot(ends, ends, "-", lw=1, color=_MEASURED)
         axes.set_xscale("log")
         axes.set_yscale("log")
+        for axis in (axes.xaxis, axes.yaxis):
+            _label_few(axis)
     axes.set_title("brightest pixel of each star above the sky", fontsize=10)
     axes.set_xlabel("photograph, DN")
     axes.set_ylabel("twin, DN")
+
+
+def _label_few(axis: Any) -> None:
+    """Label a logarithmic axis with numbers that do not overlap, also if it is shorter than a decade."""
+    from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter  # noqa: PLC0415 - a second to load
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high > 5 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    axis.set_major_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(np.inf, np.inf)))
+    axis.set_minor_formatter(NullFormatter())
