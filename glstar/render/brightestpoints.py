@@ -131,9 +131,13 @@ def _grouped(values: Float, *, mean: bool = False) -> Float:
     size = -(-count // _MOST_LINES)
     if size == 1:
         return values
-    starts = np.arange(0, count, size)
-    sums = np.add.reduceat(values, starts, axis=-2)
-    return np.asarray(sums / np.diff(starts, append=count)[:, np.newaxis] if mean else sums)
+    whole = count - count % size
+    sums = values[..., :whole, :].reshape(*values.shape[:-2], count // size, size, values.shape[-1]).sum(axis=-2)
+    sizes = np.full(sums.shape[-2], size)
+    if whole < count:
+        sums = np.concatenate([sums, values[..., whole:, :].sum(axis=-2, keepdims=True)], axis=-2)
+        sizes = np.append(sizes, count - whole)
+    return np.asarray(sums / sizes[:, np.newaxis] if mean else sums)
 
 
 def _smoothed(lines: _Lines, passing: Float, sigma_px: float, on_image: Float) -> Float:
