@@ -216,8 +216,8 @@ def _best_zeniths(stars: _RefractedStars) -> tuple[_Trial, _Trial]:
         places = [stars.improved(place, candidate) for place in (first, first + np.array([0.0, np.pi]))]
         zeniths = [stars.zenith_eq(*place) for place in places]
         trials = [_Trial(stars.criterion(zenith_eq, candidate), zenith_eq, candidate) for zenith_eq in zeniths]
-        first = places[trials[0].criterion > trials[1].criterion]
         best, other = sorted(trials, key=lambda trial: trial.criterion)
+        first = places[trials.index(best)]
         candidate = stars.best_candidate(best.zenith_eq)
         if candidate == best.candidate:
             break
