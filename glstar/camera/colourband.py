@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["BAND_CHOICES", "MOSAIC_CHOICES", "Channel", "ColourBand"]
+__all__ = ["BANDS_WITH_COLOURS", "BAND_CHOICES", "MOSAIC_CHOICES", "Channel", "ColourBand"]
 
 Float = NDArray[np.float64]
 BandName = Literal["v", "imx477", "imx219", "ov5647", "bare", "custom"]
@@ -79,7 +79,8 @@ _OV5647: Final[Mapping[str, _Response]] = MappingProxyType(
 _BARE: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(-0.8, 0.0, 1.0, 650.0)})
 _V: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(0.0, 0.0)})
 _OF_BAND: Final = MappingProxyType({"v": _V, "imx477": _IMX477, "imx219": _IMX219, "ov5647": _OV5647, "bare": _BARE})
-_WITH_COLOURS: Final = tuple(band for band, responses in _OF_BAND.items() if "r" in responses)
+# Bands whose red, green and blue are known: a mosaic needs one of them.
+BANDS_WITH_COLOURS: Final = tuple(band for band, responses in _OF_BAND.items() if "r" in responses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +116,8 @@ class ColourBand:
             raise ConfigError(f"must be one of {', '.join(BAND_CHOICES)}, not {self.band!r}", key="sensor.band")
         if self.mosaic not in MOSAIC_CHOICES:
             raise ConfigError(f"must be one of {', '.join(MOSAIC_CHOICES)}, not {self.mosaic!r}", key="sensor.mosaic")
-        if self.mosaic != "none" and self.band not in _WITH_COLOURS:
-            choices = " or ".join(f'"{band}"' for band in _WITH_COLOURS)
+        if self.mosaic != "none" and self.band not in BANDS_WITH_COLOURS:
+            choices = " or ".join(f'"{band}"' for band in BANDS_WITH_COLOURS)
             raise ConfigError(
                 f'needs the response of each colour, and [sensor] band = "{self.band}" has one of all light; take'
                 f" band = {choices}",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
+from glstar.camera.colourband import BANDS_WITH_COLOURS
 from glstar.camera.model import Camera
 from glstar.camera.yamlvalues import label
 from glstar.errors import ConfigError
@@ -96,12 +97,15 @@ class SensorPreset:
         Numbers of a pixel at full resolution, at an analogue gain of 1; digital numbers are of 12 bits.
     modes : tuple of SensorMode
         The first is the full resolution; empty for ``generic``, which fits images of any size.
+    band : str or None
+        ``[sensor] band`` of its colour filters; None if glstar does not have them.
     """
 
     name: str
     description: str
     numbers: Mapping[str, Sourced]
     modes: tuple[SensorMode, ...]
+    band: str | None
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -175,7 +179,7 @@ def _presets() -> dict[str, SensorPreset]:
 def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
     numbers = {key: Sourced(**entry) for key, entry in table.items() if isinstance(entry, dict)}
     modes = tuple(_mode(name, mode, numbers) for mode in table.get("modes", ()))
-    return SensorPreset(name, table["description"], numbers, modes)
+    return SensorPreset(name, table["description"], numbers, modes, name if name in BANDS_WITH_COLOURS else None)
 
 
 def _mode(sensor: str, mode: Mapping[str, Any], numbers: Mapping[str, Sourced]) -> SensorMode:

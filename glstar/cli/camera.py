@@ -137,7 +137,7 @@ def presets(
     cameras = Table("camera", "", box=box.SIMPLE)
     for name, description in camera_presets().items():
         cameras.add_row(name, description)
-    sensors = Table("sensor", "", "modes", "pixel, um", "full well, e", "read noise, e", box=box.SIMPLE)
+    sensors = Table("sensor", "", "modes", "pixel, um", "full well, e", "read noise, e", "band", box=box.SIMPLE)
     for preset in sensor_presets().values():
         number = {key: entry.value for key, entry in preset.numbers.items()}
         noise = np.hypot(number["read_noise_before_gain_e"], number["read_noise_after_gain_e"])
@@ -145,7 +145,12 @@ def presets(
             number["read_noise_before_gain_e"], number["read_noise_after_gain_e"] / number["analogue_gain_max"]
         )
         modes = ", ".join(mode.name.partition(":")[2] for mode in preset.modes) or "any size"
-        cells = (f"{number['pixel_um']:g}", f"{number['full_well_e']:.0f}", f"{noise:.1f} to {lowest:.1f}")
+        cells = (
+            f"{number['pixel_um']:g}",
+            f"{number['full_well_e']:.0f}",
+            f"{noise:.1f} to {lowest:.1f}",
+            preset.band or "v",
+        )
         sensors.add_row(preset.name, preset.description, modes, *cells)
     console = Console()
     console.print(cameras, sensors)
@@ -165,6 +170,12 @@ def _show_sensor(preset: SensorPreset) -> None:
     console.print(numbers)
     if preset.modes:
         console.print(modes)
+    if preset.band is None:
+        typer.echo("glstar does not have its filters: stars have their V magnitudes")
+    else:
+        typer.echo(
+            f'its filters: [sensor] band = "{preset.band}"; with mosaic = "rggb" (or another order) in every pixel'
+        )
 
 
 def _warn(camera: Camera) -> None:

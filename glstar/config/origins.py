@@ -30,15 +30,30 @@ def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Ori
     """
     document = {} if config.file is None else toml_of(config.file)
     name = "" if config.file is None else config.file.name
+    resolved = config.resolved()
+    defaults = Config().resolved()
+    counting = Config().override(**{"sensor.noise": "electrons"}).resolved()["sensor"]
+    defaults["sensor"] = counting | {"noise": "paper"} | defaults["sensor"]
+    sources = {section: _source(document, section, values) for section, values in resolved.items()}
     found: dict[str, dict[str, Origin]] = {}
-    for section, values in config.resolved().items():
-        table = _table(document, section)
-        # The bundled camera is the default too, though it is a preset.
-        own = next((f"{key} {values[key]}" for key in SOURCES if key in values and key in table), DEFAULT)
-        found[section] = {
-            key: (value, flags.get(f"{section}.{key}", name if key in table else own)) for key, value in values.items()
-        }
+    for section, values in resolved.items():
+        table, former = _table(document, section), defaults.get(section, {})
+        found[section] = {}
+        for key, value in values.items():
+            origin = name if key in table else DEFAULT
+            if key not in table and (section == "camera" or value != former.get(key, value)):
+                # Modes of sensors have the time of their readout.
+                of_readout = (section, key) == ("exposure", "readout_s")
+                origin = sources["camera"] or sources["sensor"] if of_readout else sources[section]
+            found[section][key] = value, flags.get(f"{section}.{key}", origin or DEFAULT)
     return found
+
+
+def _source(document: Mapping[str, Any], section: str, values: Mapping[str, Any]) -> str:
+    """Return the preset or the file that a section names in a document, or ""."""
+    table = _table(document, section)
+    # The bundled camera is the default too, though it is a preset.
+    return next((f"{key} {values[key]}" for key in SOURCES if key in values and key in table), "")
 
 
 def _table(document: Mapping[str, Any], section: str) -> Mapping[str, Any]:

@@ -36,6 +36,27 @@ def test_a_value_comes_from_a_flag_the_file_a_preset_or_the_default(night: Path)
     }
 
 
+def test_a_preset_is_the_origin_of_what_it_changes(tmp_path: Path) -> None:
+    path = tmp_path / "hq.toml"
+    path.write_text(
+        '[camera]\npreset = "imx477:2028x1520"\nlens_mm = 6.0\n[sensor]\npreset = "imx477:2028x1520"\nband = "imx477"\n'
+        '[sky]\npreset = "full"\nvmag_limit = 5.0\n'
+    )
+
+    found = origins(Config.load(path), {})
+
+    mode = "preset imx477:2028x1520"
+    assert found["exposure"]["readout_s"] == (0.02305, mode)
+    assert {found["sensor"][key][1] for key in ("noise", "bit_depth", "full_well_e", "black_level_dn")} == {mode}
+    assert {found["sensor"][key][1] for key in ("mosaic", "psf_halo_radius_px", "sky_map")} == {"default"}
+    assert found["sensor"]["band"] == ("imx477", "hq.toml")
+    assert {key: found["sky"][key][1] for key in ("bodies", "vmag_limit", "refraction")} == {
+        "bodies": "preset full",
+        "vmag_limit": "hq.toml",
+        "refraction": "default",
+    }
+
+
 def test_without_a_file_all_is_default() -> None:
     assert {origin for values in origins(Config(), {}).values() for _, origin in values.values()} == {"default"}
 

@@ -142,6 +142,9 @@ def test_the_camera_commands_report_the_camera(tmp_path: Path) -> None:
     assert rectified == {"image": str(tmp_path / "out.png"), **shown}
     assert presets["sensors"]["imx477"] == reported("camera", "presets", "imx477")
     assert set(presets) == {"cameras", "sensors"}
+    assert {name for name, sensor in presets["sensors"].items() if sensor["band"]} == {"imx477", "imx219", "ov5647"}
+    assert 'band = "imx219"' in invoke("camera", "presets", "imx219").out
+    assert "V magnitudes" in invoke("camera", "presets", "imx290").out
 
 
 def test_the_sky_in_json_is_that_of_the_format() -> None:
