@@ -23,6 +23,7 @@
 // corners both read from `joint`, so that every pixel belongs to exactly one of them.
 
 // ENDS: 1 for parts of trails near the opening and closing of their rows, whose segments are all drawn by trail_rows.vert.
+// ALL_SHORT: 1 if all segments are SHORT; joints and boundaries are not read then.
 
 // SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
 
@@ -80,6 +81,9 @@ int first_segment(int star) {
 #endif
 
 const float ROUNDING = 1e-6;      // of times
+// A star may move by this many standard deviations between the openings of rows that are drawn alike: half of it, 1.5e-4 of
+// the peak.
+const float MAX_SHIFT_SIGMA = 5e-4;
 const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of an upright square
 // Segments that meet without an end may differ by this: in flux, relative, and in direction, rad.
 const float MAX_FLUX_STEP = 2e-3, MAX_KINK = 5e-3;
@@ -192,6 +196,13 @@ vec2 opening_bounds(Path path, vec2 chord, vec2 ahead, float reach_px) {
     return clamp(bounds, 0.0, 1.0 - open_time);
 }
 
+// Whether all rows that a SHORT path may light record as much of it, and about the same part: they open and close during the
+// segment, and meanwhile the star hardly moves.
+bool is_open_alike(vec2 bounds, float begin, float end, float length_px) {
+    bool all_during = bounds.x >= begin && bounds.y + open_time <= end + ROUNDING;
+    return all_during && length_px * (bounds.y - bounds.x) <= MAX_SHIFT_SIGMA * sigma_px * (end - begin);
+}
+
 // Marks a path during which no row that it lights is open, or during which one opens or closes.
 void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_duration, float radius_px) {
     float begin = begin_and_duration.x, end = begin + begin_and_duration.y;
@@ -204,6 +215,15 @@ void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_durati
     path.times = vec4(begin, 1.0 / max(end - begin, 1e-9), is_short ? lit : lengths_at(lit, path.flux.y, path.flux.z));
     if (never || (always && ENDS == 0)) {
         path.flux.w = never ? NOTHING : path.flux.w;
+        return;
+    }
+    if (ENDS == 0 && is_short && is_open_alike(bounds, begin, end, length(chord))) {
+        float opens = opening_at(path.start_px + 0.5 * chord + ahead + 0.5);
+        vec2 elapsed = (vec2(opens, opens + open_time) - begin) / (end - begin);
+        TwoGaussians recorded = part_of_motion(elapsed, path.start_px, chord, ahead, sigma_px, path.amplitude_dn);
+        path.chord = recorded.centres_px;
+        path.shape = recorded.shape;
+        path.flux.xy = recorded.amplitudes_dn;
         return;
     }
     path.chord = is_short ? vec4(path.start_px, chord) : path.chord;
@@ -251,10 +271,14 @@ Path path_of(int star, int segment) {
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
     float transmission = texelFetch(passage, min(ivec2(star, row / 2), textureSize(passage, 0) - 1), 0).r;
     float peak_dn = vmag_0_peak_dn * of_star.x * duration * (sets - rises) * transmission;
+#if ALL_SHORT
+    two_gaussians(path, chord, ahead, peak_dn, of_star.y);
+#else
     if (length(chord) < SHORT_SIGMA * image_sigma_px)
         two_gaussians(path, chord, ahead, peak_dn, of_star.y);
     else
         curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, of_star.y);
+#endif
 #if ROWS
     set_openings(path, chord, ahead, vec2(begin + duration * rises, duration * (sets - rises)), of_star.y);
 #endif
@@ -306,7 +330,7 @@ void main() {
 #if ROWS
     times = path.times;
 #endif
-#if ENDS
+#if ENDS || ALL_SHORT
     boundary = joint = vec4(0.0);
 #else
     boundary = boundary_of(path);

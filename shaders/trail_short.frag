@@ -49,16 +49,10 @@ vec2 elapsed_limits() {
 
 // The two Gaussians of the part of the path that the row of a pixel records: as `two_gaussians` of star_path.frag.
 void set_gaussians() {
-    vec2 elapsed = elapsed_limits(), start_px = path_px.xy, chord = path_px.zw;
-    float part = elapsed.y - elapsed.x, middle = 0.5 * (elapsed.x + elapsed.y);
-    vec2 times = middle + OFFSET * part * vec2(-1.0, 1.0);
-    vec2 off_chord = 4.0 * times * (1.0 - times) - 4.0 * VARIANCE * part * part;
-    centres_px = start_px.xyxy + times.xxyy * chord.xyxy + off_chord.xxyy * ahead_px.xyxy;
-    vec2 chord_of_part = part * (chord + (4.0 - 8.0 * middle) * ahead_px), change = RATE_CHANGE * part * part * ahead_px;
-    vec2 relative;
-    shape = vec4(widening_per_px(chord_of_part + change, sigma_px, relative.x),
-                 widening_per_px(chord_of_part - change, sigma_px, relative.y));
-    amplitudes_dn = 0.5 * part * amplitude_dn * relative;
+    TwoGaussians of_row = part_of_motion(elapsed_limits(), path_px.xy, path_px.zw, ahead_px, sigma_px, amplitude_dn);
+    centres_px = of_row.centres_px;
+    shape = of_row.shape;
+    amplitudes_dn = of_row.amplitudes_dn;
 }
 #endif
 

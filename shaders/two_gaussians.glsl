@@ -16,3 +16,22 @@ vec2 widening_per_px(vec2 rate_px, float sigma_px, out float relative) {
     relative = sigma_px * inversesqrt(variance_px2);
     return rate_px * (sqrt(0.5 * VARIANCE / LN_2) * inversesqrt(variance_px2) / sigma_px);
 }
+
+struct TwoGaussians {
+    vec4 centres_px;
+    vec4 shape;                   // vectors along which they are widened, 1/px
+    vec2 amplitudes_dn;
+};
+
+// The part of a motion between two elapsed fractions of its time; amplitude_dn is that of a Gaussian that does not move.
+TwoGaussians part_of_motion(vec2 elapsed, vec2 start_px, vec2 chord, vec2 ahead_px, float sigma_px, float amplitude_dn) {
+    float part = elapsed.y - elapsed.x, middle = 0.5 * (elapsed.x + elapsed.y);
+    vec2 times = middle + OFFSET * part * vec2(-1.0, 1.0);
+    vec2 off_chord = 4.0 * times * (1.0 - times) - 4.0 * VARIANCE * part * part;
+    vec4 centres_px = start_px.xyxy + times.xxyy * chord.xyxy + off_chord.xxyy * ahead_px.xyxy;
+    vec2 chord_of_part = part * (chord + (4.0 - 8.0 * middle) * ahead_px), change = RATE_CHANGE * part * part * ahead_px;
+    vec2 relative;
+    vec4 shape = vec4(widening_per_px(chord_of_part + change, sigma_px, relative.x),
+                      widening_per_px(chord_of_part - change, sigma_px, relative.y));
+    return TwoGaussians(centres_px, shape, 0.5 * part * amplitude_dn * relative);
+}

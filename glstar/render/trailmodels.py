@@ -182,6 +182,10 @@ class AnalyticSegments:
         """Return an upper bound of the length of any star's trail on the image, px."""
         return float(self.pointing.rotation_rad.sum() * camera.max_px_per_rad)
 
+    def longest_segment_px(self, camera: Camera) -> float:
+        """Return an upper bound of the length of any star's path on the image during a segment, px."""
+        return float(self.pointing.rotation_rad.reshape(-1, 2).sum(axis=1).max() * camera.max_px_per_rad)
+
     def positions(self, camera: Camera, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are at some times: see `TrailModel.positions`."""
         ends = np.concatenate([[0.0], np.cumsum(self.time_fraction)])

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2
 from glstar.render import segmentation
-from glstar.render.opengl import distortionpass, trailpass
+from glstar.render.opengl import distortionpass, pathpass
 from glstar.sky import horizon
 from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
 from glstar.system.resources import shader, shader_paths
@@ -72,7 +72,7 @@ def test_all_kinds_of_segments_have_numbers_of_their_own() -> None:
 def test_three_gaussians_a_side_have_the_moments_of_a_square_pixel() -> None:
     """Of the second, fourth and sixth order: 1/12, 1/80 and 1/448 px^n."""
     kernel = constants("pixel_kernel.glsl")
-    weight, own, a2 = kernel["WEIGHT"], trailpass._NARROW_VARIANCE_PX2, kernel["OFFSET_PX"] ** 2
+    weight, own, a2 = kernel["WEIGHT"], pathpass._NARROW_VARIANCE_PX2, kernel["OFFSET_PX"] ** 2
 
     assert 2 * weight * a2 + own == pytest.approx(PIXEL_VARIANCE_PX2, rel=1e-6)
     assert 2 * weight * (a2**2 + 6 * a2 * own) + 3 * own**2 == pytest.approx(1 / 80, rel=1e-6)

@@ -18,6 +18,7 @@ from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
+from glstar.render.opengl.drawqueue import DrawQueue
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
 from glstar.render.opengl.stacktexture import StackTexture
@@ -361,19 +362,19 @@ class GLRenderer:
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
-        target.light.use()
-        target.light.clear()
-        for scene in gaussians:
-            if len(scene.draw_list):
-                self._add(scene, target, clock)
+        queue = DrawQueue(target.light)
+        for scene in (one for one in gaussians if len(one.draw_list)):
+            self._add(scene, queue, target.guard_band_px, clock)
+        queue.run()
 
-    def _add(self, scene: Scene, target: SignalTarget, clock: ReadoutClock) -> None:
+    def _add(self, scene: Scene, queue: DrawQueue, guard_band_px: int, clock: ReadoutClock) -> None:
         """Add the flux of a scene whose stars are plain Gaussians."""
         match scene.trails:
             case AnalyticSegments() as segments:
-                self._trail_pass.draw(scene, segments, target.light, target.guard_band_px, clock)
+                self._trail_pass.draw(scene, segments, queue, guard_band_px, clock)
             case SubExposures() as sub_exposures:
-                self._sub_exposure_pass.draw(scene, sub_exposures, target.light, target.guard_band_px, clock)
+                queue.run()
+                self._sub_exposure_pass.draw(scene, sub_exposures, queue.light, guard_band_px, clock)
             case other:
                 raise TypeError(f"no render pass draws {type(other).__name__}")
 

@@ -2,22 +2,24 @@
 
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.sensor import Sensor
 from glstar.render.colourscenes import cell_tints
-from glstar.render.opengl.passagetexture import PassageTexture
+from glstar.render.opengl.drawqueue import DrawQueue
+from glstar.render.opengl.pathpass import PathPass, SegmentKinds, drawn_sigma_px, surely_short
 from glstar.render.opengl.piecepass import PiecePass
-from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
+from glstar.render.opengl.pointingtexture import pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
-from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
+from glstar.render.opengl.startextures import StarTextures
 from glstar.render.openpieces import SegmentColumns, divided_trails, joined_columns, whole_trails
 from glstar.render.scene import Scene
-from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.render.trailpieces import in_pieces
 from glstar.sky.horizon import MAX_REFRACTION_RAD
@@ -71,7 +73,7 @@ _ROW_SHAPES: Final = (
     _Shape(2, ("trail_rows.vert", "trail.frag"), moderngl.TRIANGLES, 6, "2u2"),
 )
 
-# Texture units at which trail.vert and trail_rows.vert read the outputs of star_path.frag.
+# Texture units at which trail.vert and trail_rows.vert read the textures of PathPass.
 _PATH_TEXTURES: Final = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4, "openings_of_paths": 5}
 # Texture unit at which they read the colours of stars in a mosaic.
 _TINTS_UNIT: Final = 6
@@ -83,8 +85,9 @@ _SEGMENTS_PER_CALL: Final = 1024
 _PRIMITIVES_PER_CALL: Final = 16384
 _REPETITIONS: Final = 4
 
-# Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
-_NARROW_VARIANCE_PX2: Final = 0.00705189
+# Draws that wait at most, and texels of the largest that waits: its textures take 80 bytes a texel.
+_MOST_WAITING: Final = 16
+_MOST_WAITING_TEXELS: Final = 1 << 15
 
 
 class TrailPass:
@@ -110,10 +113,7 @@ class TrailPass:
         self._owned = ExitStack()
         self._stars = StarTextures(context)
         self._owned.callback(self._stars.release)
-        self._positions = _TextureTable(context, 1)
-        # By ROWS of readout.glsl, path tables also by ENDS of star_path.frag, and draw passes by whether the point
-        # spread function is narrow, and whether there is a mosaic.
-        self._path_tables: dict[tuple[int, bool], _PathTable] = {}
+        # By whether the point spread function is narrow, and whether there is a mosaic, and by ROWS of readout.glsl.
         self._draw_passes: dict[tuple[bool, bool, int], list[_DrawPass]] = {}
         try:
             self._make()
@@ -123,32 +123,23 @@ class TrailPass:
 
     def _make(self) -> None:
         context = self._context
-        self._projection = self._own(
-            linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
-        )
-        set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
-        self._all_positions = self._own(context.vertex_array(self._projection, []))
+        self._path_pass = PathPass(context, _STARS_PER_CALL, _SEGMENTS_PER_CALL)
+        self._owned.callback(self._path_pass.release)
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
-        self._path_table(0, ends=False)
         for narrow in (False, True):
             self._draw_passes_of(narrow, mosaic=False, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
-        self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
-        self._chosen = self._texture((_STARS_PER_CALL, 2), 3)
         self._tints = self._texture((_STARS_PER_CALL, 1), 4)
-        self._owned.callback(self._positions.release)
         self._piece_pass = PiecePass(context, self._stars)
         self._owned.callback(self._piece_pass.release)
-        self._passage = PassageTexture(context)
-        self._owned.callback(self._passage.release)
 
     def draw(
         self,
         scene: Scene,
         trails: AnalyticSegments,
-        light: moderngl.Framebuffer,
+        queue: DrawQueue,
         guard_band_px: int,
         clock: ReadoutClock = GLOBAL_SHUTTER,
     ) -> None:
@@ -159,8 +150,8 @@ class TrailPass:
         scene : Scene
         trails : AnalyticSegments
             The scene's.
-        light : moderngl.Framebuffer
-            32-bit float.
+        queue : DrawQueue
+            Its target is of 32-bit float.  Some draws wait when this returns.
         guard_band_px : int
             Width of its border around the image.
         clock : ReadoutClock
@@ -168,28 +159,28 @@ class TrailPass:
         """
         openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
         if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
-            self._draw_segments(scene, trails, light, guard_band_px, clock)
+            self._draw_segments(scene, trails, queue, guard_band_px, clock)
             return
         divided = in_pieces(scene, trails, largest_point_px=self._point_size_px, openings=openings)
         if divided is None:
-            self._draw_trails(scene, trails, light, guard_band_px, clock)
+            self._draw_trails(scene, trails, queue, guard_band_px, clock)
             return
         # First what needs textures to be drawn: software OpenGL stores the target before them and loads it afterwards.
         ends = joined_columns(divided.ends, len(trails)) if divided.ends else None
         if ends is not None:
-            self._draw_segments(scene, trails, light, guard_band_px, clock, ends, ends=True)
+            self._draw_segments(scene, trails, queue, guard_band_px, clock, ends, ends=True)
         if clock.rows and len(divided.rest.draw_list):
-            self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
+            self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
         for part in divided.parts:
-            self._piece_pass.draw(part, light, guard_band_px, clock)
+            queue.add(partial(self._piece_pass.draw, part, queue.light, guard_band_px, clock))
         if not clock.rows and len(divided.rest.draw_list):
-            self._draw_segments(divided.rest, trails, light, guard_band_px, clock)
+            self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
 
     def _draw_trails(
         self,
         scene: Scene,
         trails: AnalyticSegments,
-        light: moderngl.Framebuffer,
+        queue: DrawQueue,
         guard_band_px: int,
         clock: ReadoutClock,
     ) -> None:
@@ -197,19 +188,19 @@ class TrailPass:
         openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
         divided = None if openings is None else divided_trails(scene, trails, openings)
         if divided is None:
-            self._draw_segments(scene, trails, light, guard_band_px, clock)
+            self._draw_segments(scene, trails, queue, guard_band_px, clock)
             return
         if divided.ends is not None:
-            self._draw_segments(scene, trails, light, guard_band_px, clock, divided.ends, ends=True)
+            self._draw_segments(scene, trails, queue, guard_band_px, clock, divided.ends, ends=True)
         for parts, how in ((divided.while_open, replace(clock, rows=0)), (divided.whole, clock)):
             if len(parts.star):
-                self._draw_segments(scene, trails, light, guard_band_px, how, parts)
+                self._draw_segments(scene, trails, queue, guard_band_px, how, parts)
 
     def _draw_segments(
         self,
         scene: Scene,
         trails: AnalyticSegments,
-        light: moderngl.Framebuffer,
+        queue: DrawQueue,
         guard_band_px: int,
         clock: ReadoutClock,
         parts: SegmentColumns | None = None,
@@ -217,103 +208,46 @@ class TrailPass:
         ends: bool = False,
     ) -> None:
         """Draw the trails of a scene, or parts of them, in segments; ends have at most `_SEGMENTS_PER_CALL`."""
-        paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock, ends=ends)
-        if scene.draw_list.passage is None:
-            self._passage.write_table(np.ones((1, 1), np.float32))
+        kinds = SegmentKinds(ends, surely_short(scene, trails))
+        self._path_pass.set_scene(scene, trails, guard_band_px, clock, kinds)
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
         parts = whole_trails(scene, trails) if parts is None else parts
         field, chosen = self._stars.of(scene.stars), _texels_of_parts(scene, parts)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
-            rows = texels[times]
-            self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
+            self._path_pass.set_times(texels[times])
             for begin in range(0, chosen.shape[1], _STARS_PER_CALL):
                 some = slice(begin, begin + _STARS_PER_CALL)
                 stars = parts.star[some]
-                if tints is not None:
-                    of_columns = tints[drawn.index[stars]]
-                    self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
-                if drawn.passage is not None:
-                    segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
-                    self._passage.write_table(drawn.passage[stars, segments].T)
+                segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
+                passage = None if drawn.passage is None else drawn.passage[stars, segments].T
                 near = _near_image(scene, trails, times, stars)
                 if ends:
                     near = parts.of(some).rows_of(near)
-                self._draw(paths, draw_passes, field, chosen[:, some], near, light)
-
-    def _with_uniforms(
-        self,
-        scene: Scene,
-        trails: AnalyticSegments,
-        light: moderngl.Framebuffer,
-        guard_band_px: int,
-        clock: ReadoutClock,
-        *,
-        ends: bool,
-    ) -> tuple["_PathTable", list[_DrawPass]]:
-        """Return the path table and the draw passes for a scene, after setting the uniforms of all programs."""
-        sensor, camera = scene.sensor, scene.camera
-        narrow = sensor.needs_erf
-        narrow_sigma_px = float(np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2))
-        sigma_px = narrow_sigma_px if narrow else sensor.effective_sigma_px
-        peak = (sensor.psf_sigma_px / sigma_px) ** 2
-        set_uniforms(
-            self._projection,
-            refraction_scale=trails.pointing.refraction_scale,
-            focal_px=(camera.fx_px, camera.fy_px),
-            principal_px=(camera.cx_px, camera.cy_px),
-            skew_px=camera.skew_px,
-            guard_band_px=guard_band_px,
-        )
-        paths = self._path_table(clock.rows, ends=ends)
-        set_uniforms(
-            paths.program,
-            sigma_px=sigma_px,
-            effective_sigma_px=sensor.effective_sigma_px,
-            image_sigma_px=np.hypot(sensor.effective_sigma_px, np.sqrt(clock.resampling_px2)),
-            largest_point_px=self._point_size_px,
-            vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span,
-        )
-        clock.bind(paths.program, sigma_px)
-        uniforms: dict[str, Any] = {
-            "target_px": light.size,
-            "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
-            "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
-            "sigma_px": sigma_px,
-        }
-        draw_passes = self._draw_passes_of(narrow, sensor.colour.mosaic != "none", clock.rows)
-        draw_passes = [one for one in draw_passes if one.shape in _ROW_SHAPES or not ends]
-        for program, *_ in draw_passes:
-            set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
-            clock.bind(program, sigma_px)
-        return paths, draw_passes
+                if near.size > _MOST_WAITING_TEXELS or len(queue) > _MOST_WAITING:
+                    queue.run()
+                filled = self._path_pass.filled(len(queue), field, chosen[:, some], passage, len(near))
+                of_columns = None if tints is None else tints[drawn.index[stars]]
+                queue.add(partial(self._draw, scene.sensor, clock, queue.light, filled, of_columns, near, kinds))
 
     def _draw(
         self,
-        path_table: "_PathTable",
-        draw_passes: list[_DrawPass],
-        field: moderngl.Texture,
-        chosen: NDArray[np.float32],
-        near: NDArray[np.bool_],
+        sensor: Sensor,
+        clock: ReadoutClock,
         light: moderngl.Framebuffer,
+        paths: list[moderngl.Texture],
+        tints: NDArray[np.float32] | None,
+        near: NDArray[np.bool_],
+        kinds: SegmentKinds,
     ) -> None:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
-        stars, segments, times = chosen.shape[1], len(near), 2 * len(near) + 1
-        self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, 2))
-        for location, texture in enumerate((field, self._chosen, self._pointing)):
-            texture.use(location)
-        self._projection["last_time"] = path_table.program["last_time"] = times - 1
-        self._context.enable_only(moderngl.NOTHING)
-        positions = self._positions.filled(self._all_positions, stars, times + 1)
-        positions[0].use(location=0)
-        self._passage.texture.use(location=1)
-        self._chosen.use(location=3)
-        paths = path_table.textures.filled(path_table.vertex_array, stars, segments + 1)
+        draw_passes = self._passes_with_uniforms(sensor, clock, light, kinds)
         for location, texture in enumerate(paths):
             texture.use(location)
+        if tints is not None:
+            self._tints.write(tints, viewport=(0, 0, len(tints), 1))
         self._tints.use(location=_TINTS_UNIT)
-        light.use()
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
         # Star by star: software OpenGL then finds the primitives of a tile of the target near each other in memory.
@@ -325,28 +259,23 @@ class TrailPass:
                 vertex_array.render(shape.mode, vertices=shape.vertices * len(primitives))
         self._context.enable_only(moderngl.NOTHING)
 
-    def _path_table(self, rows: int, *, ends: bool) -> "_PathTable":
-        """Return the path pass for one value of ROWS and of ENDS."""
-        if (rows, ends) not in self._path_tables:
-            program = self._own(
-                linked(
-                    self._context,
-                    "whole_image.vert",
-                    "star_path.frag",
-                    SHORT_SIGMA=SHAPE_LIMITS.short_sigma,
-                    MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
-                    MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
-                    ROWS=rows,
-                    ENDS=int(ends),
-                )
-            )
-            units = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
-            set_uniforms(program, **{name: unit for name, unit in units.items() if name in program})
-            vertex_array = self._own(self._context.vertex_array(program, []))
-            textures = _TextureTable(self._context, len(_PATH_TEXTURES) if rows else len(_PATH_TEXTURES) - 1)
-            self._owned.callback(textures.release)
-            self._path_tables[rows, ends] = _PathTable(program, vertex_array, textures)
-        return self._path_tables[rows, ends]
+    def _passes_with_uniforms(
+        self, sensor: Sensor, clock: ReadoutClock, light: moderngl.Framebuffer, kinds: SegmentKinds
+    ) -> list[_DrawPass]:
+        """Return the draw passes for a sensor, after setting their uniforms."""
+        sigma_px = drawn_sigma_px(sensor)
+        uniforms: dict[str, Any] = {
+            "target_px": light.size,
+            "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
+            "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
+            "sigma_px": sigma_px,
+        }
+        draw_passes = self._draw_passes_of(sensor.needs_erf, sensor.colour.mosaic != "none", clock.rows)
+        draw_passes = [one for one in draw_passes if _has(kinds, one.shape)]
+        for program, *_ in draw_passes:
+            set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+            clock.bind(program, sigma_px)
+        return draw_passes
 
     def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int) -> list[_DrawPass]:
         """Return the draw passes for narrow or wide point spread functions, with a mosaic, and one value of ROWS."""
@@ -384,51 +313,9 @@ class TrailPass:
         self._owned.close()
 
 
-class _TextureTable:
-    """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment."""
-
-    def __init__(self, context: moderngl.Context, count: int) -> None:
-        self._context = context
-        self._count = count
-        self._textures: list[moderngl.Texture] = []
-        self._target: moderngl.Framebuffer | None = None
-        self._size = (0, 0)
-
-    def filled(self, vertex_array: moderngl.VertexArray, stars: int, rows: int) -> list[moderngl.Texture]:
-        """Return the textures after drawing some of their columns and rows."""
-        target = self._target_of(stars, rows)
-        target.use()
-        target.viewport = (0, 0, stars, rows)
-        vertex_array.render(moderngl.TRIANGLES, vertices=3)
-        return self._textures
-
-    def _target_of(self, stars: int, rows: int) -> moderngl.Framebuffer:
-        """Return a target with at least this many columns and rows."""
-        if self._target is None or self._size[0] < stars or self._size[1] < rows:
-            # In steps, so that the number of stars in view does not require new textures for every frame.
-            size = 256 * -(-max(stars, self._size[0]) // 256), 16 * -(-max(rows, self._size[1]) // 16)
-            self.release()
-            self._size = size
-            self._textures = [self._context.texture(size, 4, dtype="f4") for _ in range(self._count)]
-            for texture in self._textures:
-                texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._target = self._context.framebuffer(self._textures)
-        return self._target
-
-    def release(self) -> None:
-        """Release the textures."""
-        for resource in (self._target, *self._textures):
-            if resource is not None:
-                resource.release()
-        self._target, self._textures, self._size = None, [], (0, 0)
-
-
-class _PathTable(NamedTuple):
-    """The path pass for one value of ROWS and of ENDS, and the textures that it fills."""
-
-    program: moderngl.Program
-    vertex_array: moderngl.VertexArray
-    textures: _TextureTable
+def _has(kinds: SegmentKinds, shape: _Shape) -> bool:
+    """Return whether any segment of a scene has a shape."""
+    return (shape in _ROW_SHAPES or not kinds.are_ends) and (shape.number == 0 or not kinds.are_short)
 
 
 def _segment_texels(trails: AnalyticSegments) -> NDArray[np.float32]:

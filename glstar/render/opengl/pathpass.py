@@ -1,0 +1,262 @@
+"""The path pass: where stars are during the segments of an exposure, as textures."""
+
+from contextlib import ExitStack
+from typing import Final, NamedTuple
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.sensor import Sensor
+from glstar.render.opengl.passagetexture import PassageTexture
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME
+from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.readoutclock import ReadoutClock
+from glstar.render.opengl.startextures import STARS_PER_ROW
+from glstar.render.opengl.texturetable import TextureTable
+from glstar.render.scene import Scene
+from glstar.render.segmentation import SHAPE_LIMITS
+from glstar.render.trailmodels import AnalyticSegments
+
+__all__ = ["PathPass", "SegmentKinds", "drawn_sigma_px", "surely_short"]
+
+Float32 = NDArray[np.float32]
+
+# Outputs of star_path.frag: the last one is that of a rolling shutter.
+_OUTPUTS: Final = 6
+_UNITS: Final = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
+# Segments are surely SHORT if their longest is at most this fraction of the limit: stars beside the image are faster.
+_SURELY_SHORT: Final = 0.5
+# Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
+_NARROW_VARIANCE_PX2: Final = 0.00705189
+
+
+class SegmentKinds(NamedTuple):
+    """What is known of all segments of a scene: ENDS and ALL_SHORT of star_path.frag.
+
+    Attributes
+    ----------
+    are_ends : bool
+        Whether they are parts of trails near the opening and closing of their rows.
+    are_short : bool
+        Whether they are SHORT.
+    """
+
+    are_ends: bool
+    are_short: bool
+
+
+def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
+    """Return whether all segments of a scene are surely SHORT.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its stars are plain Gaussians.
+    trails : AnalyticSegments
+        The scene's.
+
+    Returns
+    -------
+    bool
+    """
+    limit_px = SHAPE_LIMITS.short_sigma * scene.sensor.effective_sigma_px
+    return trails.longest_segment_px(scene.camera.pinhole) < _SURELY_SHORT * limit_px
+
+
+def drawn_sigma_px(sensor: Sensor) -> float:
+    """Return the width of the Gaussians that are drawn: with that of a pixel, or of the parts of a narrow one.
+
+    Parameters
+    ----------
+    sensor : Sensor
+
+    Returns
+    -------
+    float
+        px.
+    """
+    if sensor.needs_erf:
+        return float(np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2))
+    return sensor.effective_sigma_px
+
+
+class PathPass:
+    """Computes the paths of stars: `project_stars.frag` their positions, `star_path.frag` the paths through these.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    stars, segments : int
+        The largest numbers of a call.
+
+    Raises
+    ------
+    ShaderError
+        If the driver rejects a shader.
+    """
+
+    def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
+        self._context = context
+        # By ROWS of readout.glsl: programs, vertices, and the tables that they fill, one for each draw that waits.
+        self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
+        with ExitStack() as owned:
+            self._projection = linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
+            owned.callback(self._projection.release)
+            set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
+            self._all_positions = context.vertex_array(self._projection, [])
+            owned.callback(self._all_positions.release)
+            self._positions = TextureTable(context, 1)
+            owned.callback(self._positions.release)
+            self._pointing = context.texture((TEXELS_PER_TIME, 2 * segments + 1), 4, dtype="f4")
+            self._chosen = context.texture((stars, 2), 3, dtype="f4")
+            for texture in (self._pointing, self._chosen):
+                texture.filter = moderngl.NEAREST, moderngl.NEAREST
+                owned.callback(texture.release)
+            self._passage = PassageTexture(context)
+            owned.callback(self._passage.release)
+            owned.callback(self._release_programs)
+            self._kinds = SegmentKinds(are_ends=False, are_short=False)
+            self._path = self._program(0)
+            self._owned = owned.pop_all()
+        self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
+
+    def set_scene(
+        self, scene: Scene, trails: AnalyticSegments, guard_band_px: int, clock: ReadoutClock, kinds: SegmentKinds
+    ) -> None:
+        """Set the uniforms for a scene.
+
+        Parameters
+        ----------
+        scene : Scene
+        trails : AnalyticSegments
+            The scene's.
+        guard_band_px : int
+            Width of the target's border around the image.
+        clock : ReadoutClock
+            When the pixels of the target open.
+        kinds : SegmentKinds
+        """
+        sensor, camera = scene.sensor, scene.camera
+        sigma_px = drawn_sigma_px(sensor)
+        peak = (sensor.psf_sigma_px / sigma_px) ** 2
+        set_uniforms(
+            self._projection,
+            refraction_scale=trails.pointing.refraction_scale,
+            focal_px=(camera.fx_px, camera.fy_px),
+            principal_px=(camera.cx_px, camera.cy_px),
+            skew_px=camera.skew_px,
+            guard_band_px=guard_band_px,
+        )
+        self._kinds = kinds
+        self._path = self._program(clock.rows)
+        program = self._path.program
+        uniforms = {
+            "sigma_px": sigma_px,
+            "effective_sigma_px": sensor.effective_sigma_px,
+            "image_sigma_px": np.hypot(sensor.effective_sigma_px, np.sqrt(clock.resampling_px2)),
+            "largest_point_px": self._point_size_px,
+            "vmag_0_peak_dn": peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span,
+        }
+        set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+        clock.bind(program, sigma_px)
+
+    def set_times(self, texels: Float32) -> None:
+        """Set the orientations at the ends and the middles of segments.
+
+        Parameters
+        ----------
+        texels : (2 m + 1, 5, 4) float32
+            With durations, weights and starts of segments: the uniform ``pointing`` of star_path.frag.
+        """
+        self._pointing.write(texels, viewport=(0, 0, TEXELS_PER_TIME, len(texels)))
+
+    def filled(
+        self, number: int, field: moderngl.Texture, chosen: Float32, passage: Float32 | None, segments: int
+    ) -> list[moderngl.Texture]:
+        """Return the textures of the paths of some stars.
+
+        Parameters
+        ----------
+        number : int
+            The textures hold until the next call with the same number and kinds.
+        field : moderngl.Texture
+            All stars.
+        chosen : (2, c, 3) float32
+            The uniform ``chosen`` of project_stars.frag.
+        passage : (m, c) float32 or None
+            Transmission of cloud.
+        segments : int
+            m.
+
+        Returns
+        -------
+        list of moderngl.Texture
+            The outputs of star_path.frag.
+        """
+        stars, times = chosen.shape[1], 2 * segments + 1
+        self._passage.write_table(np.ones((1, 1), np.float32) if passage is None else passage)
+        self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, 2))
+        for location, texture in enumerate((field, self._chosen, self._pointing)):
+            texture.use(location)
+        self._projection["last_time"] = self._path.program["last_time"] = times - 1
+        self._context.enable_only(moderngl.NOTHING)
+        positions = self._positions.filled(self._all_positions, stars, times + 1)
+        positions[0].use(_UNITS["positions"])
+        self._passage.texture.use(_UNITS["passage"])
+        self._chosen.use(_UNITS["chosen"])
+        # Long segments have a joint at their end too.
+        rows = segments if self._kinds.are_short else segments + 1
+        filled = self._path.table(number).filled(self._path.vertices, stars, rows)
+        # Software OpenGL waits here for that pass.  Otherwise it would interrupt what is being drawn when that reads
+        # the textures.
+        self._chosen.write(chosen[:1, :1].tobytes(), viewport=(0, 0, 1, 1))
+        return filled
+
+    def _program(self, rows: int) -> "_PathProgram":
+        key = rows, self._kinds
+        if key not in self._programs:
+            program = linked(
+                self._context,
+                "whole_image.vert",
+                "star_path.frag",
+                SHORT_SIGMA=SHAPE_LIMITS.short_sigma,
+                MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
+                MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
+                ROWS=rows,
+                ENDS=int(self._kinds.are_ends),
+                ALL_SHORT=int(self._kinds.are_short),
+            )
+            set_uniforms(program, **{name: unit for name, unit in _UNITS.items() if name in program})
+            self._programs[key] = _PathProgram(self._context, program, _OUTPUTS if rows else _OUTPUTS - 1)
+        return self._programs[key]
+
+    def _release_programs(self) -> None:
+        for program in self._programs.values():
+            program.release()
+        self._programs.clear()
+
+    def release(self) -> None:
+        """Release programs and textures."""
+        self._owned.close()
+
+
+class _PathProgram:
+    """A program of paths, and the tables that it fills."""
+
+    def __init__(self, context: moderngl.Context, program: moderngl.Program, outputs: int) -> None:
+        self.program = program
+        self.vertices = context.vertex_array(program, [])
+        self._context = context
+        self._outputs = outputs
+        self._tables: list[TextureTable] = []
+
+    def table(self, number: int) -> TextureTable:
+        self._tables += [TextureTable(self._context, self._outputs) for _ in range(len(self._tables), number + 1)]
+        return self._tables[number]
+
+    def release(self) -> None:
+        for table in self._tables:
+            table.release()
+        self.vertices.release()
+        self.program.release()
