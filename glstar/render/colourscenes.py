@@ -128,10 +128,8 @@ def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
     peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
     if sensor.colour.mosaic == "none":
         return peak_dn
-    through_air = _transmission_ratio(scene)
-    if through_air is None:
-        return np.asarray(peak_dn * _tints(scene.stars, sensor.colour).max(axis=1)[draw_list.index])
-    return np.asarray(peak_dn * (_tints(scene.stars, sensor.colour)[draw_list.index] * through_air).max(axis=1))
+    tints, through_air = _tints(scene.stars, sensor.colour)[draw_list.index], _transmission_ratio(scene)
+    return np.asarray(peak_dn * (tints if through_air is None else tints * through_air).max(axis=1))
 
 
 def _extinction_over_mean(scene: Scene) -> dict[Channel, float] | None:

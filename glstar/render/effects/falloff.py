@@ -15,6 +15,10 @@ __all__ = ["FLAT_FALLOFF", "LENS_FALLOFF"]
 _DEFAULT: Final = Vignetting()
 # Texels of a measured flat field, along x and along y: the light of a lens changes by percents between them.
 _TEXELS: Final = (129, 97)
+# Coefficients of a polynomial, in two vectors of the shader.
+_MOST_TERMS: Final = 8
+# Relative change of the light by second derivatives that are left out.
+_TOLERANCE: Final = 5e-6
 _COEFFICIENT: Final = "a number from -10 to 10"
 
 _KEYS: Final = (
@@ -47,17 +51,26 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     camera = scene.camera
     fit, sky_dn = Vignetting.of(scene.sensor.effects).fit(camera), _sky_dn(scene)
     sky = tuple(sky_dn * (of_sky - of_star) for of_star, of_sky in zip(fit.star, fit.sky, strict=True))
+    none = (0.0,) * (_MOST_TERMS - len(sky))
     return {
-        "falloff_star_low": fit.star[:4],
-        "falloff_star_high": fit.star[4:],
-        "falloff_sky_low": sky[:4],
-        "falloff_sky_high": sky[4:],
+        "falloff_star_low": (*fit.star, *none)[:4],
+        "falloff_star_high": (*fit.star, *none)[4:],
+        "falloff_sky_low": (*sky, *none)[:4],
+        "falloff_sky_high": (*sky, *none)[4:],
         "falloff_largest_q": fit.largest_q,
         "falloff_bend": fit.bend,
         "falloff_focal_px": (camera.fx_px, camera.fy_px),
         "falloff_principal_px": (camera.cx_px, camera.cy_px),
         "falloff_skew_px": camera.skew_px,
     }
+
+
+def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
+    """Return how many terms the polynomials have, and whether their second derivatives matter within a fragment."""
+    camera, sensor = scene.camera, scene.sensor
+    fit, half_px = Vignetting.of(sensor.effects).fit(camera), 4 if sensor.bit_depth > 8 else 8
+    change = fit.curvature * (half_px / min(camera.fx_px, camera.fy_px)) ** 2 / 2
+    return {"FALLOFF_TERMS": len(fit.star), "FALLOFF_CURVED": int(change > _TOLERANCE)}
 
 
 def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
@@ -82,28 +95,45 @@ LENS_FALLOFF = Effect(
     uniforms=_uniforms,
     truth=_truth,
     is_active=lambda values: values["vignetting"] in {"cos4", "polynomial"},
+    options=_options,
     glsl="""\
-// Transmission for stars, and what the uniform sky differs from them, DN: polynomials of degree 7 in w.
+// Transmission for stars, and what the uniform sky differs from them, DN: polynomials of w with FALLOFF_TERMS terms.
 uniform vec4 falloff_star_low, falloff_star_high, falloff_sky_low, falloff_sky_high;
 uniform vec2 falloff_focal_px, falloff_principal_px;
 uniform float falloff_largest_q, falloff_bend, falloff_skew_px;
 
+// FALLOFF_CURVED: 1 if the second derivatives along the row matter within a fragment.
+#if FALLOFF_CURVED
+#define FALLOFF vec3
+#else
+#define FALLOFF vec2
+#endif
+
 // Value, slope and half of the second derivative of a polynomial, by Horner's rule.
-vec3 falloff_series(float q, vec4 low, vec4 high) {
-    vec3 found = vec3(high.z + q * high.w, high.w, 0.0);
-    found = found * q + vec3(high.y, found.xy);
-    found = found * q + vec3(high.x, found.xy);
-    found = found * q + vec3(low.w, found.xy);
-    found = found * q + vec3(low.z, found.xy);
-    found = found * q + vec3(low.y, found.xy);
-    return found * q + vec3(low.x, found.xy);
+FALLOFF falloff_series(float w, vec4 low, vec4 high) {
+    float terms[8] = float[8](low.x, low.y, low.z, low.w, high.x, high.y, high.z, high.w);
+    FALLOFF found = FALLOFF(0.0);
+    found.x = terms[FALLOFF_TERMS - 1];
+    for (int power = FALLOFF_TERMS - 2; power >= 0; --power) {
+#if FALLOFF_CURVED
+        found = found * w + vec3(terms[power], found.xy);
+#else
+        found = found * w + vec2(terms[power], found.x);
+#endif
+    }
+    return found;
 }
 
-// The same at columns around the middle: quadratic in px between the four quads, linear in each of them.
-vec4 falloff_around(vec3 of_w, vec2 w_per_px, float quad_px) {
+// The same at columns around the middle: quadratic in px between the quads, linear in each of them.
+vec4 falloff_around(FALLOFF of_w, vec2 w_per_px, float quad_px) {
+    const vec4 OF_QUAD = vec4(-1.5, -0.5, 0.5, 1.5);
+#if FALLOFF_CURVED
     vec3 of_px = vec3(of_w.x, of_w.y * w_per_px.x, of_w.y * w_per_px.y + of_w.z * w_per_px.x * w_per_px.x);
     float slope = of_px.y + 2.0 * quad_px * of_px.z;
-    return of_px.x + quad_px * (of_px.y + quad_px * of_px.z) + vec4(-1.5, -0.5, 0.5, 1.5) * slope;
+    return of_px.x + quad_px * (of_px.y + quad_px * of_px.z) + OF_QUAD * slope;
+#else
+    return of_w.x + (quad_px + OF_QUAD) * (of_w.y * w_per_px.x);
+#endif
 }
 
 // The polynomials are evaluated once per fragment, in the middle of its pixels; the compiler shares that between quads.
@@ -118,8 +148,8 @@ vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
     float bent = 1.0 / (1.0 + falloff_bend * q), w = (1.0 + falloff_bend) * q * bent;
     float w_per_q = (1.0 + falloff_bend) * bent * bent;
     vec2 w_per_px = w_per_q * vec2(q_per_px.x, q_per_px.y - falloff_bend * bent * q_per_px.x * q_per_px.x);
-    vec3 star = falloff_series(w, falloff_star_low, falloff_star_high);
-    vec3 sky = falloff_series(w, falloff_sky_low, falloff_sky_high);
+    FALLOFF star = falloff_series(w, falloff_star_low, falloff_star_high);
+    FALLOFF sky = falloff_series(w, falloff_sky_low, falloff_sky_high);
     float quad_px = columns_px(quad).x + 1.5 - middle_column_px();
     return signal_dn * falloff_around(star, w_per_px, quad_px) + falloff_around(sky, w_per_px, quad_px);
 }
