@@ -5,8 +5,7 @@ Refraction lifts stars towards the zenith, the more the lower they are: it makes
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,17 +58,33 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False)
 class _RefractedStars:
-    """Identified stars of one image, whose refraction depends on the zenith."""
+    """Identified stars of one image, whose refraction depends on the zenith.
+
+    Attributes
+    ----------
+    direction_eq : (k, 3) float64
+    xy_px : (k, 2) float64
+    solution : PlateSolution
+    refraction_scale : float
+    noise_px : float
+        The scatter of the stars; refraction hardly changes it.
+    plain_candidate : LensCandidate
+        The lens that the stars justify without refraction.
+    """
 
     direction_eq: Float
     xy_px: Float
     solution: PlateSolution
     refraction_scale: float
+    noise_px: float
+    plain_candidate: LensCandidate
 
-    @cached_property
-    def noise_px(self) -> float:
-        """The scatter of the stars; refraction hardly changes it."""
-        return scatter_px(self.at(None), self.solution.camera, self.solution.C_camera_eq)
+    @classmethod
+    def of(cls, identified: IdentifiedStars, solution: PlateSolution, refraction_scale: float) -> Self:
+        """Return stars that were identified with a plate solution."""
+        noise_px = scatter_px(identified, solution.camera, solution.C_camera_eq)
+        plain = best_lens((identified,), (solution,), "auto").candidate
+        return cls(identified.apparent, identified.xy_px, solution, refraction_scale, noise_px, plain)
 
     def at(self, zenith_eq: Float | None) -> IdentifiedStars:
         """Return the stars with the refraction of a zenith, or without refraction."""
@@ -78,7 +93,7 @@ class _RefractedStars:
         lifted = refraction_displacement(self.direction_eq @ zenith_eq, self.refraction_scale)
         return IdentifiedStars(self.direction_eq + lifted[:, np.newaxis] * zenith_eq, self.xy_px)
 
-    def best_candidate(self, zenith_eq: Float | None) -> LensCandidate:
+    def best_candidate(self, zenith_eq: Float) -> LensCandidate:
         """Return the lens that the stars justify with a zenith."""
         return best_lens((self.at(zenith_eq),), (self.solution,), "auto").candidate
 
@@ -184,15 +199,14 @@ def find_zenith(
         identified = IdentifiedStars.of(
             detected, reference.to_camera(np.eye(3)), found.solution, found.star, found.detection
         )
-        stars = _RefractedStars(identified.apparent, identified.xy_px, found.solution, refraction_scale)
-        return _with_zenith(stars, reference)
+        return _with_zenith(_RefractedStars.of(identified, found.solution, refraction_scale), reference)
     except CalibrationError:  # there is no camera yet: the fit of the lens says so
         return reference
 
 
 def _with_zenith(stars: _RefractedStars, reference: ReferenceStars) -> ReferenceStars:
     best, other = _best_zeniths(stars)
-    others = min(other.criterion, stars.criterion(None, stars.best_candidate(None)))
+    others = min(other.criterion, stars.criterion(None, stars.plain_candidate))
     error_rad = stars.error_rad(best.zenith_eq, best.candidate)
     below = float(np.mean(stars.direction_eq @ best.zenith_eq < 0))
     if best.criterion > others - _MARGIN or not error_rad < _LARGEST_ERROR_RAD or below > _FALSE_FRACTION:
@@ -210,7 +224,7 @@ def _with_zenith(stars: _RefractedStars, reference: ReferenceStars) -> Reference
 
 def _best_zeniths(stars: _RefractedStars) -> tuple[_Trial, _Trial]:
     """Return the best zenith, and the best on the other side of the image: to first order both refract alike."""
-    candidate = stars.best_candidate(None)
+    candidate = stars.plain_candidate
     first = stars.first_place(candidate)
     for _ in range(_ROUNDS):
         places = [stars.improved(place, candidate) for place in (first, first + np.array([0.0, np.pi]))]
