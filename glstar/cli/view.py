@@ -31,6 +31,7 @@ __all__ = ["view"]
 
 At = Annotated[float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")]
 Sliding = Annotated[bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")]
+Processed = Annotated[bool, typer.Option("--processed", help="Show the image that [output] makes of the raw one.")]
 Images = Annotated[Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)]
 Play = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
 Answers = Annotated[
@@ -51,6 +52,7 @@ def view(
     at: At = None,
     sliding: Sliding = False,
     show: Show = None,
+    processed: Processed = False,
     images: Images = None,
     answers: Answers = None,
     answers_to: AnswersTo = None,
@@ -69,10 +71,7 @@ def view(
     """
     settings = flags.settings()
     scripted = screenshot is not None or play is not None
-    if headless and not scripted:
-        raise typer.BadParameter(
-            "without a window there is nothing to do but --screenshot or --play", param_hint="--headless"
-        )
+    _refuse_idle(headless=headless, scripted=scripted)
     _refuse_lone_options(answers, answers_to, stats, play)
     require_window_libraries()
     from glstar.cli.placedanswers import placed_answers  # noqa: PLC0415
@@ -86,6 +85,7 @@ def view(
         layout = None if headless or scripted else layout_of("viewer")
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
             _enable_measurements(viewer)
+            viewer.session.shows_processed = processed
             script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
             is_scripted = script != Script(asks=True)
             if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
@@ -97,6 +97,7 @@ def view(
             report = viewer.play(script) if is_scripted else {}
             if stats is not None:
                 write_stats(stats, report)
+            _say_if_raw(viewer)
             if not (leave or headless):
                 viewer.run()
             if memory is not None:
@@ -110,6 +111,23 @@ def _enable_measurements(viewer: "Viewer") -> None:
     viewer.session.comparison.fit_images = fit_images
     viewer.session.comparison.residuals.measure = measure_image
     viewer.interface.calibration.calibrate = calibrate_photo
+
+
+def _say_if_raw(viewer: "Viewer") -> None:
+    """Say why a processed image was asked for and is not shown."""
+    from glstar.viewer.processedimage import why_not_processed  # noqa: PLC0415
+
+    session = viewer.session
+    if session.shows_processed and session.scene is not None and (reason := why_not_processed(session.scene)):
+        typer.echo(f"note: the image shown is raw: {reason}", err=True)
+
+
+def _refuse_idle(*, headless: bool, scripted: bool) -> None:
+    """Refuse to run without a window and without a script."""
+    if headless and not scripted:
+        raise typer.BadParameter(
+            "without a window there is nothing to do but --screenshot or --play", param_hint="--headless"
+        )
 
 
 def _refuse_lone_options(answers: Path | None, answers_to: Path | None, stats: Path | None, play: float | None) -> None:

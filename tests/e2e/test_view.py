@@ -204,14 +204,23 @@ def test_a_live_window_shows_the_link_and_earlier_times(tmp_path, xvfb):
 
 
 def test_without_a_display_a_script_draws_headless(tmp_path):
-    shot = tmp_path / "shot.png"
-    subprocess.run(
-        [*GLSTAR, "view", "--headless", "--at", "20", "--screenshot", str(shot), "--exit"],
-        env=environment(None, tmp_path),
-        check=True,
-        timeout=PATIENCE_S,
-    )
-    assert cv2.imread(str(shot)).shape == (800, 1280, 3)
+    settings = tmp_path / "isp.toml"
+    settings.write_text('[output]\nprocess = "isp"\ngamma = "srgb"\n')
+    shown, errors = {}, {}
+    for name, more in (("raw", []), ("processed", ["-c", str(settings)])):
+        shot = tmp_path / f"{name}.png"
+        done = subprocess.run(
+            [*GLSTAR, "view", "--headless", "--at", "20", "--processed", "--screenshot", str(shot), "--exit", *more],
+            env=environment(None, tmp_path),
+            check=True,
+            timeout=PATIENCE_S,
+            capture_output=True,
+            text=True,
+        )
+        shown[name], errors[name] = cv2.imread(str(shot)), done.stderr
+    assert shown["raw"].shape == shown["processed"].shape == (800, 1280, 3)
+    assert errors["processed"] == ""
+    assert errors["raw"].startswith("note: the image shown is raw: the camera writes the raw image")
 
 
 def test_without_a_display_one_line_names_the_alternatives(tmp_path):
