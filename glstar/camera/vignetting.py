@@ -247,7 +247,7 @@ def _fit(vignetting: Vignetting, camera: Camera) -> FalloffFit:
     for terms in _TERMS:
         powers = np.vander(w, terms, increasing=True)
         found = np.asarray(np.linalg.lstsq(powers, wanted, rcond=None)[0], dtype=np.float64)
-        if np.max(np.abs(powers @ found / wanted - 1)) < _TOLERANCE:
+        if np.all(np.abs(powers @ found - wanted) <= _TOLERANCE * wanted):
             break
     star_terms, sky_terms = (tuple(column.tolist()) for column in found.T)
     return FalloffFit(star_terms, sky_terms, largest_q, bend, _curvature(found, largest_q, bend))

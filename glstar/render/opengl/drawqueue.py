@@ -11,7 +11,8 @@ class DrawQueue:
     """Draws to one target, in the order in which they were added.
 
     Software OpenGL stores a target when another is bound, and loads it when it is bound again.  In an image of 12
-    megapixels that takes as long as hundreds of stars.  So what is drawn to other targets first, does not interrupt.
+    megapixels that takes as long as hundreds of stars.  What is drawn to other targets first does not
+    interrupt it.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ class PathPass:
 
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
         self._context = context
-        # By ROWS of readout.glsl: programs, vertices, and the tables that they fill, one for each draw that waits.
+        # By ROWS of readout.glsl and the kinds of segments.
         self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
         with ExitStack() as owned:
             self._projection = linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
@@ -242,7 +242,7 @@ class PathPass:
 
 
 class _PathProgram:
-    """A program of paths, and the tables that it fills."""
+    """A program of paths, and the tables that it fills: one for each draw that waits."""
 
     def __init__(self, context: moderngl.Context, program: moderngl.Program, outputs: int) -> None:
         self.program = program
