@@ -232,7 +232,8 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float) -> tuple[Float32, Floa
         dy *= dy
         dy *= c[block, np.newaxis]
         exponent += dy
-        np.maximum(exponent, _FAR_EXPONENT, out=exponent)
+        # Rounding may exceed 0 beside very long lines.
+        np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
         np.exp(exponent, out=exponent)
         wide[block] = (exponent @ height[block, :, np.newaxis])[..., 0]
         exponent *= exponent

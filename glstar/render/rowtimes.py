@@ -37,8 +37,9 @@ _FLUX_DIGITS: Final = 6
 
 # Times of an exposure between which openings and closings are searched.
 _GRID: Final = 65
-# Steps of the search: it converges to nanoseconds.
+# Steps of the search, at most: it converges to nanoseconds.  It ends when all stars are this near, s.
 _STEPS: Final = 6
+_EXACT_S: Final = 1e-10
 # Half the time over which the angular rate of the camera is measured, s.
 _RATE_STEP_S: Final = 5e-4
 # A closing and the next opening that differ by less are the same time, s: twenty times the error of the search.
@@ -304,6 +305,8 @@ class _RowTimes:
             step = np.where(high > low, -low / np.where(high > low, high - low, 1.0), 0.0).clip(0.0, 1.0)
             middle_s = low_s + step * (high_s - low_s)
             value = middle_s - self._delay_s(self.positions(middle_s)) - open_for_s
+            if np.abs(value).max() < _EXACT_S:
+                break
             is_low = value < 0
             high = np.where(is_low & (side < 0), high / 2, high)
             low = np.where(~is_low & (side > 0), low / 2, low)

@@ -8,6 +8,7 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.render import brightestpoints
 from glstar.render.rowtimes import recorded_positions, recorded_times
 from glstar.render.simulator import Simulator
 from glstar.render.trailpeaks import trail_peaks
@@ -78,3 +79,21 @@ def test_expected_peaks_and_areas_of_rough_flights_are_those_of_brute_force(deg,
     assert np.quantile(peak_errors, 0.9) < 2 * limit
     assert np.median(area_errors) < 0.02
     assert np.quantile(area_errors, 0.9) < limit
+
+
+def test_lines_far_beside_the_image_leave_finite_signals() -> None:
+    """Near the plane of the camera a star moves by a hundred thousand pixels from one time to the next."""
+    rng = np.random.default_rng(3)
+    step_px = rng.normal(0, 6e4, (2, 50, 40))
+    middle_px = np.cumsum(step_px, axis=1) - step_px / 2
+    lines = brightestpoints._Lines(middle_px, step_px, np.full((50, 40), 0.02), np.ones(40, np.bool_))
+
+    with np.errstate(all="raise", under="ignore"):
+        narrow, wide = brightestpoints._signals_and_overlaps(lines, 1.2)
+
+    # A line of its own: its light per length; 50 lines cross rarely.
+    length_px = np.hypot(*step_px)
+    alone = 0.02 / (np.sqrt(2 * np.pi) * 1.2 * length_px)
+    assert np.all(narrow >= 0.5 * alone)
+    assert np.all(narrow.sum(axis=0) <= 50 * alone.sum(axis=0))
+    assert np.all(np.isfinite(wide))
