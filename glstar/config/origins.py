@@ -35,16 +35,16 @@ def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Ori
     counting = Config().override(**{"sensor.noise": "electrons"}).resolved()["sensor"]
     defaults["sensor"] = counting | {"noise": "paper"} | defaults["sensor"]
     sources = {section: _source(document, section, values) for section, values in resolved.items()}
+    # Modes of sensors have the time of their readout.
+    sources["exposure"] = sources["camera"] or sources["sensor"]
     found: dict[str, dict[str, Origin]] = {}
     for section, values in resolved.items():
         table, former = _table(document, section), defaults.get(section, {})
         found[section] = {}
         for key, value in values.items():
-            origin = name if key in table else DEFAULT
+            origin = name if key in table else ""
             if key not in table and (section == "camera" or value != former.get(key, value)):
-                # Modes of sensors have the time of their readout.
-                of_readout = (section, key) == ("exposure", "readout_s")
-                origin = sources["camera"] or sources["sensor"] if of_readout else sources[section]
+                origin = sources[section]
             found[section][key] = value, flags.get(f"{section}.{key}", origin or DEFAULT)
     return found
 

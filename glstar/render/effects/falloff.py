@@ -15,8 +15,6 @@ __all__ = ["FLAT_FALLOFF", "LENS_FALLOFF"]
 _DEFAULT: Final = Vignetting()
 # Texels of a measured flat field, along x and along y: the light of a lens changes by percents between them.
 _TEXELS: Final = (129, 97)
-# Coefficients of a polynomial, in two vectors of the shader.
-_MOST_TERMS: Final = 8
 # Relative change of the light by second derivatives that are left out.
 _TOLERANCE: Final = 5e-6
 _COEFFICIENT: Final = "a number from -10 to 10"
@@ -47,16 +45,23 @@ def _sky_dn(scene: Scene) -> float:
     )
 
 
+def _two_vectors(coefficients: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return up to eight coefficients as the shader has them: four and four, filled with zeros."""
+    filled = (*coefficients, *(0.0,) * (8 - len(coefficients)))
+    return filled[:4], filled[4:]
+
+
 def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     camera = scene.camera
     fit, sky_dn = Vignetting.of(scene.sensor.effects).fit(camera), _sky_dn(scene)
     sky = tuple(sky_dn * (of_sky - of_star) for of_star, of_sky in zip(fit.star, fit.sky, strict=True))
-    none = (0.0,) * (_MOST_TERMS - len(sky))
+    star_low, star_high = _two_vectors(fit.star)
+    sky_low, sky_high = _two_vectors(sky)
     return {
-        "falloff_star_low": (*fit.star, *none)[:4],
-        "falloff_star_high": (*fit.star, *none)[4:],
-        "falloff_sky_low": (*sky, *none)[:4],
-        "falloff_sky_high": (*sky, *none)[4:],
+        "falloff_star_low": star_low,
+        "falloff_star_high": star_high,
+        "falloff_sky_low": sky_low,
+        "falloff_sky_high": sky_high,
         "falloff_largest_q": fit.largest_q,
         "falloff_bend": fit.bend,
         "falloff_focal_px": (camera.fx_px, camera.fy_px),

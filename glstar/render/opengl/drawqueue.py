@@ -10,9 +10,8 @@ __all__ = ["DrawQueue"]
 class DrawQueue:
     """Draws to one target, in the order in which they were added.
 
-    Software OpenGL stores a target when another is bound, and loads it when it is bound again.  In an image of 12
-    megapixels that takes as long as hundreds of stars.  What is drawn to other targets first does not
-    interrupt it.
+    Software OpenGL finishes what was drawn to a target whenever another is bound.  In an image of 12 megapixels each
+    time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.
 
     Parameters
     ----------

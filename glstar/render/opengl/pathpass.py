@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from glstar.camera.sensor import Sensor
 from glstar.render.opengl.passagetexture import PassageTexture
-from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME
-from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, projection_uniforms
+from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
 from glstar.render.opengl.readoutclock import ReadoutClock
 from glstar.render.opengl.startextures import STARS_PER_ROW
 from glstar.render.opengl.texturetable import TextureTable
@@ -137,17 +137,10 @@ class PathPass:
             When the pixels of the target open.
         kinds : SegmentKinds
         """
-        sensor, camera = scene.sensor, scene.camera
+        sensor = scene.sensor
         sigma_px = drawn_sigma_px(sensor)
         peak = (sensor.psf_sigma_px / sigma_px) ** 2
-        set_uniforms(
-            self._projection,
-            refraction_scale=trails.pointing.refraction_scale,
-            focal_px=(camera.fx_px, camera.fy_px),
-            principal_px=(camera.cx_px, camera.cy_px),
-            skew_px=camera.skew_px,
-            guard_band_px=guard_band_px,
-        )
+        set_uniforms(self._projection, **projection_uniforms(scene.camera, trails.pointing, guard_band_px))
         self._kinds = kinds
         self._path = self._program(clock.rows)
         program = self._path.program
@@ -158,7 +151,7 @@ class PathPass:
             "largest_point_px": self._point_size_px,
             "vmag_0_peak_dn": peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span,
         }
-        set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+        set_used_uniforms(program, **uniforms)
         clock.bind(program, sigma_px)
 
     def set_times(self, texels: Float32) -> None:
@@ -227,7 +220,7 @@ class PathPass:
                 ENDS=int(self._kinds.are_ends),
                 ALL_SHORT=int(self._kinds.are_short),
             )
-            set_uniforms(program, **{name: unit for name, unit in _UNITS.items() if name in program})
+            set_used_uniforms(program, **_UNITS)
             self._programs[key] = _PathProgram(self._context, program, _OUTPUTS if rows else _OUTPUTS - 1)
         return self._programs[key]
 

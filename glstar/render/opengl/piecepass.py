@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from glstar.render.colourscenes import cell_tints
 from glstar.render.opengl.passagetexture import PassageTexture
-from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
-from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels, projection_uniforms
+from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
 from glstar.render.scene import Scene
@@ -128,15 +128,11 @@ class PiecePass:
     def _set_uniforms(
         self, program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int, span: float
     ) -> None:
-        sensor, camera, pointing = scene.sensor, scene.camera, scene.trails.pointing
+        sensor, pointing = scene.sensor, scene.trails.pointing
         set_uniforms(
             program,
-            refraction_scale=pointing.refraction_scale,
+            **projection_uniforms(scene.camera, pointing, guard_band_px),
             sine_horizon=pointing.sine_horizon,
-            focal_px=(camera.fx_px, camera.fy_px),
-            principal_px=(camera.cx_px, camera.cy_px),
-            skew_px=camera.skew_px,
-            guard_band_px=guard_band_px,
             target_px=light.size,
             sigma_px=sensor.effective_sigma_px,
             vmag_0_peak_dn=sensor.effective_peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * span,
@@ -154,7 +150,7 @@ class PiecePass:
                 MOSAIC=int(mosaic),
                 ROWS=int(rolling),
             )
-            set_uniforms(program, **{name: unit for name, unit in _UNITS.items() if name in program})
+            set_used_uniforms(program, **_UNITS)
             vertices = self._context.vertex_array(program, [(self._sprites, "2u2", "sprite")])
             self._programs[key] = program, vertices
         return self._programs[key]

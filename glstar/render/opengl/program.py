@@ -10,7 +10,7 @@ import moderngl
 from glstar.errors import ShaderError
 from glstar.system.resources import shader
 
-__all__ = ["linked", "set_uniforms"]
+__all__ = ["linked", "set_uniforms", "set_used_uniforms"]
 
 _NONE: Mapping[str, str] = MappingProxyType({})
 _INCLUDE = re.compile(r'#include "(.+)"')
@@ -110,3 +110,14 @@ def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...
     for name, value in uniforms.items():
         if name not in given or given[name] != value:
             program[name] = given[name] = value
+
+
+def set_used_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
+    """Set those uniforms that a program has: variants of a shader use some of them.
+
+    Parameters
+    ----------
+    program, **uniforms
+        As for `set_uniforms`.
+    """
+    set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})

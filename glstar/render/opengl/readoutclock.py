@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
-from glstar.render.opengl.program import set_uniforms
+from glstar.render.opengl.program import set_used_uniforms
 from glstar.render.openpieces import PixelOpenings
 
 __all__ = ["GLOBAL_SHUTTER", "LensOpenings", "ReadoutClock", "pinhole_clock"]
@@ -104,7 +104,7 @@ class ReadoutClock:
             self.texture.use(_TEXTURE_UNIT)
             uniforms |= {"openings": _TEXTURE_UNIT, "texel_per_px": 1 / _STEP_PX, "openings_size": self.texture.size}
             uniforms |= {"opening_per_px": self.per_px, "resampling": self.resampling_px2 / sigma_px**2}
-        set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+        set_used_uniforms(program, **uniforms)
 
 
 GLOBAL_SHUTTER: Final = ReadoutClock()

@@ -8,7 +8,7 @@ import numpy as np
 
 from glstar.render.colourscenes import cell_tints
 from glstar.render.opengl.passagetexture import PASSAGE_COLUMNS, PassageTexture
-from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels, projection_uniforms
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.starbuffers import StarBuffers, superseded_field
@@ -130,7 +130,7 @@ class SubExposurePass:
         clock: ReadoutClock,
     ) -> moderngl.Program:
         """Return the program for the sensor's point spread function, with its uniforms set."""
-        sensor, camera = scene.sensor, scene.camera
+        sensor = scene.sensor
         fragments, has_mosaic = "star_erf.frag" if sensor.needs_erf else "star.frag", sensor.colour.mosaic != "none"
         program = self._linked(fragments, clock.rows, mosaic=has_mosaic)
         vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span
@@ -139,12 +139,8 @@ class SubExposurePass:
         set_uniforms(
             program,
             pointing=0,
-            refraction_scale=trails.pointing.refraction_scale,
+            **projection_uniforms(scene.camera, trails.pointing, guard_band_px),
             sine_horizon=trails.pointing.sine_horizon,
-            focal_px=(camera.fx_px, camera.fy_px),
-            principal_px=(camera.cx_px, camera.cy_px),
-            skew_px=camera.skew_px,
-            guard_band_px=guard_band_px,
             target_px=light.size,
             vmag_0_peak_dn=vmag_0_peak_dn / len(trails),
         )

@@ -6,7 +6,14 @@ __all__ = ["TextureTable"]
 
 
 class TextureTable:
-    """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment."""
+    """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    count : int
+        Number of textures.
+    """
 
     def __init__(self, context: moderngl.Context, count: int) -> None:
         self._context = context

@@ -15,7 +15,7 @@ from glstar.render.opengl.drawqueue import DrawQueue
 from glstar.render.opengl.pathpass import PathPass, SegmentKinds, drawn_sigma_px, surely_short
 from glstar.render.opengl.piecepass import PiecePass
 from glstar.render.opengl.pointingtexture import pointing_texels
-from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.program import linked, set_used_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.startextures import StarTextures
 from glstar.render.openpieces import SegmentColumns, divided_trails, joined_columns, whole_trails
@@ -165,7 +165,7 @@ class TrailPass:
         if divided is None:
             self._draw_trails(scene, trails, queue, guard_band_px, clock)
             return
-        # First what needs textures to be drawn: software OpenGL stores the target before them and loads it afterwards.
+        # The last bits of a sum depend on its order, which stays as it is.
         ends = joined_columns(divided.ends, len(trails)) if divided.ends else None
         if ends is not None:
             self._draw_segments(scene, trails, queue, guard_band_px, clock, ends, ends=True)
@@ -273,7 +273,7 @@ class TrailPass:
         draw_passes = self._draw_passes_of(sensor.needs_erf, sensor.colour.mosaic != "none", clock.rows)
         draw_passes = [one for one in draw_passes if _has(kinds, one.shape)]
         for program, *_ in draw_passes:
-            set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+            set_used_uniforms(program, **uniforms)
             clock.bind(program, sigma_px)
         return draw_passes
 
@@ -293,7 +293,7 @@ class TrailPass:
             linked(self._context, *shape.shaders, NARROW=int(narrow), SHAPE=shape.number, ROWS=rows, MOSAIC=int(mosaic))
         )
         units = _PATH_TEXTURES | {"tints_of_stars": _TINTS_UNIT}
-        set_uniforms(program, **{name: unit for name, unit in units.items() if name in program})
+        set_used_uniforms(program, **units)
         corners = self._corners if shape.mode == moderngl.TRIANGLES else None
         content = [(self._drawn, shape.layout, "segment")]
         vertex_array = self._context.vertex_array(program, content, index_buffer=corners, index_element_size=4)
