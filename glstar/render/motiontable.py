@@ -1,6 +1,7 @@
 """The camera's orientation during one exposure in a table, for many times that are different for every star."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
@@ -21,7 +22,7 @@ _STEP_S: Final = 5e-3
 _MAX_PARTS: Final = 2000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MotionTable:
     """The camera's orientation in n parts of an exposure: between samples of the log, or of halves along a spline.
 
@@ -54,21 +55,29 @@ class MotionTable:
         (pointing,) = motion.pointings(np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s))
         return cls(ends_s, pointing)
 
+    @cached_property
+    def _coefficients(self) -> Float:
+        """Coefficients of 1, u and u^2 in each part, (3, n, w): all numbers of an orientation side by side."""
+        own, times = self.pointing, len(self.pointing)
+        vectors = (own.zenith_eq, own.velocity_eq, *([] if own.pole_eq is None else [own.pole_eq]))
+        values = np.concatenate([own.C_camera_eq.reshape(times, 9), *vectors], axis=1)
+        start, middle, end = values[:-2:2], values[1::2], values[2::2]
+        return np.stack([start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)])
+
     def at(self, since_s: Float) -> Pointing:
         """Return the orientation at some times after the start of the exposure, (k,) s: k times."""
         part = (np.searchsorted(self.ends_s, since_s, side="right") - 1).clip(0, len(self.ends_s) - 2)
-        u = (since_s - self.ends_s[part]) / (self.ends_s[part + 1] - self.ends_s[part])
-        weights = (1 - u) * (1 - 2 * u), 4 * u * (1 - u), u * (2 * u - 1)
-
-        def between(values: Float) -> Float:
-            shape = (-1, *(1,) * (values.ndim - 1))
-            return np.asarray(sum(w.reshape(shape) * values.take(2 * part + k, axis=0) for k, w in enumerate(weights)))
-
-        own = self.pointing
+        u = ((since_s - self.ends_s[part]) / (self.ends_s[part + 1] - self.ends_s[part]))[:, np.newaxis]
+        constant, linear, quadratic = self._coefficients
+        values = quadratic.take(part, axis=0)
+        values *= u
+        values += linear.take(part, axis=0)
+        values *= u
+        values += constant.take(part, axis=0)
         return replace(
-            own,
-            C_camera_eq=between(own.C_camera_eq),
-            zenith_eq=between(own.zenith_eq),
-            velocity_eq=between(own.velocity_eq),
-            pole_eq=None if own.pole_eq is None else between(own.pole_eq),
+            self.pointing,
+            C_camera_eq=values[:, :9].reshape(-1, 3, 3),
+            zenith_eq=values[:, 9:12],
+            velocity_eq=values[:, 12:15],
+            pole_eq=None if self.pointing.pole_eq is None else values[:, 15:],
         )

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from glstar.rotation import turn_from_matrix
 __all__ = [
     "RecordedPart",
     "RecordedTimes",
+    "RowTimeSearch",
     "exposed_fraction",
     "recorded_parts",
     "recorded_paths",
@@ -35,8 +37,11 @@ Float = NDArray[np.float64]
 _TIME_DIGITS: Final = 8
 _FLUX_DIGITS: Final = 6
 
-# Times of an exposure between which openings and closings are searched.
+# Times of an exposure between which openings and closings are searched: of slow stars, which cross each once, a few.
 _GRID: Final = 65
+_COARSE_GRID: Final = 17
+# A star is slow if it needs for a row more than twice the time after which the next one opens.
+_SLOW: Final = 0.5
 # Steps of the search, at most: it converges to nanoseconds.  It ends when all stars are this near, s.
 _STEPS: Final = 6
 _EXACT_S: Final = 1e-10
@@ -62,6 +67,8 @@ class RecordedTimes:
         and below the horizon.
     mid_offset_s : (k,) float64
         That middle, s after the middle of the exposure.
+    rows : RowTimeSearch
+        What found them, for other stars of the scene.
     shorts : tuple of RecordedTimes
         Those of each short exposure of a stacked image; empty for a single exposure.
     """
@@ -71,6 +78,7 @@ class RecordedTimes:
     exposed_s: Float
     positions: Float
     mid_offset_s: Float
+    rows: "RowTimeSearch"
     shorts: tuple["RecordedTimes", ...] = ()
 
     def __getitem__(self, stars: NDArray[np.intp]) -> "RecordedTimes":
@@ -80,6 +88,7 @@ class RecordedTimes:
             self.exposed_s[stars],
             self.positions[:, stars],
             self.mid_offset_s[stars],
+            self.rows,
             tuple(short[stars] for short in self.shorts),
         )
 
@@ -103,40 +112,7 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the
     first or the last one.
     """
-    shorts = [recorded_times(short, direction_eq) for short in scene.shorts]
-    if not len(direction_eq):
-        none = np.zeros(0)
-        return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none, tuple(shorts))
-    if shorts:
-        return _joined(scene, direction_eq, shorts)
-    search = _RowTimes(scene, direction_eq)
-    opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
-    middle_s = (opens_s + closes_s) / 2
-    positions = np.stack([search.positions(since_s) for since_s in (opens_s, middle_s, closes_s)])
-    mid_offset_s = middle_s - scene.exposure.span_s / 2
-    return RecordedTimes(opens_s, closes_s, search.open_s(opens_s, closes_s), positions, mid_offset_s)
-
-
-def _joined(scene: Scene, direction_eq: Float, shorts: Sequence[RecordedTimes]) -> RecordedTimes:
-    """Return when all short exposures together record stars."""
-    exposure = scene.exposure
-    starts_s = exposure.short_times_s()[:, 0] - exposure.start_utc_s
-    opens_s, closes_s = starts_s[0] + shorts[0].opens_s, starts_s[-1] + shorts[-1].closes_s
-    # Without a gap a row closes exactly when it opens again, unless the star overtakes the opening rows.
-    for start_s, before, next_s, after in zip(starts_s[:-1], shorts[:-1], starts_s[1:], shorts[1:], strict=True):
-        at_once = np.abs(next_s + after.opens_s - start_s - before.closes_s) < _AT_ONCE_S
-        before.positions[2, at_once] = after.positions[0, at_once]
-    middle_s = (opens_s + closes_s) / 2
-    assert scene.motion is not None
-    at_middle = _in_camera(scene.exposure, scene.motion, direction_eq, middle_s)
-    return RecordedTimes(
-        opens_s,
-        closes_s,
-        np.sum([short.exposed_s for short in shorts], axis=0),
-        np.stack([shorts[0].positions[0], scene.camera.project(at_middle), shorts[-1].positions[2]]),
-        middle_s - exposure.span_s / 2,
-        tuple(shorts),
-    )
+    return RowTimeSearch(scene).times(direction_eq)
 
 
 class RecordedPart(NamedTuple):
@@ -170,8 +146,11 @@ class RecordedPart(NamedTuple):
         end, opens, closes = 0.0, self.opens[stars], self.closes[stars]
         for xy_px, time_fraction in self.paths.samples(stars):
             ends = end + np.cumsum(time_fraction)[:, np.newaxis]
-            weight = np.minimum(ends, closes) - np.maximum(ends - time_fraction[:, np.newaxis], opens)
-            yield xy_px, time_fraction / self.shorts, weight.clip(min=0.0) * self.scale
+            weight = np.minimum(ends, closes)
+            weight -= np.maximum(ends - time_fraction[:, np.newaxis], opens)
+            np.maximum(weight, 0.0, out=weight)
+            weight *= self.scale
+            yield xy_px, time_fraction / self.shorts, weight
             end = float(ends[-1, 0])
 
 
@@ -271,69 +250,160 @@ def _recorded(scene: Scene, direction_eq: Float, fractions: Float) -> tuple[Floa
     """Return `recorded_paths` at fractions of the time during which each star is recorded."""
     if not len(direction_eq):
         return np.zeros((len(fractions), 0, 3)), np.zeros(0)
-    search = _RowTimes(scene, direction_eq)
-    opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
-    in_camera = np.stack([search.in_camera(opens_s + u * (closes_s - opens_s)) for u in fractions.tolist()])
-    return in_camera, search.open_s(opens_s, closes_s)
+    rows = RowTimeSearch(scene)
+    times = rows.times(direction_eq)
+    own_s = times.opens_s + fractions[:, np.newaxis] * (times.closes_s - times.opens_s)
+    in_camera = [rows.in_camera(direction_eq, since_s) for since_s in own_s]
+    return np.stack(in_camera), times.exposed_s
 
 
-class _RowTimes:
-    """The times of some stars since the opening of the row that each is in; parameters as for `recorded_times`."""
+class RowTimeSearch:
+    """Finds when a rolling shutter records stars of a scene.
 
-    def __init__(self, scene: Scene, direction_eq: Float) -> None:
+    Parameters
+    ----------
+    scene : Scene
+        With a readout time; of a single exposure or of a stacked image.
+    """
+
+    def __init__(self, scene: Scene) -> None:
         assert scene.motion is not None
         self._scene = scene
         self._motion = scene.motion
-        self._direction_eq = direction_eq
-        self._table = MotionTable.of(scene.motion, scene.exposure)
-        self._grid_s = np.linspace(0.0, scene.exposure.span_s, _GRID)
-        pointing = _pointing(scene.exposure, scene.motion, self._grid_s)
-        blocks = [scene.camera.project(block.to_camera(direction_eq)) for block in pointing.blocks(len(direction_eq))]
-        self._since_opening_s = self._grid_s[:, np.newaxis] - self._delay_s(np.concatenate(blocks))
+        self._shorts = [RowTimeSearch(short) for short in scene.shorts]
 
-    def crossing(self, open_for_s: float) -> Float:
-        """Return when the row of each star has been open for some time, (k,): 0 the first time, others the last."""
-        since = self._since_opening_s - open_for_s
-        after = np.argmax(since >= 0, axis=0) if open_for_s == 0 else _GRID - np.argmax((since <= 0)[::-1], axis=0)
-        after = after.clip(1, _GRID - 1)
+    @cached_property
+    def _table(self) -> MotionTable | None:
+        return MotionTable.of(self._motion, self._scene.exposure)
+
+    @cached_property
+    def _grid_s(self) -> Float:
+        """Times between which openings and closings are searched, (n,) s after the start of the exposure."""
+        count = _GRID if self._may_overtake_rows else _COARSE_GRID
+        return np.linspace(0.0, self._scene.exposure.span_s, count)
+
+    @cached_property
+    def _grid_pointing(self) -> Pointing:
+        if self._table is None:
+            return _pointing(self._scene.exposure, self._motion, self._grid_s)
+        return self._table.at(self._grid_s)
+
+    @property
+    def _may_overtake_rows(self) -> bool:
+        """Whether a star on the image may move as fast as `_SLOW` times the readout, or this is not known."""
+        if self._table is None:
+            return True
+        camera, exposure = self._scene.camera, self._scene.exposure
+        step_s = np.repeat(np.diff(self._table.ends_s) / 2, 2)
+        fastest_px_per_s = (self._table.pointing.rotation_rad / step_s).max() * camera.max_px_per_rad
+        per_column_s, per_row_s, _ = exposure.opening_s(camera.width_px, camera.height_px)
+        return bool(fastest_px_per_s * max(abs(per_column_s), abs(per_row_s)) > _SLOW)
+
+    def times(self, direction_eq: Float) -> RecordedTimes:
+        """Return when stars are recorded: see `recorded_times`."""
+        shorts = tuple(short.times(direction_eq) for short in self._shorts)
+        if not len(direction_eq):
+            none = np.zeros(0)
+            return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none, self, shorts)
+        if shorts:
+            return self._joined(direction_eq, shorts)
+        exposure = self._scene.exposure
+        since_opening_s = self._since_opening_s(direction_eq)
+        (opens_s, closes_s), (at_opening, at_closing) = self._crossings(direction_eq, since_opening_s)
+        middle_s = (opens_s + closes_s) / 2
+        positions = np.stack([at_opening, self._positions(direction_eq, middle_s), at_closing])
+        exposed_s = self._open_s(since_opening_s, opens_s, closes_s)
+        return RecordedTimes(opens_s, closes_s, exposed_s, positions, middle_s - exposure.span_s / 2, self)
+
+    def _joined(self, direction_eq: Float, shorts: Sequence[RecordedTimes]) -> RecordedTimes:
+        """Return when all short exposures together record stars."""
+        exposure = self._scene.exposure
+        starts_s = exposure.short_times_s()[:, 0] - exposure.start_utc_s
+        opens_s, closes_s = starts_s[0] + shorts[0].opens_s, starts_s[-1] + shorts[-1].closes_s
+        # Without a gap a row closes exactly when it opens again, unless the star overtakes the opening rows.
+        for start_s, before, next_s, after in zip(starts_s[:-1], shorts[:-1], starts_s[1:], shorts[1:], strict=True):
+            at_once = np.abs(next_s + after.opens_s - start_s - before.closes_s) < _AT_ONCE_S
+            before.positions[2, at_once] = after.positions[0, at_once]
+        middle_s = (opens_s + closes_s) / 2
+        at_middle = _pointing(exposure, self._motion, middle_s).each_to_camera(direction_eq)
+        return RecordedTimes(
+            opens_s,
+            closes_s,
+            np.sum([short.exposed_s for short in shorts], axis=0),
+            np.stack([shorts[0].positions[0], self._scene.camera.project(at_middle), shorts[-1].positions[2]]),
+            middle_s - exposure.span_s / 2,
+            self,
+            tuple(shorts),
+        )
+
+    def in_camera(self, direction_eq: Float, since_s: Float) -> Float:
+        """Return the direction of each star at a time of its own, (k, 3), in the camera frame."""
+        if self._table is None:
+            return _pointing(self._scene.exposure, self._motion, since_s).each_to_camera(direction_eq)
+        return self._table.at(since_s).each_to_camera(direction_eq)
+
+    def _positions(self, direction_eq: Float, since_s: Float) -> Float:
+        """Return the position of each star at a time of its own, (k, 2) px."""
+        return self._scene.camera.project(self.in_camera(direction_eq, since_s))
+
+    def _since_opening_s(self, direction_eq: Float) -> Float:
+        """Return how long the row of each star has been open at the times of the grid, (n, k) s."""
+        blocks = self._grid_pointing.blocks(len(direction_eq))
+        xy_px = [self._scene.camera.project(block.to_camera(direction_eq)) for block in blocks]
+        return self._grid_s[:, np.newaxis] - self._delay_s(np.concatenate(xy_px))
+
+    def _crossings(self, direction_eq: Float, since_opening_s: Float) -> tuple[Float, Float]:
+        """Return when the row of each star opens for the first and closes for the last time, and where the star is.
+
+        Parameters
+        ----------
+        direction_eq : (k, 3) float64
+        since_opening_s : (n, k) float64
+
+        Returns
+        -------
+        crossing_s : (2, k) float64
+            Opening and closing, s after the start of the exposure.
+        xy_px : (2, k, 2) float64
+            Positions then.
+        """
+        count, (_, stars) = len(self._grid_s), since_opening_s.shape
+        duration_s = self._scene.exposure.duration_s
+        opening = np.argmax(since_opening_s >= 0, axis=0)
+        closing = count - np.argmax(since_opening_s[::-1] <= duration_s, axis=0)
+        after, each = np.concatenate([opening, closing]).clip(1, count - 1), np.tile(np.arange(stars), 2)
+        open_for_s, direction_eq = np.repeat([0.0, duration_s], stars), np.tile(direction_eq, (2, 1))
         low_s, high_s = self._grid_s[after - 1], self._grid_s[after]
-        stars = np.arange(since.shape[1])
-        low, high = since[after - 1, stars], since[after, stars]
-        # Regula falsi, with the Illinois rule against an end that stays.
-        side = np.zeros(len(stars))
+        low, high = since_opening_s[after - 1, each] - open_for_s, since_opening_s[after, each] - open_for_s
+        middle_s, last_s, last = _between(low_s, low, high_s, high), low_s, low
         for _ in range(_STEPS):
-            step = np.where(high > low, -low / np.where(high > low, high - low, 1.0), 0.0).clip(0.0, 1.0)
-            middle_s = low_s + step * (high_s - low_s)
-            value = middle_s - self._delay_s(self.positions(middle_s)) - open_for_s
+            xy_px = self._positions(direction_eq, middle_s)
+            value = middle_s - self._delay_s(xy_px) - open_for_s
             if np.abs(value).max() < _EXACT_S:
                 break
             is_low = value < 0
-            high = np.where(is_low & (side < 0), high / 2, high)
-            low = np.where(~is_low & (side > 0), low / 2, low)
             low_s, low = np.where(is_low, middle_s, low_s), np.where(is_low, value, low)
             high_s, high = np.where(is_low, high_s, middle_s), np.where(is_low, high, value)
-            side = np.where(is_low, -1.0, 1.0)
-        return np.asarray(middle_s)
+            # The secant, or regula falsi where it leaves the bracket.
+            secant_s = middle_s - value * _quotient(middle_s - last_s, value - last)
+            last_s, last = middle_s, value
+            is_inside = (secant_s > low_s) & (secant_s < high_s)
+            middle_s = np.where(is_inside, secant_s, _between(low_s, low, high_s, high))
+        return middle_s.reshape(2, stars), xy_px.reshape(2, stars, 2)
 
-    def open_s(self, opens_s: Float, closes_s: Float) -> Float:
+    def _open_s(self, since_opening_s: Float, opens_s: Float, closes_s: Float) -> Float:
         """Return how long the row of each star is open, (k,) s, also if it crosses the opening rows several times."""
-        duration_s, since = self._scene.exposure.duration_s, self._since_opening_s
-        is_monotonic = (np.diff(since, axis=0) > 0).all(axis=0)
+        is_monotonic = (since_opening_s[1:] > since_opening_s[:-1]).all(axis=0)
+        exposed_s = closes_s - opens_s
+        if is_monotonic.all():
+            return exposed_s
+        others, duration_s = np.flatnonzero(~is_monotonic), self._scene.exposure.duration_s
+        since = since_opening_s[:, others]
         low, high = np.minimum(since[:-1], since[1:]), np.maximum(since[:-1], since[1:])
         overlap = np.minimum(high, duration_s) - np.maximum(low, 0.0)
         inside = np.where(high > low, overlap / np.where(high > low, high - low, 1.0), (low >= 0) & (low <= duration_s))
-        summed_s = inside.clip(0.0, 1.0).sum(axis=0) * (self._grid_s[1] - self._grid_s[0])
-        return np.where(is_monotonic, closes_s - opens_s, summed_s)
-
-    def positions(self, since_s: Float) -> Float:
-        """Return the position of each star at a time of its own, (k, 2) px."""
-        return self._scene.camera.project(self.in_camera(since_s))
-
-    def in_camera(self, since_s: Float) -> Float:
-        """Return the direction of each star at a time of its own, (k, 3), in the camera frame."""
-        if self._table is not None:
-            return self._table.at(since_s).each_to_camera(self._direction_eq)
-        return _in_camera(self._scene.exposure, self._motion, self._direction_eq, since_s)
+        exposed_s[others] = inside.clip(0.0, 1.0).sum(axis=0) * (self._grid_s[1] - self._grid_s[0])
+        return exposed_s
 
     def _delay_s(self, xy_px: Float) -> Float:
         """Return how long after the first row those at some positions open; the first where there is no position."""
@@ -342,14 +412,20 @@ class _RowTimes:
         return np.nan_to_num(delay_s).clip(0.0, exposure.readout_s)
 
 
+def _between(low_s: Float, low: Float, high_s: Float, high: Float) -> Float:
+    """Return where lines through a value at a time and a higher one at a later time are zero, or the nearer end."""
+    step = np.where(high > low, _quotient(-low, high - low), 0.0).clip(0.0, 1.0)
+    return np.asarray(low_s + step * (high_s - low_s))
+
+
+def _quotient(numerator: Float, denominator: Float) -> Float:
+    """Return quotients, 0 where the denominator is 0."""
+    return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator != 0)
+
+
 def _pointing(exposure: Exposure, motion: CameraMotion, since_s: Float) -> Pointing:
     """Return the camera's orientation at some times after the start of an exposure."""
     return motion.pointings(np.minimum(exposure.start_utc_s + since_s, exposure.stop_utc_s))[0]
-
-
-def _in_camera(exposure: Exposure, motion: CameraMotion, direction_eq: Float, since_s: Float) -> Float:
-    """Return the direction of each star at a time of its own after the start of an exposure, (k, 3), in the camera."""
-    return _pointing(exposure, motion, since_s).each_to_camera(direction_eq)
 
 
 def recorded_rows(scene: Scene, index: NDArray[np.int32]) -> RecordedTimes | None:

@@ -190,7 +190,8 @@ class ConicPaths:
             marks[segment, star] - starts[segment] + duration[segment, star] * QUADRATURE_NODES[:, np.newaxis]
         ) / self.time_fraction[segment]
         parameter = parameter_at(u, self.weight[segment])
-        start, rate, bend = (of[:, segment, star][:, np.newaxis] for of in self._quadratics())
+        at_partial = tuple(of[:, segment, star][:, np.newaxis] for of in self._weighted)
+        start, rate, bend = _quadratics(*at_partial)
         xy_px = _projected(self.camera.pinhole, start + parameter * (rate + parameter * bend))
         light_px = duration[segment, star] * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px)
         return np.asarray(integral_px + [np.bincount(star, of, minlength=len(begin)) for of in light_px])
@@ -261,10 +262,8 @@ class ConicPaths:
     def _quadratics(self, stars: NDArray[np.intp] | None = None) -> tuple[Float, Float, Float]:
         """Return coefficients of 1, u and u^2 of the vectors to some stars, u that of `parameter_at`."""
         if stars is None:
-            start, middle, end = self._weighted
-        else:
-            start, middle, end = self._weighted_nodes(self.nodes.take(stars, axis=2))
-        return start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)
+            return _quadratics(*self._weighted)
+        return _quadratics(*self._weighted_nodes(self.nodes.take(stars, axis=2)))
 
     @cached_property
     def nodes_px(self) -> Float:
@@ -321,6 +320,11 @@ def parameter_at(elapsed: Float, weight: Float) -> Float:
     tangent = np.sqrt(np.maximum(weight - 1, 1e-12))
     parameters: Float = 0.5 + 0.5 * np.tan((2 * elapsed - 1) * np.arctan(tangent)) / tangent
     return parameters
+
+
+def _quadratics(start: Float, middle: Float, end: Float) -> tuple[Float, Float, Float]:
+    """Return coefficients of 1, u and u^2 of quadratics through values at u = 0, 1/2 and 1."""
+    return start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)
 
 
 def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.intp], parameter: Float) -> Float:

@@ -67,17 +67,16 @@ class TrailStatistics:
         recorded = np.zeros(len(directions))
         for part in recorded_parts(scene, directions, times):
             recorded += part.recorded
-            stars = np.arange(len(directions))
+            stars, bounds = np.arange(len(directions)), part.paths.bounds_px
             if isinstance(part.paths, ConicPaths):
                 if not scene.shorts:
                     self._nodes_px.append(part.paths.nodes_px)
-                bounds = part.paths.bounds_px
                 always, never = _constant(scene, bounds)
                 self._add_constant(part, always)
                 stars = np.flatnonzero(~(always | never))
-                if saturation is not None:
-                    self._saturate(scene, part, saturation, np.setdiff1d(saturation.near(bounds), stars))
-            self._add_recorded_samples(scene, part, stars, saturation)
+            self._add_recorded_samples(scene, part, stars)
+            if saturation is not None:
+                self._saturate(scene, part, saturation, saturation.near(bounds))
         recorded = np.maximum(recorded, 1e-12)
         self.touching /= recorded
         self.on_image /= recorded
@@ -91,20 +90,16 @@ class TrailStatistics:
         self.on_image += np.where(stars, part.recorded, 0.0)
         self.sum_xy += np.where(stars, part.scale * integral_px, 0.0)
 
-    def _add_recorded_samples(
-        self, scene: Scene, part: RecordedPart, stars: NDArray[np.intp], saturation: "_SaturationMap | None"
-    ) -> None:
+    def _add_recorded_samples(self, scene: Scene, part: RecordedPart, stars: NDArray[np.intp]) -> None:
         """Add the sampled paths of some stars."""
         radius_px = scene.listed.truncation_radius_px[stars]
         for xy, _, weight in part.samples(stars):
-            outside_px = scene.camera.distance_outside_px(xy)
-            touching, on_image = _parts_inside(outside_px, radius_px)
-            self.touching[stars] += (weight * touching).sum(axis=0)
-            self.on_image[stars] += (weight * on_image).sum(axis=0)
-            light_px = np.where(touching > 0, weight * touching * np.moveaxis(xy, -1, 0), 0.0)
-            self.sum_xy[:, stars] += light_px.sum(axis=1)
-            if saturation is not None:
-                self.saturated[stars] |= saturation.crossed_by(xy, (weight > 0) & (outside_px < 0))
+            touching, on_image = _parts_inside(scene.camera.distance_outside_px(xy), radius_px)
+            self.on_image[stars] += np.einsum("nm,nm->m", weight, on_image)
+            light = weight * touching
+            self.touching[stars] += light.sum(axis=0)
+            for axis, sums in enumerate(self.sum_xy):
+                sums[stars] += np.where(light > 0, light * xy[..., axis], 0.0).sum(axis=0)
 
     def _saturate(
         self, scene: Scene, part: RecordedPart, saturation: "_SaturationMap", stars: NDArray[np.intp]
