@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.render.horizoncrossing import NEVER, rise_and_set
 from glstar.render.motiontable import MotionTable
-from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 
@@ -36,9 +35,8 @@ __all__ = [
 
 Float = NDArray[np.float64]
 
-# Steps of the search for the time at which a star meets an opening row: each divides the error by the speed of the
-# readout over that of the star.
-_STEPS: Final = 4
+# Times, at least, between which the meeting of a star with an opening row is found by a line.
+_ZONE_TIMES: Final = 12
 # Further than a star is drawn, px: what a quadratic between the times of segments may be off.
 _PATH_PX: Final = 0.5
 # Segments are divided where the longest trail is longer than this during each, standard deviations.
@@ -199,29 +197,74 @@ def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSp
     Notes
     -----
     A star at p(t) meets an opening row at t = o(p(t)).  Where it is slower than the readout, o(p(t)) is a contraction:
-    there is one solution, within the last step of an iteration times r / (1 - r), r the ratio of the speeds.
+    there is one solution, and a row that opens by d later meets the star by d / (1 - r) later at most, r the ratio of
+    the speeds.
     """
     trails = scene.trails
     assert isinstance(trails, AnalyticSegments)
     ratio = overtaking(trails, scene.camera, openings)
     if ratio > _FASTEST:
         return None
-    own = trails.pointing
-    # Behind no horizon: the stars are up.
-    plain = Pointing(own.C_camera_eq, own.zenith_eq, own.velocity_eq, own.refraction_scale)
-    table = MotionTable(np.concatenate([[0.0], np.cumsum(trails.time_fraction)]), plain)
-    direction_eq = np.tile(scene.stars.direction_eq[scene.draw_list.index], (2, 1))
-    margin = openings.per_px * (reach_px + _PATH_PX) * np.array([[1.0], [-1.0]])
-    is_closing = np.array([[0.0], [1.0]])
-    time = np.zeros_like(margin) + is_closing
-    for _ in range(_STEPS):
-        xy_px = scene.camera.pinhole.project(table.at(np.nan_to_num(time.ravel())).each_to_camera(direction_eq))
-        opens = (openings.at(xy_px).reshape(margin.shape) + margin).clip(0.0, 1.0 - openings.open_time)
-        before, time = time, opens + is_closing * openings.open_time
-    error = np.abs(time - before) * (ratio / (1 - ratio))
-    begin, end = time[0] + error[0], time[1] - error[1]
-    around = 2 * (margin[0] / (1 - ratio) + error)
-    return OpenSpans(begin, end, begin - around[0], end + around[1])
+    last_opening = 1.0 - openings.open_time
+    times, is_inner = _zone_times(trails, 0.0, last_opening)
+    closing_times, is_inner_of_closing = _zone_times(trails, openings.open_time, 1.0)
+    at = _opening_times(scene, np.concatenate([times, closing_times]), openings)
+    opens, opens_error = _meeting(times, is_inner, at[: len(times)], last_opening)
+    closes, closes_error = _meeting(
+        closing_times - openings.open_time, is_inner_of_closing, at[len(times) :], last_opening
+    )
+    margin = openings.per_px * (reach_px + _PATH_PX)
+    around_opening, around_closing = ((margin + error) / (1 - ratio) for error in (opens_error, closes_error))
+    begin, end = (opens + around_opening).clip(max=last_opening), (closes - around_closing).clip(min=0.0)
+    first, last = (opens - around_opening).clip(min=0.0), (closes + around_closing).clip(max=last_opening)
+    return OpenSpans(begin, end + openings.open_time, first, last + openings.open_time)
+
+
+def _zone_times(trails: AnalyticSegments, begin: float, end: float) -> tuple[Float, NDArray[np.bool_]]:
+    """Return times that divide the segments of a part of the exposure evenly, and which lie inside of segments."""
+    marks = np.concatenate([[0.0], np.cumsum(trails.time_fraction)])
+    ends = np.unique(np.concatenate([[begin], marks[(marks > begin) & (marks < end)], [end]]))
+    parts = max(2, -(-_ZONE_TIMES // (len(ends) - 1)))
+    inner = np.arange(parts) / parts
+    times = np.append((ends[:-1, np.newaxis] + np.diff(ends)[:, np.newaxis] * inner).ravel(), end)
+    return times, np.append(np.tile(inner > 0, len(ends) - 1), False)
+
+
+def _opening_times(scene: Scene, times: Float, openings: PixelOpenings) -> Float:
+    """Return when the rows open in which stars are at some times, (n, k); NaN where they are not seen."""
+    trails = scene.trails
+    assert isinstance(trails, AnalyticSegments)
+    table = MotionTable(np.concatenate([[0.0], np.cumsum(trails.time_fraction)]), trails.pointing)
+    in_camera = table.at(times).to_camera(scene.stars.direction_eq[scene.draw_list.index], below_horizon=True)
+    xy_px = scene.camera.pinhole.project(in_camera)
+    return openings.at(xy_px.reshape(-1, 2)).reshape(xy_px.shape[:-1])
+
+
+def _meeting(times: Float, is_inner: NDArray[np.bool_], opens: Float, last: float) -> tuple[Float, Float]:
+    """Return when stars meet the rows that open, and bounds of the error of that row's opening, (k,) both.
+
+    Parameters
+    ----------
+    times : (n,) float64
+    is_inner : (n,) bool
+        Which times are halfway between their neighbours on a smooth path.
+    opens : (n, k) float64
+        When the rows open in which the stars are then; they meet once, where this is the time.
+    last : float
+        When the last row opens.
+
+    Notes
+    -----
+    A line between two times differs from a quadratic by an eighth of the second difference at most; here by a quarter.
+    """
+    inner = np.flatnonzero(is_inner)
+    bend = np.abs(opens[inner - 1] - 2 * opens[inner] + opens[inner + 1]).max(axis=0) / 4
+    late = opens.clip(0.0, last) - times[:, np.newaxis]
+    after = np.argmax(late <= 0, axis=0).clip(1)
+    stars = np.arange(opens.shape[1])
+    early, final = late[after - 1, stars], late[after, stars]
+    step = early / np.maximum(early - final, 1e-30)
+    return times[after - 1] + step * (times[after] - times[after - 1]), bend
 
 
 def open_pieces(scene: Scene, ends: Float, reach_px: Float, openings: PixelOpenings) -> OpenPieces | None:
