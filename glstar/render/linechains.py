@@ -187,9 +187,15 @@ def _while_open(
     share = duration.sum()
     ends_s = (span_s / share) * np.concatenate([[0.0], np.cumsum(duration)])[:, np.newaxis]
     first_px, last_px = (times.positions[k].T[:, np.newaxis] for k in (0, 2))
-    xy_px = np.where(ends_s < times.opens_s, first_px, np.where(ends_s > times.closes_s, last_px, xy_px))
+    # Most of the path is between the opening and the closing of all stars.
+    before = slice(0, int(np.searchsorted(ends_s[:, 0], times.opens_s.max(initial=0.0))))
+    after = slice(int(np.searchsorted(ends_s[:, 0], times.closes_s.min(initial=np.inf), side="right")), None)
+    xy_px = xy_px.copy()
+    xy_px[:, before] = np.where(ends_s[before] < times.opens_s, first_px, xy_px[:, before])
+    xy_px[:, after] = np.where(ends_s[after] > times.closes_s, last_px, xy_px[:, after])
     open_s = np.diff(ends_s.clip(times.opens_s, times.closes_s), axis=0)
-    return xy_px, duration, share * open_s / np.maximum(times.closes_s - times.opens_s, 1e-12)
+    open_s *= share / np.maximum(times.closes_s - times.opens_s, 1e-12)
+    return xy_px, duration, open_s
 
 
 def _density(s: Float, length: Float) -> Float:

@@ -179,22 +179,32 @@ class ConicPaths:
         (2, m) float64
             Of what is in these segments of the time between them; in the undistorted image plane.
         """
-        marks = np.concatenate([[0.0], np.cumsum(self.time_fraction)])[:, np.newaxis].clip(begin, end)
-        duration, whole = np.diff(marks, axis=0), self.time_fraction[:, np.newaxis]
+        ends = np.cumsum(self.time_fraction)
+        starts = ends - self.time_fraction
+        # Segments in the middle are between the times of all stars.
+        first = int(np.searchsorted(starts, begin.max(initial=0.0)))
+        last = max(first, int(np.searchsorted(ends, end.min(initial=np.inf), side="right")))
+        integral_px = np.einsum("s,xsm->xm", self.time_fraction[first:last] / 90, self._ninetieths_px[:, first:last])
+        for others in (slice(0, first), slice(last, len(ends))):
+            if others.start < others.stop:
+                integral_px += self._integral_of(others, starts, begin, end)
+        return np.asarray(integral_px)
+
+    def _integral_of(self, segments: slice, starts: Float, begin: Float, end: Float) -> Float:
+        """Return the integral over some of the segments, given the starts of all: see `integral_between`."""
+        whole = self.time_fraction[segments, np.newaxis]
+        begins = starts[segments, np.newaxis].clip(begin, end)
+        duration = (starts[segments, np.newaxis] + whole).clip(begin, end) - begins
         is_whole = duration > whole * (1 - _ROUNDING)
-        means_px = self._ninetieths_px * (np.where(is_whole, duration, 0.0) / 90)
-        integral_px = means_px.sum(axis=1)
-        segment, star = np.nonzero((duration > 0) & ~is_whole)
-        starts = np.cumsum(self.time_fraction) - self.time_fraction
-        u = (
-            marks[segment, star] - starts[segment] + duration[segment, star] * QUADRATURE_NODES[:, np.newaxis]
-        ) / self.time_fraction[segment]
+        means_px = self._ninetieths_px[:, segments] * (np.where(is_whole, duration, 0.0) / 90)
+        row, star = np.nonzero((duration > 0) & ~is_whole)
+        segment, part = row + segments.start, duration[row, star]
+        u = (begins[row, star] - starts[segment] + part * QUADRATURE_NODES[:, np.newaxis]) / self.time_fraction[segment]
         parameter = parameter_at(u, self.weight[segment])
-        at_partial = tuple(of[:, segment, star][:, np.newaxis] for of in self._weighted)
-        start, rate, bend = _quadratics(*at_partial)
+        start, rate, bend = _quadratics(*(of[:, segment, star][:, np.newaxis] for of in self._weighted))
         xy_px = _projected(self.camera.pinhole, start + parameter * (rate + parameter * bend))
-        light_px = duration[segment, star] * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px)
-        return np.asarray(integral_px + [np.bincount(star, of, minlength=len(begin)) for of in light_px])
+        light_px = part * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px)
+        return np.asarray(means_px.sum(axis=1) + [np.bincount(star, of, minlength=len(begin)) for of in light_px])
 
     @cached_property
     def _ninetieths_px(self) -> Float:
