@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
+from glstar.flight import AttitudeTrack
 from glstar.render.cameramotion import CameraMotion
 from glstar.render.pointing import Pointing
 
@@ -15,9 +16,10 @@ __all__ = ["MotionTable"]
 
 Float = NDArray[np.float64]
 
-# Longest part of an exposure in which the orientation is a quadratic function of time, s: of a rotation by 381 deg/s
-# the third-order term is 3e-7 rad.
-_STEP_S: Final = 5e-3
+# Largest rotation in a part of an exposure, rad: there the third-order term, which a quadratic lacks, is 3e-7 rad.
+_STEP_RAD: Final = 0.033
+# Longest part between the samples of a spline, whose rate varies between them, s.
+_SPLINE_STEP_S: Final = 5e-3
 # Exposures of more samples of the log would spend more time on the table than it saves.
 _MAX_PARTS: Final = 2000
 
@@ -41,14 +43,17 @@ class MotionTable:
     @classmethod
     def of(cls, motion: CameraMotion, exposure: Exposure) -> Self | None:
         """Return the table of an exposure; None of one that has too many parts."""
-        samples_s = motion.flight.attitude.utc_s
-        first, last = np.searchsorted(samples_s, [exposure.start_utc_s, exposure.stop_utc_s])
-        steps = np.arange(1, np.ceil(exposure.span_s / _STEP_S)) * _STEP_S
+        attitude = motion.flight.attitude
+        first, last = np.searchsorted(attitude.utc_s, [exposure.start_utc_s, exposure.stop_utc_s])
+        step_s = _STEP_RAD / max(_fastest_rad_per_s(attitude, first, last), _STEP_RAD)
+        if attitude.interpolation != "slerp":
+            step_s = min(step_s, _SPLINE_STEP_S)
+        steps = np.arange(1, np.ceil(exposure.span_s / step_s)) * step_s
         if last - first + len(steps) > _MAX_PARTS:
             return None
-        inside_s = np.append(samples_s[first:last] - exposure.start_utc_s, steps)
+        inside_s = np.append(attitude.utc_s[first:last] - exposure.start_utc_s, steps)
         ends_s = np.unique(np.concatenate([[0.0], inside_s.clip(0.0, exposure.span_s), [exposure.span_s]]))
-        if motion.flight.attitude.interpolation != "slerp":
+        if attitude.interpolation != "slerp":
             ends_s = np.sort(np.append(ends_s, (ends_s[1:] + ends_s[:-1]) / 2))
         times_s = np.empty(2 * len(ends_s) - 1)
         times_s[::2], times_s[1::2] = ends_s, (ends_s[1:] + ends_s[:-1]) / 2
@@ -81,3 +86,11 @@ class MotionTable:
             velocity_eq=values[:, 12:15],
             pole_eq=None if self.pointing.pole_eq is None else values[:, 15:],
         )
+
+
+def _fastest_rad_per_s(attitude: AttitudeTrack, first: int, last: int) -> float:
+    """Return the largest turn rate between samples, from the one before the first to the last."""
+    some = slice(max(first - 1, 0), last + 1)
+    q = attitude.q_body_ned[some]
+    half_rad = np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", q[1:], q[:-1])), 1.0))
+    return float((2 * half_rad / np.diff(attitude.utc_s[some])).max(initial=0.0))

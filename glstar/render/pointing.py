@@ -218,7 +218,7 @@ class Pointing:
             Vectors right, down and along the optical axis; NaN below the apparent horizon unless `below_horizon`.
         """
         direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
-        sine_altitude = np.sum(self.zenith_eq * direction, axis=1)
+        sine_altitude = np.einsum("ni,ni->n", self.zenith_eq, direction)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         if not below_horizon:
             refraction = np.where(self._height(sine_altitude, refraction) < 0, np.nan, refraction)

@@ -42,9 +42,9 @@ _GRID: Final = 65
 _COARSE_GRID: Final = 17
 # A star is slow if it needs for a row more than twice the time after which the next one opens.
 _SLOW: Final = 0.5
-# Steps of the search, at most: it converges to nanoseconds.  It ends when all stars are this near, s.
+# Steps of the search, at most.  When all stars are this near, s, the last one is a line, which leaves 1e-9 s and 1e-5 px.
 _STEPS: Final = 6
-_EXACT_S: Final = 1e-10
+_NEARLY_S: Final = 1e-6
 # Half the time over which the angular rate of the camera is measured, s.
 _RATE_STEP_S: Final = 5e-4
 # A closing and the next opening that differ by less are the same time, s: twenty times the error of the search.
@@ -376,19 +376,23 @@ class RowTimeSearch:
         low_s, high_s = self._grid_s[after - 1], self._grid_s[after]
         low, high = since_opening_s[after - 1, each] - open_for_s, since_opening_s[after, each] - open_for_s
         middle_s, last_s, last = _between(low_s, low, high_s, high), low_s, low
-        for _ in range(_STEPS):
+        last_px = np.zeros((2 * stars, 2))
+        for step in range(_STEPS):
             xy_px = self._positions(direction_eq, middle_s)
             value = middle_s - self._delay_s(xy_px) - open_for_s
-            if np.abs(value).max() < _EXACT_S:
+            moved_s = middle_s - last_s
+            secant_s = -value * _quotient(moved_s, value - last)
+            if step and np.abs(value).max() < _NEARLY_S:
+                xy_px += (xy_px - last_px) * _quotient(secant_s, moved_s)[:, np.newaxis]
+                middle_s = middle_s + secant_s
                 break
             is_low = value < 0
             low_s, low = np.where(is_low, middle_s, low_s), np.where(is_low, value, low)
             high_s, high = np.where(is_low, high_s, middle_s), np.where(is_low, high, value)
-            # The secant, or regula falsi where it leaves the bracket.
-            secant_s = middle_s - value * _quotient(middle_s - last_s, value - last)
-            last_s, last = middle_s, value
-            is_inside = (secant_s > low_s) & (secant_s < high_s)
-            middle_s = np.where(is_inside, secant_s, _between(low_s, low, high_s, high))
+            last_s, last, last_px = middle_s, value, xy_px
+            # Regula falsi where the secant leaves the bracket.
+            is_inside = (middle_s + secant_s > low_s) & (middle_s + secant_s < high_s)
+            middle_s = np.where(is_inside, middle_s + secant_s, _between(low_s, low, high_s, high))
         return middle_s.reshape(2, stars), xy_px.reshape(2, stars, 2)
 
     def _open_s(self, since_opening_s: Float, opens_s: Float, closes_s: Float) -> Float:

@@ -30,11 +30,15 @@ def test_the_table_has_the_orientation_of_the_attitude_at_any_time(simulator):
     np.testing.assert_allclose(table.velocity_eq, expected.velocity_eq, rtol=0, atol=1e-12)
 
 
-def test_an_exposure_of_very_many_samples_has_no_table():
-    assert (
-        MotionTable.of(rough(200.0).motion, replace(EXPOSURE, start_utc_s=EXPOSURE.start_utc_s - 60.0, duration_s=60.0))
-        is None
-    )
+def test_an_exposure_of_very_many_parts_has_no_table():
+    long = replace(EXPOSURE, start_utc_s=EXPOSURE.start_utc_s - 600.0, duration_s=600.0)
+    assert MotionTable.of(rough(200.0).motion, long) is None
+
+
+def test_a_slow_exposure_needs_no_more_parts_than_the_log_has_intervals():
+    turn = flown(SECOND, np.deg2rad([5.0 * SECOND, 0 * SECOND, SECOND]))
+    table = MotionTable.of(turn.motion, replace(EXPOSURE, readout_s=0.05))
+    assert len(table.ends_s) <= (EXPOSURE.duration_s + 0.05) / 0.02 + 3
 
 
 def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():
