@@ -42,7 +42,7 @@ _GRID: Final = 65
 _COARSE_GRID: Final = 17
 # A star is slow if it needs for a row more than twice the time after which the next one opens.
 _SLOW: Final = 0.5
-# Steps of the search, at most.  When all stars are this near, s, the last one is a line, which leaves 1e-9 s and 1e-5 px.
+# Steps of the search, at most.  When all stars are this near, s, the last one is a line: it leaves 1e-9 s and 1e-5 px.
 _STEPS: Final = 6
 _NEARLY_S: Final = 1e-6
 # Half the time over which the angular rate of the camera is measured, s.
