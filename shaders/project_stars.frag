@@ -9,8 +9,7 @@
 // STARS_PER_ROW: columns of the texture of stars.
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_PER_ROW
-// Of each column: the star's index, its truncation radius, px, and transmission; when it rises and sets, and the first
-// segment that is drawn of it, to which row 0 belongs.
+// Of each column: the star's index, its truncation radius, px, and transmission; when it rises and sets.
 uniform sampler2D chosen;
 uniform int       last_time;
 
@@ -24,10 +23,10 @@ void main() {
     int index = int(choice.x);
     vec4 star = texelFetch(stars, ivec2(index % STARS_PER_ROW, index / STARS_PER_ROW), 0);
 
-    vec3 part = texelFetch(chosen, ivec2(texel.x, 1), 0).rgb;
-    Observed seen = observed(star.xyz, 2 * int(part.z) + min(texel.y, last_time));
+    vec2 rises_and_sets = texelFetch(chosen, ivec2(texel.x, 1), 0).rg;
+    Observed seen = observed(star.xyz, min(texel.y, last_time));
     bool in_front = seen.in_camera.z > 1e-9;
     vec2 xy_px = target_position_px(seen.in_camera.xy / (in_front ? seen.in_camera.z : 1.0));
-    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, part.xy)
+    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, rises_and_sets)
                                     : vec4(xy_px, 0.0, in_front ? seen.in_camera.z : 0.0);
 }

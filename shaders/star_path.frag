@@ -22,7 +22,6 @@
 // Where a long segment continues smoothly into the next, neither has an end: they meet at a joint across the path, whose
 // corners both read from `joint`, so that every pixel belongs to exactly one of them.
 
-// ENDS: 1 for parts of trails near the opening and closing of their rows, whose segments are all drawn by trail_rows.vert.
 // ALL_SHORT: 1 if all segments are SHORT; joints and boundaries are not read then.
 
 // SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
@@ -32,7 +31,6 @@ uniform sampler2D passage;        // transmission of cloud by star (column) and 
 uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends; start
 uniform int   last_time;
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
-uniform float effective_sigma_px;     // and of the star as the pixels of the target record it
 uniform float image_sigma_px;     // and as those of the image do: behind a lens, resampling widens what is drawn here
 uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
@@ -58,26 +56,13 @@ layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OP
 #include "trail_constants.glsl"
 #include "rasterization.glsl"
 #include "two_gaussians.glsl"
-#include "gaussian_tail.glsl"
+#include "drawn_fraction.glsl"
 #if ROWS
 #include "readout.glsl"
 #endif
 
 #if ROWS == 2
 uniform float opening_per_px;     // largest change of the opening time per pixel
-#endif
-
-#if ROWS
-uniform sampler2D chosen;         // of project_stars.frag
-
-// The segment in row 0 of a column.
-int first_segment(int star) {
-    return int(texelFetch(chosen, ivec2(star, 1), 0).b);
-}
-#else
-int first_segment(int star) {
-    return 0;
-}
 #endif
 
 const float ROUNDING = 1e-6;      // of times
@@ -117,32 +102,13 @@ float parameter_at(float u, float weight) {
     return 0.5 + 0.5 * x * (1.0 + x2 * (0.3333333 + 0.1333333 * x2)) / (1.0 + angle2 * (0.3333333 + 0.1333333 * angle2));
 }
 
-// Tail of the Gaussian of a star beyond a distance, and the integral of tails from there, in standard deviations.
-vec2 gaussian_tail(float distance_px) {
-    return unit_gaussian_tail(distance_px / effective_sigma_px);
-}
-
-// Fraction of a path's flux between two bounds along an axis, both at the same distance from the path's ends.
-float fraction_within(float distance_px, float extent_px) {
-    float extent = max(extent_px / effective_sigma_px, 0.1);
-    return 1.0 - 2.0 * (gaussian_tail(distance_px).y - gaussian_tail(distance_px + extent * effective_sigma_px).y) / extent;
-}
-
-// Fraction of the flux of a path inside a square that encloses it.
-float fraction_in_square(float side_px, vec2 extent_px) {
-    vec2 distance_px = 0.5 * (side_px - extent_px);
-    return fraction_within(distance_px.x, extent_px.x) * fraction_within(distance_px.y, extent_px.y);
-}
-
 // A SHORT path: two Gaussians.
 void two_gaussians(inout Path path, vec2 chord, vec2 ahead, float peak_dn, float radius_px) {
     vec2 mean = path.start_px + 0.5 * chord + ahead * (4.0 * (0.25 - OFFSET * OFFSET - VARIANCE));
     vec2 relative;
     path.shape = vec4(widening_per_px(chord + RATE_CHANGE * ahead, sigma_px, relative.x),
                       widening_per_px(chord - RATE_CHANGE * ahead, sigma_px, relative.y));
-    vec2 extent_px = abs(chord);
-    float margin_px = radius_px + SNAPPING_PX, side_px = 2.0 * (margin_px + OFFSET * max(extent_px.x, extent_px.y));
-    float drawn_fraction = fraction_in_square(side_px, extent_px);
+    float margin_px = radius_px + SNAPPING_PX, drawn_fraction = fraction_of_two_gaussians(margin_px, chord);
     vec2 amplitudes_dn = 0.5 * peak_dn / drawn_fraction * relative;
     path.amplitude_dn = peak_dn / drawn_fraction;
     path.chord = vec4(mean - OFFSET * chord, mean + OFFSET * chord);
@@ -213,11 +179,11 @@ void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_durati
     bool always = bounds.y <= begin + ROUNDING && bounds.x + open_time >= end - ROUNDING;
     vec2 lit = clamp((vec2(bounds.x, bounds.y + open_time) - begin) / max(end - begin, ROUNDING), 0.0, 1.0);
     path.times = vec4(begin, 1.0 / max(end - begin, 1e-9), is_short ? lit : lengths_at(lit, path.flux.y, path.flux.z));
-    if (never || (always && ENDS == 0)) {
+    if (never || always) {
         path.flux.w = never ? NOTHING : path.flux.w;
         return;
     }
-    if (ENDS == 0 && is_short && is_open_alike(bounds, begin, end, length(chord))) {
+    if (is_short && is_open_alike(bounds, begin, end, length(chord))) {
         float opens = opening_at(path.start_px + 0.5 * chord + ahead + 0.5);
         vec2 elapsed = (vec2(opens, opens + open_time) - begin) / (end - begin);
         TwoGaussians recorded = part_of_motion(elapsed, path.start_px, chord, ahead, sigma_px, path.amplitude_dn);
@@ -244,9 +210,8 @@ Path path_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_start = projected(star, first), at_middle = projected(star, first + 1), at_end = projected(star, first + 2);
     vec4 of_star = projected(star, last_time + 1);    // brightness, truncation radius, times of rising and setting
-    int row = first + 2 * first_segment(star);
-    float duration = texelFetch(pointing, ivec2(0, row), 0).w, weight = texelFetch(pointing, ivec2(1, row), 0).w;
-    float begin = texelFetch(pointing, ivec2(2, row), 0).w;
+    float duration = texelFetch(pointing, ivec2(0, first), 0).w, weight = texelFetch(pointing, ivec2(1, first), 0).w;
+    float begin = texelFetch(pointing, ivec2(2, first), 0).w;
 
     vec2 within = part_above_horizon((of_star.zw - begin) / duration);
     float rises = within.x, sets = within.y;
@@ -269,7 +234,7 @@ Path path_of(int star, int segment) {
     path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
-    float transmission = texelFetch(passage, min(ivec2(star, row / 2), textureSize(passage, 0) - 1), 0).r;
+    float transmission = texelFetch(passage, min(ivec2(star, segment), textureSize(passage, 0) - 1), 0).r;
     float peak_dn = vmag_0_peak_dn * of_star.x * duration * (sets - rises) * transmission;
 #if ALL_SHORT
     two_gaussians(path, chord, ahead, peak_dn, of_star.y);
@@ -330,7 +295,7 @@ void main() {
 #if ROWS
     times = path.times;
 #endif
-#if ENDS || ALL_SHORT
+#if ALL_SHORT
     boundary = joint = vec4(0.0);
 #else
     boundary = boundary_of(path);

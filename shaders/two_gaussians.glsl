@@ -1,4 +1,4 @@
-// A uniform motion as two Gaussians: star_path.frag, trail_short.frag.
+// A uniform motion as two Gaussians: star_path.frag, end_pieces.vert, trail_short.frag.
 //
 // Two Gaussians at the times 1/2 -+ OFFSET of a uniform motion of duration 1, each as wide as a motion over a time with
 // variance VARIANCE, have its moments up to the seventh order.

@@ -37,12 +37,15 @@ class TrailPieces:
         Duration of each piece as a fraction of the exposure.
     of_segments : (m, n) float64
         Which fraction of each piece lies in each segment of the trails.
+    bounds : (n + 1,) float64
+        Where pieces begin and end, numbers of segments.
     """
 
     pointing: Pointing
     covariance_rad2: Float
     time_fraction: Float
     of_segments: Float
+    bounds: Float
 
     def __len__(self) -> int:
         return len(self.time_fraction)
@@ -90,21 +93,46 @@ class CameraPath:
         chords_px = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=1), axis=-1)).max(axis=-1).ravel()
         return np.concatenate([[0.0], np.cumsum(chords_px)])
 
-    def bounds_of_equal_lengths(self, length_px: float) -> Float:
+    def bounds_of_equal_lengths(self, length_px: float, fewest: int = 1) -> Float:
         """Return the ends of pieces in which the fastest star of the image moves by at most a length.
 
         Parameters
         ----------
         length_px : float
+        fewest : int
+            Number of pieces, at least.
 
         Returns
         -------
         (n + 1,) float64
         """
         elapsed_px = self._elapsed_px
-        pieces = max(1, int(np.ceil(elapsed_px[-1] / length_px)))
+        pieces = max(fewest, int(np.ceil(elapsed_px[-1] / length_px)))
         inner = np.interp(elapsed_px[-1] * np.arange(1, pieces) / pieces, elapsed_px, np.arange(len(elapsed_px)))
         return np.concatenate([[0.0], inner / _CHORDS, [float(len(self._trails))]])
+
+    def times(self, bounds: Float) -> Float:
+        """Return times, numbers of segments, as fractions of the exposure."""
+        marks = np.concatenate([[0.0], np.cumsum(self._trails.time_fraction)])
+        return np.asarray(np.interp(bounds, np.arange(len(marks)), marks))
+
+    def pointings(self, begins: Float, ends: Float) -> Pointing:
+        """Return orientations during some parts of segments.
+
+        Parameters
+        ----------
+        begins, ends : (n,) float64
+            Numbers of segments; each part lies within one.
+
+        Returns
+        -------
+        Pointing
+            At the start, the middle and the end of each part: 3 n times.  The matrices have a factor of nearly 1.
+        """
+        at = np.stack([begins, (begins + ends) / 2, ends], axis=1)
+        segment = np.repeat(at[:, 1].astype(np.intp), 3)
+        C = self._orientation(segment, at.ravel() - segment)
+        return replace(_interpolated(self._trails.pointing, 2 * at.ravel()), C_camera_eq=C)
 
     def moments(self, bounds: Float) -> "PieceMoments":
         """Return the motion during pieces.
@@ -140,9 +168,8 @@ class CameraPath:
         bounds, nodes, C_mean, turn_rad = moments
         covariance_rad2 = nodes.mean(turn_rad[:, :, np.newaxis] * turn_rad[:, np.newaxis])
         pointing = _interpolated(self._trails.pointing, bounds[:-1] + bounds[1:])
-        return TrailPieces(
-            replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, nodes.of_segments(len(self._trails))
-        )
+        of_segments = nodes.of_segments(len(self._trails))
+        return TrailPieces(replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, of_segments, bounds)
 
     def error(self, moments: "PieceMoments", sigma_px: float) -> Float:
         """Return an estimate of the error of the flux of each piece.

@@ -1,32 +1,27 @@
 """Which pieces of a star's trail a rolling shutter records in full, and what remains near its opening and closing.
 
 A piece during which all rows that it lights are open contributes as under a global shutter.  Where a row opens or
-closes during a piece, the fragment has to find the limits of its own row: those parts of the trail are drawn in
-segments.
+closes during a piece, the fragment has to find the limits of its own row: `endpieces`.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.horizoncrossing import NEVER, rise_and_set
+from glstar.render.horizoncrossing import rise_and_set
 from glstar.render.motiontable import MotionTable
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 
 __all__ = [
-    "DividedTrails",
     "OpenPieces",
     "OpenSpans",
     "PixelOpenings",
     "SegmentColumns",
-    "columns_around",
-    "divided_trails",
-    "joined_columns",
     "open_pieces",
     "open_spans",
     "overtaking",
@@ -39,10 +34,12 @@ Float = NDArray[np.float64]
 _ZONE_TIMES: Final = 12
 # Further than a star is drawn, px: what a quadratic between the times of segments may be off.
 _PATH_PX: Final = 0.5
-# Segments are divided where the longest trail is longer than this during each, standard deviations.
-_WORTH_SIGMA: Final = 30.0
+# Of times, fractions of an exposure.
+_ROUNDING: Final = 1e-12
 # Speed of stars relative to that of the readout above which no trail is divided.
 _FASTEST: Final = 0.9
+# Behind a lens, how much wider than the star that is drawn the cut through a path may be: variance, relative.
+_MOST_BLURRED: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +62,16 @@ class PixelOpenings:
     per_px: float
     reach: float
     at: Callable[[Float], Float]
+
+    @property
+    def fastest(self) -> float:
+        """Speed of stars relative to that of the readout above which no trail is divided.
+
+        Behind a lens, pixels are resampled from several rows.  That blurs where faster paths are cut, which trail.frag
+        corrects and trail_short.frag does not.
+        """
+        resampling = self.reach - 1.0
+        return min(_FASTEST, float(np.sqrt(_MOST_BLURRED * resampling / self.reach))) if resampling else _FASTEST
 
 
 class OpenPieces(NamedTuple):
@@ -96,63 +103,23 @@ class SegmentColumns:
     Attributes
     ----------
     star : (c,) intp
-        Index into the draw list; a star may have several parts.
+        Index into the draw list.
     rises_and_sets : (c, 2) float64
         When a part begins and ends, as `horizoncrossing.rise_and_set` has it.
-    first, count : (c,) intp
-        The segments that it touches.
     """
 
     star: NDArray[np.intp]
     rises_and_sets: Float
-    first: NDArray[np.intp]
-    count: NDArray[np.intp]
 
     def of(self, columns: slice | NDArray[np.bool_]) -> "SegmentColumns":
         """Return some of the parts."""
-        return SegmentColumns(
-            self.star[columns], self.rises_and_sets[columns], self.first[columns], self.count[columns]
-        )
-
-    def rows_of(self, of_segments: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a table of all segments by parts, (m, c), in rows from the first segment of each part, (n, c)."""
-        row = np.arange(self.count.max())[:, np.newaxis]
-        segment = np.minimum(self.first + row, len(of_segments) - 1)
-        return np.asarray(of_segments[segment, np.arange(len(self.star))] & (row < self.count))
+        return SegmentColumns(self.star[columns], self.rises_and_sets[columns])
 
 
 def whole_trails(scene: Scene, trails: AnalyticSegments) -> SegmentColumns:
     """Return the whole trails of a scene's stars as parts."""
-    count = len(scene.draw_list)
     rises_and_sets = rise_and_set(trails, scene.stars.direction_eq[scene.draw_list.index])
-    first = np.zeros(count, np.intp)
-    return SegmentColumns(np.arange(count), rises_and_sets, first, np.full(count, len(trails)))
-
-
-def joined_columns(several: Sequence[SegmentColumns], segments: int) -> SegmentColumns | None:
-    """Return the parts of several sets, such that as many segments follow the first of each part as the longest has.
-
-    Parameters
-    ----------
-    several : sequence of SegmentColumns
-    segments : int
-        Number of segments of the whole trails.
-
-    Returns
-    -------
-    SegmentColumns or None
-        None if there are no parts.
-    """
-    first, count = (np.concatenate([getattr(one, name) for one in several]) for name in ("first", "count"))
-    if not len(first):
-        return None
-    earlier = np.minimum(first, segments - count.max())
-    return SegmentColumns(
-        np.concatenate([one.star for one in several]),
-        np.concatenate([one.rises_and_sets for one in several]),
-        earlier,
-        count + first - earlier,
-    )
+    return SegmentColumns(np.arange(len(scene.draw_list)), rises_and_sets)
 
 
 def overtaking(trails: AnalyticSegments, camera: Camera, openings: PixelOpenings) -> float:
@@ -203,7 +170,7 @@ def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSp
     trails = scene.trails
     assert isinstance(trails, AnalyticSegments)
     ratio = overtaking(trails, scene.camera, openings)
-    if ratio > _FASTEST:
+    if ratio > openings.fastest:
         return None
     last_opening = 1.0 - openings.open_time
     times, is_inner = _zone_times(trails, 0.0, last_opening)
@@ -267,93 +234,20 @@ def _meeting(times: Float, is_inner: NDArray[np.bool_], opens: Float, last: floa
     return times[after - 1] + step * (times[after] - times[after - 1]), bend
 
 
-def open_pieces(scene: Scene, ends: Float, reach_px: Float, openings: PixelOpenings) -> OpenPieces | None:
-    """Return which pieces of the trails of a scene's stars are recorded in full.
+def open_pieces(spans: OpenSpans, ends: Float) -> OpenPieces:
+    """Return which pieces of trails are recorded in full.
 
     Parameters
     ----------
-    scene, reach_px, openings
-        As of `open_spans`.
+    spans : OpenSpans
+        When all rows are open that the stars light.
     ends : (n + 1,) float64
         Where pieces begin and end, fractions of the exposure.
 
     Returns
     -------
-    OpenPieces or None
-        None where stars may be as fast as the readout.
+    OpenPieces
     """
-    spans = open_spans(scene, reach_px, openings)
-    if spans is None:
-        return None
-    first = np.searchsorted(ends, np.nan_to_num(spans.begin, nan=1.0))
-    last = np.searchsorted(ends, np.nan_to_num(spans.end, nan=0.0), side="right") - 1
+    first = np.searchsorted(ends, np.nan_to_num(spans.begin, nan=1.0) - _ROUNDING)
+    last = np.searchsorted(ends, np.nan_to_num(spans.end, nan=0.0) + _ROUNDING, side="right") - 1
     return OpenPieces(first, np.maximum(first, last), spans.opens, spans.closes)
-
-
-class DividedTrails(NamedTuple):
-    """The trails of a scene's stars in parts.
-
-    Attributes
-    ----------
-    while_open : SegmentColumns
-        While all rows are open that a star lights.
-    ends : SegmentColumns or None
-        Before and after, of the same stars; None of none.
-    whole : SegmentColumns
-        The trails of the other stars, which rise or set.
-    """
-
-    while_open: SegmentColumns
-    ends: SegmentColumns | None
-    whole: SegmentColumns
-
-
-def divided_trails(scene: Scene, trails: AnalyticSegments, openings: PixelOpenings) -> DividedTrails | None:
-    """Return the trails of a scene in parts; None where that costs more, or stars may be as fast as the readout."""
-    sigma_px, radius_px = scene.sensor.effective_sigma_px, scene.draw_list.truncation_radius_px
-    if trails.longest_trail_px(scene.camera) < _WORTH_SIGMA * sigma_px * len(trails):
-        return None
-    spans = open_spans(scene, openings.reach * radius_px, openings)
-    if spans is None:
-        return None
-    whole = whole_trails(scene, trails)
-    is_split = (whole.rises_and_sets == [0.0, NEVER]).all(axis=1) & (spans.end > spans.begin)
-    of_split = OpenSpans(*(values[is_split] for values in spans))
-    around = _columns_around(trails, whole.star[is_split], of_split)
-    times = np.column_stack([of_split.begin, of_split.end])
-    while_open = replace(whole.of(is_split), rises_and_sets=times)
-    return DividedTrails(while_open, joined_columns([around], len(trails)), whole.of(~is_split))
-
-
-def columns_around(
-    trails: AnalyticSegments, ends: Float, stars: NDArray[np.intp], pieces: OpenPieces
-) -> SegmentColumns:
-    """Return the parts of trails before and after the pieces that are recorded in full.
-
-    Parameters
-    ----------
-    trails : AnalyticSegments
-    ends : (n + 1,) float64
-        Where pieces begin and end, fractions of the exposure.
-    stars : (k,) intp
-        Index of each star in the draw list.
-    pieces : OpenPieces
-        Theirs: of each star at least one.
-
-    Returns
-    -------
-    SegmentColumns
-    """
-    spans = OpenSpans(ends[pieces.first], ends[pieces.last], pieces.opens, pieces.closes)
-    return _columns_around(trails, stars, spans)
-
-
-def _columns_around(trails: AnalyticSegments, stars: NDArray[np.intp], spans: OpenSpans) -> SegmentColumns:
-    """Return the parts of trails from an opening to the begin of another part, and from its end to a closing."""
-    parts = np.concatenate([np.column_stack([spans.opens, spans.begin]), np.column_stack([spans.end, spans.closes])])
-    parts = parts.clip(0.0, 1.0)
-    marks = np.concatenate([[0.0], np.cumsum(trails.time_fraction)])
-    first = (np.searchsorted(marks, parts[:, 0], side="right") - 1).clip(0, len(trails) - 1)
-    last = (np.searchsorted(marks, parts[:, 1]) - 1).clip(0, len(trails) - 1)
-    columns = SegmentColumns(np.tile(stars, 2), parts, first, np.maximum(last - first + 1, 1))
-    return columns.of(parts[:, 1] > parts[:, 0])

@@ -15,8 +15,9 @@ from glstar.camera.sensor import TRUNCATION_DN
 from glstar.render.bodysources import BODIES
 from glstar.render.camerapath import CameraPath, TrailPieces
 from glstar.render.colourscenes import drawn_peak_dn
+from glstar.render.endpieces import EndPieces, end_pieces
 from glstar.render.horizoncrossing import NEVER, rise_and_set
-from glstar.render.openpieces import PixelOpenings, SegmentColumns, columns_around, open_pieces
+from glstar.render.openpieces import PixelOpenings, open_pieces, open_spans
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 
@@ -115,6 +116,8 @@ PIECE_LIMITS: Final = PieceLimits()
 FAINT_LIMITS: Final = PieceLimits(length_sigma=2.4, error=0.01)
 FAINT_PEAK_DN: Final = 40 * TRUNCATION_DN
 PIECE_COSTS: Final = PieceCosts()
+# Under a rolling shutter, the fewest pieces: one that is recorded in part is divided where segments end.
+FEWEST_PIECES: Final = 16
 # Pieces that one point sprite draws.
 PIECES_PER_SPRITE: Final = 4
 # Rasterizers snap points to a grid: rasterization.glsl.
@@ -133,12 +136,16 @@ class ScenePart(NamedTuple):
         With these stars.
     pieces : TrailPieces
     drawn : (2, k) intp or None
-        Under a rolling shutter, the first piece of each star that is drawn, and the one after the last; None for all.
+        Under a rolling shutter, the first piece of each star that is recorded in full, and the one after the last; None
+        for all.
+    ends : EndPieces or None
+        Under a rolling shutter, the pieces of the same stars that are recorded in part.
     """
 
     scene: Scene
     pieces: TrailPieces
     drawn: NDArray[np.intp] | None = None
+    ends: EndPieces | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,13 +159,10 @@ class DividedScene:
     rest : Scene
         Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
         whose sprites would be larger than the driver draws.
-    ends : tuple of SegmentColumns
-        Under a rolling shutter, what is drawn in segments of the stars of each part: see `openpieces`.
     """
 
     parts: tuple[ScenePart, ...]
     rest: Scene
-    ends: tuple[SegmentColumns, ...] = ()
 
 
 def in_pieces(
@@ -192,24 +196,26 @@ def in_pieces(
         return None
     rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
     is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)
-    path, parts, ends, is_rest = CameraPath(trails, scene.camera), [], [], np.ones(len(drawn), np.bool_)
+    path, parts, is_rest = CameraPath(trails, scene.camera), [], np.ones(len(drawn), np.bool_)
     for of_part, limits in _classes(
         trails.longest_trail_px(scene.camera), is_up, is_faint, sensor.effective_sigma_px, costs
     ):
         fits = limits.sprite_px(drawn.truncation_radius_px, sensor.effective_sigma_px) <= largest_point_px
-        part = _part(scene, path, of_part & fits, limits, costs)
+        fewest = 1 if openings is None else FEWEST_PIECES
+        part = _part(scene, path, of_part & fits, limits, costs, fewest)
         if part is None:
             return None
         stars = np.flatnonzero(of_part & fits)
         if openings is not None:
-            recorded = _recorded(part, stars, limits, openings)
+            passage = None if drawn.passage is None else drawn.passage[stars]
+            recorded = _recorded(part, path, passage, limits, openings)
             if recorded is None:
                 return None
-            part, stars, around = recorded
-            ends.append(around)
+            part, is_recorded = recorded
+            stars = stars[is_recorded]
         parts.append(part)
         is_rest[stars] = False
-    return DividedScene(tuple(parts), replace(scene, draw_list=drawn[is_rest]), tuple(ends))
+    return DividedScene(tuple(parts), replace(scene, draw_list=drawn[is_rest]))
 
 
 def _classes(
@@ -233,12 +239,12 @@ def _are_faint(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _part(
-    scene: Scene, path: CameraPath, stars: NDArray[np.bool_], limits: PieceLimits, costs: PieceCosts
+    scene: Scene, path: CameraPath, stars: NDArray[np.bool_], limits: PieceLimits, costs: PieceCosts, fewest: int
 ) -> ScenePart | None:
     """Return some stars in pieces; None where segments cost less."""
     drawn, sigma_px = scene.draw_list[stars], scene.sensor.effective_sigma_px
     most, divided_at = costs.pieces_per_segment * len(path), _unlike_segments(drawn.passage)
-    pieces = _divided(path, sigma_px, limits, most, divided_at)
+    pieces = _divided(path, sigma_px, limits, most, divided_at, fewest)
     if pieces is None:
         return None
     if drawn.passage is not None:
@@ -247,25 +253,29 @@ def _part(
 
 
 def _recorded(
-    part: ScenePart, stars: NDArray[np.intp], limits: PieceLimits, openings: PixelOpenings
-) -> tuple[ScenePart, NDArray[np.intp], SegmentColumns] | None:
-    """Return the stars of a part of which pieces are recorded in full, their indices, and what else is drawn of them.
+    part: ScenePart,
+    path: CameraPath,
+    passage: NDArray[np.float32] | None,
+    limits: PieceLimits,
+    openings: PixelOpenings,
+) -> tuple[ScenePart, NDArray[np.bool_]] | None:
+    """Return the stars of a part of which pieces are recorded in full, with those recorded in part, and which they are.
 
-    None where stars may be as fast as a rolling shutter.
+    `passage` is by segment.  None where stars may be as fast as a rolling shutter.
     """
-    scene, sigma_px = part.scene, part.scene.sensor.effective_sigma_px
-    assert isinstance(scene.trails, AnalyticSegments)
-    times = np.concatenate([[0.0], np.cumsum(part.pieces.time_fraction)])
+    scene, pieces, sigma_px = part.scene, part.pieces, part.scene.sensor.effective_sigma_px
     reach_px = openings.reach * limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
-    recorded = open_pieces(scene, times, reach_px, openings)
-    if recorded is None:
+    spans = open_spans(scene, reach_px, openings)
+    if spans is None:
         return None
+    recorded = open_pieces(spans, path.times(pieces.bounds))
     some = recorded.last > recorded.first
-    recorded = recorded.of(some)
-    part = ScenePart(
-        replace(scene, draw_list=scene.draw_list[some]), part.pieces, np.stack([recorded.first, recorded.last])
+    recorded, drawn = recorded.of(some), scene.draw_list[some]
+    ends = end_pieces(
+        path, pieces.bounds, np.arange(len(drawn)), recorded, passage if passage is None else passage[some]
     )
-    return part, stars[some], columns_around(scene.trails, times, stars[some], recorded)
+    full = np.stack([recorded.first, recorded.last])
+    return ScenePart(replace(scene, draw_list=drawn), pieces, full, ends), some
 
 
 def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:
@@ -308,10 +318,15 @@ def trail_pieces(
 
 
 def _divided(
-    path: CameraPath, sigma_px: float, limits: PieceLimits, most: float, divided_at: NDArray[np.intp]
+    path: CameraPath,
+    sigma_px: float,
+    limits: PieceLimits,
+    most: float,
+    divided_at: NDArray[np.intp],
+    fewest: int = 1,
 ) -> TrailPieces | None:
-    """Return the pieces of a path: see `trail_pieces`."""
-    bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px), divided_at)
+    """Return the pieces of a path, at least some: see `trail_pieces`."""
+    bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px, fewest), divided_at)
     for _ in range(limits.halvings):
         if len(bounds) - 1 > most:
             return None

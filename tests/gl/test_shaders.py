@@ -19,6 +19,8 @@ from tests.gl.test_lens import LENSES
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 COMPILER = shutil.which("glslangValidator")
+LATER_S = NIGHT_UTC_S + 1
+SHORT = Exposure(LATER_S, 0.1)
 
 
 @pytest.fixture
@@ -73,7 +75,9 @@ def compile_all_programs(context: moderngl.Context) -> None:
             draw(renderer, lens)
             for sigma_px in (0.8, 1.2):
                 for trail in ("analytic", "sprites"):
-                    draw(renderer, lens, Sensor(psf_sigma_px=sigma_px), trail, readout_s=0.05)
+                    draw(renderer, lens, Sensor(psf_sigma_px=sigma_px), trail, Exposure(LATER_S, 0.1, readout_s=0.05))
+            # Trails so long that their ends are drawn on their own.
+            draw(renderer, lens, Sensor(), "analytic", Exposure(LATER_S, 0.5, readout_s=0.05), rate_rad_per_s=0.8)
     for shrinks in (0, 1, 2):
         for compares in (0, 1):
             made = program.linked(context, "whole_image.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)
@@ -86,7 +90,10 @@ def draw(
     lens: Lens | None,
     sensor: Sensor | None = None,
     trail: Trail = "auto",
-    readout_s: float = 0.0,
+    exposure: Exposure = SHORT,
+    rate_rad_per_s: float = 0.0,
 ) -> None:
-    simulator = sky_over_adelaide(replace(camera(160, 120, 150.0), lens=lens), sensor=sensor)
-    renderer.render(simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.1, trail=trail, readout_s=readout_s)), seed=0)
+    simulator = sky_over_adelaide(
+        replace(camera(160, 120, 150.0), lens=lens), sensor=sensor, roll_rate_rad_per_s=rate_rad_per_s
+    )
+    renderer.render(simulator.scene(replace(exposure, trail=trail)), seed=0)

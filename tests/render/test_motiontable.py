@@ -38,7 +38,8 @@ def test_an_exposure_of_very_many_parts_has_no_table():
 def test_a_slow_exposure_needs_no_more_parts_than_the_log_has_intervals():
     turn = flown(SECOND, np.deg2rad([5.0 * SECOND, 0 * SECOND, SECOND]))
     table = MotionTable.of(turn.motion, replace(EXPOSURE, readout_s=0.05))
-    assert len(table.ends_s) <= (EXPOSURE.duration_s + 0.05) / 0.02 + 3
+    # Of 0.55 s in intervals of 0.02 s.
+    assert len(table.ends_s) < 35
 
 
 def test_the_integral_of_a_path_between_two_times_is_that_of_many_positions():

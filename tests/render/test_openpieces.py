@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.render.openpieces import PixelOpenings, divided_trails
+from glstar.render.endpieces import divided_trails
+from glstar.render.openpieces import PixelOpenings
 from glstar.render.trailpieces import PieceCosts, in_pieces
 from tests.render.test_pathfit import EXPOSURE, LENS, flown, rough
 
@@ -27,15 +28,23 @@ def openings_of(exposure: Exposure) -> PixelOpenings:
     return PixelOpenings(exposure.duration_s / exposure.span_s, per_px, 1.0, at)
 
 
+def covered_by(ends, star: int, time: np.ndarray) -> np.ndarray:
+    """Return which times lie in the pieces of a star that are recorded in part; none of them overlap."""
+    pieces = ends.piece[ends.star == star]
+    begin, stop = ends.begin[pieces], ends.begin[pieces] + ends.duration[pieces]
+    order = np.argsort(begin)
+    assert (stop[order][:-1] <= begin[order][1:] + 1e-12).all()
+    return ((time >= begin[:, np.newaxis]) & (time <= stop[:, np.newaxis] + 1e-12)).any(axis=0)
+
+
 @pytest.mark.parametrize("readout", ["down", "left"])
-def test_every_piece_is_drawn_while_all_rows_of_the_star_are_open_and_the_rest_in_segments(readout):
+def test_every_piece_is_drawn_while_all_rows_of_the_star_are_open_and_others_in_part(readout):
     exposure = replace(EXPOSURE, readout_s=0.087, readout=readout)
     openings, scene = openings_of(exposure), rough(200.0).scene(exposure)
     divided = in_pieces(scene, scene.trails, FREE, openings=openings)
-    marks, time = np.concatenate([[0.0], np.cumsum(scene.trails.time_fraction)]), np.linspace(0.0, 1.0, TIMES)
-    segment = (np.searchsorted(marks, time, side="right") - 1).clip(0, len(scene.trails) - 1)
-    assert len(divided.parts) == len(divided.ends) > 0
-    for part, columns in zip(divided.parts, divided.ends, strict=True):
+    time = np.linspace(0.0, 1.0, TIMES)
+    assert len(divided.parts) > 0
+    for part in divided.parts:
         drawn = part.scene.draw_list
         ends = np.concatenate([[0.0], np.cumsum(part.pieces.time_fraction)])
         xy_px = scene.positions(scene.stars.direction_eq[drawn.index], time)
@@ -48,17 +57,24 @@ def test_every_piece_is_drawn_while_all_rows_of_the_star_are_open_and_the_rest_i
             in_piece = (time > begin) & (time < stop)
             is_open = (time >= latest) & (time <= earliest + openings.open_time)
             assert is_open[in_piece].all()
-            # Little more than one piece at either end, and what the wings take, is left for segments.
+            # Little more than one piece at either end, and what the wings take, is recorded in part.
             assert np.count_nonzero(is_open & ~in_piece) < TIMES * (4 * np.diff(ends).max() + 6 * reach)
-            mine = scene.draw_list.index[columns.star] == drawn.index[star]
-            assert all(sets == begin or rises == stop for rises, sets in columns.rises_and_sets[mine])
-            is_lit = (time >= earliest) & (time <= latest + openings.open_time) & ((time < begin) | (time > stop))
-            covered = np.zeros(TIMES, np.bool_)
-            for (rises, sets), first, count in zip(
-                columns.rises_and_sets[mine], columns.first[mine], columns.count[mine], strict=True
-            ):
-                covered |= (time >= rises) & (time <= sets) & (segment >= first) & (segment < first + count)
+            covered = covered_by(part.ends, star, time)
+            assert not (covered & (time > begin + 1e-9) & (time < stop - 1e-9)).any()
+            is_lit = (time >= earliest) & (time <= latest + openings.open_time) & ~in_piece
             assert covered[is_lit].all()
+
+
+def test_pieces_that_are_recorded_in_part_lie_within_segments():
+    scene = rough(200.0).scene(replace(EXPOSURE, readout_s=0.087))
+    (part, *_) = in_pieces(scene, scene.trails, FREE, openings=openings_of(scene.exposure)).parts
+    marks = np.concatenate([[0.0], np.cumsum(scene.trails.time_fraction)])
+    begin, end = part.ends.begin, part.ends.begin + part.ends.duration
+    assert (np.searchsorted(marks, begin + 1e-9) == np.searchsorted(marks, end - 1e-9)).all()
+    middle = part.ends.pointing[np.arange(1, 3 * len(begin), 3)]
+    directions = scene.stars.direction_eq[part.scene.draw_list.index[:50]]
+    drawn_px = LENS.project(middle.to_camera(directions))
+    np.testing.assert_allclose(drawn_px, scene.positions(directions, (begin + end) / 2), rtol=0, atol=1e-3)
 
 
 def test_no_trail_is_divided_where_stars_may_be_as_fast_as_the_readout():
@@ -84,9 +100,8 @@ def test_the_parts_of_a_long_trail_in_segments_join_and_the_middle_one_is_lit_in
         inside = (time > begin) & (time < end)
         assert (time[inside] >= latest[inside]).all()
         assert (time[inside] <= earliest[inside] + openings.open_time).all()
-        assert end - begin > openings.open_time - 0.02 - 6 * reach
-        parts = divided.ends.rises_and_sets[divided.ends.star == star]
+        assert end - begin > openings.open_time - 0.03 - 6 * reach
+        covered = covered_by(divided.ends, star, time)
         is_lit = (time >= earliest) & (time <= latest + openings.open_time) & ~inside
-        covered = [(time >= rises) & (time <= sets) for rises, sets in parts]
-        assert not (is_lit & ~np.any(covered, axis=0) & (time != begin) & (time != end)).any()
-        assert all(sets == begin or rises == end for rises, sets in parts)
+        assert not (is_lit & ~covered & (time != begin) & (time != end)).any()
+        assert not (covered & (time > begin + 1e-9) & (time < end - 1e-9)).any()

@@ -1,7 +1,7 @@
 """The path pass: where stars are during the segments of an exposure, as textures."""
 
 from contextlib import ExitStack
-from typing import Final, NamedTuple
+from typing import Final
 
 import moderngl
 import numpy as np
@@ -18,32 +18,17 @@ from glstar.render.scene import Scene
 from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.render.trailmodels import AnalyticSegments
 
-__all__ = ["PathPass", "SegmentKinds", "drawn_sigma_px", "surely_short"]
+__all__ = ["PathPass", "drawn_sigma_px", "surely_short"]
 
 Float32 = NDArray[np.float32]
 
 # Outputs of star_path.frag: the last one is that of a rolling shutter.
 _OUTPUTS: Final = 6
-_UNITS: Final = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
+_UNITS: Final = {"positions": 0, "passage": 1, "pointing": 2}
 # Segments are surely SHORT if their longest is at most this fraction of the limit: stars beside the image are faster.
 _SURELY_SHORT: Final = 0.5
 # Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
-
-
-class SegmentKinds(NamedTuple):
-    """What is known of all segments of a scene: ENDS and ALL_SHORT of star_path.frag.
-
-    Attributes
-    ----------
-    are_ends : bool
-        Whether they are parts of trails near the opening and closing of their rows.
-    are_short : bool
-        Whether they are SHORT.
-    """
-
-    are_ends: bool
-    are_short: bool
 
 
 def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
@@ -98,8 +83,8 @@ class PathPass:
 
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
         self._context = context
-        # By ROWS of readout.glsl and the kinds of segments.
-        self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
+        # By ROWS of readout.glsl and whether all segments are SHORT.
+        self._programs: dict[tuple[int, bool], _PathProgram] = {}
         with ExitStack() as owned:
             self._projection = linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
             owned.callback(self._projection.release)
@@ -116,13 +101,13 @@ class PathPass:
             self._passage = PassageTexture(context)
             owned.callback(self._passage.release)
             owned.callback(self._release_programs)
-            self._kinds = SegmentKinds(are_ends=False, are_short=False)
+            self._are_short = False
             self._path = self._program(0)
             self._owned = owned.pop_all()
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
 
     def set_scene(
-        self, scene: Scene, trails: AnalyticSegments, guard_band_px: int, clock: ReadoutClock, kinds: SegmentKinds
+        self, scene: Scene, trails: AnalyticSegments, guard_band_px: int, clock: ReadoutClock, are_short: bool
     ) -> None:
         """Set the uniforms for a scene.
 
@@ -135,13 +120,14 @@ class PathPass:
             Width of the target's border around the image.
         clock : ReadoutClock
             When the pixels of the target open.
-        kinds : SegmentKinds
+        are_short : bool
+            Whether all segments are SHORT.
         """
         sensor = scene.sensor
         sigma_px = drawn_sigma_px(sensor)
         peak = (sensor.psf_sigma_px / sigma_px) ** 2
         set_uniforms(self._projection, **projection_uniforms(scene.camera, trails.pointing, guard_band_px))
-        self._kinds = kinds
+        self._are_short = are_short
         self._path = self._program(clock.rows)
         program = self._path.program
         uniforms = {
@@ -172,7 +158,7 @@ class PathPass:
         Parameters
         ----------
         number : int
-            The textures hold until the next call with the same number and kinds.
+            The textures hold until the next call with the same number and kind.
         field : moderngl.Texture
             All stars.
         chosen : (2, c, 3) float32
@@ -197,9 +183,8 @@ class PathPass:
         positions = self._positions.filled(self._all_positions, stars, times + 1)
         positions[0].use(_UNITS["positions"])
         self._passage.texture.use(_UNITS["passage"])
-        self._chosen.use(_UNITS["chosen"])
         # Long segments have a joint at their end too.
-        rows = segments if self._kinds.are_short else segments + 1
+        rows = segments if self._are_short else segments + 1
         filled = self._path.table(number).filled(self._path.vertices, stars, rows)
         # Software OpenGL waits here for that pass.  Otherwise it would interrupt what is being drawn when that reads
         # the textures.
@@ -207,7 +192,7 @@ class PathPass:
         return filled
 
     def _program(self, rows: int) -> "_PathProgram":
-        key = rows, self._kinds
+        key = rows, self._are_short
         if key not in self._programs:
             program = linked(
                 self._context,
@@ -217,8 +202,7 @@ class PathPass:
                 MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
                 MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
                 ROWS=rows,
-                ENDS=int(self._kinds.are_ends),
-                ALL_SHORT=int(self._kinds.are_short),
+                ALL_SHORT=int(self._are_short),
             )
             set_used_uniforms(program, **_UNITS)
             self._programs[key] = _PathProgram(self._context, program, _OUTPUTS if rows else _OUTPUTS - 1)

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from glstar.camera.sensor import Sensor
 from glstar.render.colourscenes import cell_tints
+from glstar.render.endpieces import divided_trails
 from glstar.render.opengl.drawqueue import DrawQueue
-from glstar.render.opengl.pathpass import PathPass, SegmentKinds, drawn_sigma_px, surely_short
+from glstar.render.opengl.endpass import EndPass
+from glstar.render.opengl.pathpass import PathPass, drawn_sigma_px, surely_short
 from glstar.render.opengl.piecepass import PiecePass
 from glstar.render.opengl.pointingtexture import pointing_texels
 from glstar.render.opengl.program import linked, set_used_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.startextures import StarTextures
-from glstar.render.openpieces import SegmentColumns, divided_trails, joined_columns, whole_trails
+from glstar.render.openpieces import SegmentColumns, whole_trails
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.render.trailpieces import in_pieces
@@ -134,6 +136,8 @@ class TrailPass:
         self._tints = self._texture((_STARS_PER_CALL, 1), 4)
         self._piece_pass = PiecePass(context, self._stars)
         self._owned.callback(self._piece_pass.release)
+        self._end_pass = EndPass(context, self._stars)
+        self._owned.callback(self._end_pass.release)
 
     def draw(
         self,
@@ -166,12 +170,11 @@ class TrailPass:
             self._draw_trails(scene, trails, queue, guard_band_px, clock)
             return
         # The last bits of a sum depend on its order, which stays as it is.
-        ends = joined_columns(divided.ends, len(trails)) if divided.ends else None
-        if ends is not None:
-            self._draw_segments(scene, trails, queue, guard_band_px, clock, ends, ends=True)
         if clock.rows and len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
         for part in divided.parts:
+            if part.ends is not None:
+                queue.add(partial(self._end_pass.draw, part.scene, part.ends, queue.light, guard_band_px, clock))
             queue.add(partial(self._piece_pass.draw, part, queue.light, guard_band_px, clock))
         if not clock.rows and len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
@@ -190,8 +193,7 @@ class TrailPass:
         if divided is None:
             self._draw_segments(scene, trails, queue, guard_band_px, clock)
             return
-        if divided.ends is not None:
-            self._draw_segments(scene, trails, queue, guard_band_px, clock, divided.ends, ends=True)
+        queue.add(partial(self._end_pass.draw, scene, divided.ends, queue.light, guard_band_px, clock))
         for parts, how in ((divided.while_open, replace(clock, rows=0)), (divided.whole, clock)):
             if len(parts.star):
                 self._draw_segments(scene, trails, queue, guard_band_px, how, parts)
@@ -204,12 +206,10 @@ class TrailPass:
         guard_band_px: int,
         clock: ReadoutClock,
         parts: SegmentColumns | None = None,
-        *,
-        ends: bool = False,
     ) -> None:
-        """Draw the trails of a scene, or parts of them, in segments; ends have at most `_SEGMENTS_PER_CALL`."""
-        kinds = SegmentKinds(ends, surely_short(scene, trails))
-        self._path_pass.set_scene(scene, trails, guard_band_px, clock, kinds)
+        """Draw the trails of a scene, or parts of them, in segments."""
+        are_short = surely_short(scene, trails)
+        self._path_pass.set_scene(scene, trails, guard_band_px, clock, are_short)
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
         parts = whole_trails(scene, trails) if parts is None else parts
@@ -223,13 +223,11 @@ class TrailPass:
                 segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
                 passage = None if drawn.passage is None else drawn.passage[stars, segments].T
                 near = _near_image(scene, trails, times, stars)
-                if ends:
-                    near = parts.of(some).rows_of(near)
                 if near.size > _MOST_WAITING_TEXELS or len(queue) > _MOST_WAITING:
                     queue.run()
                 filled = self._path_pass.filled(len(queue), field, chosen[:, some], passage, len(near))
                 of_columns = None if tints is None else tints[drawn.index[stars]]
-                queue.add(partial(self._draw, scene.sensor, clock, queue.light, filled, of_columns, near, kinds))
+                queue.add(partial(self._draw, scene.sensor, clock, queue.light, filled, of_columns, near, are_short))
 
     def _draw(
         self,
@@ -239,10 +237,10 @@ class TrailPass:
         paths: list[moderngl.Texture],
         tints: NDArray[np.float32] | None,
         near: NDArray[np.bool_],
-        kinds: SegmentKinds,
+        are_short: bool,
     ) -> None:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
-        draw_passes = self._passes_with_uniforms(sensor, clock, light, kinds)
+        draw_passes = self._passes_with_uniforms(sensor, clock, light, are_short)
         for location, texture in enumerate(paths):
             texture.use(location)
         if tints is not None:
@@ -260,7 +258,7 @@ class TrailPass:
         self._context.enable_only(moderngl.NOTHING)
 
     def _passes_with_uniforms(
-        self, sensor: Sensor, clock: ReadoutClock, light: moderngl.Framebuffer, kinds: SegmentKinds
+        self, sensor: Sensor, clock: ReadoutClock, light: moderngl.Framebuffer, are_short: bool
     ) -> list[_DrawPass]:
         """Return the draw passes for a sensor, after setting their uniforms."""
         sigma_px = drawn_sigma_px(sensor)
@@ -271,7 +269,7 @@ class TrailPass:
             "sigma_px": sigma_px,
         }
         draw_passes = self._draw_passes_of(sensor.needs_erf, sensor.colour.mosaic != "none", clock.rows)
-        draw_passes = [one for one in draw_passes if _has(kinds, one.shape)]
+        draw_passes = [one for one in draw_passes if one.shape.number == 0 or not are_short]
         for program, *_ in draw_passes:
             set_used_uniforms(program, **uniforms)
             clock.bind(program, sigma_px)
@@ -313,11 +311,6 @@ class TrailPass:
         self._owned.close()
 
 
-def _has(kinds: SegmentKinds, shape: _Shape) -> bool:
-    """Return whether any segment of a scene has a shape."""
-    return (shape in _ROW_SHAPES or not kinds.are_ends) and (shape.number == 0 or not kinds.are_short)
-
-
 def _segment_texels(trails: AnalyticSegments) -> NDArray[np.float32]:
     """Return the texture of orientations, (2 m + 1, 5, 4) float32, with durations, weights and starts of segments."""
     texels = pointing_texels(trails.pointing)
@@ -332,7 +325,7 @@ def _texels_of_parts(scene: Scene, parts: SegmentColumns) -> NDArray[np.float32]
     drawn = scene.draw_list
     texels = np.zeros((2, len(parts.star), 3), np.float32)
     texels[0] = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission])[parts.star]
-    texels[1] = np.column_stack([parts.rises_and_sets, parts.first])
+    texels[1, :, :2] = parts.rises_and_sets
     return texels
 
 
