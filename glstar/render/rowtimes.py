@@ -37,9 +37,10 @@ Float = NDArray[np.float64]
 _TIME_DIGITS: Final = 8
 _FLUX_DIGITS: Final = 6
 
-# Times of an exposure between which openings and closings are searched: of slow stars, which cross each once, a few.
+# Times of an exposure between which openings and closings are searched; of slow stars, which cross each once, those
+# while rows open and while rows close.
 _GRID: Final = 65
-_COARSE_GRID: Final = 17
+_ZONE_GRID: Final = 6
 # A star is slow if it needs for a row more than twice the time after which the next one opens.
 _SLOW: Final = 0.5
 # Steps of the search, at most.  When all stars are this near, s, the last one is a line: it leaves 1e-9 s and 1e-5 px.
@@ -277,16 +278,18 @@ class RowTimeSearch:
         return MotionTable.of(self._motion, self._scene.exposure)
 
     @cached_property
-    def _grid_s(self) -> Float:
-        """Times between which openings and closings are searched, (n,) s after the start of the exposure."""
-        count = _GRID if self._may_overtake_rows else _COARSE_GRID
-        return np.linspace(0.0, self._scene.exposure.span_s, count)
+    def _grids_s(self) -> Float:
+        """Times between which openings and closings are searched, (2, n) s after the start of the exposure."""
+        exposure = self._scene.exposure
+        if self._may_overtake_rows:
+            return np.tile(np.linspace(0.0, exposure.span_s, _GRID), (2, 1))
+        zone_s = np.linspace(0.0, exposure.readout_s, _ZONE_GRID)
+        return np.stack([zone_s, zone_s + (exposure.span_s - exposure.readout_s)])
 
     @cached_property
     def _grid_pointing(self) -> Pointing:
-        if self._table is None:
-            return _pointing(self._scene.exposure, self._motion, self._grid_s)
-        return self._table.at(self._grid_s)
+        times_s = self._grids_s.ravel()
+        return self._table.at(times_s) if self._table is not None else self._pointing(times_s)
 
     @property
     def _may_overtake_rows(self) -> bool:
@@ -312,7 +315,9 @@ class RowTimeSearch:
         (opens_s, closes_s), (at_opening, at_closing) = self._crossings(direction_eq, since_opening_s)
         middle_s = (opens_s + closes_s) / 2
         positions = np.stack([at_opening, self._positions(direction_eq, middle_s), at_closing])
-        exposed_s = self._open_s(since_opening_s, opens_s, closes_s)
+        exposed_s = closes_s - opens_s
+        if self._may_overtake_rows:
+            exposed_s = self._open_s(since_opening_s[0], exposed_s)
         return RecordedTimes(opens_s, closes_s, exposed_s, positions, middle_s - exposure.span_s / 2, self)
 
     def _joined(self, direction_eq: Float, shorts: Sequence[RecordedTimes]) -> RecordedTimes:
@@ -325,7 +330,7 @@ class RowTimeSearch:
             at_once = np.abs(next_s + after.opens_s - start_s - before.closes_s) < _AT_ONCE_S
             before.positions[2, at_once] = after.positions[0, at_once]
         middle_s = (opens_s + closes_s) / 2
-        at_middle = _pointing(exposure, self._motion, middle_s).each_to_camera(direction_eq)
+        at_middle = self._pointing(middle_s).each_to_camera(direction_eq)
         return RecordedTimes(
             opens_s,
             closes_s,
@@ -338,19 +343,25 @@ class RowTimeSearch:
 
     def in_camera(self, direction_eq: Float, since_s: Float) -> Float:
         """Return the direction of each star at a time of its own, (k, 3), in the camera frame."""
-        if self._table is None:
-            return _pointing(self._scene.exposure, self._motion, since_s).each_to_camera(direction_eq)
-        return self._table.at(since_s).each_to_camera(direction_eq)
+        pointing = self._table.at(since_s) if self._table is not None else self._pointing(since_s)
+        return pointing.each_to_camera(direction_eq)
+
+    def _pointing(self, since_s: Float) -> Pointing:
+        """Return the camera's orientation at some times after the start of the exposure, without the table."""
+        exposure = self._scene.exposure
+        (pointing,) = self._motion.pointings(np.minimum(exposure.start_utc_s + since_s, exposure.stop_utc_s))
+        return pointing
 
     def _positions(self, direction_eq: Float, since_s: Float) -> Float:
         """Return the position of each star at a time of its own, (k, 2) px."""
         return self._scene.camera.project(self.in_camera(direction_eq, since_s))
 
     def _since_opening_s(self, direction_eq: Float) -> Float:
-        """Return how long the row of each star has been open at the times of the grid, (n, k) s."""
+        """Return how long the row of each star has been open at the times of both grids, (2, n, k) s."""
         blocks = self._grid_pointing.blocks(len(direction_eq))
         xy_px = [self._scene.camera.project(block.to_camera(direction_eq)) for block in blocks]
-        return self._grid_s[:, np.newaxis] - self._delay_s(np.concatenate(xy_px))
+        delay_s = self._delay_s(np.concatenate(xy_px))
+        return self._grids_s[:, :, np.newaxis] - delay_s.reshape(*self._grids_s.shape, len(direction_eq))
 
     def _crossings(self, direction_eq: Float, since_opening_s: Float) -> tuple[Float, Float]:
         """Return when the row of each star opens for the first and closes for the last time, and where the star is.
@@ -358,7 +369,7 @@ class RowTimeSearch:
         Parameters
         ----------
         direction_eq : (k, 3) float64
-        since_opening_s : (n, k) float64
+        since_opening_s : (2, n, k) float64
 
         Returns
         -------
@@ -367,14 +378,15 @@ class RowTimeSearch:
         xy_px : (2, k, 2) float64
             Positions then.
         """
-        count, (_, stars) = len(self._grid_s), since_opening_s.shape
+        _, count, stars = since_opening_s.shape
         duration_s = self._scene.exposure.duration_s
-        opening = np.argmax(since_opening_s >= 0, axis=0)
-        closing = count - np.argmax(since_opening_s[::-1] <= duration_s, axis=0)
-        after, each = np.concatenate([opening, closing]).clip(1, count - 1), np.tile(np.arange(stars), 2)
-        open_for_s, direction_eq = np.repeat([0.0, duration_s], stars), np.tile(direction_eq, (2, 1))
-        low_s, high_s = self._grid_s[after - 1], self._grid_s[after]
-        low, high = since_opening_s[after - 1, each] - open_for_s, since_opening_s[after, each] - open_for_s
+        opening = np.argmax(since_opening_s[0] >= 0, axis=0)
+        closing = count - np.argmax(since_opening_s[1, ::-1] <= duration_s, axis=0)
+        after = np.concatenate([opening, closing]).clip(1, count - 1)
+        which, each = np.repeat([0, 1], stars), np.tile(np.arange(stars), 2)
+        open_for_s, direction_eq = which * duration_s, np.tile(direction_eq, (2, 1))
+        low_s, high_s = self._grids_s[which, after - 1], self._grids_s[which, after]
+        low, high = (since_opening_s[which, at, each] - open_for_s for at in (after - 1, after))
         middle_s, last_s, last = _between(low_s, low, high_s, high), low_s, low
         last_px = np.zeros((2 * stars, 2))
         for step in range(_STEPS):
@@ -395,18 +407,20 @@ class RowTimeSearch:
             middle_s = np.where(is_inside, middle_s + secant_s, _between(low_s, low, high_s, high))
         return middle_s.reshape(2, stars), xy_px.reshape(2, stars, 2)
 
-    def _open_s(self, since_opening_s: Float, opens_s: Float, closes_s: Float) -> Float:
-        """Return how long the row of each star is open, (k,) s, also if it crosses the opening rows several times."""
+    def _open_s(self, since_opening_s: Float, exposed_s: Float) -> Float:
+        """Return how long the row of each star is open, (k,) s, also if it crosses the opening rows several times.
+
+        `exposed_s` is the time from its opening to its closing, and `since_opening_s` that of the grid, (n, k).
+        """
         is_monotonic = (since_opening_s[1:] > since_opening_s[:-1]).all(axis=0)
-        exposed_s = closes_s - opens_s
-        if is_monotonic.all():
-            return exposed_s
         others, duration_s = np.flatnonzero(~is_monotonic), self._scene.exposure.duration_s
         since = since_opening_s[:, others]
         low, high = np.minimum(since[:-1], since[1:]), np.maximum(since[:-1], since[1:])
         overlap = np.minimum(high, duration_s) - np.maximum(low, 0.0)
         inside = np.where(high > low, overlap / np.where(high > low, high - low, 1.0), (low >= 0) & (low <= duration_s))
-        exposed_s[others] = inside.clip(0.0, 1.0).sum(axis=0) * (self._grid_s[1] - self._grid_s[0])
+        summed_s = inside.clip(0.0, 1.0).sum(axis=0) * (self._grids_s[0, 1] - self._grids_s[0, 0])
+        exposed_s = exposed_s.copy()
+        exposed_s[others] = summed_s
         return exposed_s
 
     def _delay_s(self, xy_px: Float) -> Float:
@@ -425,11 +439,6 @@ def _between(low_s: Float, low: Float, high_s: Float, high: Float) -> Float:
 def _quotient(numerator: Float, denominator: Float) -> Float:
     """Return quotients, 0 where the denominator is 0."""
     return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator != 0)
-
-
-def _pointing(exposure: Exposure, motion: CameraMotion, since_s: Float) -> Pointing:
-    """Return the camera's orientation at some times after the start of an exposure."""
-    return motion.pointings(np.minimum(exposure.start_utc_s + since_s, exposure.stop_utc_s))[0]
 
 
 def recorded_rows(scene: Scene, index: NDArray[np.int32]) -> RecordedTimes | None:
