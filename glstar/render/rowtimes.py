@@ -291,7 +291,7 @@ class RowTimeSearch:
         times_s = self._grids_s.ravel()
         return self._table.at(times_s) if self._table is not None else self._pointing(times_s)
 
-    @property
+    @cached_property
     def _may_overtake_rows(self) -> bool:
         """Whether a star on the image may move as fast as `_SLOW` times the readout, or this is not known."""
         if self._table is None:
