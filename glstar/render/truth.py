@@ -216,9 +216,9 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
     extinction_mag = scene.listed.extinction_mag
-    transmission = _transmission(scene, middle)
+    transmission = _transmission(scene, middle, centroid)
     passage = scene_passage(scene, scene.stars.direction_eq[index])
-    arriving_dn = peak_dn if transmission is None else peak_dn * np.nan_to_num(transmission, nan=1.0)
+    arriving_dn = peak_dn if transmission is None else peak_dn * transmission
     arriving_dn = arriving_dn * exposed_fraction(scene.exposure, recorded)
     peaks = trail_peaks(scene, scene.stars.direction_eq[index], passage, trails.chosen_nodes_px(drawn), recorded)
     return rows_of(
@@ -248,12 +248,18 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     )
 
 
-def _transmission(scene: Scene, middle_px: Float) -> Float | None:
-    """Return the transmission of a lens with vignetting at some positions, over that on its axis; None without."""
-    vignetting = Vignetting.of(scene.sensor.effects)
+def _transmission(scene: Scene, middle_px: Float, centroid_px: Float) -> Float | None:
+    """Return the transmission of a lens with vignetting, over that on its axis, of stars; None without.
+
+    It is that of the middle of the exposure; of a star that is beside the image then, that of the pixel nearest to its
+    mean position while it touches the image.
+    """
+    vignetting, camera = Vignetting.of(scene.sensor.effects), scene.camera
     if vignetting.vignetting == "none":
         return None
-    return np.where(np.isnan(middle_px[:, 0]), np.nan, vignetting.of_stars(scene.camera, middle_px))
+    is_on_image = camera.contains(middle_px)[:, np.newaxis]
+    nearest_px = centroid_px.clip(0.0, np.array([camera.width_px - 1.0, camera.height_px - 1.0]))
+    return vignetting.of_stars(camera, np.where(is_on_image, middle_px, nearest_px))
 
 
 def _cloud_columns(passage: CloudPassage | None) -> dict[str, Float]:

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from glstar.camera.electrons import ElectronModel
+from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.camera.vignetting import Vignetting
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.render.effects import EFFECTS, Effect, Stage
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
+from glstar.render.scene import Frame, Scene
 from glstar.render.truth import frame_truth
-from tests.support.scenes import camera, stars_at
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
 
 # A field of 34 by 27 deg off the axis; noise well below a DN.
 WIDE = camera(320, 240, 240.0)
@@ -73,6 +74,20 @@ def test_a_star_falls_off_as_the_cosine_and_the_truth_says_so(renderer: GLRender
     stars = json.loads(frame_truth(scene, frames[0], number=0, file="frame.png"))["stars"]
     assert [star["transmission"] for star in stars] == pytest.approx([1.0, cosine], rel=1e-5)
     assert stars[1]["flux_e"] / stars[0]["flux_e"] == pytest.approx(cosine, rel=1e-5)
+
+
+def test_a_star_that_leaves_the_image_is_as_bright_as_where_it_was_on_it() -> None:
+    """Polynomials of the falloff hold on the image: far beside it they are thousands."""
+    sensor = Sensor(effects={"lens.vignetting": "polynomial", "lens.vignetting_r4": 0.05})
+    turn = sky_over_adelaide(WIDE, sensor=sensor, roll_rate_rad_per_s=np.deg2rad(150.0))
+    exposure = Exposure(NIGHT_UTC_S + 0.2, 0.9)
+    scene = turn.scene(exposure)
+    line = json.loads(frame_truth(scene, Frame(np.zeros((240, 320), np.uint8), exposure, 0), number=0, file="frame"))
+    beside = [star for star in line["stars"] if star["y_px"] is None or abs(star["y_px"] - 120) > 240]
+    assert len(beside) > 10
+    # 1.05 over the solid angle in the corner, 40 deg off the axis, and some margin.
+    assert all(1.0 <= star["transmission"] <= 2.35 for star in line["stars"])
+    assert all(star["trail_peak_dn"] <= 2.35 * star["flux_dn"] for star in line["stars"])
 
 
 @pytest.mark.parametrize("bit_depth", [8, 16])
