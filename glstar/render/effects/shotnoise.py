@@ -1,7 +1,8 @@
 """Shot noise and read noise of the electron model."""
 
 from collections.abc import Mapping
-from typing import Any
+from math import sqrt
+from typing import Any, Final
 
 from glstar.camera.electrons import ElectronModel
 from glstar.render.effects.effect import Control, Effect, Key, Stage, UniformValue, Values
@@ -10,6 +11,8 @@ from glstar.render.scene import Scene
 __all__ = ["SHOT_NOISE"]
 
 _DEFAULT = ElectronModel()
+# Skewness up to which a shorter formula has the third moment of the noise to 5e-4.
+_LITTLE_SKEWNESS: Final = 0.3
 
 
 def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
@@ -19,6 +22,13 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
         "shot_dn_per_e": model.dn_per_e,
         "shot_read_variance_dn2": (model.dn_per_e * model.read_noise_e) ** 2 + 1e-9,
     }
+
+
+def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
+    """Return whether pixels of some signal are skewed: m / (m + r^2)^1.5 is largest where m is 2 r^2, in electrons."""
+    model = scene.sensor.electrons
+    assert model is not None
+    return {"SHOT_SKEWED": int(2 / sqrt(27) > _LITTLE_SKEWNESS * model.read_noise_e)}
 
 
 def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
@@ -75,24 +85,28 @@ SHOT_NOISE = Effect(
     stage=Stage.NOISE,
     noise_model="electrons",
     uniforms=_uniforms,
+    options=_options,
     truth=_truth,
     glsl="""\
 uniform float shot_dn_per_e, shot_read_variance_dn2;
 
-// A Poisson count of mean m plus Gaussian read noise of sigma r has the variance v = m + r^2 and the third central
-// moment m.  The polynomial f z + g (z^2 - 1) of a normal deviate z has the variance f^2 + 2 g^2 and the third moment
-// 6 f^2 g + 8 g^3.  f and g are fitted to the variance 1 (to 2e-4) and to the skewness s = m / v^1.5 (to 5e-4) up to
-// s = 1.3: 0.6 electrons without read noise.
+// A Poisson count plus Gaussian read noise of variance r2 has the variance v and a third central moment m3.
+// The polynomial signal - h + z (sigma + h z) of a normal deviate z has the variance sigma^2 + 2 h^2, which is v, and
+// the third moment 6 sigma^2 h + 8 h^3.  Up to a skewness m3 / v^1.5 of 0.3, h = m3 / (6 v) makes it m3 to 5e-4 v^1.5.
+// SHOT_SKEWED: 1 if pixels may be more skewed.  Then h is fitted up to 1.3: 0.6 electrons without read noise.
 vec4 shot_noise(vec4 signal_dn, uvec2 quad) {
-    vec4 shot_dn2 = max(signal_dn, 0.0) * shot_dn_per_e;
-    vec4 variance_dn2 = shot_dn2 + shot_read_variance_dn2;
-    vec4 per_sigma = inversesqrt(variance_dn2);
-    vec4 s = min(shot_dn_per_e * shot_dn2 * (per_sigma * per_sigma * per_sigma), 1.3);
-    vec4 q = s * s;
-    vec4 f = 1.0 - q * (0.02772169 + q * 0.00161842);
-    vec4 g = s * (0.16654166 + q * 0.00343932);
+    vec4 variance_dn2 = max(signal_dn, 0.0) * shot_dn_per_e + shot_read_variance_dn2;
+#if SHOT_SKEWED
+    vec4 skewness_dn = shot_dn_per_e - shot_dn_per_e * shot_read_variance_dn2 / variance_dn2;
+    skewness_dn = min(skewness_dn, 1.3 * sqrt(variance_dn2));
+    vec4 h_dn = skewness_dn * (0.16654166 + 0.00343932 * skewness_dn * skewness_dn / variance_dn2);
+#else
+    float sixth_dn = shot_dn_per_e / 6.0;
+    vec4 h_dn = sixth_dn - sixth_dn * shot_read_variance_dn2 / variance_dn2;
+#endif
+    vec4 sigma_dn = sqrt(variance_dn2 - 2.0 * h_dn * h_dn);
     vec4 z = normal_deviates(random_bits(quad));
-    return signal_dn + variance_dn2 * per_sigma * (f * z + g * (z * z - 1.0));
+    return signal_dn - h_dn + z * (sigma_dn + h_dn * z);
 }
 """,
 )
