@@ -1,6 +1,7 @@
 """Vignetting of the lens, for stars and for the sky."""
 
 from collections.abc import Hashable, Mapping
+from math import sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -57,16 +58,16 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     sky = tuple(sky_dn * (of_sky - of_star) for of_star, of_sky in zip(fit.star, fit.sky, strict=True))
     star_low, star_high = _two_vectors(fit.star)
     sky_low, sky_high = _two_vectors(sky)
+    largest = sqrt(fit.largest_q)
     return {
         "falloff_star_low": star_low,
         "falloff_star_high": star_high,
         "falloff_sky_low": sky_low,
         "falloff_sky_high": sky_high,
-        "falloff_largest_q": fit.largest_q,
         "falloff_bend": fit.bend,
-        "falloff_focal_px": (camera.fx_px, camera.fy_px),
+        "falloff_per_px": (1 / (camera.fx_px * largest), 1 / (camera.fy_px * largest)),
         "falloff_principal_px": (camera.cx_px, camera.cy_px),
-        "falloff_skew_px": camera.skew_px,
+        "falloff_shear": camera.skew_px / camera.fx_px,
     }
 
 
@@ -104,8 +105,9 @@ LENS_FALLOFF = Effect(
     glsl="""\
 // Transmission for stars, and what the uniform sky differs from them, DN: polynomials of w with FALLOFF_TERMS terms.
 uniform vec4 falloff_star_low, falloff_star_high, falloff_sky_low, falloff_sky_high;
-uniform vec2 falloff_focal_px, falloff_principal_px;
-uniform float falloff_largest_q, falloff_bend, falloff_skew_px;
+// The distance from the principal point is 1 at the largest on the image: per pixel of a column and of a row.
+uniform vec2 falloff_per_px, falloff_principal_px;
+uniform float falloff_shear, falloff_bend;
 
 // FALLOFF_CURVED: 1 if the second derivatives along the row matter within a fragment.
 #if FALLOFF_CURVED
@@ -129,34 +131,36 @@ FALLOFF falloff_series(float w, vec4 low, vec4 high) {
     return found;
 }
 
-// The same at columns around the middle: quadratic in px between the quads, linear in each of them.
-vec4 falloff_around(FALLOFF of_w, vec2 w_per_px, float quad_px) {
-    const vec4 OF_QUAD = vec4(-1.5, -0.5, 0.5, 1.5);
+// The four pixels of a quad, given a polynomial at the middle of the fragment, how w changes from there along the row,
+// and where the middle of the quad is: quadratic in px between the quads, linear in each of them.
+vec4 falloff_of_quad(FALLOFF of_w, vec2 w_per_px, float quad_px) {
+    float slope = of_w.y * w_per_px.x;
 #if FALLOFF_CURVED
-    vec3 of_px = vec3(of_w.x, of_w.y * w_per_px.x, of_w.y * w_per_px.y + of_w.z * w_per_px.x * w_per_px.x);
-    float slope = of_px.y + 2.0 * quad_px * of_px.z;
-    return of_px.x + quad_px * (of_px.y + quad_px * of_px.z) + OF_QUAD * slope;
+    float bend = of_w.y * w_per_px.y + of_w.z * w_per_px.x * w_per_px.x;
+    float middle = of_w.x + quad_px * (slope + quad_px * bend);
+    slope += 2.0 * quad_px * bend;
 #else
-    return of_w.x + (quad_px + OF_QUAD) * (of_w.y * w_per_px.x);
+    float middle = of_w.x + quad_px * slope;
 #endif
+    return middle + vec4(-1.5, -0.5, 0.5, 1.5) * slope;
 }
 
 // The polynomials are evaluated once per fragment, in the middle of its pixels; the compiler shares that between quads.
 vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
-    float y = (floor(fragment.y) - falloff_principal_px.y) / falloff_focal_px.y;
-    float x = (middle_column_px() - falloff_principal_px.x - falloff_skew_px * y) / falloff_focal_px.x;
-    float q = (x * x + y * y) / falloff_largest_q;
-    // Slope and half of the second derivative of q along the row; the lens shows nothing beyond the largest q.
-    vec2 q_per_px = vec2(2.0 * x, 1.0 / falloff_focal_px.x) / (falloff_focal_px.x * falloff_largest_q);
-    q_per_px = q < 1.0 ? q_per_px : vec2(0.0);
-    q = min(q, 1.0);
-    float bent = 1.0 / (1.0 + falloff_bend * q), w = (1.0 + falloff_bend) * q * bent;
-    float w_per_q = (1.0 + falloff_bend) * bent * bent;
-    vec2 w_per_px = w_per_q * vec2(q_per_px.x, q_per_px.y - falloff_bend * bent * q_per_px.x * q_per_px.x);
+    vec2 from_axis = (vec2(middle_column_px(), floor(fragment.y)) - falloff_principal_px) * falloff_per_px;
+    from_axis.x -= falloff_shear * from_axis.y;
+    float u = dot(from_axis, from_axis);
+    // Slope and half of the second derivative of u along the row; the lens shows nothing beyond the largest u, 1.
+    vec2 u_per_px = falloff_per_px.x * vec2(2.0 * from_axis.x, falloff_per_px.x);
+    u_per_px = u < 1.0 ? u_per_px : vec2(0.0);
+    u = min(u, 1.0);
+    float bent = 1.0 / (1.0 + falloff_bend * u), w = (1.0 + falloff_bend) * u * bent;
+    float w_per_u = (1.0 + falloff_bend) * bent * bent;
+    vec2 w_per_px = w_per_u * vec2(u_per_px.x, u_per_px.y - falloff_bend * bent * u_per_px.x * u_per_px.x);
     FALLOFF star = falloff_series(w, falloff_star_low, falloff_star_high);
     FALLOFF sky = falloff_series(w, falloff_sky_low, falloff_sky_high);
     float quad_px = columns_px(quad).x + 1.5 - middle_column_px();
-    return signal_dn * falloff_around(star, w_per_px, quad_px) + falloff_around(sky, w_per_px, quad_px);
+    return signal_dn * falloff_of_quad(star, w_per_px, quad_px) + falloff_of_quad(sky, w_per_px, quad_px);
 }
 """,
 )
