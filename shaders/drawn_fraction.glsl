@@ -1,6 +1,11 @@
 // Fractions of the flux of a star that a primitive draws.  The rest is given back to what it draws.
 
+// COMPONENTS: of star_path.frag, which sets the width.
+#if COMPONENTS
+float effective_sigma_px;
+#else
 uniform float effective_sigma_px; // of the star as the pixels of the target record it
+#endif
 
 #include "gaussian_tail.glsl"
 #include "two_gaussians.glsl"

@@ -22,7 +22,9 @@
 // Where a long segment continues smoothly into the next, neither has an end: they meet at a joint across the path, whose
 // corners both read from `joint`, so that every pixel belongs to exactly one of them.
 
-// ALL_SHORT: 1 if all segments are SHORT; joints and boundaries are not read then.
+// ALL_SHORT: 1 if all segments are SHORT; boundaries are not read then.
+// COMPONENTS: 1 if each column has a Gaussian of its own width, sigma.  All segments are SHORT then, and `joint` holds
+// 1 / (2 sigma^2 ln 2), 1/px^2, and sigma, px.
 
 // SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
 
@@ -30,10 +32,14 @@ uniform sampler2D positions;      // of project_stars.frag
 uniform sampler2D passage;        // transmission of cloud by star (column) and segment (row); one texel of 1 without
 uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends; start
 uniform int   last_time;
+uniform float largest_point_px;
+#if COMPONENTS
+float sigma_px, vmag_0_peak_dn;   // row 2 of chosen, with effective_sigma_px
+#else
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
 uniform float image_sigma_px;     // and as those of the image do: behind a lens, resampling widens what is drawn here
-uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
+#endif
 
 layout(location = 0) out vec4 chord;      // start (x, y) in the target, px, where s = p = 0; unit vector along s
 layout(location = 1) out vec4 shape;      // length, px; curvature; asymmetry; amplitude, DN
@@ -63,6 +69,10 @@ layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OP
 
 #if ROWS == 2
 uniform float opening_per_px;     // largest change of the opening time per pixel
+#endif
+
+#if COMPONENTS
+uniform sampler2D chosen;         // of project_stars.frag, and two more rows
 #endif
 
 const float ROUNDING = 1e-6;      // of times
@@ -288,6 +298,12 @@ vec4 boundary_of(Path path) {
 
 void main() {
     int star = int(gl_FragCoord.x), segment = int(gl_FragCoord.y), segments = last_time / 2;
+#if COMPONENTS
+    vec3 component = texelFetch(chosen, ivec2(star, 2), 0).rgb;
+    sigma_px = component.x;
+    effective_sigma_px = component.y;
+    vmag_0_peak_dn = component.z;
+#endif
     Path path = path_of(star, min(segment, segments - 1));
     chord = path.chord;
     shape = path.shape;
@@ -297,6 +313,9 @@ void main() {
 #endif
 #if ALL_SHORT
     boundary = joint = vec4(0.0);
+#if COMPONENTS
+    joint.xy = vec2(texelFetch(chosen, ivec2(star, 3), 0).r, sigma_px);
+#endif
 #else
     boundary = boundary_of(path);
     bool has_neighbours = segment > 0 && segment < segments;

@@ -5,6 +5,8 @@
 // SHAPE: 0, SHORT segments, one point each; 1, POINT segments and both ends of LONG ones, two points each; 2, the middle of
 // LONG segments between those ends, a quad.
 
+// COMPONENTS: of star_path.frag.
+
 in uvec2 segment;                 // column (star) and row (segment) of the path textures
 
 uniform sampler2D chords, shapes, fluxes, joints, boundaries;   // of star_path.frag
@@ -15,6 +17,9 @@ flat out vec4 shape;
 #if SHAPE == 0
 flat out vec4 centres_px;
 flat out vec2 amplitudes_dn;
+#if COMPONENTS
+flat out float falloff_per_px2;
+#endif
 #else
 flat out vec4 axes;
 flat out vec4 owned;
@@ -53,6 +58,9 @@ void main() {
     centres_px = chord + 0.5;
     shape = path;
     amplitudes_dn = profile.xy;
+#if COMPONENTS
+    falloff_per_px2 = texelFetch(joints, texel, 0).x;
+#endif
     is_drawn = profile.w == SHORT
         && is_point_over(min(chord.xy, chord.zw) - profile.z, max(chord.xy, chord.zw) + profile.z);
 #else

@@ -7,9 +7,15 @@
 // which any row is open.  A segment is one primitive: the limits of its integral (trail.frag) divide the flux between
 // segments, so that primitives may overlap.
 
+// COMPONENTS: of star_path.frag.
+
 in uvec2 segment;                 // column (star) and row (segment) of the path textures
 
 uniform sampler2D chords, shapes, fluxes, openings_of_paths;      // of star_path.frag
+#if COMPONENTS
+uniform sampler2D joints;
+flat out float falloff_per_px2, sigma_px;
+#endif
 uniform float half_width_px;      // half width at half maximum of the point spread function: unit of length in trail.frag
 
 flat out vec2 clock;
@@ -56,6 +62,11 @@ void main() {
     path_px = vec4(chord.xy + 0.5, chord.zw);
     ahead_px = path.xy;
     amplitude_dn = profile.x;
+#if COMPONENTS
+    vec4 width = texelFetch(joints, texel, 0);
+    falloff_per_px2 = width.x;
+    sigma_px = width.y;
+#endif
 #if ROWS == 2
     opening_from_path = opening_per_px_from_star(chord.xy + 0.5 * chord.zw + 0.5);
 #endif

@@ -12,7 +12,11 @@ flat in vec2 clock;               // of readout.glsl
 flat in vec2 opening_from_path;   // trail_rows.vert
 #endif
 
+#if COMPONENTS
+flat in float sigma_px;           // COMPONENTS: of star_path.frag
+#else
 uniform float sigma_px;
+#endif
 
 vec4 centres_px, shape;
 vec2 amplitudes_dn;
@@ -22,7 +26,11 @@ flat in vec4 shape;               // vectors along which they are widened, 1/px:
 flat in vec2 amplitudes_dn;
 #endif
 
+#if COMPONENTS
+flat in float falloff_per_px2;
+#else
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): for exp2
+#endif
 
 out float light_dn;
 
@@ -57,11 +65,17 @@ void set_gaussians() {
 #endif
 
 float flux_at(vec2 position_px) {
+#if COMPONENTS
+    vec2 offset_px = position_px - centres_px.xy;
+    float s = dot(shape.xy, offset_px);
+    return 2.0 * amplitudes_dn.x * exp2(s * s - falloff_per_px2 * dot(offset_px, offset_px));
+#else
     vec4 offsets_px = position_px.xyxy - centres_px;
     vec4 squares_px2 = offsets_px * offsets_px;
     vec2 s = shape.xz * offsets_px.xz + shape.yw * offsets_px.yw;
     vec2 gaussians = exp2(s * s - falloff_per_px2 * (squares_px2.xz + squares_px2.yw));
     return dot(amplitudes_dn, gaussians);
+#endif
 }
 
 void main() {

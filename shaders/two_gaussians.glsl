@@ -2,11 +2,17 @@
 //
 // Two Gaussians at the times 1/2 -+ OFFSET of a uniform motion of duration 1, each as wide as a motion over a time with
 // variance VARIANCE, have its moments up to the seventh order.
+// COMPONENTS: of star_path.frag.  Then both are the same Gaussian, with the variance of the motion, which is at most half a
+// standard deviation of the star: that differs by 1e-4 of the peak.
+#if COMPONENTS
+const float OFFSET = 0.0, VARIANCE = 1.0 / 12.0, RATE_CHANGE = 0.0;
+#else
 const float OFFSET = 0.2540669, VARIANCE = 0.0187834;
 // Of a motion whose speed or direction changes evenly, position u chord + 4 u (1 - u) ahead, each Gaussian is widened along
 // chord +- RATE_CHANGE ahead: then the third moments are those of the motion too, to first order of ahead.  RATE_CHANGE is
 // (12 / 180) / (6 OFFSET VARIANCE); the change of the rate itself would be 8 OFFSET = 2.03.
 const float RATE_CHANGE = 2.3282816;
+#endif
 const float LN_2 = 0.6931471805599453;
 
 // A vector whose product with the distance from the centre, squared, is the exponent (of 2) by which a Gaussian of standard

@@ -15,6 +15,7 @@ from glstar.errors import ConfigError
 from glstar.sky.magnitudes import brightness_ratio
 
 __all__ = [
+    "FAINTEST_COMPONENT_DN",
     "MIN_WIDENED_SIGMA_PX",
     "PAPER_KEYS",
     "PIXEL_VARIANCE_PX2",
@@ -34,6 +35,8 @@ _KEYS_OF_LIGHT = ("sensor.psf", "sensor.band", "sensor.mosaic", "cloud.")
 
 # The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
 TRUNCATION_DN = 0.02
+# A Gaussian of several is drawn where it is at least this, DN: a tenth of what is cut off a single Gaussian.
+FAINTEST_COMPONENT_DN = 0.1 * TRUNCATION_DN
 # Radius of the largest sprite of wings and halos, px: all drivers draw points of 255 px.
 _LARGEST_PX = 110.0
 # `Sensor.widest_sigma_px` times this contains every star, offsets included.
@@ -392,10 +395,18 @@ class Sensor:
         """
         if not self.point_spread.is_gaussian:
             return self._widest_truncation_px(peak_dn, min_trail_px, renormalized=renormalized)
+        return self._gaussian_radius_px(np.asarray(peak_dn, dtype=np.float64), min_trail_px, renormalized=renormalized)
+
+    def _gaussian_radius_px(
+        self, peak_dn: Float, min_trail_px: ArrayLike, *, renormalized: bool, faintest_dn: float = 0.0
+    ) -> Float:
+        """Return `truncation_radius_px` of plain Gaussians, or the radius of a signal that does not matter if smaller."""
         limits = _RENORMALIZED if renormalized else _PLAIN
         sigma_px = self.effective_sigma_px
-        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / TRUNCATION_DN, 1 / limits.peak_fraction)
-        contrast = contrast / self._peak_reduction(min_trail_px)
+        of_peak = (
+            np.minimum(1 / limits.peak_fraction, peak_dn / faintest_dn) if faintest_dn else 1 / limits.peak_fraction
+        )
+        contrast = np.maximum(peak_dn / TRUNCATION_DN, of_peak) / self._peak_reduction(min_trail_px)
         radius_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
         return np.asarray(np.maximum(sigma_px * radius_sigma, max(limits.min_sigma * sigma_px, limits.min_px)))
 
@@ -420,9 +431,11 @@ class Sensor:
         Returns
         -------
         (...) float64
-            At most 110 px, or 3.5 sigma if that is more.
+            At most 110 px, or 3.5 sigma if that is more.  Of the wings of a faint star nothing below
+            `FAINTEST_COMPONENT_DN` is drawn.
         """
-        radius_px = self.truncation_radius_px(peak_dn, min_trail_px, renormalized=renormalized)
+        peak, faintest_dn = np.asarray(peak_dn, dtype=np.float64), FAINTEST_COMPONENT_DN
+        radius_px = self._gaussian_radius_px(peak, min_trail_px, renormalized=renormalized, faintest_dn=faintest_dn)
         return np.minimum(radius_px, max(_LARGEST_PX, _PLAIN.min_sigma * self.effective_sigma_px))
 
     def leaves_same_signal(self, other: "Sensor") -> bool:

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.model import Camera
 from glstar.render.camerapath import CameraPath
 from glstar.render.horizoncrossing import NEVER
 from glstar.render.openpieces import (
@@ -20,7 +21,7 @@ from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 
-__all__ = ["DividedTrails", "EndPieces", "divided_trails", "end_pieces"]
+__all__ = ["DividedTrails", "EndPieces", "are_worth_dividing", "divided_trails", "end_pieces"]
 
 Float = NDArray[np.float64]
 
@@ -116,10 +117,15 @@ class DividedTrails(NamedTuple):
     whole: SegmentColumns
 
 
+def are_worth_dividing(trails: AnalyticSegments, camera: Camera, sigma_px: float) -> bool:
+    """Return whether trails of Gaussians are long enough for `divided_trails` to save time under a rolling shutter."""
+    return trails.longest_trail_px(camera) >= _WORTH_SIGMA * sigma_px * len(trails)
+
+
 def divided_trails(scene: Scene, trails: AnalyticSegments, openings: PixelOpenings) -> DividedTrails | None:
     """Return the trails of a scene in parts; None where that costs more, or stars may be as fast as the readout."""
     sigma_px, radius_px = scene.sensor.effective_sigma_px, scene.draw_list.truncation_radius_px
-    if trails.longest_trail_px(scene.camera) < _WORTH_SIGMA * sigma_px * len(trails):
+    if not are_worth_dividing(trails, scene.camera, sigma_px):
         return None
     spans = open_spans(scene, openings.reach * radius_px, openings)
     if spans is None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.pointspread import PsfComponent
-from glstar.camera.sensor import TRUNCATION_DN
+from glstar.camera.sensor import FAINTEST_COMPONENT_DN
 from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments, SubExposures
@@ -17,8 +17,6 @@ __all__ = ["gaussian_scenes", "psf_scale"]
 
 # Stars whose widths differ by less than this are drawn together: with the mean of their range, 1 % from each.
 _WIDTH_STEP: Final = 0.02
-# A Gaussian is drawn if the peak of its trail is at least this, DN: a tenth of what is cut off a single Gaussian.
-_FAINTEST_DN: Final = 0.1 * TRUNCATION_DN
 
 
 def psf_scale(scene: Scene, direction_eq: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,7 +93,7 @@ def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     sensor, camera, draw_list = scene.sensor.of_component(component), scene.camera, scene.draw_list
     peak_dn = drawn_peak_dn(replace(scene, sensor=sensor))
     trail_px = draw_list.min_trail_px
-    kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= _FAINTEST_DN
+    kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= FAINTEST_COMPONENT_DN
     analytic = isinstance(scene.trails, AnalyticSegments)
     radius_px = sensor.component_radius_px(peak_dn[kept], trail_px[kept], renormalized=analytic)
     dx_px, dy_px = component.offset_px

@@ -146,6 +146,7 @@ class EndPass:
                 NARROW=int(narrow),
                 MOSAIC=int(mosaic),
                 ROWS=rows,
+                COMPONENTS=0,
             )
             set_used_uniforms(program, **_UNITS)
             vertices = self._context.vertex_array(program, [(self._sprites, "2u2", "sprite")])

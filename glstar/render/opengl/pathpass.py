@@ -1,7 +1,7 @@
 """The path pass: where stars are during the segments of an exposure, as textures."""
 
 from contextlib import ExitStack
-from typing import Final
+from typing import Final, NamedTuple
 
 import moderngl
 import numpy as np
@@ -18,17 +18,32 @@ from glstar.render.scene import Scene
 from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.render.trailmodels import AnalyticSegments
 
-__all__ = ["PathPass", "drawn_sigma_px", "surely_short"]
+__all__ = ["PathPass", "SegmentKinds", "drawn_sigma_px", "falloff_per_px2", "still_peak_dn", "surely_short"]
 
 Float32 = NDArray[np.float32]
 
 # Outputs of star_path.frag: the last one is that of a rolling shutter.
 _OUTPUTS: Final = 6
-_UNITS: Final = {"positions": 0, "passage": 1, "pointing": 2}
+_UNITS: Final = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
 # Segments are surely SHORT if their longest is at most this fraction of the limit: stars beside the image are faster.
 _SURELY_SHORT: Final = 0.5
 # Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
+
+
+class SegmentKinds(NamedTuple):
+    """What is known of all segments of a scene: ALL_SHORT and COMPONENTS of star_path.frag.
+
+    Attributes
+    ----------
+    are_short : bool
+        Whether they are SHORT.
+    have_components : bool
+        Whether each star of the draw list has a Gaussian of its own width.
+    """
+
+    are_short: bool
+    have_components: bool = False
 
 
 def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
@@ -66,6 +81,31 @@ def drawn_sigma_px(sensor: Sensor) -> float:
     return sensor.effective_sigma_px
 
 
+def falloff_per_px2(sensor: Sensor) -> float:
+    """Return the coefficient of the squared distance in the exponent of 2 of the Gaussians that are drawn, 1/px^2."""
+    return float(1 / (2 * np.log(2) * drawn_sigma_px(sensor) ** 2))
+
+
+def still_peak_dn(sensor: Sensor, duration_s: float, span: float = 1.0) -> float:
+    """Return the peak, as drawn, of a star of magnitude 0 that does not move.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    duration_s : float
+        Exposure time, s.
+    span : float
+        Of a rolling shutter: `ReadoutClock.span`.
+
+    Returns
+    -------
+    float
+        DN.
+    """
+    peak = (sensor.psf_sigma_px / drawn_sigma_px(sensor)) ** 2
+    return peak * float(sensor.peak_dn(0.0, duration_s)) * span
+
+
 class PathPass:
     """Computes the paths of stars: `project_stars.frag` their positions, `star_path.frag` the paths through these.
 
@@ -84,7 +124,7 @@ class PathPass:
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
         self._context = context
         # By ROWS of readout.glsl and whether all segments are SHORT.
-        self._programs: dict[tuple[int, bool], _PathProgram] = {}
+        self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
         with ExitStack() as owned:
             self._projection = linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
             owned.callback(self._projection.release)
@@ -94,20 +134,20 @@ class PathPass:
             self._positions = TextureTable(context, 1)
             owned.callback(self._positions.release)
             self._pointing = context.texture((TEXELS_PER_TIME, 2 * segments + 1), 4, dtype="f4")
-            self._chosen = context.texture((stars, 2), 3, dtype="f4")
+            self._chosen = context.texture((stars, 4), 3, dtype="f4")
             for texture in (self._pointing, self._chosen):
                 texture.filter = moderngl.NEAREST, moderngl.NEAREST
                 owned.callback(texture.release)
             self._passage = PassageTexture(context)
             owned.callback(self._passage.release)
             owned.callback(self._release_programs)
-            self._are_short = False
+            self._kinds = SegmentKinds(are_short=False)
             self._path = self._program(0)
             self._owned = owned.pop_all()
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
 
     def set_scene(
-        self, scene: Scene, trails: AnalyticSegments, guard_band_px: int, clock: ReadoutClock, are_short: bool
+        self, scene: Scene, trails: AnalyticSegments, guard_band_px: int, clock: ReadoutClock, kinds: SegmentKinds
     ) -> None:
         """Set the uniforms for a scene.
 
@@ -125,9 +165,8 @@ class PathPass:
         """
         sensor = scene.sensor
         sigma_px = drawn_sigma_px(sensor)
-        peak = (sensor.psf_sigma_px / sigma_px) ** 2
         set_uniforms(self._projection, **projection_uniforms(scene.camera, trails.pointing, guard_band_px))
-        self._are_short = are_short
+        self._kinds = kinds
         self._path = self._program(clock.rows)
         program = self._path.program
         uniforms = {
@@ -135,7 +174,7 @@ class PathPass:
             "effective_sigma_px": sensor.effective_sigma_px,
             "image_sigma_px": np.hypot(sensor.effective_sigma_px, np.sqrt(clock.resampling_px2)),
             "largest_point_px": self._point_size_px,
-            "vmag_0_peak_dn": peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span,
+            "vmag_0_peak_dn": still_peak_dn(sensor, scene.exposure.duration_s, clock.span),
         }
         set_used_uniforms(program, **uniforms)
         clock.bind(program, sigma_px)
@@ -161,8 +200,8 @@ class PathPass:
             The textures hold until the next call with the same number and kind.
         field : moderngl.Texture
             All stars.
-        chosen : (2, c, 3) float32
-            The uniform ``chosen`` of project_stars.frag.
+        chosen : (2 or 4, c, 3) float32
+            The uniform ``chosen`` of project_stars.frag and star_path.frag.
         passage : (m, c) float32 or None
             Transmission of cloud.
         segments : int
@@ -173,9 +212,9 @@ class PathPass:
         list of moderngl.Texture
             The outputs of star_path.frag.
         """
-        stars, times = chosen.shape[1], 2 * segments + 1
+        rows, stars, times = *chosen.shape[:2], 2 * segments + 1
         self._passage.write_table(np.ones((1, 1), np.float32) if passage is None else passage)
-        self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, 2))
+        self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, rows))
         for location, texture in enumerate((field, self._chosen, self._pointing)):
             texture.use(location)
         self._projection["last_time"] = self._path.program["last_time"] = times - 1
@@ -183,16 +222,17 @@ class PathPass:
         positions = self._positions.filled(self._all_positions, stars, times + 1)
         positions[0].use(_UNITS["positions"])
         self._passage.texture.use(_UNITS["passage"])
+        self._chosen.use(_UNITS["chosen"])
         # Long segments have a joint at their end too.
-        rows = segments if self._are_short else segments + 1
-        filled = self._path.table(number).filled(self._path.vertices, stars, rows)
+        joints = segments if self._kinds.are_short else segments + 1
+        filled = self._path.table(number).filled(self._path.vertices, stars, joints)
         # Software OpenGL waits here for that pass.  Otherwise it would interrupt what is being drawn when that reads
         # the textures.
         self._chosen.write(chosen[:1, :1].tobytes(), viewport=(0, 0, 1, 1))
         return filled
 
     def _program(self, rows: int) -> "_PathProgram":
-        key = rows, self._are_short
+        key = rows, self._kinds
         if key not in self._programs:
             program = linked(
                 self._context,
@@ -202,7 +242,8 @@ class PathPass:
                 MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
                 MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
                 ROWS=rows,
-                ALL_SHORT=int(self._are_short),
+                ALL_SHORT=int(self._kinds.are_short),
+                COMPONENTS=int(self._kinds.have_components),
             )
             set_used_uniforms(program, **_UNITS)
             self._programs[key] = _PathProgram(self._context, program, _OUTPUTS if rows else _OUTPUTS - 1)

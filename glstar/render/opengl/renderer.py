@@ -22,6 +22,7 @@ from glstar.render.opengl.drawqueue import DrawQueue
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
 from glstar.render.opengl.stacktexture import StackTexture
+from glstar.render.opengl.starcomponents import drawn_together
 from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubExposurePass
 from glstar.render.opengl.targets import SignalTarget, Targets
 from glstar.render.opengl.trailpass import TrailPass
@@ -363,8 +364,12 @@ class GLRenderer:
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
         queue = DrawQueue(target.light)
-        for scene in (one for one in gaussians if len(one.draw_list)):
-            self._add(scene, queue, target.guard_band_px, clock)
+        drawn = [one for one in gaussians if len(one.draw_list)]
+        for scenes in drawn_together(drawn, clock):
+            if len(scenes) > 1:
+                self._trail_pass.draw_components(scenes, queue, target.guard_band_px, clock)
+            else:
+                self._add(scenes[0], queue, target.guard_band_px, clock)
         queue.run()
 
     def _add(self, scene: Scene, queue: DrawQueue, guard_band_px: int, clock: ReadoutClock) -> None:

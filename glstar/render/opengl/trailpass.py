@@ -1,5 +1,6 @@
 """The trail pass: analytic trails, one sprite or quad per star and segment of the exposure."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -14,11 +15,12 @@ from glstar.render.colourscenes import cell_tints
 from glstar.render.endpieces import divided_trails
 from glstar.render.opengl.drawqueue import DrawQueue
 from glstar.render.opengl.endpass import EndPass
-from glstar.render.opengl.pathpass import PathPass, drawn_sigma_px, surely_short
+from glstar.render.opengl.pathpass import PathPass, SegmentKinds, drawn_sigma_px, falloff_per_px2, surely_short
 from glstar.render.opengl.piecepass import PiecePass
 from glstar.render.opengl.pointingtexture import pointing_texels
 from glstar.render.opengl.program import linked, set_used_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
+from glstar.render.opengl.starcomponents import StarComponents, in_one_scene
 from glstar.render.opengl.startextures import StarTextures
 from glstar.render.openpieces import SegmentColumns, whole_trails
 from glstar.render.scene import Scene
@@ -115,8 +117,8 @@ class TrailPass:
         self._owned = ExitStack()
         self._stars = StarTextures(context)
         self._owned.callback(self._stars.release)
-        # By whether the point spread function is narrow, and whether there is a mosaic, and by ROWS of readout.glsl.
-        self._draw_passes: dict[tuple[bool, bool, int], list[_DrawPass]] = {}
+        # By whether the point spread function is narrow, and there is a mosaic, ROWS of readout.glsl, COMPONENTS.
+        self._draw_passes: dict[tuple[bool, bool, int, bool], list[_DrawPass]] = {}
         try:
             self._make()
         except BaseException:
@@ -131,7 +133,7 @@ class TrailPass:
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
         for narrow in (False, True):
-            self._draw_passes_of(narrow, mosaic=False, rows=0)
+            self._draw_passes_of(narrow, mosaic=False, rows=0, components=False)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._tints = self._texture((_STARS_PER_CALL, 1), 4)
         self._piece_pass = PiecePass(context, self._stars)
@@ -179,6 +181,21 @@ class TrailPass:
         if not clock.rows and len(divided.rest.draw_list):
             self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
 
+    def draw_components(
+        self, scenes: Sequence[Scene], queue: DrawQueue, guard_band_px: int, clock: ReadoutClock
+    ) -> None:
+        """Add the flux of several Gaussians of the same stars to a target: scenes that `drawn_together` lists together.
+
+        Parameters
+        ----------
+        scenes : sequence of Scene
+        queue, guard_band_px, clock
+            As for `draw`.
+        """
+        scene, components = in_one_scene(scenes)
+        assert isinstance(scene.trails, AnalyticSegments)
+        self._draw_segments(scene, scene.trails, queue, guard_band_px, clock, components=components)
+
     def _draw_trails(
         self,
         scene: Scene,
@@ -206,14 +223,21 @@ class TrailPass:
         guard_band_px: int,
         clock: ReadoutClock,
         parts: SegmentColumns | None = None,
+        *,
+        components: StarComponents | None = None,
     ) -> None:
         """Draw the trails of a scene, or parts of them, in segments."""
-        are_short = surely_short(scene, trails)
-        self._path_pass.set_scene(scene, trails, guard_band_px, clock, are_short)
+        has_components = components is not None
+        kinds = SegmentKinds(has_components or surely_short(scene, trails), has_components)
+        self._path_pass.set_scene(scene, trails, guard_band_px, clock, kinds)
         texels = _segment_texels(trails)
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
         parts = whole_trails(scene, trails) if parts is None else parts
         field, chosen = self._stars.of(scene.stars), _texels_of_parts(scene, parts)
+        runs: list[tuple[Sensor, NDArray[np.bool_] | None]] = [(scene.sensor, None)]
+        if components is not None:
+            chosen = np.concatenate([chosen, components.texels(scene.exposure.duration_s, clock.span)])
+            runs = list(components.runs())
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
             self._path_pass.set_times(texels[times])
@@ -227,7 +251,9 @@ class TrailPass:
                     queue.run()
                 filled = self._path_pass.filled(len(queue), field, chosen[:, some], passage, len(near))
                 of_columns = None if tints is None else tints[drawn.index[stars]]
-                queue.add(partial(self._draw, scene.sensor, clock, queue.light, filled, of_columns, near, are_short))
+                for sensor, columns in runs:
+                    of_run = near if columns is None else near & columns[some]
+                    queue.add(partial(self._draw, sensor, clock, queue.light, filled, of_columns, of_run, kinds))
 
     def _draw(
         self,
@@ -237,10 +263,10 @@ class TrailPass:
         paths: list[moderngl.Texture],
         tints: NDArray[np.float32] | None,
         near: NDArray[np.bool_],
-        are_short: bool,
+        kinds: SegmentKinds,
     ) -> None:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
-        draw_passes = self._passes_with_uniforms(sensor, clock, light, are_short)
+        draw_passes = self._passes_with_uniforms(sensor, clock, light, kinds)
         for location, texture in enumerate(paths):
             texture.use(location)
         if tints is not None:
@@ -258,37 +284,44 @@ class TrailPass:
         self._context.enable_only(moderngl.NOTHING)
 
     def _passes_with_uniforms(
-        self, sensor: Sensor, clock: ReadoutClock, light: moderngl.Framebuffer, are_short: bool
+        self, sensor: Sensor, clock: ReadoutClock, light: moderngl.Framebuffer, kinds: SegmentKinds
     ) -> list[_DrawPass]:
         """Return the draw passes for a sensor, after setting their uniforms."""
         sigma_px = drawn_sigma_px(sensor)
         uniforms: dict[str, Any] = {
             "target_px": light.size,
-            "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
+            "falloff_per_px2": falloff_per_px2(sensor),
             "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
             "sigma_px": sigma_px,
         }
-        draw_passes = self._draw_passes_of(sensor.needs_erf, sensor.colour.mosaic != "none", clock.rows)
-        draw_passes = [one for one in draw_passes if one.shape.number == 0 or not are_short]
+        mosaic = sensor.colour.mosaic != "none"
+        draw_passes = self._draw_passes_of(sensor.needs_erf, mosaic, clock.rows, kinds.have_components)
+        draw_passes = [one for one in draw_passes if one.shape.number == 0 or not kinds.are_short]
         for program, *_ in draw_passes:
             set_used_uniforms(program, **uniforms)
             clock.bind(program, sigma_px)
         return draw_passes
 
-    def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int) -> list[_DrawPass]:
+    def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int, components: bool) -> list[_DrawPass]:
         """Return the draw passes for narrow or wide point spread functions, with a mosaic, and one value of ROWS."""
-        key = narrow, mosaic, rows
+        key = narrow, mosaic, rows, components
         if key not in self._draw_passes:
-            if rows:
-                own = [self._draw_pass(shape, *key) for shape in _ROW_SHAPES]
-                self._draw_passes[key] = [*self._draw_passes_of(narrow, mosaic, 0), *own]
-            else:
-                self._draw_passes[key] = [self._draw_pass(shape, *key) for shape in _SHAPES]
+            shapes = [shape for shape in (_ROW_SHAPES if rows else _SHAPES) if shape.number == 0 or not components]
+            before = self._draw_passes_of(narrow, mosaic, 0, components) if rows else []
+            self._draw_passes[key] = [*before, *(self._draw_pass(shape, *key) for shape in shapes)]
         return self._draw_passes[key]
 
-    def _draw_pass(self, shape: _Shape, narrow: bool, mosaic: bool, rows: int) -> _DrawPass:
+    def _draw_pass(self, shape: _Shape, narrow: bool, mosaic: bool, rows: int, components: bool) -> _DrawPass:
         program = self._own(
-            linked(self._context, *shape.shaders, NARROW=int(narrow), SHAPE=shape.number, ROWS=rows, MOSAIC=int(mosaic))
+            linked(
+                self._context,
+                *shape.shaders,
+                NARROW=int(narrow),
+                SHAPE=shape.number,
+                ROWS=rows,
+                MOSAIC=int(mosaic),
+                COMPONENTS=int(components),
+            )
         )
         units = _PATH_TEXTURES | {"tints_of_stars": _TINTS_UNIT}
         set_used_uniforms(program, **units)
