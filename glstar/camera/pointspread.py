@@ -133,9 +133,7 @@ class PointSpread:
         -------
         PointSpread
         """
-        if not any(key.startswith("sensor.psf") for key in effects):
-            return _GAUSSIAN
-        return _of_values(tuple(effects.get(f"sensor.{key}") for key in _KEYS))
+        return _of_values(tuple(map(effects.get, _CONFIG_KEYS)))
 
     @property
     def is_gaussian(self) -> bool:
@@ -234,6 +232,7 @@ class PointSpread:
 _GAUSSIAN: Final = PointSpread()
 # The keys of ``[sensor]``, in the order of the attributes; the last one is in degrees.
 _KEYS: Final = (*PointSpread.__slots__[:-1], "psf_angle_deg")
+_CONFIG_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS)
 
 
 @lru_cache(maxsize=64)

@@ -11,15 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.camera.colourband import ColourBand
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.pointspread import PointSpread, PsfComponent
+from glstar.camera.truncation import FAINTEST_COMPONENT_DN, PLAIN, gaussian_radius_px
 from glstar.errors import ConfigError
 from glstar.sky.magnitudes import brightness_ratio
 
 __all__ = [
-    "FAINTEST_COMPONENT_DN",
     "MIN_WIDENED_SIGMA_PX",
     "PAPER_KEYS",
     "PIXEL_VARIANCE_PX2",
-    "TRUNCATION_DN",
     "EffectValue",
     "NoiseModel",
     "Sensor",
@@ -33,10 +32,6 @@ NoiseModel = Literal["paper", "electrons"]
 # Beginnings of the effects' keys that change the noiseless signal of stars; all others act on it later.
 _KEYS_OF_LIGHT = ("sensor.psf", "sensor.band", "sensor.mosaic", "cloud.")
 
-# The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
-TRUNCATION_DN = 0.02
-# A Gaussian of several is drawn where it is at least this, DN: a tenth of what is cut off a single Gaussian.
-FAINTEST_COMPONENT_DN = 0.1 * TRUNCATION_DN
 # Radius of the largest sprite of wings and halos, px: all drivers draw points of 255 px.
 _LARGEST_PX = 110.0
 # `Sensor.widest_sigma_px` times this contains every star, offsets included.
@@ -48,33 +43,8 @@ PIXEL_VARIANCE_PX2 = 1 / 12
 MIN_WIDENED_SIGMA_PX = 1.1
 
 
-@dataclass(frozen=True, slots=True)
-class _Truncation:
-    """Limits of the radius at which a star's point spread function is truncated, besides `TRUNCATION_DN`.
-
-    Attributes
-    ----------
-    peak_fraction : float
-        The signal at the radius, over the peak, is at most this.
-    min_sigma : float
-        Smallest radius, sigma.
-    min_px : float
-        Smallest radius, px.
-    """
-
-    peak_fraction: float
-    min_sigma: float
-    min_px: float = 0.0
-
-
 # Keys of ``[sensor]`` of the paper's noise model only.
 PAPER_KEYS = ("reference_vmag", "reference_peak_dn", "reference_exposure_s", "sky_mean_dn", "sky_std_dn")
-
-# Flux outside the radius is lost: 1e-3 of it at 3.5 sigma.
-_PLAIN = _Truncation(peak_fraction=1e-4, min_sigma=3.5)
-# Flux outside the radius is added to the rest.  Below 1.2 px, the sum over the pixels of a narrow trail would depend on
-# its position between pixel centres.
-_RENORMALIZED = _Truncation(peak_fraction=1e-3, min_sigma=1.5, min_px=1.2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,20 +365,8 @@ class Sensor:
         """
         if not self.point_spread.is_gaussian:
             return self._widest_truncation_px(peak_dn, min_trail_px, renormalized=renormalized)
-        return self._gaussian_radius_px(np.asarray(peak_dn, dtype=np.float64), min_trail_px, renormalized=renormalized)
-
-    def _gaussian_radius_px(
-        self, peak_dn: Float, min_trail_px: ArrayLike, *, renormalized: bool, faintest_dn: float = 0.0
-    ) -> Float:
-        """Return `truncation_radius_px` of plain Gaussians, or the radius of a signal that does not matter if smaller."""
-        limits = _RENORMALIZED if renormalized else _PLAIN
-        sigma_px = self.effective_sigma_px
-        of_peak = (
-            np.minimum(1 / limits.peak_fraction, peak_dn / faintest_dn) if faintest_dn else 1 / limits.peak_fraction
-        )
-        contrast = np.maximum(peak_dn / TRUNCATION_DN, of_peak) / self._peak_reduction(min_trail_px)
-        radius_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
-        return np.asarray(np.maximum(sigma_px * radius_sigma, max(limits.min_sigma * sigma_px, limits.min_px)))
+        reduction = self._peak_reduction(min_trail_px)
+        return gaussian_radius_px(self.effective_sigma_px, peak_dn, reduction, renormalized=renormalized)
 
     def _widest_truncation_px(self, peak_dn: ArrayLike, min_trail_px: ArrayLike, *, renormalized: bool) -> Float:
         """Return the largest of the truncation radii of the Gaussians of stars anywhere on the image, px."""
@@ -434,9 +392,11 @@ class Sensor:
             At most 110 px, or 3.5 sigma if that is more.  Of the wings of a faint star nothing below
             `FAINTEST_COMPONENT_DN` is drawn.
         """
-        peak, faintest_dn = np.asarray(peak_dn, dtype=np.float64), FAINTEST_COMPONENT_DN
-        radius_px = self._gaussian_radius_px(peak, min_trail_px, renormalized=renormalized, faintest_dn=faintest_dn)
-        return np.minimum(radius_px, max(_LARGEST_PX, _PLAIN.min_sigma * self.effective_sigma_px))
+        sigma_px, reduction = self.effective_sigma_px, self._peak_reduction(min_trail_px)
+        radius_px = gaussian_radius_px(
+            sigma_px, peak_dn, reduction, renormalized=renormalized, faintest_dn=FAINTEST_COMPONENT_DN
+        )
+        return np.minimum(radius_px, max(_LARGEST_PX, PLAIN.min_sigma * sigma_px))
 
     def leaves_same_signal(self, other: "Sensor") -> bool:
         """Return whether stars leave the same noiseless signal on another sensor.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.pointspread import PsfComponent
-from glstar.camera.sensor import FAINTEST_COMPONENT_DN
+from glstar.camera.truncation import FAINTEST_COMPONENT_DN
 from glstar.render.colourscenes import drawn_peak_dn
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments, SubExposures

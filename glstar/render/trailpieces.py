@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.camera.sensor import TRUNCATION_DN
+from glstar.camera.truncation import TRUNCATION_DN
 from glstar.render.bodysources import BODIES
 from glstar.render.camerapath import CameraPath, TrailPieces
 from glstar.render.colourscenes import drawn_peak_dn

@@ -20,7 +20,7 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from glstar.camera.sensor import TRUNCATION_DN
+from glstar.camera.truncation import TRUNCATION_DN
 from glstar.cli import app
 from glstar.errors import ExportError
 from glstar.export.images import encode, write_video

@@ -9,7 +9,7 @@ from scipy.ndimage import maximum_filter
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import TRUNCATION_DN
+from glstar.camera.truncation import TRUNCATION_DN
 from glstar.config import Config
 from glstar.render.opengl import trailpass
 from glstar.render.opengl.readoutclock import pinhole_clock

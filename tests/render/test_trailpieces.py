@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import TRUNCATION_DN
+from glstar.camera.truncation import TRUNCATION_DN
 from glstar.render.bodysources import BODIES
 from glstar.render.trailpieces import (
     FAINT_LIMITS,

@@ -6,11 +6,8 @@ from functools import partial
 from typing import Self
 
 import moderngl
-import numpy as np
 
 from glstar.camera.colourband import Channel
-from glstar.camera.model import Camera
-from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.colourscenes import channel_scenes
 from glstar.render.effects import EFFECTS, Effect
@@ -19,15 +16,16 @@ from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
 from glstar.render.opengl.drawqueue import DrawQueue
+from glstar.render.opengl.guardbands import GuardBands
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
 from glstar.render.opengl.stacktexture import StackTexture
 from glstar.render.opengl.starcomponents import drawn_together
-from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubExposurePass
+from glstar.render.opengl.subexposurepass import SubExposurePass
 from glstar.render.opengl.targets import SignalTarget, Targets
 from glstar.render.opengl.trailpass import TrailPass
 from glstar.render.scene import Frame, Scene
-from glstar.render.trailmodels import SAMPLE_SPACING_SIGMA, AnalyticSegments, SubExposures
+from glstar.render.trailmodels import AnalyticSegments, SubExposures
 
 __all__ = ["GLRenderer"]
 
@@ -100,8 +98,7 @@ class GLRenderer:
         owned.callback(self._drop_targets)
         owned.callback(self._readback.release)
         owned.callback(self._drop_distortion_pass)
-        self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
-        self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
+        self._guard_bands = GuardBands(context)
         self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
 
     @classmethod
@@ -352,7 +349,7 @@ class GLRenderer:
         targets.scene = None  # until it is complete
         distortion_pass = self._distortion_pass_for(scene)
         undistorted = distortion_pass.undistorted(scene)
-        guard_band_px = self._guard_band_px(undistorted)
+        guard_band_px = self._guard_bands.of(undistorted)
         clock = distortion_pass.openings.clock(
             scene.exposure, undistorted.camera, guard_band_px, distortion_pass.resampling_px2(scene.sensor)
         )
@@ -364,17 +361,16 @@ class GLRenderer:
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
         queue = DrawQueue(target.light)
-        drawn = [one for one in gaussians if len(one.draw_list)]
-        for scenes in drawn_together(drawn, clock):
-            if len(scenes) > 1:
-                self._trail_pass.draw_components(scenes, queue, target.guard_band_px, clock)
-            else:
-                self._add(scenes[0], queue, target.guard_band_px, clock)
+        for scenes in drawn_together(gaussians, clock):
+            self._add(scenes, queue, target.guard_band_px, clock)
         queue.run()
 
-    def _add(self, scene: Scene, queue: DrawQueue, guard_band_px: int, clock: ReadoutClock) -> None:
-        """Add the flux of a scene whose stars are plain Gaussians."""
+    def _add(self, scenes: Sequence[Scene], queue: DrawQueue, guard_band_px: int, clock: ReadoutClock) -> None:
+        """Add the flux of scenes of `drawn_together`."""
+        scene, *others = scenes
         match scene.trails:
+            case AnalyticSegments() if others:
+                self._trail_pass.draw_components(scenes, queue, guard_band_px, clock)
             case AnalyticSegments() as segments:
                 self._trail_pass.draw(scene, segments, queue, guard_band_px, clock)
             case SubExposures() as sub_exposures:
@@ -386,24 +382,16 @@ class GLRenderer:
     def _targets_for(self, scene: Scene) -> Targets:
         camera = scene.camera
         if camera.lens is None:
-            guard_band_px = self._guard_band_px(scene)
+            guard_band_px = self._guard_bands.of(scene)
         else:
             # The undistorted signal has the guard band; the resampled one needs none.
-            self._guard_band_px(self._distortion_pass_for(scene).undistorted(scene))
+            self._guard_bands.of(self._distortion_pass_for(scene).undistorted(scene))
             guard_band_px = 0
         key = (camera.width_px, camera.height_px, guard_band_px, scene.sensor.bit_depth > 8)
         if self._targets is None or self._targets.key != key:
             self._drop_targets()
             self._targets = Targets(self.context, *key)
         return self._targets
-
-    def _guard_band_px(self, scene: Scene) -> int:
-        """Return the width of the guard band around a pinhole's image; refuse sprites and images that are too large."""
-        radius_px, brightest_mag = _largest(scene)
-        _refuse_large_sprites(scene.sensor, radius_px, self._point_size_px)
-        guard_band_px = _wide_guard_band_px(scene, radius_px, brightest_mag)
-        _refuse_large_image(scene.camera, guard_band_px, self._texture_size_px)
-        return guard_band_px
 
     def _distortion_pass_for(self, scene: Scene) -> DistortionPass:
         if self._distortion_pass is None or self._distortion_pass.camera != scene.camera:
@@ -438,48 +426,12 @@ class GLRenderer:
         self.close()
 
 
-def _largest(scene: Scene) -> tuple[float, float]:
-    """Return the largest truncation radius, px, and the brightest magnitude of all that a scene draws."""
-    fields = [scene, *([] if scene.body_scene is None else [scene.body_scene]), *scene.satellites]
-    radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
-    return radius_px, min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
-
-
-def _wide_guard_band_px(scene: Scene, radius_px: float, brightest_mag: float) -> int:
-    """Return a width for the brightest star, whether visible or not.
-
-    It is a multiple of 8 px: neither playback nor a slider creates new targets for every image.
-    """
-    brightest_dn = scene.sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
-    return 8 * int(np.ceil((max(radius_px, float(scene.sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
-
-
 def _require_single(scene: Scene, *, is_closed: bool) -> None:
     """Raise if the renderer is closed, or a scene has several short exposures, which are drawn one at a time."""
     if is_closed:
         raise RenderError("this renderer is closed; make another")
     if scene.shorts:
         raise RenderError("a stacked image has no flux of its own; expose each of Scene.shorts, or call render")
-
-
-def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int) -> None:
-    """Raise if an image with its guard band is larger than the driver draws."""
-    if max(camera.width_px, camera.height_px) + 2 * guard_band_px > texture_size_px:
-        raise RenderError(
-            f"an image of {camera.width_px} x {camera.height_px} px is larger than this driver draws:"
-            f" at most {texture_size_px - 2 * guard_band_px} px per side"
-        )
-
-
-def _refuse_large_sprites(sensor: Sensor, radius_px: float, point_size_px: float) -> None:
-    """Raise if a sprite, which covers several sub-exposures, is larger than the driver draws."""
-    sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.core.psf_sigma_px
-    if sprite_px > point_size_px:
-        raise RenderError(
-            f"psf_sigma_px = {sensor.psf_sigma_px:g} requires sprites of {sprite_px:.0f} px"
-            f" and this driver draws at most {point_size_px:.0f} px;"
-            f" sigma may be {sensor.psf_sigma_px * point_size_px / sprite_px:.1f} px"
-        )
 
 
 def _have_same_light(one: Scene, other: Scene) -> bool:

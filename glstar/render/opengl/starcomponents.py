@@ -75,7 +75,7 @@ def drawn_together(scenes: Iterable[Scene], clock: ReadoutClock) -> Iterator[lis
     Parameters
     ----------
     scenes : iterable of Scene
-        Their draw lists are not empty.
+        Those without stars are left out.
     clock : ReadoutClock
         When the pixels of the target open.
 
@@ -84,7 +84,8 @@ def drawn_together(scenes: Iterable[Scene], clock: ReadoutClock) -> Iterator[lis
     list of Scene
         In the same order.  Several have the same stars on the same paths, whose segments are well below their widths.
     """
-    for _, same in groupby(scenes, key=lambda one: (id(one.stars), id(one.trails), one.camera)):
+    drawn = (one for one in scenes if len(one.draw_list))
+    for _, same in groupby(drawn, key=lambda one: (id(one.stars), id(one.trails), one.camera)):
         several = list(same)
         if len(several) > 1 and clock.rows < 2 and _are_short(several, rolling=clock.rows > 0):
             yield several
