@@ -104,7 +104,7 @@ class DevelopPass:
             If an effect declares a uniform and gives no value for it, or several effects move charge.
         """
         active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
-        inputs = _Inputs(scene, signal, guard_band_px, dtype, seed)
+        inputs = _Inputs(scene, signal, guard_band_px, dtype, seed, _settings(active, scene))
         moving = [number for number, effect in enumerate(active) if effect.transfer is not None]
         if not moving:
             self._draw_in_parts(active, inputs, image)
@@ -173,7 +173,8 @@ class DevelopPass:
     ) -> "_Program":
         """Return the program of some effects, after setting its uniforms, textures and target."""
         scene = inputs.scene
-        program = self._program(inputs.dtype, active, output, _options(active, scene))
+        options = {name: value for effect in active for name, value in inputs.settings[effect].options.items()}
+        program = self._program(inputs.dtype, active, output, options)
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
             "signal_border_px": inputs.guard_band_px,
@@ -188,8 +189,8 @@ class DevelopPass:
             uniforms[sampler] = unit = next(units)
             given.use(location=unit)
         for effect in active:
-            values = effect.values(scene.sensor)
-            uniforms |= effect.uniforms(values, scene)
+            values, of_effect, _ = inputs.settings[effect]
+            uniforms |= of_effect
             for texture in (read for read in effect.textures if read.sampler in program.names):
                 uniforms[texture.sampler] = unit = next(units)
                 self._texture(effect, texture, values, scene).use(location=unit)
@@ -265,6 +266,15 @@ class _Inputs(NamedTuple):
     guard_band_px: int
     dtype: PixelType
     seed: int
+    settings: Mapping[Effect, "_Settings"]
+
+
+class _Settings(NamedTuple):
+    """What an effect is drawn with: the values of its keys, its uniforms and its options."""
+
+    values: Values
+    uniforms: Mapping[str, UniformValue]
+    options: Mapping[str, int]
 
 
 class _Program(NamedTuple):
@@ -278,11 +288,12 @@ class _Texture(NamedTuple):
     depends_on: Hashable
 
 
-def _options(effects: Sequence[Effect], scene: Scene) -> Mapping[str, int]:
-    options: dict[str, int] = {}
-    for effect in effects:
-        options |= effect.options(effect.values(scene.sensor), scene)
-    return options
+def _settings(effects: Sequence[Effect], scene: Scene) -> dict[Effect, _Settings]:
+    of_effects = ((effect, effect.values(scene.sensor)) for effect in effects)
+    return {
+        effect: _Settings(values, effect.uniforms(values, scene), effect.options(values, scene))
+        for effect, values in of_effects
+    }
 
 
 def _changed_px(effects: Sequence[Effect], scene: Scene) -> dict[Effect, NDArray[np.int64]]:
