@@ -259,3 +259,10 @@ def test_five_magnitudes_are_a_factor_of_a_hundred_in_flux_and_twice_the_exposur
     # A Gaussian of amplitude 150 DN and sigma 1.2 px sums to 2 pi sigma^2 times its amplitude.
     assert flux_dn == pytest.approx([1357.168, 13.57168], rel=1e-6)
     assert sensor.flux_of_magnitude_dn([3.0], 1.0) == pytest.approx([2 * 1357.168], rel=1e-6)
+
+
+def test_a_gaussian_of_several_ends_at_a_tenth_of_what_a_single_one_leaves_out():
+    sensor, peak_dn = Sensor(psf_sigma_px=4.0), np.array([0.05, 1.0, 100.0])
+    radius_px = sensor.component_radius_px(peak_dn, 0.0, renormalized=True)
+    edge_dn = peak_dn * np.exp(-((radius_px / sensor.effective_sigma_px) ** 2) / 2)
+    assert edge_dn == pytest.approx([0.002, 0.002, 0.02], rel=1e-9, abs=0)

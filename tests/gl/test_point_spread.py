@@ -9,6 +9,8 @@ from glstar.camera.distortion import Lens
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
+from glstar.camera.truncation import TRUNCATION_DN
+from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
@@ -168,3 +170,35 @@ def test_wide_gaussians_take_fewer_sub_exposures_of_the_same_path():
     found_px = fewer.positions(scene.camera, scene.stars.direction_eq, (np.arange(count) + 0.5) / count)[:, 0]
     assert np.linalg.norm(np.diff(found_px, axis=0), axis=1).max() <= 1.5 * 4.0
     assert np.allclose(found_px, path_px.reshape(count, -1, 2).mean(axis=1), rtol=0, atol=0.01)
+
+
+@pytest.mark.parametrize("readout_s", [0.0, 0.05])
+@pytest.mark.parametrize("mosaic", ["none", "rggb"])
+@pytest.mark.parametrize("sigma_px", [1.0, 1.4])  # the core is narrower than a pixel kernel, and wider
+def test_gaussians_that_are_drawn_together_leave_the_light_that_they_leave_one_by_one(
+    renderer, sigma_px, mosaic, readout_s
+):
+    effects = {"sensor.psf": "moffat", "sensor.psf_wing_fraction": 0.02, "sensor.psf_growth": 0.3}
+    if mosaic != "none":
+        effects |= {"sensor.mosaic": mosaic, "sensor.band": "imx477"}
+    sensor = Sensor(reference_peak_dn=3000.0, psf_sigma_px=sigma_px, bit_depth=16, effects=effects)
+    simulator = replace(sky_over_adelaide(camera(322, 240)), sensor=sensor)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.25, readout_s=readout_s, trail="analytic"))
+    gaussians = gaussian_scenes(scene)
+    assert len(gaussians) > 4
+
+    drawn, one_by_one = light(renderer, scene), sum(light(renderer, one) for one in gaussians)
+
+    # Alone, each is drawn as two during a segment, and with another guard band a sprite may be a pixel wider.
+    inside = np.s_[40:-40, 40:-40]
+    assert one_by_one[inside].max() > 100
+    np.testing.assert_allclose(drawn[inside], one_by_one[inside], rtol=3e-4, atol=TRUNCATION_DN)
+
+
+def test_a_faint_star_whose_wings_are_cut_keeps_its_flux(renderer):
+    sensor = sensor_with(psf="moffat")
+    simulator = replace(sky_over_adelaide(camera(161, 161)), sensor=sensor)
+    simulator = with_stars_at(simulator, [(80.2, 80.4)], [12.5], NIGHT_UTC_S + 1)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.25, trail="analytic"))
+    assert 1 < scene.sensor.peak_dn(12.5, 0.25) < 5
+    assert light(renderer, scene).sum() == pytest.approx(flux_dn(scene), rel=3e-3, abs=0)
