@@ -123,7 +123,7 @@ class PathPass:
 
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
         self._context = context
-        # By ROWS of readout.glsl and whether all segments are SHORT.
+        # By ROWS of readout.glsl and the kinds of segments.
         self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
         with ExitStack() as owned:
             self._projection = linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
