@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.rowtimes import recorded_paths
+from glstar.render.recordedpaths import recorded_paths
 from glstar.render.scene import Scene
 
 __all__ = ["ExposedPaths", "exposed_paths"]

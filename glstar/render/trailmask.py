@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.vignetting import Vignetting
 from glstar.render.cloudedsky import scene_passage
 from glstar.render.effects.naturalsky import natural_sky_dn
-from glstar.render.rowtimes import recorded_samples
+from glstar.render.recordedpaths import recorded_samples
 from glstar.render.scene import Scene
 from glstar.render.trailstatistics import TrailStatistics
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.rowtimes import RecordedPart, RecordedTimes, recorded_parts, recorded_rows
+from glstar.render.recordedpaths import RecordedPart, recorded_parts
+from glstar.render.rowtimes import RecordedTimes, recorded_rows
 from glstar.render.scene import Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.pointing import Pointing
-from glstar.render.rowtimes import recorded_positions
+from glstar.render.recordedpaths import recorded_positions
 from glstar.render.scene import Scene
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.viewer.curves import Crossings, Curves, ImageRegion, Polylines, cut, inside_region, region_planes

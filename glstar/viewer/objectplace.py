@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.flight import AttitudeTrack
-from glstar.render.rowtimes import recorded_positions
+from glstar.render.recordedpaths import recorded_positions
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.rowtimes import recorded_positions
+from glstar.render.recordedpaths import recorded_positions
 from glstar.render.scene import Scene
 from glstar.render.truth import trail_centroids
 from glstar.sky.catalogue import StarCatalogue

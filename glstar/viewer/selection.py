@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.rowtimes import recorded_positions
+from glstar.render.recordedpaths import recorded_positions
 from glstar.render.scene import Frame, Scene
 from glstar.render.simulator import Simulator
 from glstar.render.truth import frame_truth

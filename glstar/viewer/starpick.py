@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.pointing import Pointing
-from glstar.render.rowtimes import recorded_positions
+from glstar.render.recordedpaths import recorded_positions
 from glstar.render.scene import Scene
 from glstar.viewer.objectplace import object_place
 

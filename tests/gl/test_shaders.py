@@ -76,7 +76,7 @@ def compile_all_programs(context: moderngl.Context) -> None:
             for sigma_px in (0.8, 1.2):
                 for trail in ("analytic", "sprites"):
                     draw(renderer, lens, Sensor(psf_sigma_px=sigma_px), trail, Exposure(LATER_S, 0.1, readout_s=0.05))
-            # Trails so long that their ends are drawn on their own.
+            # Long trails, whose ends are drawn on their own.
             draw(renderer, lens, Sensor(), "analytic", Exposure(LATER_S, 0.5, readout_s=0.05), rate_rad_per_s=0.8)
     for shrinks in (0, 1, 2):
         for compares in (0, 1):

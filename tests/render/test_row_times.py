@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
-from glstar.render.rowtimes import recorded_positions, recorded_times
+from glstar.render.recordedpaths import recorded_positions
+from glstar.render.rowtimes import recorded_times
 from glstar.render.scene import Frame, Scene
 from glstar.render.truth import frame_truth
 from tests.gl.test_analytic_trails import vibrating

@@ -9,7 +9,8 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render import brightestpoints
-from glstar.render.rowtimes import recorded_positions, recorded_times
+from glstar.render.recordedpaths import recorded_positions
+from glstar.render.rowtimes import recorded_times
 from glstar.render.simulator import Simulator
 from glstar.render.trailpeaks import trail_peaks
 from glstar.render.trailstatistics import TrailStatistics

@@ -160,8 +160,7 @@ class PathPass:
             Width of the target's border around the image.
         clock : ReadoutClock
             When the pixels of the target open.
-        are_short : bool
-            Whether all segments are SHORT.
+        kinds : SegmentKinds
         """
         sensor = scene.sensor
         sigma_px = drawn_sigma_px(sensor)
