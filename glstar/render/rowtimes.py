@@ -232,8 +232,10 @@ class RowTimeSearch:
         """
         _, count, stars = since_opening_s.shape
         duration_s = self._scene.exposure.duration_s
-        opening = np.argmax(since_opening_s[0] >= 0, axis=0)
-        closing = count - np.argmax(since_opening_s[1, ::-1] <= duration_s, axis=0)
+        # Rounding decides whether the border rows open and close at the ends of the grids or beyond.
+        is_open, is_not_closed = since_opening_s[0] >= 0, since_opening_s[1] <= duration_s
+        opening = np.where(is_open[-1], np.argmax(is_open, axis=0), count)
+        closing = np.where(is_not_closed[0], count - np.argmax(is_not_closed[::-1], axis=0), 0)
         after = np.concatenate([opening, closing]).clip(1, count - 1)
         which, each = np.repeat([0, 1], stars), np.tile(np.arange(stars), 2)
         open_for_s, direction_eq = which * duration_s, np.tile(direction_eq, (2, 1))

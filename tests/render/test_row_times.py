@@ -135,6 +135,25 @@ def test_the_attitude_and_its_rate_place_every_star_at_its_own_middle():
             assert tuple(LENS.project(turned)) == pytest.approx((star["x_px"], star["y_px"]), rel=0, abs=0.01)
 
 
+@pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
+@pytest.mark.parametrize("duration_s", [0.3, 0.05])
+def test_stars_beside_the_image_are_recorded_as_by_the_row_at_its_border(readout, duration_s):
+    """Stars turn by 27 px: from 40 px beside the image they stay there, where the border row opens and closes."""
+    simulator = turning(4.0, axis="pitch")
+    exposure = Exposure(NIGHT_UTC_S + 0.4, duration_s, 200.0, "analytic", 0.1, readout)
+    scene = simulator.scene(exposure)
+    x_px, y_px = np.meshgrid([-40.0, 160.0, 360.0], [-40.0, 120.0, 280.0])
+    rays = LENS.unit_vectors(np.stack([x_px, y_px], axis=-1).reshape(-1, 2))
+    found = recorded_times(scene, rays @ scene.shutter.C_camera_eq[1])
+    along = {"down": y_px, "up": 240 - y_px, "right": x_px, "left": 320 - x_px}[readout].ravel()
+    assert (along < 0).sum() == (along > (240 if readout in {"down", "up"} else 320)).sum() == 3
+    np.testing.assert_allclose(found.opens_s[along < 0], 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.closes_s[along < 0], duration_s, rtol=0, atol=1e-9)
+    beyond = along > (240 if readout in {"down", "up"} else 320)
+    np.testing.assert_allclose(found.opens_s[beyond], 0.1, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.closes_s[beyond], duration_s + 0.1, rtol=0, atol=1e-9)
+
+
 def test_the_truth_of_a_global_shutter_has_no_rows():
     line = truth(turning(20.0).scene(Exposure(NIGHT_UTC_S + 0.4, 0.3)))
     assert "readout_s" not in line
