@@ -1,6 +1,6 @@
 """Hot pixels of one photograph: single bright pixels that no star explains."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -101,7 +101,7 @@ def find_hot_pixels(above_dn: Float, variance_dn2: Float, dn_per_e: float, joint
 
 
 def light_beside_star(joint: JointPsf) -> float:
-    """Return the light in the four neighbours of a pixel over the pixel's, for a star centred on it on the axis.
+    """Return the light in the four neighbours of a pixel over the pixel's, for the narrowest star, centred on it.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def light_beside_star(joint: JointPsf) -> float:
     float
     """
     centre = beside = 0.0
-    for one in joint.psf.circular(joint.sigma_px):
+    for one in replace(joint.psf, psf_ellipticity=0.0).components(joint.sigma_px, scale=joint.psf.scale_range[0]):
         scale = 1 / (np.sqrt(2) * one.sigma_px)
         middle = erf(0.5 * scale)
         next_to_it = (erf(1.5 * scale) - middle) / 2

@@ -28,7 +28,7 @@ _STEP_PX: Final = 0.02
 _LARGEST_STEP_PX: Final = 0.4
 # A further parameter must lower the squared residuals, over their mean, by this much.
 _BETTER: Final = 12.0
-# ... and growth and ellipticity must exceed their standard errors by this factor.
+# ... and growth, tilt, colour and ellipticity must exceed their standard errors by this factor.
 _CLEAR: Final = 3.0
 # Light this far off the first fit does not count in the last one, standard deviations.
 _OUTLIER: Final = 4.0
@@ -37,10 +37,12 @@ _GAUSSIAN_BETA: Final = 15.0
 _BETA: Final = (2.05, 19.0)
 _MOST_ELLIPTICAL: Final = 0.39
 _LARGEST_GROWTH: Final = 3.0
+_LARGEST_TILT: Final = 0.6
+_LARGEST_COLOUR_GROWTH: Final = 0.5
 _LARGEST_WING: Final = 0.8
 # Parameters that are tried together, and where they start: first the better of the first two, then the others in turn.
-_GROUPS: Final = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("e1", "e2"))
-_ROUND_GROUPS: Final = 3
+_GROUPS: Final = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("tilt_x", "tilt_y"), ("colour",), ("e1", "e2"))
+_ROUND_GROUPS: Final = 5
 _STARTS: Final = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
 
 
@@ -81,7 +83,8 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
     Returns
     -------
     JointPsf
-        A Gaussian; with a Moffat exponent, growth and ellipticity each only where they lower the residuals clearly.
+        A Gaussian; with a Moffat exponent, wings, growth, tilt, colour and ellipticity each only where they lower the
+        residuals clearly.
     StarStamps
 
     Notes
@@ -151,6 +154,9 @@ class _Shape:
     e2: float = 0.0
     wing: float = 0.0
     ln_wing_px: float = 1.4
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    colour: float = 0.0
     fixed: PointSpread | None = None
 
     @property
@@ -158,6 +164,7 @@ class _Shape:
         if self.fixed is not None:
             return self.fixed
         ellipticity = min(float(np.hypot(self.e1, self.e2)), _MOST_ELLIPTICAL)
+        tilt = float(np.hypot(self.tilt_x, self.tilt_y))
         try:
             return PointSpread(
                 psf="moffat" if self.beta < _GAUSSIAN_BETA else "gaussian",
@@ -167,6 +174,9 @@ class _Shape:
                 psf_growth=float(np.clip(self.growth, 0, _LARGEST_GROWTH)),
                 psf_ellipticity=ellipticity if ellipticity > 1e-4 else 0.0,
                 psf_angle_rad=float(np.arctan2(self.e2, self.e1) / 2) if ellipticity > 1e-4 else 0.0,
+                psf_tilt=tilt,
+                psf_tilt_angle_rad=float(np.arctan2(self.tilt_y, self.tilt_x)) if tilt > 0 else 0.0,
+                psf_colour_growth=float(np.clip(self.colour, -_LARGEST_COLOUR_GROWTH, _LARGEST_COLOUR_GROWTH)),
             )
         except ConfigError as error:  # pragma: no cover - the ranges above exclude it
             raise ValueError(str(error)) from error
@@ -192,6 +202,9 @@ _LIMITS: Final = {
     "sigma": (np.log(0.2), np.log(12.0)),
     "beta": (1 / (_GAUSSIAN_BETA - 0.1), 1 / _BETA[0]),
     "growth": (0.0, _LARGEST_GROWTH),
+    "tilt_x": (-_LARGEST_TILT, _LARGEST_TILT),
+    "tilt_y": (-_LARGEST_TILT, _LARGEST_TILT),
+    "colour": (-_LARGEST_COLOUR_GROWTH, _LARGEST_COLOUR_GROWTH),
     "e1": (-0.27, 0.27),
     "e2": (-0.27, 0.27),
     "wing": (0.0, _LARGEST_WING),
@@ -227,10 +240,14 @@ def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[
 
 
 def _is_clear(stamps: StarStamps, names: tuple[str, ...], group: tuple[str, ...], shape: _Shape) -> bool:
-    """Return whether growth or ellipticity differ from 0 beyond chance; wings are judged by the residuals alone."""
+    """Return whether a group's parameters differ from 0 beyond chance; wings are judged by the residuals alone."""
     errors = _errors(stamps, names, shape)
     if group == ("growth",):
         return shape.growth > _CLEAR * errors["psf_growth"]
+    if group == ("tilt_x", "tilt_y"):
+        return shape.psf.psf_tilt > _CLEAR * errors["psf_tilt"]
+    if group == ("colour",):
+        return abs(shape.colour) > _CLEAR * errors["psf_colour_growth"]
     if group == ("e1", "e2"):
         return float(np.hypot(shape.e1, shape.e2)) > _CLEAR * errors["psf_ellipticity"]
     return True
@@ -254,6 +271,11 @@ def _errors(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> dict[s
         errors["psf_wing_sigma_px"] = by_name["ln_wing_px"] * float(np.exp(shape.ln_wing_px))
     if "growth" in by_name:
         errors["psf_growth"] = by_name["growth"]
+    if "tilt_x" in by_name:
+        errors["psf_tilt"] = float(np.hypot(by_name["tilt_x"], by_name["tilt_y"]) / np.sqrt(2))
+        errors["psf_tilt_angle_deg"] = float(np.rad2deg(errors["psf_tilt"] / max(shape.psf.psf_tilt, 1e-3)))
+    if "colour" in by_name:
+        errors["psf_colour_growth"] = by_name["colour"]
     if "e1" in by_name:
         errors["psf_ellipticity"] = float(np.hypot(by_name["e1"], by_name["e2"]) / np.sqrt(2))
         size = max(float(np.hypot(shape.e1, shape.e2)), 1e-3)

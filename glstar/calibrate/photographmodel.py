@@ -19,10 +19,12 @@ from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_n
 from glstar.calibrate.starstamps import StarStamps, cut_stamps
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.model import Camera
+from glstar.camera.pointspread import PointSpread
 from glstar.camera.sensor import EffectValue, Sensor
 from glstar.camera.vignetting import relative_solid_angle
 from glstar.errors import CalibrationError
-from glstar.sky.starcolours import star_colours
+from glstar.render.colourscenes import colours_used
+from glstar.sky.starcolours import USUAL_BV, star_colours
 
 __all__ = ["PhotographModel", "measure_photograph"]
 
@@ -184,7 +186,7 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
     matched = calibration.matches.star
     terms = fit_brightness_terms(
         flux, error, stars.vmag, star_colours(calibration.reference.stars)[matched],
-        _distance(calibration, stars.xy_px), used,
+        np.linalg.norm(_offset(calibration, stars.xy_px), axis=1), used,
     )  # fmt: skip
     hot = find_hot_pixels(sky.residual_dn, _pixel_variance(calibration, sky, noise), _gain(noise), joint)
     uneven_dn = float(np.std(sky.level_dn))
@@ -211,11 +213,19 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
     )
 
 
-def _distance(calibration: Calibration, xy_px: Float) -> Float:
-    camera = calibration.matches.solution.camera
-    cx_px = camera.width_px - 1 - camera.cx_px if calibration.matches.solution.mirrored else camera.cx_px
-    offset = xy_px - np.array([cx_px, camera.cy_px])
-    return np.asarray(np.hypot(offset[:, 0], offset[:, 1]) / (np.hypot(camera.width_px, camera.height_px) / 2))
+def _offset(calibration: Calibration, xy_px: Float) -> Float:
+    """Return positions in the frame of the simulator minus the principal point, over half the diagonal."""
+    camera, mirrored = calibration.matches.solution.camera, calibration.matches.solution.mirrored
+    x = camera.width_px - 1 - xy_px[:, 0] if mirrored else xy_px[:, 0]
+    offset_px = np.column_stack([x, xy_px[:, 1]]) - np.array([camera.cx_px, camera.cy_px])
+    return np.asarray(offset_px / (np.hypot(camera.width_px, camera.height_px) / 2))
+
+
+def _detected_colours(calibration: Calibration) -> Float:
+    """Return the colours B - V of the detected stars, (n,); the usual one of those that are not identified."""
+    bv = np.full(len(calibration.detected), USUAL_BV)
+    bv[calibration.matches.detection] = colours_used(calibration.reference.stars)[calibration.matches.star]
+    return bv
 
 
 def _pixel_variance(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None) -> Float:
@@ -230,7 +240,7 @@ def _gain(noise: NoiseAgainstLevel | None) -> float:
 
 
 def _stamps(
-    calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None, xy_px: Float, *, moved: bool
+    calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None, xy_px: Float, bv: Float, *, moved: bool
 ) -> tuple[StarStamps, Index]:
     image, detected = calibration.image, calibration.detected
     full = (image.pixels_dn >= _FULL * image.saturation_dn).astype(np.uint8)
@@ -241,12 +251,12 @@ def _stamps(
     longest_px = float(np.linalg.norm(trail_px, axis=1).max(initial=0.0))
     half_px = int(np.ceil(max(_HALF_PX, _HALF_SIGMA * detected.psf_sigma_px) + longest_px / 2))
     variance = _pixel_variance(calibration, sky, noise)
-    distance = _distance(calibration, xy_px)
+    offset = _offset(calibration, xy_px)
     # Stars of the catalogue that were not detected have light, too.
     predicted_px = calibration.matches.predicted_xy_px
     undetected_px = predicted_px[KDTree(detected.xy_px).query(predicted_px)[0] > _UNDETECTED_PX]
     others_px = np.concatenate([detected.xy_px, undetected_px])
-    return cut_stamps(sky.residual_dn, variance, usable, xy_px, others_px, trail_px, distance, half_px, _gain(noise))
+    return cut_stamps(sky.residual_dn, variance, usable, xy_px, others_px, trail_px, offset, bv, half_px, _gain(noise))
 
 
 def _shape(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None) -> tuple[JointPsf, bool]:
@@ -255,7 +265,8 @@ def _shape(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | Non
     start_px = max(detected.psf_sigma_px, 0.5)
     clear = np.flatnonzero(~detected.saturated & (detected.signal_to_noise > _SHAPED_SNR))
     clear = clear[np.argsort(-detected.signal_to_noise[clear], kind="stable")][:_MOST_SHAPED]
-    stamps, inside = _stamps(calibration, sky, noise, detected.xy_px[clear], moved=False)
+    bv = _detected_colours(calibration)
+    stamps, inside = _stamps(calibration, sky, noise, detected.xy_px[clear], bv[clear], moved=False)
     if len(stamps) < _LEAST_SHAPED:
         raise CalibrationError(
             f"the shape of the stars needs {_LEAST_SHAPED} stars of a signal-to-noise ratio of {_SHAPED_SNR:g} that are"
@@ -266,7 +277,7 @@ def _shape(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | Non
     chosen = clear[inside]
     fits = []
     for moved in (False, True):
-        stamps, _ = _stamps(calibration, sky, noise, detected.xy_px[chosen], moved=moved)
+        stamps, _ = _stamps(calibration, sky, noise, detected.xy_px[chosen], bv[chosen], moved=moved)
         longest_px = float(np.linalg.norm(stamps.trail_px, axis=1).max(initial=0.0))
         if not moved or longest_px > _TRAIL_PX:
             fits.append((fit_joint_psf(stamps, start_px)[0], moved))
@@ -278,7 +289,8 @@ def _matched_fluxes(
 ) -> tuple[Float, Float, Mask]:
     """Return fluxes and errors of the matched stars, and which of them are good for the zero point."""
     stars = calibration.stars
-    stamps, inside = _stamps(calibration, sky, noise, stars.xy_px, moved=moved)
+    bv = colours_used(calibration.reference.stars)[calibration.matches.star]
+    stamps, inside = _stamps(calibration, sky, noise, stars.xy_px, bv, moved=moved)
     flux, error = np.full(len(stars), np.nan), np.full(len(stars), np.inf)
     flux[inside], error[inside], _ = measure_fluxes(stamps, joint)
     flux = np.where(flux > 0, flux, np.nan)
@@ -308,7 +320,9 @@ def _sensor(
     """Return the sensor, the standard errors of its keys, and what was refused."""
     old, refused = calibration.sensor, []
     exposure_s = old.reference_exposure_s
-    effects: dict[str, EffectValue] = {f"sensor.{key}": value for key, value in joint.psf.keys.items()}
+    effects: dict[str, EffectValue] = {
+        f"sensor.{key}": value for key, value in _unmirrored_psf(calibration, joint).keys.items()
+    }
     effects |= calibration.image.output_keys
     errors = dict(joint.standard_error)
     if terms.colour is not None:
@@ -347,6 +361,13 @@ def _sensor(
         effects=effects,
     )
     return sensor, errors, tuple(refused)
+
+
+def _unmirrored_psf(calibration: Calibration, joint: JointPsf) -> PointSpread:
+    """Return the point spread function in the frame of the simulator, which draws no mirror images."""
+    if not calibration.matches.solution.mirrored or not joint.psf.psf_ellipticity:
+        return joint.psf
+    return replace(joint.psf, psf_angle_rad=np.pi - joint.psf.psf_angle_rad)
 
 
 def _electrons(

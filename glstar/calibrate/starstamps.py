@@ -32,8 +32,10 @@ class StarStamps:
         Positions of the stars.
     trail_px : (n, 2) float64
         Motion during the exposure.
-    distance : (n,) float64
-        Distance from the principal point over half the diagonal.
+    offset : (n, 2) float64
+        Position (x, y) minus the principal point, over half the diagonal.
+    bv : (n,) float64
+        Colours B - V.
     dn_per_e : float
         Gain: the variance of a star's light over its level, DN.  It acts on the fitted light: the recorded one would
         give pixels that are too dark by chance more weight, and make stars narrower and fainter than they are.
@@ -44,7 +46,8 @@ class StarStamps:
     variance_dn2: Float
     xy_px: Float
     trail_px: Float
-    distance: Float
+    offset: Float
+    bv: Float
     dn_per_e: float = 0.0
 
     def __len__(self) -> int:
@@ -54,7 +57,7 @@ class StarStamps:
         """Return the stamps of some stars."""
         return StarStamps(
             self.corner_px[k], self.values_dn[k], self.variance_dn2[k], self.xy_px[k], self.trail_px[k],
-            self.distance[k], self.dn_per_e,
+            self.offset[k], self.bv[k], self.dn_per_e,
         )  # fmt: skip
 
     def profiles(self, psf: PointSpread, sigma_px: float) -> Float:
@@ -62,7 +65,7 @@ class StarStamps:
         samples, weights = _trail_samples(self.trail_px, sigma_px)
         along = np.arange(self.values_dn.shape[1], dtype=np.float64)
         near = self.xy_px - self.corner_px
-        scale = psf.scale_at(self.distance)
+        scale = psf.scale_at(self.offset, self.bv)
         light = np.zeros_like(self.values_dn)
         # The core's Gaussians scale with the growth; those of the outer parts do not.
         ones, twos = psf.components(sigma_px, scale=1.0), psf.components(sigma_px, scale=2.0)
@@ -86,7 +89,8 @@ def cut_stamps(
     xy_px: Float,
     others_px: Float,
     trail_px: Float,
-    distance: Float,
+    offset: Float,
+    bv: Float,
     half_px: int,
     dn_per_e: float = 0.0,
 ) -> tuple[StarStamps, Index]:
@@ -103,8 +107,10 @@ def cut_stamps(
     others_px : (k, 2) float64
         Positions of all stars: pixels that are nearer to another star do not count.
     trail_px : (n, 2) float64
-    distance : (n,) float64
+    offset : (n, 2) float64
         From the principal point, over half the diagonal.
+    bv : (n,) float64
+        Colours B - V.
     half_px : int
         Half the side of a stamp.
     dn_per_e : float
@@ -136,7 +142,7 @@ def cut_stamps(
     variance = np.where(counts, variance_dn2[place], np.inf)
     stamps = StarStamps(
         corner[inside].astype(np.float64), above_dn[place], variance, xy_px[inside], trail_px[inside],
-        distance[inside], dn_per_e,
+        offset[inside], bv[inside], dn_per_e,
     )  # fmt: skip
     return stamps, inside
 

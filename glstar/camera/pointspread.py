@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
+from glstar.sky.starcolours import USUAL_BV
 
 __all__ = ["PointSpread", "Profile", "PsfComponent", "moffat_mixture"]
 
@@ -34,6 +35,9 @@ _UNIT_FLUX_WEIGHT: Final = 1e3
 _HALO_RATIO: Final = 2.0
 # Gaussians along the major axis of an elliptical star (Gauss-Hermite nodes) for axis ratios down to these.
 _HERMITE_NODES: Final = ((0.9, 3), (0.8, 5), (0.7, 7), (0.6, 9))
+# Stars are not narrower than this fraction of the width on the axis, and colours beyond these have their width.
+_NARROWEST: Final = 0.2
+_VALID_BV: Final = (-0.3, 1.7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ class PsfComponent:
 
 @dataclass(frozen=True, slots=True)
 class PointSpread:
-    """Shape of a star beyond the Gaussian core: profile, wings, halo, growth off axis and ellipticity.
+    """Shape of a star beyond the Gaussian core: profile, wings, halo, ellipticity, and how its width varies.
 
     Attributes
     ----------
@@ -80,6 +84,13 @@ class PointSpread:
         1 minus the ratio of the axes of an elliptical core, 0 to 0.4; the area stays the same.
     psf_angle_rad : float
         Direction of the major axis, from the image's x axis towards its y axis, rad.
+    psf_tilt : float
+        Increase of the core's width from the principal point to half the diagonal in one direction, as a fraction,
+        and decrease in the opposite direction: a sensor that is tilted against the focal surface.
+    psf_tilt_angle_rad : float
+        Direction in which stars are wider, from the image's x axis towards its y axis, rad.
+    psf_colour_growth : float
+        Increase of the core's width per magnitude of B - V above 0.65, as a fraction: colours have different foci.
 
     Raises
     ------
@@ -100,6 +111,9 @@ class PointSpread:
     psf_growth: float = 0.0
     psf_ellipticity: float = 0.0
     psf_angle_rad: float = 0.0
+    psf_tilt: float = 0.0
+    psf_tilt_angle_rad: float = 0.0
+    psf_colour_growth: float = 0.0
 
     def __post_init__(self) -> None:
         if self.psf not in get_args(Profile):
@@ -113,6 +127,9 @@ class PointSpread:
             "psf_growth": (0.0, 4.0),
             "psf_ellipticity": (0.0, 0.4),
             "psf_angle_rad": (-2 * pi, 2 * pi),
+            "psf_tilt": (0.0, 0.9),
+            "psf_tilt_angle_rad": (-2 * pi, 2 * pi),
+            "psf_colour_growth": (-0.5, 0.5),
         }
         for key, (low, high) in limits.items():
             if not low <= getattr(self, key) <= high:
@@ -142,9 +159,14 @@ class PointSpread:
             self.psf == "gaussian"
             and not self.psf_wing_fraction
             and not self.psf_halo_fraction
-            and not self.psf_growth
             and not self.psf_ellipticity
+            and not self.varies
         )
+
+    @property
+    def varies(self) -> bool:
+        """Whether the width of the core depends on a star's position or colour."""
+        return bool(self.psf_growth or self.psf_tilt or self.psf_colour_growth)
 
     def circular(self, sigma_px: float) -> tuple[PsfComponent, ...]:
         """Return the Gaussians of a circular star on the optical axis.
@@ -207,39 +229,55 @@ class PointSpread:
             return 2 * np.pi * sigma_px**2
         return float(1 / sum(one.flux_fraction / (2 * np.pi * one.sigma_px**2) for one in self.circular(sigma_px)))
 
-    def scale_at(self, distance: ArrayLike) -> Float:
-        """Return the widths of the core at points of the image over those on the axis.
+    def scale_at(self, offset: ArrayLike, bv: ArrayLike = USUAL_BV) -> Float:
+        """Return the widths of the core over ``psf_sigma_px``.
 
         Parameters
         ----------
-        distance : (...) array_like
-            Distance from the principal point over half the diagonal of the image.
+        offset : (..., 2) array_like
+            Position (x, y) minus the principal point, over half the diagonal of the image.
+        bv : (...) array_like
+            Colours B - V; used from -0.3 to 1.7.
 
         Returns
         -------
         (...) float64
+            1 on the axis for a star of B - V 0.65.
         """
-        return np.asarray(1 + self.psf_growth * np.square(np.asarray(distance, dtype=np.float64)))
+        x, y = np.moveaxis(np.asarray(offset, dtype=np.float64), -1, 0)
+        towards = x * cos(self.psf_tilt_angle_rad) + y * sin(self.psf_tilt_angle_rad)
+        redder = np.clip(np.asarray(bv, dtype=np.float64), *_VALID_BV) - USUAL_BV
+        scale = 1 + self.psf_growth * (x * x + y * y) + self.psf_tilt * towards + self.psf_colour_growth * redder
+        return np.asarray(np.maximum(scale, _NARROWEST))
+
+    @property
+    def scale_range(self) -> tuple[float, float]:
+        """Bounds of `scale_at` on the image."""
+        of_colour = [self.psf_colour_growth * (bv - USUAL_BV) for bv in _VALID_BV]
+        return (
+            max(1 - self.psf_tilt + min(of_colour), _NARROWEST),
+            1 + self.psf_growth + self.psf_tilt + max(of_colour),
+        )
 
     @property
     def keys(self) -> dict[str, float | str]:
         """The keys of ``[sensor]`` that differ from a plain Gaussian."""
-        values = [getattr(self, key) for key in _KEYS[:-1]] + [degrees(self.psf_angle_rad)]
-        usual = [getattr(_GAUSSIAN, key) for key in _KEYS[:-1]] + [0.0]
-        return {key: value for key, value, other in zip(_KEYS, values, usual, strict=True) if value != other}
+        changed = {name: value for name in _KEYS if (value := getattr(self, name)) != getattr(_GAUSSIAN, name)}
+        return {_KEYS[name]: degrees(value) if name.endswith("_rad") else value for name, value in changed.items()}
 
 
 _GAUSSIAN: Final = PointSpread()
-# The keys of ``[sensor]``, in the order of the attributes; the last one is in degrees.
-_KEYS: Final = (*PointSpread.__slots__[:-1], "psf_angle_deg")
-_CONFIG_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS)
+# The keys of ``[sensor]`` by attribute; angles are in degrees there.
+_KEYS: Final = {
+    name: f"{name.removesuffix('_rad')}_deg" if name.endswith("_rad") else name for name in PointSpread.__slots__
+}
+_CONFIG_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS.values())
 
 
 @lru_cache(maxsize=64)
 def _of_values(values: tuple[Any, ...]) -> PointSpread:
-    given = {key: value for key, value in zip(_KEYS, values, strict=True) if value is not None}
-    angle_rad = radians(given.pop("psf_angle_deg", 0.0))
-    return PointSpread(**given, psf_angle_rad=angle_rad)
+    given = {name: value for name, value in zip(_KEYS, values, strict=True) if value is not None}
+    return PointSpread(**{name: radians(v) if name.endswith("_rad") else v for name, v in given.items()})
 
 
 @lru_cache(maxsize=64)

@@ -142,7 +142,7 @@ class Sensor:
 
     @property
     def point_spread(self) -> PointSpread:
-        """The shape of its stars: profile, wings, halo, growth and ellipticity."""
+        """The shape of its stars: profile, wings, halo, ellipticity, and how their width varies."""
         return PointSpread.of(self.effects)
 
     @property
@@ -153,8 +153,11 @@ class Sensor:
     @property
     def core(self) -> Self:
         """The sensor with the narrowest Gaussian of its point spread function, which limits the spacing of samples."""
-        components = self.point_spread.components(self.psf_sigma_px)
-        return self if len(components) == 1 else self.of_component(min(components, key=lambda one: one.sigma_px))
+        scale, _ = self.point_spread.scale_range
+        components = self.point_spread.components(self.psf_sigma_px, scale=scale)
+        if len(components) == 1 and scale == 1:
+            return self
+        return self.of_component(min(components, key=lambda one: one.sigma_px))
 
     @property
     def widest_sigma_px(self) -> float:
@@ -168,7 +171,7 @@ class Sensor:
 
     @property
     def _widest_components(self) -> tuple[PsfComponent, ...]:
-        return self.point_spread.components(self.psf_sigma_px, scale=float(self.point_spread.scale_at(1.0)))
+        return self.point_spread.components(self.psf_sigma_px, scale=self.point_spread.scale_range[1])
 
     def of_component(self, component: PsfComponent) -> Self:
         """Return the sensor on which stars have the flux and the width of one Gaussian of theirs.
@@ -457,7 +460,7 @@ def _trail_sigma_px(sensor: Sensor) -> float:
     sensors = [sensor.of_component(one) for one in psf.circular(sensor.psf_sigma_px)]
     peaks = np.array([one.reference_peak_dn for one in sensors])
     widths_px = np.array([one.effective_sigma_px for one in sensors])
-    longest = float(psf.scale_at(1.0)) / np.sqrt(1 - psf.psf_ellipticity)
+    longest = psf.scale_range[1] / np.sqrt(1 - psf.psf_ellipticity)
     return float(longest * peaks @ widths_px / peaks.sum())
 
 

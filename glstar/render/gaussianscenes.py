@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from glstar.camera.pointspread import PsfComponent
 from glstar.camera.truncation import FAINTEST_COMPONENT_DN
-from glstar.render.colourscenes import drawn_peak_dn
+from glstar.render.colourscenes import colours_used, drawn_peak_dn
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments, SubExposures
+from glstar.sky.starcolours import USUAL_BV
 
 __all__ = ["gaussian_scenes", "psf_scale"]
 
@@ -19,14 +20,18 @@ __all__ = ["gaussian_scenes", "psf_scale"]
 _WIDTH_STEP: Final = 0.02
 
 
-def psf_scale(scene: Scene, direction_eq: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the widths of stars over the width on the axis, where they are in the middle of the exposure.
+def psf_scale(
+    scene: Scene, direction_eq: NDArray[np.float64], bv: NDArray[np.float64] | float = USUAL_BV
+) -> NDArray[np.float64]:
+    """Return the widths of stars over ``psf_sigma_px``, where they are in the middle of the exposure.
 
     Parameters
     ----------
     scene : Scene
     direction_eq : (k, 3) float64
         Geocentric apparent unit vectors, true equator and equinox.
+    bv : (k,) float64 or float
+        Colours B - V.
 
     Returns
     -------
@@ -34,14 +39,16 @@ def psf_scale(scene: Scene, direction_eq: NDArray[np.float64]) -> NDArray[np.flo
         As drawn: in steps of 2 %.
     """
     psf, camera = scene.sensor.point_spread, scene.camera
-    if not psf.psf_growth:
+    if not psf.varies:
         return np.ones(len(direction_eq))
     centre_px = np.array([camera.cx_px, camera.cy_px])
     xy_px = camera.project(scene.shutter[1:2].to_camera(direction_eq, below_horizon=True))[0]
     half_diagonal_px = hypot(camera.width_px, camera.height_px) / 2
-    distance = np.linalg.norm(xy_px - centre_px, axis=1) / half_diagonal_px
+    offset = (xy_px - centre_px) / half_diagonal_px
     # A star that is behind the camera then, or far outside the image, touches it near a corner.
-    scale = psf.scale_at(np.minimum(np.nan_to_num(distance, nan=1.0), 1.0))
+    offset[np.isnan(offset).any(axis=1)] = 1.0
+    offset /= np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1.0)
+    scale = psf.scale_at(offset, bv)
     steps = np.floor(np.log(scale) / np.log1p(_WIDTH_STEP))
     return np.asarray((1 + _WIDTH_STEP) ** (steps + 0.5))
 
@@ -69,7 +76,7 @@ def _split(scene: Scene) -> list[Scene]:
     psf = scene.sensor.point_spread
     if psf.is_gaussian:
         return [scene if scene.sensor.colour.mosaic == "none" else _with_radii(scene)]
-    scales = psf_scale(scene, scene.stars.direction_eq[scene.visible])
+    scales = psf_scale(scene, scene.stars.direction_eq[scene.visible], colours_used(scene.stars)[scene.visible])
     made = []
     for scale in np.unique(scales).tolist():
         stars = scene.with_visible(scales == scale)

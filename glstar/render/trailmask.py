@@ -7,9 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.sensor import Sensor
 from glstar.camera.vignetting import Vignetting
 from glstar.render.cloudedsky import scene_passage
+from glstar.render.colourscenes import colours_used
 from glstar.render.effects.naturalsky import natural_sky_dn
+from glstar.render.gaussianscenes import psf_scale
 from glstar.render.recordedpaths import recorded_samples
 from glstar.render.scene import Scene
 from glstar.render.trailstatistics import TrailStatistics
@@ -155,18 +158,16 @@ class _Patch:
 
 def _signals(scene: Scene, stars: NDArray[np.intp], flux_dn: Float, faintest_dn: float) -> Iterator[tuple[int, _Patch]]:
     """Yield the signals of some of the visible stars that may exceed a level, and their positions in the selection."""
-    sensor, camera = scene.sensor, scene.camera
-    gaussians = [
-        (one.flux_fraction, sensor.of_component(one).effective_sigma_px, np.array(one.offset_px))
-        for one in sensor.point_spread.components(sensor.psf_sigma_px)
-    ]
-    # Several Gaussians may exceed the level together.
-    least_dn = faintest_dn if len(gaussians) == 1 else _SMALL_PART * faintest_dn
+    camera, shown = scene.camera, scene.visible[stars]
+    scales = psf_scale(scene, scene.stars.direction_eq[shown], colours_used(scene.stars)[shown])
+    profiles = {scale: _gaussians(scene.sensor, scale) for scale in np.unique(scales).tolist()}
     for begin in range(0, len(stars), _STARS_PER_BLOCK):
         some = stars[begin : begin + _STARS_PER_BLOCK]
         xy_px, weight = _samples(scene, some)
         for k in range(len(some)):
-            flux = float(flux_dn[begin + k])
+            flux, gaussians = float(flux_dn[begin + k]), profiles[float(scales[begin + k])]
+            # Several Gaussians may exceed the level together.
+            least_dn = faintest_dn if len(gaussians) == 1 else _SMALL_PART * faintest_dn
             reach = [_reach_px(fraction * flux, sigma, least_dn) for fraction, sigma, _ in gaussians]
             farthest_px = max(reach)
             if farthest_px == 0:
@@ -180,6 +181,14 @@ def _signals(scene: Scene, stars: NDArray[np.intp], flux_dn: Float, faintest_dn:
                 if radius_px:
                     patch.add(xy + offset_px, fraction * flux * part, sigma_px, radius_px)
             yield begin + k, patch
+
+
+def _gaussians(sensor: Sensor, scale: float) -> list[tuple[float, float, Float]]:
+    """Return the Gaussians of a star: fraction of the flux, sigma in px, offset (x, y) in px."""
+    return [
+        (one.flux_fraction, sensor.of_component(one).effective_sigma_px, np.array(one.offset_px))
+        for one in sensor.point_spread.components(sensor.psf_sigma_px, scale=scale)
+    ]
 
 
 def _reach_px(flux_dn: float, sigma_px: float, faintest_dn: float) -> int:

@@ -15,6 +15,7 @@ from glstar.render.gaussianscenes import psf_scale
 from glstar.render.linechains import LineChain, Stars, line_chains
 from glstar.render.rowtimes import RecordedTimes
 from glstar.render.scene import Scene
+from glstar.sky.starcolours import USUAL_BV
 
 __all__ = ["TrailPeaks", "trail_peaks"]
 
@@ -44,6 +45,8 @@ def trail_peaks(
     passage: CloudPassage | None = None,
     nodes_px: Float | None = None,
     recorded: RecordedTimes | None = None,
+    *,
+    bv: Float | float = USUAL_BV,
 ) -> TrailPeaks:
     """Return the expected brightness of trails along the true paths of stars.
 
@@ -58,6 +61,8 @@ def trail_peaks(
         Their `ConicPaths.nodes_px`, if these are known.
     recorded : RecordedTimes, optional
         When a rolling shutter records them: fractions are of the flux that it records.
+    bv : (m,) float64 or float
+        Their colours B - V.
 
     Returns
     -------
@@ -73,7 +78,7 @@ def trail_peaks(
     chains = list(line_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)
     points = brightest_points(scene, direction_eq, chains, transmissions, recorded)
-    scales = psf_scale(scene, direction_eq)
+    scales = psf_scale(scene, direction_eq, bv)
     profiles = list(_profiles(scene.sensor, scales))
     peak = np.max([_signal_at(point, chains, transmissions, profiles) for point in points.point_px], axis=0)
     mean = np.ones(1) if passage is None else passage.mean

@@ -14,6 +14,7 @@ from glstar.camera.vignetting import Vignetting
 from glstar.render.bodysources import BodySources, centre_source, disc_on_image
 from glstar.render.cloudedsky import scene_cloud, scene_passage, scene_scintillation
 from glstar.render.clouds import CloudPassage
+from glstar.render.colourscenes import colours_used
 from glstar.render.effects import effects_truth
 from glstar.render.effects.cloudtexture import sky_fraction
 from glstar.render.gaussianscenes import psf_scale
@@ -95,7 +96,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``saturated``
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
-            standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
+            standard deviation that it is drawn with, px; only if widths vary with position or colour
+            (``sensor.psf_growth``, ``psf_tilt``, ``psf_colour_growth``).
         Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; with them `_body` and `_satellites`.
     """
     truth = {
@@ -220,7 +222,14 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     passage = scene_passage(scene, scene.stars.direction_eq[index])
     arriving_dn = peak_dn if transmission is None else peak_dn * transmission
     arriving_dn = arriving_dn * exposed_fraction(scene.exposure, recorded)
-    peaks = trail_peaks(scene, scene.stars.direction_eq[index], passage, trails.chosen_nodes_px(drawn), recorded)
+    peaks = trail_peaks(
+        scene,
+        scene.stars.direction_eq[index],
+        passage,
+        trails.chosen_nodes_px(drawn),
+        recorded,
+        bv=colours_used(scene.stars)[index],
+    )
     return rows_of(
         {
             "star_id": scene.stars.star_id[index],
@@ -406,9 +415,10 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
 
 def _widths(scene: Scene, drawn: NDArray[np.intp]) -> dict[str, Float]:
     """Return the column of the widths of stars, if they differ."""
-    if not scene.sensor.point_spread.psf_growth:
+    if not scene.sensor.point_spread.varies:
         return {}
-    scale = psf_scale(scene, scene.stars.direction_eq[scene.visible[drawn]])
+    stars = scene.visible[drawn]
+    scale = psf_scale(scene, scene.stars.direction_eq[stars], colours_used(scene.stars)[stars])
     return {"psf_sigma_px": _rounded(scene.sensor.psf_sigma_px * scale)}
 
 

@@ -44,7 +44,7 @@ def stamps_of(above, xy_px, *, dn_per_e, read_dn):
     variance = np.full(above.shape, read_dn**2 + dn_per_e * SKY_DN)
     none = np.zeros_like(xy_px)
     usable = np.ones(above.shape, bool)
-    return cut_stamps(above, variance, usable, xy_px, xy_px, none, none[:, 0], HALF_PX, dn_per_e)[0]
+    return cut_stamps(above, variance, usable, xy_px, xy_px, none, none, np.full(len(none), 0.65), HALF_PX, dn_per_e)[0]
 
 
 def assert_true_shape(joint):

@@ -1,4 +1,4 @@
-"""Wings, halo, growth and ellipticity of stars: keys of the point spread function, which the star passes draw."""
+"""Profile, wings, halo, ellipticity and varying width of stars: keys of the point spread function, which the star passes draw."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -102,6 +102,30 @@ POINT_SPREAD = Effect(
             minimum=-360.0,
             maximum=360.0,
             control=Control("Major axis", -90.0, 90.0, "%.0f deg"),
+        ),
+        Key(
+            "psf_tilt",
+            _PLAIN.psf_tilt,
+            allowed="a fraction from 0 to 0.9",
+            minimum=0.0,
+            maximum=0.9,
+            control=Control("Tilt of the sensor", 0.0, 0.9, "%.3f"),
+        ),
+        Key(
+            "psf_tilt_angle_deg",
+            0.0,
+            allowed="degrees from -360 to 360",
+            minimum=-360.0,
+            maximum=360.0,
+            control=Control("Wider towards", -180.0, 180.0, "%.0f deg"),
+        ),
+        Key(
+            "psf_colour_growth",
+            _PLAIN.psf_colour_growth,
+            allowed="a fraction from -0.5 to 0.5",
+            minimum=-0.5,
+            maximum=0.5,
+            control=Control("Growth with B - V", -0.5, 0.5, "%.3f"),
         ),
     ),
     stage=Stage.STARS,

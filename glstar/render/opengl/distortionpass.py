@@ -1,7 +1,7 @@
 """The distortion pass: the undistorted signal is resampled into the pixels behind a lens."""
 
 from dataclasses import replace
-from math import ceil
+from math import ceil, hypot, sqrt
 from typing import Final, NamedTuple
 
 import moderngl
@@ -25,6 +25,8 @@ _INTERPOLATION_PX2: Final = 0.40
 # Smallest sigma of a star in the undistorted signal, px: what interpolation leaves differs from a Gaussian by up to
 # 0.4 % of its peak at 1.2 px and 0.1 % at 1.5 px.
 _MIN_SIGMA_PX: Final = 1.5
+_MOSTLY_PIXEL_PX: Final = 0.5
+_MIN_WITH_PIXEL_PX: Final = 1.3
 # Side of the part of a pixel by whose variance stars are drawn wider, px, wide point spread functions and those that a
 # widened Gaussian does not describe (Sensor.needs_erf): several samples per pixel make up the rest.
 _DRAWN_PIXEL_PX: Final = (1.0, 0.5)
@@ -112,7 +114,8 @@ class DistortionPass:
     def oversampling(self, sensor: Sensor) -> float:
         """Return the number of pixels of the undistorted signal per pixel of the image, on the axis.
 
-        It is the largest magnification of the lens, or more for stars narrower than 1.5 px.
+        It is the largest magnification of the lens, or more for stars narrower than 1.5 px.  Stars below 0.5 px are
+        mostly pixel: the part of a pixel that they are drawn wider by counts as their width.
 
         Parameters
         ----------
@@ -122,7 +125,11 @@ class DistortionPass:
         -------
         float
         """
-        return max(self.camera.max_magnification, _MIN_SIGMA_PX / sensor.core.psf_sigma_px)
+        sigma_px, least_px = sensor.core.psf_sigma_px, _MIN_SIGMA_PX
+        if sigma_px < _MOSTLY_PIXEL_PX and _pixel_px2(sensor):
+            sigma_px = hypot(sigma_px, sqrt(_pixel_px2(sensor)) * _drawn_pixel_px(sensor))
+            least_px = _MIN_WITH_PIXEL_PX
+        return max(self.camera.max_magnification, least_px / sigma_px)
 
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene as a pinhole sees it, with a field and a resolution sufficient for resampling.
