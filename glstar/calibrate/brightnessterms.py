@@ -15,9 +15,10 @@ __all__ = ["BrightnessTerms", "fit_brightness_terms", "robust_fit"]
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A term is used if the probability of an estimate as large by chance is below this (Student's t), with at least
-# this number of stars for each term.
-_BY_CHANCE: Final = 0.01
+# Terms are used if the probability that chance lowers the residuals as much (F test) is below the first for all of them
+# together, and below the second for each, with at least this number of stars for each term.
+_ALL_BY_CHANCE: Final = 0.01
+_ONE_BY_CHANCE: Final = 0.05
 _STARS_PER_TERM: Final = 4
 # Colours beyond which the band's polynomial is constant.
 _VALID_BV: Final = (-0.3, 1.7)
@@ -29,7 +30,7 @@ _HUBER: Final = 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightnessTerms:
-    """Instrumental magnitudes as zero + V + slope (B - V) + loss r^2.
+    """Instrumental magnitudes as zero + V + slope (B - V) + curvature (B - V)^2 + loss r^2.
 
     Attributes
     ----------
@@ -38,6 +39,9 @@ class BrightnessTerms:
     zero_error_mag : float
     colour : Measurement or None
         Slope over B - V; None if it is not significant.
+    curvature : Measurement or None
+        Of the square of B - V: giants of type M are far brighter to a camera that sees red light.  None if it is not
+        significant.
     loss_mag : Measurement or None
         Loss at half the diagonal from the axis; None if it is not significant.
     magnitude_slope : Measurement or None
@@ -52,6 +56,7 @@ class BrightnessTerms:
     zero_mag: float
     zero_error_mag: float
     colour: Measurement | None
+    curvature: Measurement | None
     loss_mag: Measurement | None
     magnitude_slope: Measurement | None
     scatter_mag: float
@@ -81,30 +86,38 @@ def fit_brightness_terms(
 
     Notes
     -----
-    Weighted least squares with Huber's weights; a term that chance explains (Student's t, 1 %) is left out.
+    Weighted least squares with Huber's weights; terms that chance explains (F tests with the weights of the larger
+    model: 1 % for all together, 5 % for each) are left out, the least significant first.
     """
     used = used & (flux_dn > 0)
     off = np.full(len(flux_dn), np.nan)
     off[flux_dn > 0] = -2.5 * np.log10(flux_dn[flux_dn > 0]) - vmag[flux_dn > 0]
     colour = np.clip(np.nan_to_num(bv, nan=0.65), *_VALID_BV)
-    columns = {"colour": colour, "loss": distance**2}
+    columns = {"colour": colour, "loss": distance**2, "curvature": colour**2}
     known_dn = np.where(np.isfinite(error_dn), error_dn, np.maximum(flux_dn, 1.0))
     noise_mag = 1.0857 * known_dn / np.maximum(flux_dn, np.maximum(known_dn, 1e-9))
     most = int(used.sum()) // _STARS_PER_TERM - 1
     names = [name for name in columns if np.ptp(columns[name][used]) > _LEAST_SPAN][: max(most, 0)]
 
+    def design(names: list[str]) -> Float:
+        return np.column_stack([np.ones_like(off), *(columns[name] for name in names)])[used]
+
     def fitted(names: list[str], *more: Float) -> tuple[Float, Float, float]:
-        design = np.column_stack([np.ones_like(off), *(columns[name] for name in names), *more])
-        return robust_fit(design[used], off[used], noise_mag[used])
+        return robust_fit(np.column_stack([design(names), *(one[used] for one in more)]), off[used], noise_mag[used])
 
     while True:
         p, error, scatter = fitted(names)
-        limit = float(stats.t.ppf(1 - _BY_CHANCE / 2, max(int(used.sum()) - len(p), 1)))
-        weak = [k for k in range(len(names)) if abs(p[k + 1]) < limit * error[k + 1]]
-        weak += [k for k in range(len(names)) if names[k] == "loss" and p[k + 1] <= 0]
-        if not weak:
+        all_by_chance, chance = _by_chance(design(names), off[used], noise_mag[used], p)
+        weak = {
+            name: 1.0 if name == "loss" and value <= 0 else one
+            for name, one, value in zip(names, chance, p[1:], strict=True)
+            # The square without the slope would be another model.
+            if name != "colour" or "curvature" not in names
+        }
+        weakest = max(weak, key=lambda name: weak[name], default=None)
+        if weakest is None or (weak[weakest] < _ONE_BY_CHANCE and all_by_chance < _ALL_BY_CHANCE):
             break
-        names.pop(max(weak, key=lambda k: error[k + 1] / max(abs(p[k + 1]), 1e-9)))
+        names.remove(weakest)
     terms = {name: Measurement(float(p[k + 1]), float(error[k + 1])) for k, name in enumerate(names)}
     slope = None
     if used.sum() >= _STARS_PER_TERM * (len(names) + 2) and np.ptp(vmag[used]) > _LEAST_SPAN:
@@ -112,9 +125,40 @@ def fit_brightness_terms(
         slope = Measurement(float(q[-1]), float(q_error[-1]))
     model = p[0] + sum((columns[name] * p[k + 1] for k, name in enumerate(names)), np.zeros_like(off))
     return BrightnessTerms(
-        float(p[0]), float(error[0]), terms.get("colour"), terms.get("loss"), slope, scatter, int(used.sum()),
+        float(p[0]), float(error[0]), terms.get("colour"), terms.get("curvature"), terms.get("loss"), slope, scatter,
+        int(used.sum()),
         off - model,
     )  # fmt: skip
+
+
+def _by_chance(design: Float, values: Float, noise: Float, p: Float) -> tuple[float, list[float]]:
+    """Return the probabilities that chance explains the columns of a fit but the first: all of them, and each.
+
+    F tests of the fits without them.
+    """
+    left = values - design @ p
+    root = np.sqrt(_huber_weights(left, noise, robust_std(left, float(np.median(left)))))
+    free = max(len(values) - design.shape[1], 1)
+    weighted, of_values = design * root[:, np.newaxis], values * root
+
+    def cost(columns: list[int]) -> float:
+        found = np.linalg.lstsq(weighted[:, columns], of_values, rcond=None)[0]
+        return float(np.sum((of_values - weighted[:, columns] @ found) ** 2))
+
+    every = list(range(design.shape[1]))
+    whole = max(cost(every), 1e-12)
+
+    def chance(without: list[int]) -> float:
+        fewer = max(len(without), 1)
+        better = (cost([k for k in every if k not in without]) - whole) / whole
+        return float(stats.f.sf(better * free / fewer, fewer, free))
+
+    return chance(every[1:]), [chance([k]) for k in every[1:]]
+
+
+def _huber_weights(left: Float, noise: Float, scatter: float) -> Float:
+    total = np.hypot(max(scatter, 0.01), noise)
+    return np.asarray(np.minimum(1.0, _HUBER * total / np.maximum(np.abs(left), 1e-9)) / total**2)
 
 
 def robust_fit(
@@ -147,8 +191,7 @@ def robust_fit(
         p = np.asarray(np.linalg.lstsq(design * root[:, np.newaxis], values * root, rcond=None)[0], dtype=np.float64)
         left = values - design @ p
         scatter = robust_std(left, float(np.median(left)))
-        total = np.hypot(max(scatter, 0.01), noise)
-        weight = np.minimum(1.0, _HUBER * total / np.maximum(np.abs(left), 1e-9)) / total**2
+        weight = _huber_weights(left, noise, scatter)
     inverse = np.linalg.pinv((design * weight[:, np.newaxis]).T @ design)
     score = design * (weight * left)[:, np.newaxis]
     if same is not None:

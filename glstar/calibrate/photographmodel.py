@@ -11,9 +11,11 @@ from scipy.spatial import KDTree
 from glstar import __version__
 from glstar.calibrate.brightnessterms import BrightnessTerms, fit_brightness_terms
 from glstar.calibrate.calibration import Calibration
+from glstar.calibrate.combine import StarTable
 from glstar.calibrate.geometry import calibration_toml
 from glstar.calibrate.hotpixels import HotPixels, find_hot_pixels
 from glstar.calibrate.jointpsf import JointPsf, fit_joint_psf, measure_fluxes
+from glstar.calibrate.recordedbrightness import recorded_brightness
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_noise, measure_sky
 from glstar.calibrate.starstamps import StarStamps, cut_stamps
@@ -74,6 +76,8 @@ class PhotographModel:
     joint : JointPsf
     terms : BrightnessTerms
     hot : HotPixels
+    brightness : StarTable
+        Of each star, as the photograph records it.
     has_map : bool
         Whether the sky is uneven, so that the sensor needs the map.
     moved : bool
@@ -92,6 +96,7 @@ class PhotographModel:
     joint: JointPsf
     terms: BrightnessTerms
     hot: HotPixels
+    brightness: StarTable
     has_map: bool
     moved: bool
     flux_dn: Float
@@ -117,7 +122,7 @@ class PhotographModel:
         # The simulator draws no mirror images.
         return np.ascontiguousarray(pixels[:, ::-1]) if self.calibration.matches.solution.mirrored else pixels
 
-    def to_toml(self, sky_map: str, dark_frame: str) -> str:
+    def to_toml(self, sky_map: str, dark_frame: str, star_brightness: str) -> str:
         """Return the model as TOML, for ``--config``.
 
         Parameters
@@ -126,6 +131,8 @@ class PhotographModel:
             Path of the map of the sky, beside the TOML file.
         dark_frame : str
             Path of the map of the hot pixels.
+        star_brightness : str
+            Path of the table of the stars' brightness.
 
         Returns
         -------
@@ -141,7 +148,13 @@ class PhotographModel:
         effects = dict(calibration.sensor.effects) | ({"sensor.sky_map": sky_map} if self.has_map else {})
         effects |= {"sensor.dark_frame": dark_frame} if self.dark_frame is not None else {}
         sensor = replace(calibration.sensor, effects=effects)
-        return calibration_toml(head, sensor, calibration.matches, sensor_error=self.standard_error)
+        return calibration_toml(
+            head,
+            sensor,
+            calibration.matches,
+            sensor_error=self.standard_error,
+            star_brightness=star_brightness if len(self.brightness) else None,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the measurements as JSON-serialisable values."""
@@ -205,6 +218,7 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
         joint,
         terms,
         hot,
+        recorded_brightness(calibration, terms, sensor.colour, flux, error),
         has_map,
         moved,
         flux,
@@ -328,6 +342,9 @@ def _sensor(
     if terms.colour is not None:
         effects |= {"sensor.band": "custom", "sensor.band_slope": round(terms.colour.value, 4)}
         errors["band_slope"] = terms.colour.standard_error
+        if terms.curvature is not None:
+            effects |= {"sensor.band_curvature": round(terms.curvature.value, 4)}
+            errors["band_curvature"] = terms.curvature.standard_error
     else:
         refused.append("the stars do not show a colour term: brightness follows V")
     if terms.loss_mag is not None:

@@ -56,6 +56,8 @@ class TwinFigures:
         Of the noise of neighbouring pixels.
     peak_error : float
         Mean absolute relative error of the brightest pixel of each star.
+    catalogue_peak_error : float
+        The same of a twin whose stars have the brightness of the catalogue in the camera's band, and not each its own.
     peak_noise : float
         The same between two twins that differ in their noise only.
     width_ratio : float
@@ -71,6 +73,7 @@ class TwinFigures:
     neighbour_correlation: float
     twin_neighbour_correlation: float
     peak_error: float
+    catalogue_peak_error: float
     peak_noise: float
     width_ratio: float
     profile_error: float
@@ -106,7 +109,9 @@ class Twin:
     noise: NoiseAgainstLevel | None
 
 
-def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, seed: int = 1) -> NDArray[Any]:
+def render_twin(
+    model: PhotographModel, config: Config, renderer: Renderer, *, seed: int = 1, catalogue_brightness: bool = False
+) -> NDArray[Any]:
     """Return the image that the simulator makes of the stars of a photograph.
 
     Parameters
@@ -117,6 +122,8 @@ def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, s
     renderer : Renderer
     seed : int
         Of the noise.
+    catalogue_brightness : bool
+        Whether stars have the brightness of the catalogue in the camera's band, and not each that of the photograph.
 
     Returns
     -------
@@ -134,7 +141,8 @@ def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, s
     if not camera.is_drawable:
         raise CalibrationError("has no twin: the simulator does not draw a view that wide")
     exposure_s = calibration.sensor.reference_exposure_s
-    stars = in_band(reference.stars, sensor.colour)
+    recorded = None if catalogue_brightness else config.star_brightness()
+    stars = in_band(reference.stars if recorded is None else recorded.applied(reference.stars), sensor.colour)
     shown = np.sort(calibration.matches.predicted).astype(np.int32)
     peak_dn = sensor.peak_dn(stars.camera_mag[shown], exposure_s)
     radius_px = camera.max_magnification * sensor.truncation_radius_px(peak_dn)
@@ -144,10 +152,10 @@ def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, s
         longest_px = float(np.linalg.norm(trails_px, axis=1).max(initial=0.0))
     count = 1 + 2 * int(np.ceil(longest_px / _SPACING_PX / 2))
 
-    def pointing(times: int) -> Pointing:
-        C = _turning(solution.C_camera_eq, exposure_s if longest_px else 0.0, times)
+    def pointing(fraction: Float) -> Pointing:
+        C = _turning(solution.C_camera_eq, exposure_s if longest_px else 0.0, fraction)
         zenith, velocity = (
-            np.repeat(one[np.newaxis], times, axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
+            np.repeat(one[np.newaxis], len(fraction), axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
         )
         # Without a site there is no horizon: all stars on the image are up.
         return Pointing(C, zenith if zenith.any() else C[:, 2], velocity, reference.refraction_scale)
@@ -155,27 +163,31 @@ def render_twin(model: PhotographModel, config: Config, renderer: Renderer, *, s
     scene = Scene(
         stars=stars,
         draw_list=DrawList(shown, radius_px + longest_px / 2),
-        trails=SubExposures(pointing(count)),
+        # Each sub-exposure is drawn where stars are in its middle.
+        trails=SubExposures(pointing((np.arange(count) + 0.5) / count)),
         camera=camera,
         sensor=sensor,
         exposure=Exposure(0.0, exposure_s, trail="sprites"),
         site=Site(0.0, 0.0, 0.0),
         C_camera_body=np.eye(3),
         q_body_ned=np.array([1.0, 0.0, 0.0, 0.0]),
-        shutter=pointing(3),
+        shutter=pointing(np.array([0.0, 0.5, 1.0])),
     )
     pixels = renderer.render(scene, seed=seed).pixels
     return np.ascontiguousarray(pixels[:, ::-1]) if solution.mirrored else pixels
 
 
-def _turning(C_camera_eq: Float, exposure_s: float, times: int) -> Float:
-    """Return the attitude of a camera at rest on the ground at equal intervals of the exposure, (times, 3, 3)."""
-    angles = SIDEREAL_RAD_PER_S * exposure_s * (np.linspace(-0.5, 0.5, times) if times > 1 else np.zeros(1))
+def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:
+    """Return the attitudes of a camera at rest on the ground, given that of mid-exposure, (n, 3, 3).
+
+    `fraction` is the time since the start of the exposure over its duration, (n,).
+    """
+    angles = SIDEREAL_RAD_PER_S * exposure_s * (fraction - 0.5)
     pole = np.array([0.0, 0.0, 1.0])
     return np.array([C_camera_eq @ matrix_from_quaternion(quaternion_from_turn(-angle * pole)) for angle in angles])
 
 
-def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[Any]) -> Twin:
+def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[Any], of_catalogue: NDArray[Any]) -> Twin:
     """Return how a twin differs from its photograph.
 
     Parameters
@@ -185,20 +197,23 @@ def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[An
         The twin.
     again : (height, width) uint8 or uint16
         A twin with other noise.
+    of_catalogue : (height, width) uint8 or uint16
+        A twin whose stars have the brightness of the catalogue.
 
     Returns
     -------
     Twin
     """
     calibration = model.calibration
-    real, twin, other = calibration.image.pixels_dn, *(_light_dn(calibration.image, image) for image in (pixels, again))
+    real = calibration.image.pixels_dn
+    twin, other, plain = (_light_dn(calibration.image, image) for image in (pixels, again, of_catalogue))
     both = (real, twin)
     sky = model.sky
     of_twin = SkyMap(sky.texels_dn, sky.level_dn, twin - sky.level_dn, sky.is_sky, sky.error_dn)
     noise = measure_noise(of_twin)
     matches = calibration.matches
     at = np.rint(matches.predicted_xy_px[np.isin(matches.predicted, matches.star)]).astype(int)
-    peaks = np.array([_peaks_dn(image, at) for image in (*both, other)])
+    peaks = np.array([_peaks_dn(image, at) for image in (*both, other, plain)])
     good = peaks[0] > _PEAK_SNR * calibration.sensor.background_std_dn(calibration.sensor.reference_exposure_s)
     order = np.flatnonzero(good)[np.argsort(-peaks[0][good], kind="stable")]
     whole = order[[_unsaturated(calibration, both, star) for star in at[order]]]
@@ -210,14 +225,20 @@ def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[An
         noise_error=_noise_error(model.noise, noise),
         neighbour_correlation=_correlation(sky.residual_dn, sky.is_sky),
         twin_neighbour_correlation=_correlation(of_twin.residual_dn, sky.is_sky),
-        peak_error=float(np.mean(np.abs(peaks[1][good] / peaks[0][good] - 1))) if good.any() else np.nan,
-        peak_noise=float(np.mean(np.abs(peaks[2][good] / peaks[1][good] - 1))) if good.any() else np.nan,
+        peak_error=_relative_error(peaks[1][good], peaks[0][good]),
+        catalogue_peak_error=_relative_error(peaks[3][good], peaks[0][good]),
+        peak_noise=_relative_error(peaks[2][good], peaks[1][good]),
         width_ratio=widths[1] / widths[0],
         profile_error=float(np.abs(profiles[1] - profiles[0]).max() / profiles[0].max()) if len(order) else np.nan,
         stars=int(good.sum()),
         width_stars=min(counts),
     )
     return Twin(pixels, figures, peaks[:2, good], profiles, noise)
+
+
+def _relative_error(values: Float, true: Float) -> float:
+    """Return the mean absolute relative error; NaN of nothing."""
+    return float(np.mean(np.abs(values / true - 1))) if len(true) else np.nan
 
 
 def _light_dn(image: Photograph, pixels: NDArray[Any]) -> Float:

@@ -65,7 +65,8 @@ def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     """
     model = measure_photograph(calibration)
     name = output.name.removesuffix(".toml")
-    files = {".toml": model.to_toml(f"{name}.sky.tiff", f"{name}.hot.tiff").encode()}
+    toml = model.to_toml(f"{name}.sky.tiff", f"{name}.hot.tiff", f"{name}.brightness.csv")
+    files = {".brightness.csv": model.brightness.to_csv().encode(), ".toml": toml.encode()}
     if model.has_map:
         files = {".sky.tiff": _encoded(".tiff", model.sky_texels)} | files
     if model.dark_frame is not None:
@@ -73,10 +74,12 @@ def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     write_files(output, files)
     # The twin is made from what was written.
     with GLRenderer.headless() as renderer:
-        pixels = render_twin(model, Config.load(output), renderer)
-        again = render_twin(model, Config.load(output), renderer, seed=2)
+        config = Config.load(output)
+        pixels = render_twin(model, config, renderer)
+        again = render_twin(model, config, renderer, seed=2)
+        of_catalogue = render_twin(model, config, renderer, catalogue_brightness=True)
     calibration = replace(calibration, notes=model.calibration.notes)
-    result = TwinResult(calibration, model, compare_twin(model, pixels, again))
+    result = TwinResult(calibration, model, compare_twin(model, pixels, again, of_catalogue))
     rest = files_of(calibration, with_toml=False)
     rest |= {
         ".json": (json.dumps(result.to_json(), indent=1) + "\n").encode(),
@@ -132,7 +135,8 @@ def _print_twin(result: TwinResult, output: Path) -> None:
     noise = "" if figures.noise_error is None else f"; noise against level {100 * figures.noise_error:.1f} % off"
     typer.echo(
         f"twin: sky {figures.sky_ks:.3f} (Kolmogorov-Smirnov){noise}; peaks of {figures.stars} stars"
-        f" {100 * figures.peak_error:.0f} % off, of which noise makes {100 * figures.peak_noise:.0f} %; widths"
+        f" {100 * figures.peak_error:.0f} % off, of which noise makes {100 * figures.peak_noise:.0f} %"
+        f" ({100 * figures.catalogue_peak_error:.0f} % with the brightness of the catalogue); widths"
         f" {figures.width_ratio:.3f}; profiles {100 * figures.profile_error:.0f} % off"
     )
     typer.echo(f"{output}; twin: {output.with_suffix('.twin.png')}; comparison: {output.with_suffix('.pair.png')}")

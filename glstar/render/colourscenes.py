@@ -48,7 +48,8 @@ def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None
     Parameters
     ----------
     stars : StarField
-        With V magnitudes, or measured ones, which already are those of the camera's band.
+        With V magnitudes, or measured ones, which already are those of the camera's band.  Of a table of some stars,
+        the others have the magnitudes of the band.
     colour : ColourBand
     channel : {"r", "g", "b"} or None
         A channel of the mosaic: with the brightness in its pixels, for a zero point of the mean of all pixels.
@@ -58,18 +59,19 @@ def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None
     StarField
         The same object for the same arguments.
     """
-    if colour.is_v or (channel is None and stars.measured_mag is not None):
+    if colour.is_v or (channel is None and stars.measured_mag is not None and stars.is_measured is None):
         return stars
     made = _IN_BANDS.setdefault(stars, {})
     if (colour, channel) not in made:
-        made[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel))
+        made[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel), is_measured=None)
     return made[colour, channel]
 
 
 def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -> NDArray[np.float64]:
     bv = colours_used(stars)
     if channel is None:
-        return stars.vmag + colour.magnitude_minus_v(bv)
+        of_band = stars.vmag + colour.magnitude_minus_v(bv)
+        return of_band if stars.is_measured is None else np.where(stars.is_measured, stars.camera_mag, of_band)
     tint = colour.magnitude_minus_v(bv, channel) - colour.magnitude_minus_v(bv)
     return stars.camera_mag + tint + magnitude_difference(colour.photons(channel))
 

@@ -148,7 +148,7 @@ class Simulator:
         middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
         stars = sky.star_field(middle_s)
         if star_brightness is not None:
-            stars = replace(stars, measured_mag=star_brightness.magnitudes(stars.catalogue, stars.star_id, stars.vmag))
+            stars = star_brightness.applied(stars)
         return cls(
             *(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c),
             bodies=bodies,

@@ -2,7 +2,7 @@
 
 import csv
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Final, Self
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import CalibrationError
+from glstar.sky.starfield import StarField
 from glstar.system.inputfile import read_bytes
 
 __all__ = ["COLUMNS", "StarBrightness"]
@@ -153,6 +154,35 @@ class StarBrightness:
                 f" {self.catalogue}, which the camera was calibrated with",
                 path=self.path,
             )
+        magnitudes = np.array(vmag, dtype=np.float64)
+        known, row = self._rows_of(star_id, vmag)
+        magnitudes[known] = self.camera_mag[row]
+        return magnitudes
+
+    def applied(self, stars: StarField) -> StarField:
+        """Return stars with the magnitudes of the table.
+
+        Parameters
+        ----------
+        stars : StarField
+            With V magnitudes.
+
+        Returns
+        -------
+        StarField
+
+        Raises
+        ------
+        CalibrationError
+            If the table belongs to another catalogue.
+        """
+        magnitudes = self.magnitudes(stars.catalogue, stars.star_id, stars.vmag)
+        is_measured = np.zeros(len(stars), dtype=np.bool_)
+        is_measured[self._rows_of(stars.star_id, stars.vmag)[0]] = True
+        return replace(stars, measured_mag=magnitudes, is_measured=is_measured)
+
+    def _rows_of(self, star_id: NDArray[np.int32], vmag: Float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the indices of the stars that are in the table, and their rows."""
         row_of = {int(number): k for k, number in enumerate(self.star_id)}
         known = np.array([k for k, number in enumerate(star_id) if int(number) in row_of], dtype=np.intp)
         row = np.array([row_of[int(number)] for number in star_id[known]], dtype=np.intp)
@@ -163,6 +193,4 @@ class StarBrightness:
                 " there; set sky.catalogue to the one that the camera was calibrated with",
                 path=self.path,
             )
-        magnitudes = np.array(vmag, dtype=np.float64)
-        magnitudes[known[~differs]] = self.camera_mag[row[~differs]]
-        return magnitudes
+        return known[~differs], row[~differs]

@@ -34,6 +34,8 @@ class StarField:
         Magnitudes in the band of the camera; None if they were not measured.
     bv : (n,) float64 or None
         Colours B - V of the catalogue, NaN where it has none; None if it has none at all.
+    is_measured : (n,) bool or None
+        Which of `measured_mag` were measured, where the others are V magnitudes; None if all were.
     """
 
     catalogue: str
@@ -45,6 +47,7 @@ class StarField:
     C_eq_icrs: NDArray[np.float64]
     measured_mag: NDArray[np.float64] | None = None
     bv: NDArray[np.float64] | None = None
+    is_measured: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         for array in (self.star_id, self.vmag, self.direction_eq, self.C_eq_icrs, self.camera_mag):

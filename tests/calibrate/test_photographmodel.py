@@ -98,7 +98,7 @@ def test_a_plain_photograph_needs_no_more_than_the_paper_s_sensor():
 
 
 def test_the_written_model_names_its_tables_and_errors():
-    written = full(1).to_toml("c.sky.tiff", "c.hot.tiff")
+    written = full(1).to_toml("c.sky.tiff", "c.hot.tiff", "c.brightness.csv")
     assert 'sky_map = "c.sky.tiff"' in written
     assert "dark_frame" not in written  # no hot pixel is on the image
     assert "[lens]\nvignetting = " in written

@@ -16,7 +16,10 @@ from glstar.errors import CalibrationError
 
 _NOWHERE = {"--lat": None, "--lon": None}
 _UNKNOWN = {"--yaw": None, "--pitch": None, "--roll": None}
-_COLUMNS = ("photograph", "sky KS", "noise %", "correlation, twin", "peaks %", "noise alone %", "widths", "profile %")
+_COLUMNS = (
+    *("photograph", "sky KS", "noise %", "correlation, twin", "peaks %", "of the catalogue %", "noise alone %"),
+    *("widths", "profile %"),
+)
 
 
 def options_of(exposure_s: float, fov_deg: float, gamma: str | None) -> CalibrateOptions:
@@ -55,8 +58,8 @@ def row_of(path: Path, exposure_s: float, fov_deg: float, gamma: str | None, dir
     return (
         f"| {path.name} | {found.sky_ks:.3f} | {noise} | {found.neighbour_correlation:.2f},"
         f" {found.twin_neighbour_correlation:.2f} | {100 * found.peak_error:.0f} of {found.stars} |"
-        f" {100 * found.peak_noise:.0f} | {found.width_ratio:.3f} of {found.width_stars} |"
-        f" {100 * found.profile_error:.0f} |"
+        f" {100 * found.catalogue_peak_error:.0f} | {100 * found.peak_noise:.0f} |"
+        f" {found.width_ratio:.3f} of {found.width_stars} | {100 * found.profile_error:.0f} |"
     )
 
 

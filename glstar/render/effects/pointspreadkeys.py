@@ -1,4 +1,4 @@
-"""Profile, wings, halo, ellipticity and varying width of stars: keys of the point spread function, which the star passes draw."""
+"""Profile, wings, halo, ellipticity and varying width of stars: keys of what the star passes draw."""
 
 from collections.abc import Mapping
 from typing import Any
