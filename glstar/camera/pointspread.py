@@ -276,8 +276,9 @@ _CONFIG_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS.values())
 
 @lru_cache(maxsize=64)
 def _of_values(values: tuple[Any, ...]) -> PointSpread:
-    given = {name: value for name, value in zip(_KEYS, values, strict=True) if value is not None}
-    return PointSpread(**{name: radians(v) if name.endswith("_rad") else v for name, v in given.items()})
+    given: dict[str, Any] = {name: value for name, value in zip(_KEYS, values, strict=True) if value is not None}
+    given |= {name: radians(value) for name, value in given.items() if name.endswith("_rad")}
+    return PointSpread(**given)
 
 
 @lru_cache(maxsize=64)

@@ -30,6 +30,40 @@ def test_all_gaussians_of_a_star_together_have_its_flux():
     assert np.sum([np.multiply(one.flux_fraction, one.offset_px) for one in components]) == pytest.approx(0, abs=1e-12)
 
 
+def test_the_width_is_linear_in_the_direction_of_the_tilt_and_in_colour():
+    psf = PointSpread(psf_growth=0.5, psf_tilt=0.3, psf_tilt_angle_rad=np.pi / 2, psf_colour_growth=0.2)
+    assert psf.scale_at([0.0, 0.0]) == 1
+    assert psf.scale_at([0.6, 0.0]) == pytest.approx(1 + 0.5 * 0.36, rel=1e-12, abs=0)
+    assert psf.scale_at([0.0, -0.8]) == pytest.approx(1 + 0.5 * 0.64 - 0.3 * 0.8, rel=1e-12, abs=0)
+    assert psf.scale_at([0.0, 0.0], [1.65, -0.15]) == pytest.approx([1.2, 0.84], rel=1e-12, abs=0)
+
+
+def test_no_star_on_an_image_is_wider_or_narrower_than_the_range():
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        psf = PointSpread(
+            psf_growth=rng.uniform(0, 1), psf_tilt=rng.uniform(0, 0.9), psf_tilt_angle_rad=rng.uniform(-3, 3),
+            psf_colour_growth=rng.uniform(-0.5, 0.5),
+        )  # fmt: skip
+        angle, distance = rng.uniform(0, 2 * np.pi, 50), rng.uniform(0, 1, 50)
+        offset = distance[:, np.newaxis] * np.column_stack([np.cos(angle), np.sin(angle)])
+        scales = psf.scale_at(offset, rng.uniform(-1, 3, 50))
+        low, high = psf.scale_range
+        assert low - 1e-12 <= scales.min() <= scales.max() <= high + 1e-12
+
+
+def test_the_keys_of_a_shape_give_the_shape_again():
+    psf = PointSpread("moffat", 2.7, 0.1, 5.0, 0.02, 30.0, 0.3, 0.2, 0.7, 0.25, -2.4, -0.1)
+    assert set(psf.keys) == {"psf", *(f"psf_{name}" for name in (
+        "beta", "wing_fraction", "wing_sigma_px", "halo_fraction", "halo_radius_px", "growth", "ellipticity",
+        "angle_deg", "tilt", "tilt_angle_deg", "colour_growth",
+    ))}  # fmt: skip
+    again = PointSpread.of({f"sensor.{key}": value for key, value in psf.keys.items()})
+    assert (again.psf_tilt, again.psf_halo_radius_px, again.psf_colour_growth) == (0.25, 30.0, -0.1)
+    assert again.psf_tilt_angle_rad == pytest.approx(-2.4, rel=1e-12, abs=0)
+    assert again.psf_angle_rad == pytest.approx(0.7, rel=1e-12, abs=0)
+
+
 def test_an_ellipse_has_the_moments_of_its_axes():
     components = PointSpread(psf_ellipticity=0.3, psf_angle_rad=np.pi / 2).components(2.0)
     x, y = (

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from glstar.camera.distortion import Lens
 from glstar.camera.electrons import ElectronModel
@@ -131,6 +132,52 @@ def test_widths_grow_with_the_square_of_the_distance_from_the_principal_point(re
         scale = 1 + growth * ((at - (159.5, 119.5)) ** 2).sum() / (160**2 + 120**2)
         assert np.sqrt(variance) == pytest.approx(SIGMA_PX * scale, rel=0.012, abs=0)
         assert drawn.sum() == pytest.approx(flux_dn(scene), rel=1e-3, abs=0)
+
+
+def second_moment_px(drawn: np.ndarray, x_px: float) -> float:
+    """Return the standard deviation of the light along x, without that of a pixel."""
+    columns = np.arange(drawn.shape[1])
+    return float(np.sqrt(((columns - x_px) ** 2 * drawn).sum() / drawn.sum() - 1 / 12))
+
+
+@pytest.mark.parametrize(("at", "bv"), [((159.5, 119.5), 0.65), ((280.0, 180.0), 0.65), ((60.0, 40.0), 1.4)])
+def test_widths_follow_the_tilt_of_the_sensor_and_the_colour_of_the_star(renderer, at, bv):
+    tilted = sensor_with(psf_tilt=0.4, psf_tilt_angle_deg=30.0, psf_colour_growth=0.2)
+    scene = stars_at([at], [1.0], sensor=tilted, lens=camera(320, 240), n=4)
+    scene = replace(scene, stars=replace(scene.stars, bv=np.array([bv])))
+    drawn = light(renderer, scene)
+    x, y = (at[0] - 159.5) / 200, (at[1] - 119.5) / 200
+    scale = 1 + 0.4 * (x * np.cos(np.pi / 6) + y * np.sin(np.pi / 6)) + 0.2 * (bv - 0.65)
+    assert second_moment_px(drawn, at[0]) == pytest.approx(SIGMA_PX * scale, rel=0.012, abs=0)
+    assert drawn.sum() == pytest.approx(flux_dn(scene), rel=1e-3, abs=0)
+
+
+@pytest.mark.parametrize("at", [(100.0, 80.0), (61.37, 45.81)])
+def test_a_star_that_is_mostly_pixel_is_integrated_behind_a_lens(renderer, at):
+    # Without distortion, so that the sum over pixels of the star itself is known.
+    lens = replace(camera(200, 160, 300.0), lens=Lens("plumb_bob", (1e-9, 0.0, 0.0, 0.0, 0.0)))
+    psf = {"psf_wing_fraction": 0.3, "psf_wing_sigma_px": 1.5}
+    scene = stars_at([at], [3.0], sensor=sensor_with(0.15, **psf), lens=lens, n=4)
+    drawn = light(renderer, scene) / flux_dn(scene)
+
+    def pixels(sigma_px):
+        axes = []
+        for centre, count in zip(at, (200, 160), strict=True):
+            edges = (np.arange(count + 1) - 0.5 - centre) / (np.sqrt(2) * sigma_px)
+            axes.append(np.diff(erf(edges)) / 2)
+        return np.outer(axes[1], axes[0])
+
+    expected = 0.7 * pixels(0.15) + 0.3 * pixels(1.5)
+    assert drawn.sum() == pytest.approx(1, rel=2e-3, abs=0)
+    assert np.abs(drawn - expected).max() < 4e-3 * expected.max()
+
+
+def test_wings_wider_than_a_sprite_keep_their_light_but_for_a_thousandth(renderer):
+    lens = replace(camera(400, 320, 300.0), lens=Lens("plumb_bob", (1e-9, 0.0, 0.0, 0.0, 0.0)))
+    # 6 px of the undistorted signal in each pixel, and wings of 27 px: they would be drawn up to 130 px.
+    sensor = sensor_with(0.2, psf_wing_fraction=0.5, psf_wing_sigma_px=4.5)
+    scene = stars_at([(200.0, 160.0)], [-3.0], sensor=sensor, lens=lens, n=1)
+    assert light(renderer, scene).sum() == pytest.approx(flux_dn(scene), rel=2e-3, abs=0)
 
 
 def test_the_surface_brightness_of_a_halo_falls_with_the_square_of_the_distance(renderer):

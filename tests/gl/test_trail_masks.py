@@ -45,11 +45,13 @@ def dominant_star(renderer: GLRenderer, scene: Scene, margin: float) -> tuple[np
     return entry, brightest_dn - second_dn > margin * brightest_dn + 0.02
 
 
-@pytest.mark.parametrize("case", ["turning", "still", "lens", "rolling", "wings", "sprites", "vignetting"])
+@pytest.mark.parametrize("case", ["turning", "still", "lens", "rolling", "wings", "tilted", "sprites", "vignetting"])
 def test_each_pixel_belongs_to_the_star_that_is_brightest_there(renderer: GLRenderer, case: str) -> None:
     sensor, lens = SENSOR, LENS
     if case == "wings":
         sensor = replace(SENSOR, effects={"sensor.psf_wing_fraction": 0.2, "sensor.psf_wing_sigma_px": 4.0})
+    if case == "tilted":
+        sensor = replace(SENSOR, effects={"sensor.psf_tilt": 0.8, "sensor.psf_colour_growth": 0.3})
     if case == "vignetting":
         sensor = replace(SENSOR, effects={"lens.vignetting": "polynomial", "lens.vignetting_r2": -0.6})
     if case == "lens":

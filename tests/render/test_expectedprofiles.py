@@ -20,6 +20,7 @@ PROFILES = {
     "wings": {"psf_wing_fraction": 0.4, "psf_wing_sigma_px": 5.0, "psf_halo_fraction": 0.05},
     "elliptical": {"psf_ellipticity": 0.4, "psf_angle_deg": 30.0},
     "growing": {"psf_growth": 0.8, "psf": "moffat"},
+    "tilted": {"psf_tilt": 0.5, "psf_tilt_angle_deg": 200.0, "psf": "moffat"},
 }
 
 

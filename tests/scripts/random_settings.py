@@ -100,6 +100,7 @@ GROUPS: dict[str, list[Settings]] = {
         {"sensor.psf_wing_fraction": 0.2, "sensor.psf_wing_sigma_px": 5.0, "sensor.psf_halo_fraction": 0.01},
         {"sensor.psf_growth": 0.8, "sensor.psf_ellipticity": 0.3, "sensor.psf_angle_deg": 35.0},
         {"sensor.psf_sigma_px": 3.0},
+        {"sensor.psf_tilt": 0.5, "sensor.psf_tilt_angle_deg": 200.0, "sensor.psf_colour_growth": -0.2},
     ],
     "colour": [
         {"sensor.band": "imx477", "sensor.mosaic": "rggb"},

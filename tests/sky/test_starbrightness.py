@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from glstar.camera.colourband import ColourBand
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
+from glstar.render.colourscenes import in_band
 from glstar.sky.starbrightness import StarBrightness
+from glstar.sky.starfield import StarField
 from glstar.system.resources import asset
 
 # Sirius, Canopus and Rigil Kentaurus, the second half a magnitude brighter to the camera.
@@ -31,6 +34,22 @@ def test_stars_of_the_table_have_its_magnitudes_and_others_the_catalogues(table:
     )
     np.testing.assert_array_equal(magnitudes, [0.20, 0.03, -1.22])
     assert brightness == StarBrightness.open(table)
+
+
+def test_stars_that_are_not_in_the_table_have_the_band_of_the_camera(table: Path) -> None:
+    stars = StarField(
+        catalogue="bsc5",
+        star_id=np.array([5459, 7001, 2326], dtype=np.int32),
+        name=("", "", ""),
+        vmag=np.array([-0.01, 0.03, -0.72]),
+        direction_eq=np.eye(3),
+        epoch_utc_s=0.0,
+        C_eq_icrs=np.eye(3),
+        bv=np.array([0.71, 1.0, 0.15]),
+    )
+    bare = ColourBand(band="bare")
+    drawn = in_band(StarBrightness.open(table).applied(stars), bare)
+    np.testing.assert_allclose(drawn.camera_mag, [0.20, 0.03 - 0.8 * 1.0, -1.22], rtol=0, atol=1e-12)
 
 
 def test_the_stars_of_another_catalogue_are_refused(table: Path) -> None:

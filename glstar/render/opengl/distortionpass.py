@@ -28,8 +28,11 @@ _MIN_SIGMA_PX: Final = 1.5
 _MOSTLY_PIXEL_PX: Final = 0.5
 _MIN_WITH_PIXEL_PX: Final = 1.3
 # Side of the part of a pixel by whose variance stars are drawn wider, px, wide point spread functions and those that a
-# widened Gaussian does not describe (Sensor.needs_erf): several samples per pixel make up the rest.
+# widened Gaussian does not describe (Sensor.needs_erf): several samples per pixel make up the rest.  With parts of half
+# a pixel, errors are 0.3 % of the peak at a sigma of 0.3 px, 4 % at 0.2 px and 12 % at 0.15 px: narrow stars take less.
 _DRAWN_PIXEL_PX: Final = (1.0, 0.5)
+_NARROW_PX: Final = 0.25
+_DRAWN_PIXEL_OF_NARROW_PX: Final = 0.25
 # A pixel that integrates takes several samples if its variance in the undistorted signal exceeds that of a pixel on the
 # axis by more than this, px^2; at most this many along each side.
 _MAX_VARIANCE_EXCESS_PX2: Final = 0.05
@@ -355,4 +358,5 @@ def _pixel_px2(sensor: Sensor) -> float:
 
 def _drawn_pixel_px(sensor: Sensor) -> float:
     """Return the side of the part of a pixel by whose variance stars are drawn wider, px."""
-    return _DRAWN_PIXEL_PX[sensor.core.needs_erf]
+    core = sensor.core
+    return _DRAWN_PIXEL_OF_NARROW_PX if core.psf_sigma_px < _NARROW_PX else _DRAWN_PIXEL_PX[core.needs_erf]

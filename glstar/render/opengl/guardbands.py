@@ -8,9 +8,7 @@ import numpy as np
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE
 from glstar.render.scene import Scene
-from glstar.render.trailmodels import SAMPLE_SPACING_SIGMA
 
 __all__ = ["GuardBands"]
 
@@ -21,11 +19,10 @@ class GuardBands:
     Parameters
     ----------
     context : moderngl.Context
-        Its driver limits the size of images and of sprites.
+        Its driver limits the size of images.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
-        self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
         self._last: _Known | None = None
 
@@ -44,7 +41,7 @@ class GuardBands:
         Raises
         ------
         RenderError
-            If a star's sprite or the image is larger than the driver draws.
+            If the image is larger than the driver draws.
         """
         largest = _largest(scene)
         known = self._last
@@ -53,7 +50,6 @@ class GuardBands:
             or known.sensor is not scene.sensor
             or known.depends_on != (scene.exposure.duration_s, *largest)
         ):
-            _refuse_large_sprites(scene.sensor, largest[0], self._point_size_px)
             depends_on = scene.exposure.duration_s, *largest
             self._last = known = _Known(scene.sensor, depends_on, _wide_guard_band_px(scene, *largest))
         _refuse_large_image(scene.camera, known.guard_band_px, self._texture_size_px)
@@ -90,15 +86,4 @@ def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int
         raise RenderError(
             f"an image of {camera.width_px} x {camera.height_px} px is larger than this driver draws:"
             f" at most {texture_size_px - 2 * guard_band_px} px per side"
-        )
-
-
-def _refuse_large_sprites(sensor: Sensor, radius_px: float, point_size_px: float) -> None:
-    """Raise if a sprite, which covers several sub-exposures, is larger than the driver draws."""
-    sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.core.psf_sigma_px
-    if sprite_px > point_size_px:
-        raise RenderError(
-            f"psf_sigma_px = {sensor.psf_sigma_px:g} requires sprites of {sprite_px:.0f} px"
-            f" and this driver draws at most {point_size_px:.0f} px;"
-            f" sigma may be {sensor.psf_sigma_px * point_size_px / sprite_px:.1f} px"
         )

@@ -19,6 +19,7 @@ from glstar.render.opengl.drawqueue import DrawQueue
 from glstar.render.opengl.guardbands import GuardBands
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
+from glstar.render.opengl.sprites import with_drawable_sprites
 from glstar.render.opengl.stacktexture import StackTexture
 from glstar.render.opengl.starcomponents import drawn_together
 from glstar.render.opengl.subexposurepass import SubExposurePass
@@ -99,6 +100,7 @@ class GLRenderer:
         owned.callback(self._readback.release)
         owned.callback(self._drop_distortion_pass)
         self._guard_bands = GuardBands(context)
+        self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
 
     @classmethod
@@ -337,7 +339,7 @@ class GLRenderer:
         """Sum the flux of a scene; with a mosaic, of each colour in its pixels."""
         if scene.camera.lens is None:
             clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
-            self._expose(gaussian_scenes(scene), targets, clock)
+            self._expose(self._drawable(gaussian_scenes(scene), scene), targets, clock)
         elif scene.sensor.colour.mosaic == "none":
             self._expose_behind_lens(scene, targets)
         else:
@@ -354,9 +356,15 @@ class GLRenderer:
             scene.exposure, undistorted.camera, guard_band_px, distortion_pass.resampling_px2(scene.sensor)
         )
         target = distortion_pass.target_for(undistorted, guard_band_px)
-        self._expose(distortion_pass.undistorted_gaussians(scene), target, clock)
+        gaussians = self._drawable(distortion_pass.undistorted_gaussians(scene), undistorted)
+        self._expose(gaussians, target, clock)
         whole, channel = mosaic or (scene, None)
         distortion_pass.resample(whole, targets.light, channel=channel)
+
+    def _drawable(self, gaussians: Sequence[Scene], whole: Scene) -> list[Scene]:
+        """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws."""
+        core_sigma_px, largest_px = whole.sensor.core.psf_sigma_px, self._point_size_px
+        return [with_drawable_sprites(one, core_sigma_px, largest_px) for one in gaussians]
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
