@@ -1,5 +1,7 @@
 """The joint fit of the shape of stars, on exact Moffat profiles: no bias from shot noise or faint stars."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,16 +14,16 @@ HALF_PX, PITCH_PX, STARS = 9, 24, 100
 SKY_DN = 40.0
 
 
-def moffat(x_px, y_px, *, oversampled=5):
+def moffat(x_px, y_px, *, width=1.0, oversampled=5):
     """Return an exact Moffat profile of flux 1, integrated over the pixels of a square of side `PITCH_PX`."""
     along = ((np.arange(PITCH_PX * oversampled) + 0.5) / oversampled) - 0.5
-    alpha2 = SIGMA_PX**2 * 2 * np.log(2) / (2 ** (1 / BETA) - 1)
+    alpha2 = (width * SIGMA_PX) ** 2 * 2 * np.log(2) / (2 ** (1 / BETA) - 1)
     r2 = (along - x_px) ** 2 + ((along - y_px) ** 2)[:, np.newaxis]
     light = (BETA - 1) / (np.pi * alpha2) * (1 + r2 / alpha2) ** -BETA
     return light.reshape(PITCH_PX, oversampled, PITCH_PX, oversampled).mean(axis=(1, 3))
 
 
-def drawn(seed, *, dn_per_e, read_dn, faint_dn=0.0, flux_dn=(600, 3000)):
+def drawn(seed, *, dn_per_e, read_dn, faint_dn=0.0, flux_dn=(600, 3000), widths=None):
     """Return an image of stars on a grid, the sky taken away, their positions and fluxes."""
     rng = np.random.default_rng(seed)
     side = int(np.sqrt(STARS))
@@ -31,7 +33,7 @@ def drawn(seed, *, dn_per_e, read_dn, faint_dn=0.0, flux_dn=(600, 3000)):
         row, column = (int(one) * PITCH_PX for one in divmod(k, side))
         x, y = PITCH_PX / 2 + rng.uniform(-0.5, 0.5, 2)
         tile = light[row : row + PITCH_PX, column : column + PITCH_PX]
-        tile += flux * moffat(x, y)
+        tile += flux * moffat(x, y, width=1.0 if widths is None else widths[k])
         if faint_dn and k % 3 == 0:
             angle, away = rng.uniform(0, 2 * np.pi), rng.uniform(4, 8)
             tile += faint_dn * moffat(x + away * np.cos(angle), y + away * np.sin(angle))
@@ -65,6 +67,35 @@ def test_shot_noise_makes_stars_neither_fainter_nor_narrower():
     error = np.sqrt(np.sum(error_dn**2)) / flux_dn.sum()
     assert error < 0.015
     assert found_dn.sum() / flux_dn.sum() == pytest.approx(1, rel=0, abs=2.5 * error)
+
+
+def test_widths_that_follow_tilt_and_colour_are_recovered():
+    noise = {"dn_per_e": 0.5, "read_dn": 3.0}
+    rng = np.random.default_rng(4)
+    bv = rng.uniform(-0.1, 1.6, STARS)
+    angle, distance = rng.uniform(0, 2 * np.pi, STARS), np.sqrt(rng.uniform(0, 1, STARS))
+    offset = distance[:, np.newaxis] * np.column_stack([np.cos(angle), np.sin(angle)])
+    widths = 1 + 0.3 * (-0.6 * offset[:, 0] + 0.8 * offset[:, 1]) + 0.15 * (bv - 0.65)
+    above, xy_px, _ = drawn(1, **noise, widths=widths)
+    stamps = replace(stamps_of(above, xy_px, **noise), offset=offset, bv=bv)
+    joint, _ = fit_joint_psf(stamps, 1.6)
+    error = joint.standard_error
+    assert joint.psf.psf_tilt == pytest.approx(0.3, rel=0, abs=3 * error["psf_tilt"])
+    assert np.rad2deg(joint.psf.psf_tilt_angle_rad) == pytest.approx(126.87, rel=0, abs=3 * error["psf_tilt_angle_deg"])
+    assert joint.psf.psf_colour_growth == pytest.approx(0.15, rel=0, abs=3 * error["psf_colour_growth"])
+    assert max(error["psf_tilt"], error["psf_colour_growth"]) < 0.03
+    assert joint.sigma_px == pytest.approx(SIGMA_PX, rel=0, abs=3 * error["psf_sigma_px"])
+
+
+def test_stars_of_one_width_show_neither_tilt_nor_colour():
+    noise = {"dn_per_e": 0.5, "read_dn": 3.0}
+    above, xy_px, _ = drawn(2, **noise)
+    rng = np.random.default_rng(5)
+    stamps = replace(
+        stamps_of(above, xy_px, **noise), offset=rng.uniform(-0.7, 0.7, (STARS, 2)), bv=rng.uniform(0, 1.6, STARS)
+    )
+    psf = fit_joint_psf(stamps, 1.6)[0].psf
+    assert psf.psf_tilt == psf.psf_colour_growth == 0
 
 
 def test_stars_below_the_detection_limit_are_no_wings():

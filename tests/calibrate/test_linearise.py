@@ -90,5 +90,5 @@ def test_gain_and_zero_point_of_a_processed_photograph_are_those_of_its_light():
         0.5, abs=4 * model.standard_error["gain_dn_per_e"] / 257
     )
     assert float(sensor.peak_dn(5.6, 0.5)) / 257 == pytest.approx(36.0, rel=0.05)
-    written = model.to_toml("c.sky.tiff", "c.hot.tiff")
+    written = model.to_toml("c.sky.tiff", "c.hot.tiff", "c.brightness.csv")
     assert '[output]\nprocess = "isp"\nsubtract_black = false\ngamma = 1.8' in written

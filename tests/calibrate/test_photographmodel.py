@@ -2,16 +2,21 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from glstar.calibrate import PhotographModel, PlateSolution, calibrate, detect_stars, identify_near, measure_photograph
 from glstar.calibrate.brightnessterms import fit_brightness_terms
 from glstar.calibrate.skymeasurement import before_clipping
+from glstar.calibrate.twin import render_twin
 from glstar.camera.vignetting import Vignetting
+from glstar.config import Config
 from glstar.errors import CalibrationError
-from tests.support.plainphotos import REFERENCE, imperfect, pinhole_camera
+from glstar.render.scene import Frame, Scene
+from tests.support.plainphotos import REFERENCE, imperfect, own_deviations, pinhole_camera
 
 # What `imperfect` draws.
 TRUE = {"psf_sigma_px": 1.3, "psf_beta": 3.0, "gain_dn_per_e": 0.5, "band_slope": -0.5}
@@ -51,6 +56,62 @@ def test_each_parameter_is_recovered_within_its_standard_error(seed):
     camera = model.calibration.matches.solution.camera
     corner = Vignetting.of(keys["effects"]).of_stars(camera, [[0.0, 0.0]])[0]
     assert corner == pytest.approx(1 - CORNER_LOSS, abs=4 * model.standard_error["vignetting_r2"])
+
+
+def test_the_tilt_of_a_sensor_is_recovered_within_its_standard_error():
+    model = measured(3, moffat_beta=3.0, dn_per_e=0.5, gradient_dn=25.0, tilt=0.25)
+    psf, error = model.joint.psf, model.standard_error
+    assert psf.psf_tilt == pytest.approx(0.25, rel=0, abs=3 * error["psf_tilt"])
+    assert error["psf_tilt"] < 0.05
+    assert np.rad2deg(psf.psf_tilt_angle_rad) == pytest.approx(0, abs=3 * error["psf_tilt_angle_deg"])
+
+
+def test_stars_have_the_brightness_of_the_photograph_as_far_as_its_noise_allows():
+    model = measured(1, moffat_beta=3.0, dn_per_e=0.5, gradient_dn=25.0, own_mag=0.25)
+    table = model.brightness
+    row = {int(number): k for k, number in enumerate(REFERENCE.stars.star_id)}
+    true_mag = 0.25 * own_deviations()[[row[int(number)] for number in table.star_id]]
+    # The zero point of the sensor has the mean of the stars in it.
+    off_mag = table.off_mag - true_mag - np.median(table.off_mag - true_mag)
+    assert len(table) > 60
+    assert np.std(off_mag) < 0.5 * np.std(true_mag)
+    assert np.abs(off_mag / table.error_mag).mean() < 1.2
+
+
+def test_stars_of_the_catalogue_s_brightness_keep_it():
+    model = measured(1, moffat_beta=3.0, dn_per_e=0.5, gradient_dn=25.0)
+    assert np.std(model.brightness.off_mag) < 0.05
+
+
+class Kept:
+    """A renderer that keeps the scene."""
+
+    def __init__(self) -> None:
+        self.scene: Scene | None = None
+
+    def render(self, scene: Scene, *, seed: int) -> Frame:
+        self.scene = scene
+        return SimpleNamespace(pixels=np.zeros((scene.camera.height_px, scene.camera.width_px), np.uint8))
+
+
+def test_the_stars_of_a_twin_are_drawn_in_the_middle_of_each_part_of_the_exposure(tmp_path):
+    model = replace(full(1), moved=True)
+    (tmp_path / "c.brightness.csv").write_text(model.brightness.to_csv(), encoding="utf-8")
+    cv2.imwrite(str(tmp_path / "c.sky.tiff"), model.sky_texels)
+    (tmp_path / "c.toml").write_text(model.to_toml("c.sky.tiff", "c.hot.tiff", "c.brightness.csv"), encoding="utf-8")
+    kept = Kept()
+    render_twin(model, Config.load(tmp_path / "c.toml"), kept)
+    scene, star = kept.scene, model.calibration.matches.star[:1]
+    direction_eq = scene.stars.direction_eq[star]
+    count = len(scene.trails)
+    drawn_px = scene.trails.positions(scene.camera, direction_eq, (np.arange(count) + 0.5) / count)[:, 0]
+    start_px, middle_px, end_px = scene.camera.project(scene.shutter.to_camera(direction_eq))[:, 0]
+    length_px = np.linalg.norm(end_px - start_px)
+    assert length_px > 0.02
+    np.testing.assert_allclose(drawn_px.mean(axis=0), middle_px, rtol=0, atol=0.01 * length_px)
+    spread_px = np.sqrt(((drawn_px - middle_px) ** 2).sum(axis=1).mean())
+    # That of a star that moves steadily, which has length / sqrt(12), without that of each part.
+    assert spread_px == pytest.approx(length_px * np.sqrt((1 - 1 / count**2) / 12), rel=0.01, abs=0)
 
 
 def test_the_zero_point_is_that_of_the_drawn_stars():
@@ -121,6 +182,17 @@ def test_colour_and_loss_are_left_out_where_chance_explains_them():
         terms = fit_brightness_terms(flux, 0.01 * flux, vmag, bv, r, np.ones(40, bool))
         found += (terms.colour is not None) + (terms.loss_mag is not None)
     assert found <= 6  # 2 expected
+
+
+def test_the_curvature_of_a_band_is_recovered():
+    rng = np.random.default_rng(6)
+    vmag, bv, r = rng.uniform(2, 6, 150), rng.uniform(-0.2, 1.7, 150), rng.uniform(0, 1, 150)
+    flux = 1e5 * 10 ** (-0.4 * (vmag + 0.15 * bv - 0.17 * bv**2 + rng.normal(0, 0.05, 150)))
+    terms = fit_brightness_terms(flux, 0.01 * flux, vmag, bv, r, np.ones(150, bool))
+    for found, true in ((terms.colour, 0.15), (terms.curvature, -0.17)):
+        assert found.value == pytest.approx(true, rel=0, abs=3 * found.standard_error)
+        assert found.standard_error < 0.04
+    assert terms.loss_mag is None
 
 
 def test_few_stars_are_refused_with_their_number():

@@ -102,7 +102,7 @@ def _star_light(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: 
 
 
 def _drawn_stars(
-    projection: Projection, C_camera_eq: Float, shape: tuple[int, int], band_slope: float = 0.0
+    projection: Projection, C_camera_eq: Float, shape: tuple[int, int], band_slope: float = 0.0, own_mag: float = 0.0
 ) -> tuple[Float, Float]:
     """Return pixel positions and magnitudes (V, or in the camera's band) of the catalogue's stars on an image."""
     bright = REFERENCE.stars.vmag < _FAINTEST_VMAG
@@ -110,7 +110,13 @@ def _drawn_stars(
     x, y = xy.T
     on_image = (x > -3) & (y > -3) & (x < shape[1] + 2) & (y < shape[0] + 2)
     tint = band_slope * np.nan_to_num(star_colours(REFERENCE.stars)[bright][on_image], nan=0.65).clip(-0.3, 1.7)
+    tint += own_mag * own_deviations()[bright][on_image]
     return xy[on_image], REFERENCE.stars.vmag[bright][on_image] + tint
+
+
+def own_deviations() -> Float:
+    """Return how much fainter each star of `REFERENCE` is than the catalogue says, of standard deviation 1."""
+    return np.random.default_rng(77).normal(size=len(REFERENCE.stars))
 
 
 def all_sky(seed: int = 1, *, shape: tuple[int, int] = (1000, 1000), across_deg: float = 180.0) -> PlainPhoto:
@@ -184,6 +190,8 @@ def imperfect(
     demosaiced: bool = False,
     dn_per_e: float = 0.0,
     band_slope: float = 0.0,
+    tilt: float = 0.0,
+    own_mag: float = 0.0,
     shape: tuple[int, int] = (768, 1024),
 ) -> PlainPhoto:
     """Return 42 deg of the sky through a pinhole with known imperfections of a real camera.
@@ -191,7 +199,8 @@ def imperfect(
     A Moffat PSF of the same full width at half maximum as the Gaussian of 1.3 px; light of stars and sky lost towards
     the corner as r^2; a sky that brightens to the right; stars longer than wide at 30 deg from the x axis; sigma that
     grows as r^2; the brightest of three colours interpolated from a Bayer mosaic; Poisson noise of electrons
-    besides the noise of 3 DN; stars brighter or fainter by `band_slope` times B - V.
+    besides the noise of 3 DN; stars brighter or fainter by `band_slope` times B - V, and each by its own deviation
+    from the catalogue of `own_mag` rms; sigma that grows to the right by `tilt` over half the diagonal.
     """
     rng = np.random.default_rng(seed)
     height, width = shape
@@ -199,7 +208,7 @@ def imperfect(
     axis_px = np.array([width / 2, height / 2])
     projection = barrel(width / 2 / np.tan(np.deg2rad(21.0)), *axis_px, 0.0, 0.0, 0.0, 0.0)
     C_camera_eq = Rotation.random(random_state=rng).as_matrix()
-    xy, vmag = _drawn_stars(projection, C_camera_eq, shape, band_slope)
+    xy, vmag = _drawn_stars(projection, C_camera_eq, shape, band_slope, own_mag)
 
     def corner2(x_px: Float, y_px: Float) -> Float:
         return np.asarray(((x_px - axis_px[0]) ** 2 + (y_px - axis_px[1]) ** 2) / (axis_px**2).sum())
@@ -214,7 +223,8 @@ def imperfect(
         dx, dy = np.meshgrid(at + column - x, at + row - y)
         long = (np.cos(along) * dx + np.sin(along) * dy) / np.sqrt(axis_ratio)
         short = (np.cos(along) * dy - np.sin(along) * dx) * np.sqrt(axis_ratio)
-        width_px = sigma_px * (1 + corner_growth * float(corner2(x, y)))
+        to_the_right = float((x - axis_px[0]) / np.hypot(*axis_px))
+        width_px = sigma_px * (1 + corner_growth * float(corner2(x, y)) + tilt * to_the_right)
         r2 = (long**2 + short**2) / width_px**2
         if moffat_beta is None:
             star = np.exp(-r2 / 2)
