@@ -107,17 +107,10 @@ def fit_brightness_terms(
 
     while True:
         p, error, scatter = fitted(names)
-        all_by_chance, chance = _by_chance(design(names), off[used], noise_mag[used], p)
-        weak = {
-            name: 1.0 if name == "loss" and value <= 0 else one
-            for name, one, value in zip(names, chance, p[1:], strict=True)
-            # The square without the slope would be another model.
-            if name != "colour" or "curvature" not in names
-        }
-        weakest = max(weak, key=lambda name: weak[name], default=None)
-        if weakest is None or (weak[weakest] < _ONE_BY_CHANCE and all_by_chance < _ALL_BY_CHANCE):
+        left_out = _left_out(names, p, *_by_chance(design(names), off[used], noise_mag[used], p))
+        if left_out is None:
             break
-        names.remove(weakest)
+        names.remove(left_out)
     terms = {name: Measurement(float(p[k + 1]), float(error[k + 1])) for k, name in enumerate(names)}
     slope = None
     if used.sum() >= _STARS_PER_TERM * (len(names) + 2) and np.ptp(vmag[used]) > _LEAST_SPAN:
@@ -129,6 +122,20 @@ def fit_brightness_terms(
         int(used.sum()),
         off - model,
     )  # fmt: skip
+
+
+def _left_out(names: list[str], p: Float, all_by_chance: float, by_chance: list[float]) -> str | None:
+    """Return the term that the stars support least, given the probabilities of chance; None if they support all."""
+    chance = {
+        name: 1.0 if name == "loss" and value <= 0 else one
+        for name, one, value in zip(names, by_chance, p[1:], strict=True)
+        # The square without the slope would be another model.
+        if name != "colour" or "curvature" not in names
+    }
+    weakest = max(chance, key=lambda name: chance[name], default=None)
+    if weakest is None or (chance[weakest] < _ONE_BY_CHANCE and all_by_chance < _ALL_BY_CHANCE):
+        return None
+    return weakest
 
 
 def _by_chance(design: Float, values: Float, noise: Float, p: Float) -> tuple[float, list[float]]:

@@ -130,21 +130,22 @@ def cut_stamps(
     counts = usable[place]
     tree = KDTree(others_px)
     for k, star in enumerate(inside):
-        own = xy_px[star]
-        for other in others_px[tree.query_ball_point(own, 2.9 * half_px)]:
-            away = float(np.hypot(*(other - own)))
-            if away < 1.0:
-                continue
-            r2 = (columns[k] - own[0]) ** 2 + ((rows[k] - own[1]) ** 2)[:, np.newaxis]
-            other_r2 = (columns[k] - other[0]) ** 2 + ((rows[k] - other[1]) ** 2)[:, np.newaxis]
-            # What lies closer to the other star than that may have its light.
-            counts[k] &= other_r2 > np.minimum(r2, (0.6 * half_px) ** 2)
+        for other in others_px[tree.query_ball_point(xy_px[star], 2.9 * half_px)]:
+            if float(np.hypot(*(other - xy_px[star]))) >= 1.0:
+                # What lies closer to the other star than that may have its light.
+                r2, other_r2 = (_squares(columns[k], rows[k], one) for one in (xy_px[star], other))
+                counts[k] &= other_r2 > np.minimum(r2, (0.6 * half_px) ** 2)
     variance = np.where(counts, variance_dn2[place], np.inf)
     stamps = StarStamps(
         corner[inside].astype(np.float64), above_dn[place], variance, xy_px[inside], trail_px[inside],
         offset[inside], bv[inside], dn_per_e,
     )  # fmt: skip
     return stamps, inside
+
+
+def _squares(columns: Index, rows: Index, xy_px: Float) -> Float:
+    """Return the squared distances of the pixels of a rectangle from a position, px^2."""
+    return np.asarray((columns - xy_px[0]) ** 2 + ((rows - xy_px[1]) ** 2)[:, np.newaxis])
 
 
 def _pixels(offset_px: Float, sigma_px: Float) -> Float:

@@ -11,6 +11,7 @@ from glstar.calibrate.linearise import linearised, recorded_again
 from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.photographmodel import PhotographModel
 from glstar.calibrate.psf import fit_stars
+from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_noise
 from glstar.camera.exposure import Exposure
@@ -112,7 +113,7 @@ class Twin:
 def render_twin(
     model: PhotographModel, config: Config, renderer: Renderer, *, seed: int = 1, catalogue_brightness: bool = False
 ) -> NDArray[Any]:
-    """Return the image that the simulator makes of the stars of a photograph.
+    """Return the image that the simulator makes of a photograph's stars.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def render_twin(
     seed : int
         Of the noise.
     catalogue_brightness : bool
-        Whether stars have the brightness of the catalogue in the camera's band, and not each that of the photograph.
+        Whether stars have the catalogue's brightness, and not each that of the photograph.
 
     Returns
     -------
@@ -153,17 +154,11 @@ def render_twin(
     count = 1 + 2 * int(np.ceil(longest_px / _SPACING_PX / 2))
 
     def pointing(fraction: Float) -> Pointing:
-        C = _turning(solution.C_camera_eq, exposure_s if longest_px else 0.0, fraction)
-        zenith, velocity = (
-            np.repeat(one[np.newaxis], len(fraction), axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
-        )
-        # Without a site there is no horizon: all stars on the image are up.
-        return Pointing(C, zenith if zenith.any() else C[:, 2], velocity, reference.refraction_scale)
+        return _pointing(reference, _turning(solution.C_camera_eq, exposure_s if longest_px else 0.0, fraction))
 
     scene = Scene(
         stars=stars,
         draw_list=DrawList(shown, radius_px + longest_px / 2),
-        # Each sub-exposure is drawn where stars are in its middle.
         trails=SubExposures(pointing((np.arange(count) + 0.5) / count)),
         camera=camera,
         sensor=sensor,
@@ -175,6 +170,14 @@ def render_twin(
     )
     pixels = renderer.render(scene, seed=seed).pixels
     return np.ascontiguousarray(pixels[:, ::-1]) if solution.mirrored else pixels
+
+
+def _pointing(reference: ReferenceStars, C_camera_eq: Float) -> Pointing:
+    zenith, velocity = (
+        np.repeat(one[np.newaxis], len(C_camera_eq), axis=0) for one in (reference.zenith_eq, reference.velocity_eq)
+    )
+    # Without a site there is no horizon: all stars on the image are up.
+    return Pointing(C_camera_eq, zenith if zenith.any() else C_camera_eq[:, 2], velocity, reference.refraction_scale)
 
 
 def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:

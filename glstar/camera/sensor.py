@@ -154,10 +154,8 @@ class Sensor:
     def core(self) -> Self:
         """The sensor with the narrowest Gaussian of its point spread function, which limits the spacing of samples."""
         scale, _ = self.point_spread.scale_range
-        components = self.point_spread.components(self.psf_sigma_px, scale=scale)
-        if len(components) == 1 and scale == 1:
-            return self
-        return self.of_component(min(components, key=lambda one: one.sigma_px))
+        narrow = min(self.point_spread.components(self.psf_sigma_px, scale=scale), key=lambda one: one.sigma_px)
+        return self if self.point_spread.is_gaussian else self.of_component(narrow)
 
     @property
     def widest_sigma_px(self) -> float:

@@ -96,8 +96,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``saturated``
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
-            standard deviation that it is drawn with, px; only if widths vary with position or colour
-            (``sensor.psf_growth``, ``psf_tilt``, ``psf_colour_growth``).
+            standard deviation that it is drawn with, px; only if widths vary over the image or with colour.
         Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; with them `_body` and `_satellites`.
     """
     truth = {

@@ -363,8 +363,7 @@ class GLRenderer:
 
     def _drawable(self, gaussians: Sequence[Scene], whole: Scene) -> list[Scene]:
         """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws."""
-        core_sigma_px, largest_px = whole.sensor.core.psf_sigma_px, self._point_size_px
-        return [with_drawable_sprites(one, core_sigma_px, largest_px) for one in gaussians]
+        return [with_drawable_sprites(one, whole.sensor.core.psf_sigma_px, self._point_size_px) for one in gaussians]
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
