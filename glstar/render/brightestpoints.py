@@ -7,7 +7,7 @@ directions over the image, and interpolated for the stars.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,7 +172,7 @@ def _candidates(camera: Camera, middle_px: Float, signals: Float) -> Float:
 
 def _interpolated(
     scene: Scene, direction_eq: Float, lines: _Lines, recorded: RecordedTimes | None
-) -> tuple[Float32, Float32]:
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the signal at the middle of each line, and that of stars sqrt(2) times as wide, (n, m) 1/px^2."""
     sigma_px, camera = scene.sensor.effective_sigma_px, scene.camera
     columns, rows = _grid_size(len(lines.weight))
@@ -185,9 +185,10 @@ def _interpolated(
     example_px = np.stack(np.meshgrid(x_px, y_px), axis=-1).reshape(-1, 2)
     examples = _Lines.of(list(_chains_through(scene, example_px, recorded)))
     near = _bilinear(at_px, x_px, y_px) * examples.is_whole[:, np.newaxis]
-    near = (near / np.maximum(near.sum(axis=0), 1e-6)).astype(np.float32)
+    near = near / np.maximum(near.sum(axis=0), 1e-6)
     signals, overlaps = _signals_and_overlaps(examples, sigma_px)
-    return signals @ near, overlaps @ near
+    # In double precision: the rounding of a product depends on how many threads OpenBLAS has, and truth must not.
+    return signals.astype(np.float64) @ near, overlaps.astype(np.float64) @ near
 
 
 def _chains_through(scene: Scene, xy_px: Float, recorded: RecordedTimes | None) -> Iterator[LineChain]:
@@ -243,9 +244,10 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float) -> tuple[Float32, Floa
         # Rounding may exceed 0 beside very long lines.
         np.clip(exponent, _FAR_EXPONENT, np.float32(0.0), out=exponent)
         np.exp(exponent, out=exponent)
-        wide[block] = (exponent @ height[block, :, np.newaxis])[..., 0]
+        # Without OpenBLAS, for the same reason.
+        np.einsum("kij,kj->ki", exponent, height[block], out=wide[block])
         exponent *= exponent
-        narrow[block] = (exponent @ height[block, :, np.newaxis])[..., 0]
+        np.einsum("kij,kj->ki", exponent, height[block], out=narrow[block])
     length = np.sqrt(np.maximum(length2, 1e-6))
     for each, scale in ((wide, 1.0), (narrow, sqrt(2))):
         at = scale * length
