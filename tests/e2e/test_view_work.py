@@ -208,10 +208,11 @@ def fit_mount(work: Work) -> None:
         return float(yaw.split("=")[1]), float(roll.split("=")[1])
 
     before = mount_deg()
-    window.click(1106, 35)
-    window.still()
 
     def fit() -> None:
+        # The tab of the panel, then its button.
+        window.click(1106, 35)
+        window.still()
         window.click(971, 657)
         window.away()
 
