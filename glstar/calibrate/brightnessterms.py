@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from glstar.calibrate.misfit import Measurement
+from glstar.sky.starcolours import USUAL_BV, VALID_BV
 from glstar.statistics import robust_std
 
 __all__ = ["BrightnessTerms", "fit_brightness_terms", "robust_fit"]
@@ -20,8 +21,6 @@ Mask = NDArray[np.bool_]
 _ALL_BY_CHANCE: Final = 0.01
 _ONE_BY_CHANCE: Final = 0.05
 _STARS_PER_TERM: Final = 4
-# Colours beyond which the band's polynomial is constant.
-_VALID_BV: Final = (-0.3, 1.7)
 # A term needs stars that differ in its quantity by this much.
 _LEAST_SPAN: Final = 0.2
 _ROUNDS: Final = 30
@@ -92,7 +91,7 @@ def fit_brightness_terms(
     used = used & (flux_dn > 0)
     off = np.full(len(flux_dn), np.nan)
     off[flux_dn > 0] = -2.5 * np.log10(flux_dn[flux_dn > 0]) - vmag[flux_dn > 0]
-    colour = np.clip(np.nan_to_num(bv, nan=0.65), *_VALID_BV)
+    colour = np.clip(np.nan_to_num(bv, nan=USUAL_BV), *VALID_BV)
     columns = {"colour": colour, "loss": distance**2, "curvature": colour**2}
     known_dn = np.where(np.isfinite(error_dn), error_dn, np.maximum(flux_dn, 1.0))
     noise_mag = 1.0857 * known_dn / np.maximum(flux_dn, np.maximum(known_dn, 1e-9))

@@ -13,7 +13,7 @@ from glstar.calibrate.misfitmeasurement import corner_distance, measure_misfit
 from glstar.errors import CalibrationError
 from glstar.render.pointing import Pointing
 from glstar.sky.extinction import air_mass
-from glstar.sky.starcolours import USUAL_BV, star_colours
+from glstar.sky.starcolours import USUAL_BV, VALID_BV, star_colours
 from glstar.statistics import robust_std
 
 __all__ = ["AirTerm", "above_air", "above_air_together"]
@@ -25,8 +25,6 @@ _LEAST_SPAN: Final = 0.5
 _LEAST_STARS: Final = 20
 # A term besides the extinction needs this many stars.
 _STARS_PER_TERM: Final = 10
-# Colours beyond which the band's polynomial is constant.
-_VALID_BV: Final = (-0.3, 1.7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +214,7 @@ def _fitted(
         return np.concatenate([values(part)[some] for part, some in zip(parts, used, strict=True)])
 
     bv = of_all(lambda part: star_colours(part.reference.stars)[part.matches.star])
-    bv = np.clip(np.nan_to_num(bv, nan=USUAL_BV), *_VALID_BV)
+    bv = np.clip(np.nan_to_num(bv, nan=USUAL_BV), *VALID_BV)
     across = of_all(lambda part: corner_distance(part.image, part.matches, part.stars.xy_px) ** 2)
     more = [one - np.median(one) for one in (bv, across)][: mass.size // _STARS_PER_TERM]
     image = np.repeat(np.arange(len(parts)), [int(some.sum()) for some in used])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
+from glstar.sky.starcolours import VALID_BV
 
 __all__ = ["BANDS_WITH_COLOURS", "BAND_CHOICES", "MOSAIC_CHOICES", "Channel", "ColourBand"]
 
@@ -20,9 +21,6 @@ Channel = Literal["r", "g", "b"]
 
 BAND_CHOICES: Final[tuple[str, ...]] = get_args(BandName)
 MOSAIC_CHOICES: Final[tuple[str, ...]] = get_args(Mosaic)
-
-# Colours beyond which the polynomials are not fitted, magnitudes of B - V.
-_VALID_BV: Final = (-0.3, 1.7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +160,7 @@ class ColourBand:
             0 for B - V = 0.
         """
         response = self._responses["mean" if channel is None else channel]
-        c = np.clip(np.asarray(bv, dtype=np.float64), *_VALID_BV)
+        c = np.clip(np.asarray(bv, dtype=np.float64), *VALID_BV)
         return np.asarray(response.slope * c + response.curvature * c * c)
 
     def wavelength_nm(self, channel: Channel | None = None) -> float:

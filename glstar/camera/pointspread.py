@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
-from glstar.sky.starcolours import USUAL_BV
+from glstar.sky.starcolours import USUAL_BV, VALID_BV
 
 __all__ = ["PointSpread", "Profile", "PsfComponent", "moffat_mixture"]
 
@@ -35,9 +35,8 @@ _UNIT_FLUX_WEIGHT: Final = 1e3
 _HALO_RATIO: Final = 2.0
 # Gaussians along the major axis of an elliptical star (Gauss-Hermite nodes) for axis ratios down to these.
 _HERMITE_NODES: Final = ((0.9, 3), (0.8, 5), (0.7, 7), (0.6, 9))
-# Stars are not narrower than this fraction of the width on the axis, and colours beyond these have their width.
+# Stars are not narrower than this fraction of the width on the axis.
 _NARROWEST: Final = 0.2
-_VALID_BV: Final = (-0.3, 1.7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,14 +245,14 @@ class PointSpread:
         """
         x, y = np.moveaxis(np.asarray(offset, dtype=np.float64), -1, 0)
         towards = x * cos(self.psf_tilt_angle_rad) + y * sin(self.psf_tilt_angle_rad)
-        redder = np.clip(np.asarray(bv, dtype=np.float64), *_VALID_BV) - USUAL_BV
+        redder = np.clip(np.asarray(bv, dtype=np.float64), *VALID_BV) - USUAL_BV
         scale = 1 + self.psf_growth * (x * x + y * y) + self.psf_tilt * towards + self.psf_colour_growth * redder
         return np.asarray(np.maximum(scale, _NARROWEST))
 
     @property
     def scale_range(self) -> tuple[float, float]:
         """Bounds of `scale_at` on the image."""
-        of_colour = [self.psf_colour_growth * (bv - USUAL_BV) for bv in _VALID_BV]
+        of_colour = [self.psf_colour_growth * (bv - USUAL_BV) for bv in VALID_BV]
         return (
             max(1 - self.psf_tilt + min(of_colour), _NARROWEST),
             1 + self.psf_growth + self.psf_tilt + max(of_colour),

@@ -113,8 +113,7 @@ class CameraPath:
 
     def times(self, bounds: Float) -> Float:
         """Return times, numbers of segments, as fractions of the exposure."""
-        marks = np.concatenate([[0.0], np.cumsum(self._trails.time_fraction)])
-        return np.asarray(np.interp(bounds, np.arange(len(marks)), marks))
+        return np.asarray(np.interp(bounds, np.arange(len(self) + 1), self._trails.marks))
 
     def pointings(self, begins: Float, ends: Float) -> Pointing:
         """Return orientations during some parts of segments.

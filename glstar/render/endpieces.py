@@ -132,8 +132,8 @@ def divided_trails(scene: Scene, trails: AnalyticSegments, openings: PixelOpenin
         return None
     path, last_opening = CameraPath(trails, scene.camera), 1.0 - openings.open_time
     even = path.bounds_of_equal_lengths(_LENGTH_SIGMA * sigma_px)
-    at, number = path.times(even), np.arange(len(path) + 1, dtype=np.float64)
-    limits = np.interp([last_opening, openings.open_time], path.times(number), number)
+    at, number = path.times(even), np.arange(len(path) + 1)
+    limits = np.interp([last_opening, openings.open_time], trails.marks, number)
     bounds = np.union1d(even[(at <= last_opening) | (at >= openings.open_time)], limits)
     times, whole = path.times(bounds), whole_trails(scene, trails)
     recorded = open_pieces(spans, times)

@@ -189,7 +189,7 @@ def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSp
 
 def _zone_times(trails: AnalyticSegments, begin: float, end: float) -> tuple[Float, NDArray[np.bool_]]:
     """Return times that divide the segments of a part of the exposure evenly, and which lie inside of segments."""
-    marks = np.concatenate([[0.0], np.cumsum(trails.time_fraction)])
+    marks = trails.marks
     ends = np.unique(np.concatenate([[begin], marks[(marks > begin) & (marks < end)], [end]]))
     parts = max(2, -(-_ZONE_TIMES // (len(ends) - 1)))
     inner = np.arange(parts) / parts
@@ -201,7 +201,7 @@ def _opening_times(scene: Scene, times: Float, openings: PixelOpenings) -> Float
     """Return when the rows open in which stars are at some times, (n, k); NaN where they are not seen."""
     trails = scene.trails
     assert isinstance(trails, AnalyticSegments)
-    table = MotionTable(np.concatenate([[0.0], np.cumsum(trails.time_fraction)]), trails.pointing)
+    table = MotionTable(trails.marks, trails.pointing)
     in_camera = table.at(times).to_camera(scene.stars.direction_eq[scene.draw_list.index], below_horizon=True)
     xy_px = scene.camera.pinhole.project(in_camera)
     return openings.at(xy_px.reshape(-1, 2)).reshape(xy_px.shape[:-1])

@@ -168,6 +168,11 @@ class AnalyticSegments:
     def __len__(self) -> int:
         return len(self.time_fraction)
 
+    @property
+    def marks(self) -> Float:
+        """Where segments begin and end, (m + 1,) fractions of the exposure."""
+        return np.concatenate([[0.0], np.cumsum(self.time_fraction)])
+
     def half_fractions(self, span: float) -> Float:
         """Return the durations of the halves of each segment, (2 m,), given the sum of all in exposure times."""
         return np.repeat(self.time_fraction * (span / 2), 2) if self.half_fraction is None else self.half_fraction
@@ -188,7 +193,7 @@ class AnalyticSegments:
 
     def positions(self, camera: Camera, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are at some times: see `TrailModel.positions`."""
-        ends = np.concatenate([[0.0], np.cumsum(self.time_fraction)])
+        ends = self.marks
         segment = np.searchsorted(ends, time, side="right").clip(1, len(ends) - 1) - 1
         paths = self._conic_paths(camera, direction_eq, spacing_px=np.inf)
         return paths.positions(segment, (time - ends[segment]) / self.time_fraction[segment])

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from glstar.sky.starfield import StarField
 from glstar.system.resources import asset
 
-__all__ = ["USUAL_BV", "star_colours"]
+__all__ = ["USUAL_BV", "VALID_BV", "star_colours"]
 
 # Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
 USUAL_BV: Final = 0.65
+# Colours B - V beyond which what depends on them, such as the polynomials of a band, is constant.
+VALID_BV: Final = (-0.3, 1.7)
 
 Float = NDArray[np.float64]
 

@@ -1,6 +1,5 @@
 """The piece pass: trails as Gaussians with the moments of the stars' motion, four per point sprite."""
 
-from contextlib import ExitStack
 from typing import Final
 
 import moderngl
@@ -8,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.colourscenes import cell_tints
-from glstar.render.opengl.passagetexture import PassageTexture
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels, projection_uniforms
-from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
+from glstar.render.opengl.program import set_uniforms
 from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
-from glstar.render.opengl.startextures import STARS_PER_ROW, StarTextures
+from glstar.render.opengl.starsprites import STARS_PER_CALL, StarSprites
+from glstar.render.opengl.startextures import StarTextures
 from glstar.render.scene import Scene
 from glstar.render.trailpieces import PIECES_PER_SPRITE, ScenePart, TrailPieces
 from glstar.sky.horizon import MAX_REFRACTION_RAD
@@ -21,12 +20,8 @@ __all__ = ["PiecePass"]
 
 # Texels per piece: those of its mean orientation, and two of its covariance and duration.
 _TEXELS: Final = TEXELS_PER_TIME + 2
-# Limits of one draw call: columns and rows of textures, which every driver supports up to 4096.
-_STARS_PER_CALL: Final = 4096
+# Pieces per draw call: rows of a texture, which every driver supports up to 4096.
 _PIECES_PER_CALL: Final = 4096
-_SPRITES_PER_CALL: Final = 1 << 16
-# Texture units.
-_UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3, "passage": 4}
 
 
 class PiecePass:
@@ -46,24 +41,12 @@ class PiecePass:
 
     def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
         self._context = context
-        self._stars = stars
-        # By whether there is a mosaic, and a rolling shutter.
-        self._programs: dict[tuple[bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
-        with ExitStack() as owned:
-            self._sprites = context.buffer(reserve=4 * _SPRITES_PER_CALL, dynamic=True)
-            owned.callback(self._sprites.release)
-            sizes = (_TEXELS, _PIECES_PER_CALL, 4), (_STARS_PER_CALL, 2, 3), (_STARS_PER_CALL, 1, 4)
-            self._pointing, self._chosen, self._tints = textures = [
-                context.texture((columns, rows), components, dtype="f4") for columns, rows, components in sizes
-            ]
-            for texture in textures:
-                owned.callback(texture.release)
-                texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._passage = PassageTexture(context)
-            owned.callback(self._passage.release)
-            owned.callback(self._release_programs)
+        self._sprites = StarSprites(context, stars, (_TEXELS, _PIECES_PER_CALL), 2)
+        try:
             self._program(mosaic=False, rolling=False)
-            self._owned = owned.pop_all()
+        except BaseException:
+            self.release()
+            raise
 
     def draw(
         self, part: ScenePart, light: moderngl.Framebuffer, guard_band_px: int, clock: ReadoutClock = GLOBAL_SHUTTER
@@ -86,44 +69,23 @@ class PiecePass:
         program, vertices = self._program(mosaic=tints is not None, rolling=part.drawn is not None)
         self._set_uniforms(program, scene, light, guard_band_px, clock.span)
         texels, chosen = _piece_texels(part.pieces), _texels_of_stars(part)
-        if drawn.passage is None:
-            self._passage.write_table(np.ones((1, 1), np.float32))
-        for name, texture in (
-            ("pointing", self._pointing),
-            ("stars", self._stars.of(scene.stars)),
-            ("chosen", self._chosen),
-            ("tints_of_stars", self._tints),
-        ):
-            texture.use(_UNITS[name])
         light.use()
-        self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
-        self._context.blend_func = moderngl.ONE, moderngl.ONE
+        self._sprites.bind(scene.stars)
         for first in range(0, len(texels), _PIECES_PER_CALL):
-            rows = texels[first : first + _PIECES_PER_CALL]
-            self._pointing.write(rows, viewport=(0, 0, _TEXELS, len(rows)))
+            of_call = slice(first, first + _PIECES_PER_CALL)
+            rows = texels[of_call]
+            self._sprites.pointing.write(rows, viewport=(0, 0, _TEXELS, len(rows)))
             if "first_piece" in program:
                 set_uniforms(program, first_piece=first)
-            for begin in range(0, len(drawn), _STARS_PER_CALL):
-                stars = slice(begin, begin + _STARS_PER_CALL)
-                of_stars = np.ascontiguousarray(chosen[:, stars])
-                self._chosen.write(of_stars, viewport=(0, 0, of_stars.shape[1], 2))
-                if tints is not None:
-                    of_columns = tints[drawn.index[stars]]
-                    self._tints.write(of_columns, viewport=(0, 0, len(of_columns), 1))
-                of_call = slice(first, first + _PIECES_PER_CALL)
-                if drawn.passage is not None:
-                    self._passage.write_table(drawn.passage[stars, of_call].T)
-                self._passage.texture.use(_UNITS["passage"])
+            for begin in range(0, len(drawn), STARS_PER_CALL):
+                stars = slice(begin, begin + STARS_PER_CALL)
+                of_columns = None if tints is None else tints[drawn.index[stars]]
+                passage = None if drawn.passage is None else drawn.passage[stars, of_call].T
+                self._sprites.write_stars(chosen[:, stars], of_columns, passage)
                 near = _near_image(part, of_call, stars)
                 # Star by star: software OpenGL then finds the sprites of a tile near each other in memory.
-                self._draw(vertices, np.argwhere(near.T).astype(np.uint16))
+                self._sprites.draw(vertices, np.argwhere(near.T).astype(np.uint16))
         self._context.enable_only(moderngl.NOTHING)
-
-    def _draw(self, vertices: moderngl.VertexArray, sprites: NDArray[np.uint16]) -> None:
-        for first in range(0, len(sprites), _SPRITES_PER_CALL):
-            some = sprites[first : first + _SPRITES_PER_CALL]
-            self._sprites.write(np.ascontiguousarray(some))
-            vertices.render(moderngl.POINTS, vertices=len(some))
 
     def _set_uniforms(
         self, program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int, span: float
@@ -139,30 +101,17 @@ class PiecePass:
         )
 
     def _program(self, *, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        key = mosaic, rolling
-        if key not in self._programs:
-            program = linked(
-                self._context,
-                "trail_pieces.vert",
-                "trail_pieces.frag",
-                STARS_PER_ROW=STARS_PER_ROW,
-                PIECES_PER_SPRITE=PIECES_PER_SPRITE,
-                MOSAIC=int(mosaic),
-                ROWS=int(rolling),
-            )
-            set_used_uniforms(program, **_UNITS)
-            vertices = self._context.vertex_array(program, [(self._sprites, "2u2", "sprite")])
-            self._programs[key] = program, vertices
-        return self._programs[key]
-
-    def _release_programs(self) -> None:
-        for program, vertices in self._programs.values():
-            vertices.release()
-            program.release()
+        return self._sprites.program(
+            "trail_pieces.vert",
+            "trail_pieces.frag",
+            PIECES_PER_SPRITE=PIECES_PER_SPRITE,
+            MOSAIC=int(mosaic),
+            ROWS=int(rolling),
+        )
 
     def release(self) -> None:
         """Release programs, buffers and textures."""
-        self._owned.close()
+        self._sprites.release()
 
 
 def _piece_texels(pieces: TrailPieces) -> NDArray[np.float32]:
