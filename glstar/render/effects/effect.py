@@ -22,6 +22,7 @@ __all__ = [
     "UniformValue",
     "Values",
     "no_uniforms",
+    "quads_of",
 ]
 
 # The values of an effect by the names of its keys, without the section.
@@ -115,7 +116,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class EffectTexture:
-    """A texture computed on the CPU that covers the image, sampled bilinearly.
+    """A texture computed on the CPU that covers the image, sampled bilinearly, by GPUs in 256 steps between texels.
 
     Attributes
     ----------
@@ -152,6 +153,24 @@ class ChargeTransfer:
     along: Literal["columns", "rows"]
     threshold_dn: float
     moved: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def quads_of(pixels: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return an image with the four pixels of each ``quad`` in a texel.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) float32 or float64
+
+    Returns
+    -------
+    (rows, columns / 4, 4) float32
+        With 0 beyond the last column.
+    """
+    height, width = pixels.shape
+    padded = np.zeros((height, -(-width // 4) * 4), np.float32)
+    padded[:, :width] = pixels
+    return padded.reshape(height, -1, 4)
 
 
 def _always(_values: Values) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.pixelpattern import PixelPattern, read_map
-from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms, quads_of
 from glstar.render.scene import Scene
 
 __all__ = ["DARK_PATTERN", "RESPONSE_PATTERN", "pattern_of"]
@@ -78,14 +78,6 @@ def pattern_of(values: Mapping[str, Any]) -> PixelPattern:
     return PixelPattern(**{f.name: given[f.name] for f in fields(PixelPattern) if f.name in given})
 
 
-def _quads(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return an array with four neighbouring pixels of a row in each texel."""
-    height, width = pixels.shape
-    padded = np.zeros((height, -(-width // 4) * 4), np.float32)
-    padded[:, :width] = pixels
-    return padded.reshape(height, -1, 4)
-
-
 def _dark_dn(_values: Values, scene: Scene) -> NDArray[np.float32]:
     model, pattern = scene.sensor.electrons, pattern_of(scene.sensor.effects)
     assert model is not None
@@ -95,7 +87,7 @@ def _dark_dn(_values: Values, scene: Scene) -> NDArray[np.float32]:
     if pattern.dark_frame:
         measured_dn = read_map(pattern.dark_frame)
         above_dn = above_dn + (measured_dn - np.median(measured_dn))
-    return _quads(np.asarray(above_dn, dtype=np.float32))
+    return quads_of(np.asarray(above_dn, dtype=np.float32))
 
 
 def _dark_depends_on(_values: Values, scene: Scene) -> Hashable:
@@ -122,7 +114,7 @@ def _hot_px(_values: Values, scene: Scene) -> NDArray[np.int64] | None:
 
 def _response(_values: Values, scene: Scene) -> NDArray[np.float32]:
     pattern = pattern_of(scene.sensor.effects)
-    return _quads(pattern.response(scene.camera.width_px, scene.camera.height_px))
+    return quads_of(pattern.response(scene.camera.width_px, scene.camera.height_px))
 
 
 def _response_depends_on(_values: Values, scene: Scene) -> Hashable:

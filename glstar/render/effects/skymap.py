@@ -3,12 +3,13 @@
 from collections.abc import Hashable, Mapping
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.pixelpattern import read_map
 from glstar.errors import ConfigError
-from glstar.render.effects.effect import Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.effect import Effect, EffectTexture, Key, Stage, UniformValue, Values, quads_of
 from glstar.render.scene import Scene
 
 __all__ = ["SKY_MAP", "SKY_MAP_KEY", "relative_sky"]
@@ -54,12 +55,14 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     return {"sky_map_dn": sensor.electrons.dn_per_e * sensor.electrons.sky_e_per_s * scene.exposure.duration_s}
 
 
-def _texels(values: Values, _scene: Scene) -> NDArray[np.float32]:
-    return relative_sky(str(values["sky_map"]))
+def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
+    # Resampled here: the filter of a GPU divides the distance between texels into 256 steps, which are visible.
+    size = scene.camera.width_px, scene.camera.height_px
+    return quads_of(cv2.resize(relative_sky(str(values["sky_map"])), size, interpolation=cv2.INTER_LINEAR))
 
 
-def _depends_on(values: Values, _scene: Scene) -> Hashable:
-    return values["sky_map"]
+def _depends_on(values: Values, scene: Scene) -> Hashable:
+    return values["sky_map"], scene.camera.width_px, scene.camera.height_px
 
 
 def _truth(values: Values, _scene: Scene) -> Mapping[str, Any]:
@@ -81,11 +84,7 @@ uniform sampler2D relative_sky;
 uniform float sky_map_dn;
 
 vec4 sky_map(vec4 signal_dn, uvec2 quad) {
-    vec4 x = (columns_px(quad) + 0.5) / image_px.x;
-    float y = (row_px(quad) + 0.5) / image_px.y;
-    return signal_dn + sky_map_dn * vec4(
-        textureLod(relative_sky, vec2(x.x, y), 0.0).r, textureLod(relative_sky, vec2(x.y, y), 0.0).r,
-        textureLod(relative_sky, vec2(x.z, y), 0.0).r, textureLod(relative_sky, vec2(x.w, y), 0.0).r);
+    return signal_dn + sky_map_dn * texelFetch(relative_sky, ivec2(quad), 0);
 }
 """,
 )

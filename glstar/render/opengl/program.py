@@ -57,7 +57,9 @@ def linked(
     except moderngl.Error as error:
         log = str(error)
         file = fragments if "fragment_shader" in log else vertices
-        found = re.search(r"\b0[:(](\d+)", log)
+        # Some drivers list warnings too.  NVIDIA writes "0(7) : error", Mesa "0:7(1): error", others "ERROR: 0:7:".
+        errors = [line for line in log.splitlines() if "error" in line.lower()]
+        found = re.search(r"\b0[:(](\d+)", "\n".join(errors))
         # Drivers count lines after includes; their source string numbers are not reliable.
         lines = _expanded(file, generated)
         if found is None or int(found[1]) > len(lines):
