@@ -93,6 +93,7 @@ def fitted_segments(
     tolerance_px: float,
     *,
     position_px: float = TOLERANCES.position_px,
+    readout_s: float = 0.0,
 ) -> AnalyticSegments | None:
     """Return segments of an exposure that follow the attitude within a tolerance.
 
@@ -110,6 +111,9 @@ def fitted_segments(
         Largest distance between a star's true and fitted positions at the same time, px; positive.
     position_px : float
         Largest distance between its fitted position and where the shaders draw it, px.
+    readout_s : float
+        While rows open and while they close, trails end: there stars are at most `position_px` from their true
+        positions, too.
 
     Returns
     -------
@@ -123,13 +127,15 @@ def fitted_segments(
     second order.
     """
     # Narrower stars show smaller displacements.
+    at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
     tolerance_px *= min(1.0, sigma_px / LIMITS.sigma_px)
     samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))
-    knots_s = samples.search(camera, tolerance_px)
+    knots_s = samples.search(camera, tolerance_px, samples.strictness(readout_s, at_ends))
     for _ in range(LIMITS.rounds):
         samples = samples.resolving(motion, knots_s)
         fit = SegmentFit.of(motion, samples, knots_s)
-        deviation, drawing = fit.excess(camera, sigma_px, tolerance_px, position_px)
+        strictness = samples.strictness(readout_s, at_ends)
+        deviation, drawing = fit.excess(camera, sigma_px, tolerance_px, position_px, strictness)
         if ((deviation <= 1.0) & (drawing <= 1.0)).all():
             return AnalyticSegments(fit.nodes, np.diff(knots_s) / (knots_s[-1] - knots_s[0]))
         knots_s = _divided(knots_s, nodes_s, deviation, drawing)
@@ -215,7 +221,12 @@ class SampledMotion:
         )
         return replace(self, times_s=times_s[order], pointing=pointing)
 
-    def search(self, camera: Camera, tolerance_px: float) -> Float:
+    def strictness(self, readout_s: float, at_ends: float) -> Float:
+        """Return the factor of distances at each sample, (n,): `at_ends` while rows open and close, and 1 between."""
+        from_end_s = np.minimum(self.times_s - self.times_s[0], self.times_s[-1] - self.times_s)
+        return np.where(from_end_s <= readout_s, at_ends, 1.0)
+
+    def search(self, camera: Camera, tolerance_px: float, strictness: Float) -> Float:
         """Return nodes at which segments begin and end, UTC seconds, from the start to the end of the exposure.
 
         Each segment is as long as a quadratic function follows the rotation within the tolerance.  This treats rotation
@@ -227,18 +238,19 @@ class SampledMotion:
         for first in range(0, last, LIMITS.block):
             end = min(first + LIMITS.block, last)
             samples = slice(first * self.parts, end * self.parts + 1)
-            longest = self._longest(self.times_s[samples], turns_px[samples], LIMITS.search_fraction * tolerance_px)
+            limit_px = LIMITS.search_fraction * tolerance_px / strictness[samples]
+            longest = self._longest(self.times_s[samples], turns_px[samples], limit_px)
             while knots[-1] < end:
                 knots.append(min(end, knots[-1] + int(longest[knots[-1] - first])))
         return self.nodes_s[knots]
 
-    def _longest(self, times_s: Float, turns_px: Float, tolerance_px: float) -> Integer:
-        """Return from each node of a block the largest number of intervals that a segment may have."""
+    def _longest(self, times_s: Float, turns_px: Float, limit_px: Float) -> Integer:
+        """Return the most intervals of a segment from each node of a block, given the limit at each sample, (n,)."""
         last = (len(times_s) - 1) // self.parts
         t = (times_s - times_s[0]) / (times_s[-1] - times_s[0])
         longest = np.ones(last + 1, dtype=np.intp)
         axes_px = np.ascontiguousarray(turns_px.T)
-        if _residual_px(t[:, np.newaxis], axes_px[:, :, np.newaxis])[0] <= tolerance_px:
+        if _follow(t[:, np.newaxis], axes_px[:, :, np.newaxis], limit_px[:, np.newaxis])[0]:
             longest[0] = last
             return longest
         for length in _LENGTHS:
@@ -246,7 +258,7 @@ class SampledMotion:
                 break
             starts = np.arange(0, len(t) - length * self.parts, self.parts)
             window = starts + np.arange(length * self.parts + 1)[:, np.newaxis]
-            follows = _residual_px(t.take(window), axes_px.take(window, axis=1)) <= tolerance_px
+            follows = _follow(t.take(window), axes_px.take(window, axis=1), limit_px.take(window))
             if not follows.any():
                 break
             longest[: len(follows)][follows] = length
@@ -263,8 +275,8 @@ def _turns_px(pointing: Pointing, camera: Camera) -> Float:
     return turns
 
 
-def _residual_px(t: Float, values: Float) -> Float:
-    """Return the largest distance of values, (3, n, k), from their least-squares quadratics of times t, (n, k)."""
+def _follow(t: Float, values: Float, limit: Float) -> NDArray[np.bool_]:
+    """Return whether quadratics fitted to values, (3, n, k), at times t, (n, k), are near all of them, (k,)."""
     # Orthogonal polynomials on the times of each of the k windows.
     count = len(t)
     linear = t - t.sum(axis=0) / count
@@ -278,8 +290,7 @@ def _residual_px(t: Float, values: Float) -> Float:
         coefficient = (residual * basis).sum(axis=1) / norm
         residual -= coefficient[:, np.newaxis] * basis
     residual *= residual
-    largest: Float = np.sqrt(residual.sum(axis=0).max(axis=0))
-    return largest
+    return np.asarray((residual.sum(axis=0) <= limit * limit).all(axis=0))
 
 
 def _divided(knots_s: Float, nodes_s: Float, deviation: Float, drawing: Float) -> Float:
@@ -371,7 +382,9 @@ class SegmentFit:
         C = self.nodes.C_camera_eq
         return end_weights(C[:-2:2], C[2::2])[:, np.newaxis, np.newaxis]
 
-    def excess(self, camera: Camera, sigma_px: float, tolerance_px: float, position_px: float) -> tuple[Float, Float]:
+    def excess(
+        self, camera: Camera, sigma_px: float, tolerance_px: float, position_px: float, strictness: Float
+    ) -> tuple[Float, Float]:
         """Return the errors of each segment divided by what is tolerated, (m,) each; NaN if unknown.
 
         Parameters
@@ -383,6 +396,8 @@ class SegmentFit:
             Largest distance from the true position at the same time, px.
         position_px : float
             Largest distance between fitted and drawn positions at the same time, px.
+        strictness : (n,) float64
+            Factor of the distance at each sample.
 
         Returns
         -------
@@ -400,7 +415,7 @@ class SegmentFit:
         vectors = np.einsum("nk,knij->nij", self.basis, np.stack([of[self.segment] for of in (start, middle, end)]))
         true = _observed(self.sampled, directions[self.segment])
         off = project(np.swapaxes(vectors, 1, 2)) - project(np.swapaxes(true, 1, 2))
-        distance_px = np.sqrt((off * off).sum(axis=-1).max(axis=1))
+        distance_px = np.sqrt((off * off).sum(axis=-1).max(axis=1)) * strictness
         first = self.segment.searchsorted(np.arange(len(directions)))
         deviation_px = np.maximum.reduceat(distance_px, first)
         # A quadratic passes close to few samples, whatever is between them.

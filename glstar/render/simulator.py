@@ -283,8 +283,9 @@ class Simulator:
             self._nodes_s(exposure),
             self.camera,
             self.sensor.core.effective_sigma_px,
-            min(tolerance_px, ROLLING_POSITION_PX) if exposure.readout_s else tolerance_px,
+            tolerance_px,
             position_px=_position_px(exposure),
+            readout_s=exposure.readout_s,
         )
 
     def exact_segments(
