@@ -22,8 +22,6 @@ _MIN_TIMES_PER_BLOCK: Final = 8
 # Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
 QUADRATURE_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
 QUADRATURE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
-# Of the duration of a segment.
-_ROUNDING: Final = 1e-12
 
 # Samples of an analytic trail per exposure, whatever its length: truth counts them for its fractions.
 _MIN_SAMPLES: Final = 100
@@ -179,32 +177,23 @@ class ConicPaths:
         (2, m) float64
             Of what is in these segments of the time between them; in the undistorted image plane.
         """
+        since_start_px = np.zeros((2, len(self.time_fraction) + 1, len(begin)))
+        np.cumsum(self._ninetieths_px * (self.time_fraction[:, np.newaxis] / 90), axis=1, out=since_start_px[:, 1:])
         ends = np.cumsum(self.time_fraction)
-        starts = ends - self.time_fraction
-        # Segments in the middle are between the times of all stars.
-        first = int(np.searchsorted(starts, begin.max(initial=0.0)))
-        last = max(first, int(np.searchsorted(ends, end.min(initial=np.inf), side="right")))
-        integral_px = np.einsum("s,xsm->xm", self.time_fraction[first:last] / 90, self._ninetieths_px[:, first:last])
-        for others in (slice(0, first), slice(last, len(ends))):
-            if others.start < others.stop:
-                integral_px += self._integral_of(others, starts, begin, end)
-        return np.asarray(integral_px)
+        times = np.concatenate([begin, end]).clip(0.0, ends[-1])
+        segment = ends.searchsorted(times, "right").clip(max=len(ends) - 1)
+        star = np.tile(np.arange(len(begin)), 2)
+        integral_px = since_start_px[:, segment, star] + self._since_start_of(segment, star, times - ends[segment])
+        return np.asarray(integral_px[:, len(begin) :] - integral_px[:, : len(begin)])
 
-    def _integral_of(self, segments: slice, starts: Float, begin: Float, end: Float) -> Float:
-        """Return the integral over some of the segments, given the starts of all: see `integral_between`."""
-        whole = self.time_fraction[segments, np.newaxis]
-        begins = starts[segments, np.newaxis].clip(begin, end)
-        duration = (starts[segments, np.newaxis] + whole).clip(begin, end) - begins
-        is_whole = duration > whole * (1 - _ROUNDING)
-        means_px = self._ninetieths_px[:, segments] * (np.where(is_whole, duration, 0.0) / 90)
-        row, star = np.nonzero((duration > 0) & ~is_whole)
-        segment, part = row + segments.start, duration[row, star]
-        u = (begins[row, star] - starts[segment] + part * QUADRATURE_NODES[:, np.newaxis]) / self.time_fraction[segment]
-        parameter = parameter_at(u, self.weight[segment])
+    def _since_start_of(self, segment: NDArray[np.intp], star: NDArray[np.intp], before_end: Float) -> Float:
+        """Return integrals of the positions of stars since the start of a segment, all (n,): (2, n) px."""
+        whole = self.time_fraction[segment]
+        part = whole + before_end
+        parameter = parameter_at(part / whole * QUADRATURE_NODES[:, np.newaxis], self.weight[segment])
         start, rate, bend = _quadratics(*(of[:, segment, star][:, np.newaxis] for of in self._weighted))
         xy_px = _projected(self.camera.pinhole, start + parameter * (rate + parameter * bend))
-        light_px = part * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px)
-        return np.asarray(means_px.sum(axis=1) + [np.bincount(star, of, minlength=len(begin)) for of in light_px])
+        return np.asarray(part * np.einsum("n,xnp->xp", QUADRATURE_WEIGHTS, xy_px))
 
     @cached_property
     def _ninetieths_px(self) -> Float:
