@@ -213,7 +213,7 @@ def _fitted(
     def of_all(values: Callable[[Calibration], NDArray[Any]]) -> NDArray[Any]:
         return np.concatenate([values(part)[some] for part, some in zip(parts, used, strict=True)])
 
-    bv = of_all(lambda part: star_colours(part.reference.stars)[part.matches.star])
+    bv = of_all(lambda part: star_colours(part.reference.stars, part.matches.star))
     bv = np.clip(np.nan_to_num(bv, nan=USUAL_BV), *VALID_BV)
     across = of_all(lambda part: corner_distance(part.image, part.matches, part.stars.xy_px) ** 2)
     more = [one - np.median(one) for one in (bv, across)][: mass.size // _STARS_PER_TERM]

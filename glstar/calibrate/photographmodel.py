@@ -198,7 +198,7 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
     stars = calibration.stars
     matched = calibration.matches.star
     terms = fit_brightness_terms(
-        flux, error, stars.vmag, star_colours(calibration.reference.stars)[matched],
+        flux, error, stars.vmag, star_colours(calibration.reference.stars, matched),
         np.linalg.norm(_offset(calibration, stars.xy_px), axis=1), used,
     )  # fmt: skip
     hot = find_hot_pixels(sky.residual_dn, _pixel_variance(calibration, sky, noise), _gain(noise), joint)
@@ -238,7 +238,7 @@ def _offset(calibration: Calibration, xy_px: Float) -> Float:
 def _detected_colours(calibration: Calibration) -> Float:
     """Return the colours B - V of the detected stars, (n,); the usual one of those that are not identified."""
     bv = np.full(len(calibration.detected), USUAL_BV)
-    bv[calibration.matches.detection] = colours_used(calibration.reference.stars)[calibration.matches.star]
+    bv[calibration.matches.detection] = colours_used(calibration.reference.stars, calibration.matches.star)
     return bv
 
 
@@ -303,7 +303,7 @@ def _matched_fluxes(
 ) -> tuple[Float, Float, Mask]:
     """Return fluxes and errors of the matched stars, and which of them are good for the zero point."""
     stars = calibration.stars
-    bv = colours_used(calibration.reference.stars)[calibration.matches.star]
+    bv = colours_used(calibration.reference.stars, calibration.matches.star)
     stamps, inside = _stamps(calibration, sky, noise, stars.xy_px, bv, moved=moved)
     flux, error = np.full(len(stars), np.nan), np.full(len(stars), np.inf)
     flux[inside], error[inside], _ = measure_fluxes(stamps, joint)

@@ -55,7 +55,7 @@ def recorded_brightness(
     seen = Observations(np.zeros_like(order), order, terms.residual_mag[chosen], np.hypot(noise_mag, _LEAST_ERROR_MAG))
     off_mag, error_mag, zero_mag, _ = solve_brightness(seen, len(chosen), 1)
     matched = calibration.matches.star[chosen]
-    of_band = colour.magnitude_minus_v(colours_used(reference)[matched])
+    of_band = colour.magnitude_minus_v(colours_used(reference, matched))
     names = tuple(reference.name[k] for k in matched.tolist())
     return StarTable(
         reference.catalogue, reference.star_id[matched], names, stars.vmag[chosen], of_band + zero_mag[0] + off_mag,

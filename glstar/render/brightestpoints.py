@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.linechains import LineChain, line_chains, normal_cumulative
-from glstar.render.rowtimes import RecordedTimes
 from glstar.render.scene import Scene
 
 __all__ = ["BrightestPoints", "brightest_points"]
@@ -59,7 +58,6 @@ def brightest_points(
     direction_eq: Float,
     chains: Sequence[LineChain],
     transmissions: Sequence[Float | None],
-    recorded: RecordedTimes | None = None,
 ) -> BrightestPoints:
     """Return where stars leave most light on the image.
 
@@ -72,8 +70,6 @@ def brightest_points(
         Their paths, of each short exposure.
     transmissions : sequence of (n, m) float64 or None
         What reaches the camera during each line of each chain.
-    recorded : RecordedTimes, optional
-        When a rolling shutter records them.
 
     Returns
     -------
@@ -87,7 +83,7 @@ def brightest_points(
     lines = _Lines.of(chains)
     outside_px = scene.camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
     on_image = (outside_px <= 0).astype(np.float64)
-    signals, overlaps = _interpolated(scene, direction_eq, lines, recorded)
+    signals, overlaps = _interpolated(scene, direction_eq, lines)
     clouded = [transmission for transmission in transmissions if transmission is not None]
     passing = _grouped(_joined(clouded), mean=True) if clouded else np.ones_like(lines.weight)
     nearby = _smoothed(lines, passing, scene.sensor.effective_sigma_px, on_image) if clouded else passing
@@ -170,9 +166,7 @@ def _candidates(camera: Camera, middle_px: Float, signals: Float) -> Float:
     return np.asarray(np.stack(points).clip(-0.5, np.array([camera.width_px, camera.height_px]) - 0.5))
 
 
-def _interpolated(
-    scene: Scene, direction_eq: Float, lines: _Lines, recorded: RecordedTimes | None
-) -> tuple[NDArray[Any], NDArray[Any]]:
+def _interpolated(scene: Scene, direction_eq: Float, lines: _Lines) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the signal at the middle of each line, and that of stars sqrt(2) times as wide, (n, m) 1/px^2."""
     sigma_px, camera = scene.sensor.effective_sigma_px, scene.camera
     columns, rows = _grid_size(len(lines.weight))
@@ -183,7 +177,7 @@ def _interpolated(
     low_px, high_px = at_px.min(axis=1).clip(-size_px, 0), at_px.max(axis=1).clip(size_px, 2 * size_px)
     x_px, y_px = (np.linspace(low_px[k], high_px[k], count) for k, count in enumerate((columns, rows)))
     example_px = np.stack(np.meshgrid(x_px, y_px), axis=-1).reshape(-1, 2)
-    examples = _Lines.of(list(_chains_through(scene, example_px, recorded)))
+    examples = _Lines.of(list(_chains_through(scene, example_px)))
     near = _bilinear(at_px, x_px, y_px) * examples.is_whole[:, np.newaxis]
     near = near / np.maximum(near.sum(axis=0), 1e-6)
     signals, overlaps = _signals_and_overlaps(examples, sigma_px)
@@ -191,12 +185,11 @@ def _interpolated(
     return signals.astype(np.float64) @ near, overlaps.astype(np.float64) @ near
 
 
-def _chains_through(scene: Scene, xy_px: Float, recorded: RecordedTimes | None) -> Iterator[LineChain]:
+def _chains_through(scene: Scene, xy_px: Float) -> Iterator[LineChain]:
     """Yield the chains of directions that are at some positions in the middle of the exposure, (k, 2) px."""
     in_camera = scene.camera.unit_vectors(xy_px)
     in_camera = np.where(np.isnan(in_camera), np.array([0.0, 0.0, -1.0]), in_camera)  # behind it
-    direction_eq = in_camera @ scene.shutter.C_camera_eq[1]
-    return line_chains(scene, direction_eq, recorded=None if recorded is None else recorded.rows.times(direction_eq))
+    return line_chains(scene, in_camera @ scene.shutter.C_camera_eq[1])
 
 
 def _grid_size(count: int) -> tuple[int, int]:

@@ -18,23 +18,26 @@ from glstar.sky.starfield import StarField
 __all__ = ["FIRST_CHANNEL", "cell_tints", "channel_scenes", "colours_used", "drawn_peak_dn", "in_band"]
 
 _CHANNELS: Final[tuple[Channel, ...]] = ("r", "g", "b")
+_ALL: Final = slice(None)
 # The first of `channel_scenes`.
 FIRST_CHANNEL: Final = _CHANNELS[0]
 
 
-def colours_used(stars: StarField) -> NDArray[np.float64]:
+def colours_used(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
     """Return the colours that stars are drawn with.
 
     Parameters
     ----------
     stars : StarField
+    some : slice or (n,) int
+        Which of them.
 
     Returns
     -------
     (n,) float64
         B - V; 0.65 where it is unknown.
     """
-    return np.nan_to_num(star_colours(stars), nan=USUAL_BV)
+    return np.nan_to_num(star_colours(stars, some), nan=USUAL_BV)
 
 
 # The field of a flight is uploaded once, so each of its scenes has the same object; it lives as long as the field of V

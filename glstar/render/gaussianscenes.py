@@ -76,7 +76,7 @@ def _split(scene: Scene) -> list[Scene]:
     psf = scene.sensor.point_spread
     if psf.is_gaussian:
         return [scene if scene.sensor.colour.mosaic == "none" else _with_radii(scene)]
-    scales = psf_scale(scene, scene.stars.direction_eq[scene.visible], colours_used(scene.stars)[scene.visible])
+    scales = psf_scale(scene, scene.stars.direction_eq[scene.visible], colours_used(scene.stars, scene.visible))
     made = []
     for scale in np.unique(scales).tolist():
         stars = scene.with_visible(scales == scale)

@@ -7,7 +7,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.rowtimes import RecordedTimes
+from glstar.render.rowtimes import OpenPath, RecordedTimes
 from glstar.render.scene import Scene
 from glstar.render.stacking import StackedTrails
 from glstar.render.trailmodels import AnalyticSegments, TrailModel
@@ -140,7 +140,7 @@ def line_chains(
     nodes_px : (2, n, m) float64, optional
         Their `ConicPaths.nodes_px`, if these are known.
     recorded : RecordedTimes, optional
-        When a rolling shutter records them.
+        When a rolling shutter records them; without it the times are those of the lines.
 
     Yields
     ------
@@ -149,13 +149,12 @@ def line_chains(
     trails = scene.trails if scene.listing is None else scene.listing.trails
     if not isinstance(trails, StackedTrails):
         xy_px, duration = _path(scene, trails, direction_eq, nodes_px)
-        yield LineChain.of(*_while_open(xy_px, duration, recorded, scene.exposure.span_s))
+        yield LineChain.of(*_while_open(scene, xy_px, duration, recorded))
         return
     rows = [None] * len(trails.shorts) if recorded is None else recorded.shorts
-    span_s = scene.exposure.first.span_s
     for short, times in zip(trails.shorts, rows, strict=True):
         xy_px, duration = _path(scene, short, direction_eq, None)
-        yield LineChain.of(*_while_open(xy_px, duration / len(trails.shorts), times, span_s))
+        yield LineChain.of(*_while_open(scene, xy_px, duration / len(trails.shorts), times))
 
 
 def _path(scene: Scene, trails: TrailModel, direction_eq: Float, nodes_px: Float | None) -> tuple[Float, Float]:
@@ -176,23 +175,25 @@ def _path(scene: Scene, trails: TrailModel, direction_eq: Float, nodes_px: Float
 
 
 def _while_open(
-    xy_px: Float, duration: Float, times: RecordedTimes | None, span_s: float
+    scene: Scene, xy_px: Float, duration: Float, recorded: RecordedTimes | None
 ) -> tuple[Float, Float, Float | None]:
     """Return the arguments of `LineChain.of`: under a rolling shutter, the path between a star's opening and closing.
 
     What is before and after is left as lines of no length and no light.
     """
-    if times is None:
+    exposure = scene.exposure.first
+    if exposure.readout_s == 0:
         return xy_px, duration, None
     share = duration.sum()
-    ends_s = (span_s / share) * np.concatenate([[0.0], np.cumsum(duration)])[:, np.newaxis]
-    first_px, last_px = (times.positions[k].T[:, np.newaxis] for k in (0, 2))
+    ends_s = (exposure.span_s / share) * np.concatenate([[0.0], np.cumsum(duration)])
+    times = OpenPath.along(xy_px, ends_s, exposure, scene.camera) if recorded is None else OpenPath.of(recorded)
+    ends_s = ends_s[:, np.newaxis]
     # Most of the path is between the opening and the closing of all stars.
     before = slice(0, int(np.searchsorted(ends_s[:, 0], times.opens_s.max(initial=0.0))))
     after = slice(int(np.searchsorted(ends_s[:, 0], times.closes_s.min(initial=np.inf), side="right")), None)
     xy_px = xy_px.copy()
-    xy_px[:, before] = np.where(ends_s[before] < times.opens_s, first_px, xy_px[:, before])
-    xy_px[:, after] = np.where(ends_s[after] > times.closes_s, last_px, xy_px[:, after])
+    xy_px[:, before] = np.where(ends_s[before] < times.opens_s, times.first_px[:, np.newaxis], xy_px[:, before])
+    xy_px[:, after] = np.where(ends_s[after] > times.closes_s, times.last_px[:, np.newaxis], xy_px[:, after])
     open_s = np.diff(ends_s.clip(times.opens_s, times.closes_s), axis=0)
     open_s *= share / np.maximum(times.closes_s - times.opens_s, 1e-12)
     return xy_px, duration, open_s

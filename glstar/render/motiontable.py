@@ -11,8 +11,9 @@ from glstar.camera.exposure import Exposure
 from glstar.flight import AttitudeTrack
 from glstar.render.cameramotion import CameraMotion
 from glstar.render.pointing import Pointing
+from glstar.rotation import turn_from_matrix
 
-__all__ = ["MotionTable"]
+__all__ = ["MotionTable", "rates_rad_per_s"]
 
 Float = NDArray[np.float64]
 
@@ -22,6 +23,8 @@ _STEP_RAD: Final = 0.033
 _SPLINE_STEP_S: Final = 5e-3
 # Exposures of more samples of the log would spend more time on the table than it saves.
 _MAX_PARTS: Final = 2000
+# Half the time over which the angular rate of the camera is measured, s.
+_RATE_STEP_S: Final = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +38,13 @@ class MotionTable:
     pointing : Pointing
         At the start, the middle and the end of the first part, which is the start of the second, and so on: 2 n + 1
         times.
+    rates_rad_per_s : (3,) float64 or None
+        The angular rate of the camera in the middle of the exposure: see `rates_rad_per_s`.
     """
 
     ends_s: Float
     pointing: Pointing
+    rates_rad_per_s: Float | None = None
 
     @classmethod
     def of(cls, motion: CameraMotion, exposure: Exposure) -> Self | None:
@@ -57,8 +63,10 @@ class MotionTable:
             ends_s = np.sort(np.append(ends_s, (ends_s[1:] + ends_s[:-1]) / 2))
         times_s = np.empty(2 * len(ends_s) - 1)
         times_s[::2], times_s[1::2] = ends_s, (ends_s[1:] + ends_s[:-1]) / 2
-        (pointing,) = motion.pointings(np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s))
-        return cls(ends_s, pointing)
+        around_s = _around_middle_s(exposure)
+        times_s = np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s)
+        pointing, around = motion.pointings(times_s, around_s)
+        return cls(ends_s, pointing, _rates_rad_per_s(around, around_s))
 
     @cached_property
     def _coefficients(self) -> Float:
@@ -86,6 +94,34 @@ class MotionTable:
             velocity_eq=values[:, 12:15],
             pole_eq=None if self.pointing.pole_eq is None else values[:, 15:],
         )
+
+
+def rates_rad_per_s(motion: CameraMotion, exposure: Exposure) -> Float:
+    """Return the angular rate of the camera in the middle of an exposure, with respect to the stars.
+
+    Parameters
+    ----------
+    motion : CameraMotion
+    exposure : Exposure
+
+    Returns
+    -------
+    (3,) float64
+        About its right, down and forward axes, rad/s.
+    """
+    around_s = _around_middle_s(exposure)
+    return _rates_rad_per_s(motion.pointings(around_s)[0], around_s)
+
+
+def _around_middle_s(exposure: Exposure) -> Float:
+    """Return two times around the middle of an exposure, UTC seconds since 1970."""
+    step_s = min(_RATE_STEP_S, exposure.span_s / 2)
+    return np.array([exposure.mid_utc_s - step_s, exposure.mid_utc_s + step_s])
+
+
+def _rates_rad_per_s(around: Pointing, times_s: Float) -> Float:
+    before, after = around.C_camera_eq
+    return np.asarray(turn_from_matrix(after @ before.T) / (times_s[1] - times_s[0]))
 
 
 def _fastest_rad_per_s(attitude: AttitudeTrack, first: int, last: int) -> float:

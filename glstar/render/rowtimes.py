@@ -3,25 +3,24 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
-from glstar.render.cameramotion import CameraMotion
-from glstar.render.motiontable import MotionTable
+from glstar.camera.model import Camera
+from glstar.render.motiontable import MotionTable, rates_rad_per_s
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
-from glstar.rotation import turn_from_matrix
 
 __all__ = [
+    "OpenPath",
     "RecordedTimes",
     "RowTimeSearch",
     "exposed_fraction",
     "recorded_rows",
     "recorded_times",
-    "rolling_frame_keys",
     "row_columns",
 ]
 
@@ -40,8 +39,6 @@ _SLOW: Final = 0.5
 # Steps of the search, at most.  When all stars are this near, s, the last one is a line: it leaves 1e-9 s and 1e-5 px.
 _STEPS: Final = 6
 _NEARLY_S: Final = 1e-6
-# Half the time over which the angular rate of the camera is measured, s.
-_RATE_STEP_S: Final = 5e-4
 # A closing and the next opening that differ by less are the same time, s: twenty times the error of the search.
 _AT_ONCE_S: Final = 1e-5
 
@@ -62,8 +59,6 @@ class RecordedTimes:
         and below the horizon.
     mid_offset_s : (k,) float64
         That middle, s after the middle of the exposure.
-    rows : RowTimeSearch
-        What found them, for other stars of the scene.
     shorts : tuple of RecordedTimes
         Those of each short exposure of a stacked image; empty for a single exposure.
     """
@@ -73,7 +68,6 @@ class RecordedTimes:
     exposed_s: Float
     positions: Float
     mid_offset_s: Float
-    rows: "RowTimeSearch"
     shorts: tuple["RecordedTimes", ...] = ()
 
     def __getitem__(self, stars: NDArray[np.intp]) -> "RecordedTimes":
@@ -83,7 +77,6 @@ class RecordedTimes:
             self.exposed_s[stars],
             self.positions[:, stars],
             self.mid_offset_s[stars],
-            self.rows,
             tuple(short[stars] for short in self.shorts),
         )
 
@@ -125,6 +118,11 @@ class RowTimeSearch:
         self._motion = scene.motion
         self._shorts = [RowTimeSearch(short) for short in scene.shorts]
 
+    @classmethod
+    def of(cls, scene: Scene) -> Self | None:
+        """Return the search for the stars of a scene; None for a global shutter."""
+        return None if scene.exposure.readout_s == 0 or scene.motion is None else cls(scene)
+
     @cached_property
     def _table(self) -> MotionTable | None:
         return MotionTable.of(self._motion, self._scene.exposure)
@@ -154,12 +152,24 @@ class RowTimeSearch:
         per_column_s, per_row_s, _ = exposure.opening_s(camera.width_px, camera.height_px)
         return bool(fastest_px_per_s * max(abs(per_column_s), abs(per_row_s)) > _SLOW)
 
+    @property
+    def frame_keys(self) -> dict[str, Any]:
+        """What `frame_truth` lists of a frame of a rolling shutter.
+
+        ``readout_s``, ``readout`` and ``rates_rad_per_s``: the angular rate of the camera at ``utc_mid`` about its
+        right, down and forward axes, with respect to the stars.
+        """
+        exposure = self._scene.exposure
+        rates = None if self._shorts or self._table is None else self._table.rates_rad_per_s
+        rates = rates_rad_per_s(self._motion, exposure) if rates is None else rates
+        return {"readout_s": exposure.readout_s, "readout": exposure.readout, "rates_rad_per_s": rates.tolist()}
+
     def times(self, direction_eq: Float) -> RecordedTimes:
         """Return when stars are recorded: see `recorded_times`."""
         shorts = tuple(short.times(direction_eq) for short in self._shorts)
         if not len(direction_eq):
             none = np.zeros(0)
-            return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none, self, shorts)
+            return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none, shorts)
         if shorts:
             return self._joined(direction_eq, shorts)
         exposure = self._scene.exposure
@@ -170,7 +180,7 @@ class RowTimeSearch:
         exposed_s = closes_s - opens_s
         if self._may_overtake_rows:
             exposed_s = self._open_s(since_opening_s[0], exposed_s)
-        return RecordedTimes(opens_s, closes_s, exposed_s, positions, middle_s - exposure.span_s / 2, self)
+        return RecordedTimes(opens_s, closes_s, exposed_s, positions, middle_s - exposure.span_s / 2)
 
     def _joined(self, direction_eq: Float, shorts: Sequence[RecordedTimes]) -> RecordedTimes:
         """Return when all short exposures together record stars."""
@@ -189,7 +199,6 @@ class RowTimeSearch:
             np.sum([short.exposed_s for short in shorts], axis=0),
             np.stack([shorts[0].positions[0], self._scene.camera.project(at_middle), shorts[-1].positions[2]]),
             middle_s - exposure.span_s / 2,
-            self,
             tuple(shorts),
         )
 
@@ -230,13 +239,9 @@ class RowTimeSearch:
         xy_px : (2, k, 2) float64
             Positions then.
         """
-        _, count, stars = since_opening_s.shape
+        stars = len(direction_eq)
         duration_s = self._scene.exposure.duration_s
-        # Rounding decides whether the border rows open and close at the ends of the grids or beyond.
-        is_open, is_not_closed = since_opening_s[0] >= 0, since_opening_s[1] <= duration_s
-        opening = np.where(is_open[-1], np.argmax(is_open, axis=0), count)
-        closing = np.where(is_not_closed[0], count - np.argmax(is_not_closed[::-1], axis=0), 0)
-        after = np.concatenate([opening, closing]).clip(1, count - 1)
+        after = np.concatenate(_first_after(since_opening_s[0], since_opening_s[1], duration_s))
         which, each = np.repeat([0, 1], stars), np.tile(np.arange(stars), 2)
         open_for_s, direction_eq = which * duration_s, np.tile(direction_eq, (2, 1))
         low_s, high_s = self._grids_s[which, after - 1], self._grids_s[which, after]
@@ -278,10 +283,74 @@ class RowTimeSearch:
         return exposed_s
 
     def _delay_s(self, xy_px: Float) -> Float:
-        """Return how long after the first row those at some positions open; the first where there is no position."""
-        exposure, camera = self._scene.exposure, self._scene.camera
-        delay_s = exposure.opening_at_s(xy_px, camera.width_px, camera.height_px)
-        return np.nan_to_num(delay_s).clip(0.0, exposure.readout_s)
+        return _delay_s(self._scene.exposure, self._scene.camera, xy_px)
+
+
+class OpenPath(NamedTuple):
+    """When the rows of m stars open and close, and where the stars are then.
+
+    Attributes
+    ----------
+    opens_s, closes_s : (m,) float64
+        s after the start of the exposure.
+    first_px, last_px : (2, m) float64
+        Columns and rows, px.
+    """
+
+    opens_s: Float
+    closes_s: Float
+    first_px: Float
+    last_px: Float
+
+    @classmethod
+    def of(cls, recorded: RecordedTimes) -> Self:
+        """Return those of stars of a single exposure."""
+        first_px, _, last_px = np.moveaxis(recorded.positions, -1, 1)
+        return cls(recorded.opens_s, recorded.closes_s, first_px, last_px)
+
+    @classmethod
+    def along(cls, xy_px: Float, times_s: Float, exposure: Exposure, camera: Camera) -> Self:
+        """Return those of stars that move on lines between their positions at some times.
+
+        Parameters
+        ----------
+        xy_px : (2, n, m) float64
+        times_s : (n,) float64
+            s after the start of the exposure.
+        exposure : Exposure
+        camera : Camera
+        """
+        since_s = times_s[:, np.newaxis] - _delay_s(exposure, camera, np.moveaxis(xy_px, 0, -1))
+        star, ends = np.arange(xy_px.shape[2]), []
+        for after, open_for_s in zip(
+            _first_after(since_s, since_s, exposure.duration_s), (0.0, exposure.duration_s), strict=True
+        ):
+            low, high = (since_s[at, star] - open_for_s for at in (after - 1, after))
+            end_s = _between(times_s[after - 1], low, times_s[after], high)
+            part = (end_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1])
+            from_px, to_px = xy_px[:, after - 1, star], xy_px[:, after, star]
+            ends.append((end_s, from_px + part * (to_px - from_px)))
+        (opens_s, first_px), (closes_s, last_px) = ends
+        return cls(opens_s, closes_s, first_px, last_px)
+
+
+def _first_after(since_opening_s: Float, before_closing_s: Float, duration_s: float) -> list[NDArray[np.intp]]:
+    """Return after which of n times the row of each star first opens and last closes: indices from 1, (m,) each.
+
+    Both are how long the row of each star has been open, (n, m) s: at the times to search for the opening, and closing.
+    """
+    count = len(since_opening_s)
+    # Rounding decides whether the border rows open and close at the first and the last times or beyond.
+    is_open, is_not_closed = since_opening_s >= 0, before_closing_s <= duration_s
+    opening = np.where(is_open[-1], np.argmax(is_open, axis=0), count)
+    closing = np.where(is_not_closed[0], count - np.argmax(is_not_closed[::-1], axis=0), 0)
+    return [index.clip(1, count - 1) for index in (opening, closing)]
+
+
+def _delay_s(exposure: Exposure, camera: Camera, xy_px: Float) -> Float:
+    """Return how long after the first row those at some positions open; the first where there is no position."""
+    delay_s = exposure.opening_at_s(xy_px, camera.width_px, camera.height_px)
+    return np.nan_to_num(delay_s).clip(0.0, exposure.readout_s)
 
 
 def _between(low_s: Float, low: Float, high_s: Float, high: Float) -> Float:
@@ -295,11 +364,10 @@ def _quotient(numerator: Float, denominator: Float) -> Float:
     return np.divide(numerator, denominator, out=np.zeros_like(numerator), where=denominator != 0)
 
 
-def recorded_rows(scene: Scene, index: NDArray[np.int32]) -> RecordedTimes | None:
+def recorded_rows(scene: Scene, index: NDArray[np.int32], rows: RowTimeSearch | None = None) -> RecordedTimes | None:
     """Return when a rolling shutter records stars of a scene, by index; None for a global shutter."""
-    if scene.exposure.readout_s == 0 or scene.motion is None:
-        return None
-    return recorded_times(scene, scene.stars.direction_eq[index])
+    rows = RowTimeSearch.of(scene) if rows is None else rows
+    return None if rows is None else rows.times(scene.stars.direction_eq[index])
 
 
 def exposed_fraction(exposure: Exposure, recorded: RecordedTimes | None) -> Float | float:
@@ -341,33 +409,3 @@ def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) ->
         "exposed_s": np.round(recorded.exposed_s, _TIME_DIGITS),
         "light_dn": np.round(flux_dn * exposed_fraction(scene.exposure, recorded), _FLUX_DIGITS),
     }
-
-
-def rolling_frame_keys(scene: Scene) -> dict[str, Any]:
-    """Return what `frame_truth` lists of a frame of a rolling shutter.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    dict
-        ``readout_s``, ``readout`` and ``rates_rad_per_s``: the angular rate of the camera at ``utc_mid`` about its
-        right, down and forward axes, with respect to the stars.  Empty for a global shutter.
-    """
-    exposure = scene.exposure
-    if exposure.readout_s == 0 or scene.motion is None:
-        return {}
-    return {
-        "readout_s": exposure.readout_s,
-        "readout": exposure.readout,
-        "rates_rad_per_s": _rates_rad_per_s(scene.motion, exposure.mid_utc_s, exposure.span_s / 2).tolist(),
-    }
-
-
-def _rates_rad_per_s(motion: CameraMotion, utc_s: float, within_s: float) -> Float:
-    """Return the angular rate of the camera about its axes, (3,) rad/s, with respect to the stars."""
-    step_s = min(_RATE_STEP_S, within_s)
-    before, after = motion.pointings(np.array([utc_s - step_s, utc_s + step_s]))[0].C_camera_eq
-    return turn_from_matrix(after @ before.T) / (2 * step_s)

@@ -159,7 +159,7 @@ class _Patch:
 def _signals(scene: Scene, stars: NDArray[np.intp], flux_dn: Float, faintest_dn: float) -> Iterator[tuple[int, _Patch]]:
     """Yield the signals of some of the visible stars that may exceed a level, and their positions in the selection."""
     camera, shown = scene.camera, scene.visible[stars]
-    scales = psf_scale(scene, scene.stars.direction_eq[shown], colours_used(scene.stars)[shown])
+    scales = psf_scale(scene, scene.stars.direction_eq[shown], colours_used(scene.stars, shown))
     profiles = {scale: _gaussians(scene.sensor, scale) for scale in np.unique(scales).tolist()}
     for begin in range(0, len(stars), _STARS_PER_BLOCK):
         some = stars[begin : begin + _STARS_PER_BLOCK]

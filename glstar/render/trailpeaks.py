@@ -77,7 +77,7 @@ def trail_peaks(
     """
     chains = list(line_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)
-    points = brightest_points(scene, direction_eq, chains, transmissions, recorded)
+    points = brightest_points(scene, direction_eq, chains, transmissions)
     scales = psf_scale(scene, direction_eq, bv)
     profiles = list(_profiles(scene.sensor, scales))
     peak = np.max([_signal_at(point, chains, transmissions, profiles) for point in points.point_px], axis=0)

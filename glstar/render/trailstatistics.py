@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.recordedpaths import RecordedPart, recorded_parts
-from glstar.render.rowtimes import RecordedTimes, recorded_rows
+from glstar.render.rowtimes import RecordedTimes, RowTimeSearch, recorded_rows
 from glstar.render.scene import Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 
@@ -36,7 +36,7 @@ class TrailStatistics:
         When a rolling shutter records each star; None for a global shutter.
     """
 
-    def __init__(self, scene: Scene, pixels: Pixels | None = None) -> None:
+    def __init__(self, scene: Scene, pixels: Pixels | None = None, rows: RowTimeSearch | None = None) -> None:
         count = len(scene.visible)
         self.touching = np.zeros(count)
         self.on_image = np.zeros(count)
@@ -44,7 +44,7 @@ class TrailStatistics:
         self.saturated = np.zeros(count, dtype=np.bool_)
         self._nodes_px: list[Float] = []
         saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
-        self.recorded = recorded_rows(scene, scene.visible)
+        self.recorded = recorded_rows(scene, scene.visible, rows)
         if self.recorded is not None:
             self._add_recorded(scene, self.recorded, saturation)
             return

@@ -18,7 +18,7 @@ from glstar.render.colourscenes import colours_used
 from glstar.render.effects import effects_truth
 from glstar.render.effects.cloudtexture import sky_fraction
 from glstar.render.gaussianscenes import psf_scale
-from glstar.render.rowtimes import exposed_fraction, recorded_rows, rolling_frame_keys, row_columns
+from glstar.render.rowtimes import RowTimeSearch, exposed_fraction, recorded_rows, row_columns
 from glstar.render.satellitemotion import SatelliteMotion
 from glstar.render.scene import Frame, Scene
 from glstar.render.stacking import stacked_frame_keys, stacked_segments
@@ -99,12 +99,13 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             standard deviation that it is drawn with, px; only if widths vary over the image or with colour.
         Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; with them `_body` and `_satellites`.
     """
+    rows = RowTimeSearch.of(scene)
     truth = {
         "schema": SCHEMA,
         "frame": number,
         "file": file,
-        **_frame_keys(scene, frame.seed),
-        "stars": orjson.Fragment(_stars(scene, frame)),
+        **_frame_keys(scene, frame.seed, rows),
+        "stars": orjson.Fragment(_stars(scene, frame, rows)),
         **(_sky_keys(scene, _to_test(frame)) | _satellites(scene, frame)),
         **effects_truth(scene),
         **(about or {}),
@@ -112,7 +113,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
     return orjson.dumps(truth, option=orjson.OPT_APPEND_NEWLINE)
 
 
-def _frame_keys(scene: Scene, seed: int) -> dict[str, Any]:
+def _frame_keys(scene: Scene, seed: int, rows: RowTimeSearch | None) -> dict[str, Any]:
     """Return what `frame_truth` lists of a frame between its file and its stars."""
     mid_C_camera_eq = scene.shutter.C_camera_eq[1]
     return {
@@ -122,7 +123,7 @@ def _frame_keys(scene: Scene, seed: int) -> dict[str, Any]:
         "camera_utc_mid": format_utc(scene.exposure.mid_utc_s + scene.time_offset_s),
         "duration_s": scene.exposure.duration_s,
         **stacked_frame_keys(scene.exposure),
-        **rolling_frame_keys(scene),
+        **({} if rows is None else rows.frame_keys),
         "seed": seed,
         "sub_exposures": len(scene.trails),
         "site": {
@@ -204,9 +205,9 @@ def trail_centroids(scene: Scene, stars: NDArray[np.bool_]) -> Float:
     return TrailStatistics(scene.with_visible(stars)).centroid
 
 
-def _stars(scene: Scene, frame: Frame) -> bytes:
+def _stars(scene: Scene, frame: Frame, rows: RowTimeSearch | None = None) -> bytes:
     """Return the table of stars, brightest first, as JSON."""
-    trails = TrailStatistics(scene, _to_test(frame))
+    trails = TrailStatistics(scene, _to_test(frame), rows)
     # Culling is a bound: some of the visible stars do not touch the image and get no label.
     drawn = np.flatnonzero(trails.touching)
     index, factor = scene.visible[drawn], scene.exposure.signal_factor
@@ -227,7 +228,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
         passage,
         trails.chosen_nodes_px(drawn),
         recorded,
-        bv=colours_used(scene.stars)[index],
+        bv=colours_used(scene.stars, index),
     )
     return rows_of(
         {
@@ -417,7 +418,7 @@ def _widths(scene: Scene, drawn: NDArray[np.intp]) -> dict[str, Float]:
     if not scene.sensor.point_spread.varies:
         return {}
     stars = scene.visible[drawn]
-    scale = psf_scale(scene, scene.stars.direction_eq[stars], colours_used(scene.stars)[stars])
+    scale = psf_scale(scene, scene.stars.direction_eq[stars], colours_used(scene.stars, stars))
     return {"psf_sigma_px": _rounded(scene.sensor.psf_sigma_px * scale)}
 
 

@@ -16,27 +16,32 @@ USUAL_BV: Final = 0.65
 # Colours B - V beyond which what depends on them, such as the polynomials of a band, is constant.
 VALID_BV: Final = (-0.3, 1.7)
 
+_ALL: Final = slice(None)
+
 Float = NDArray[np.float64]
 
 
-def star_colours(stars: StarField) -> Float:
+def star_colours(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> Float:
     """Return the colours B - V of stars.
 
     Parameters
     ----------
     stars : StarField
+    some : slice or (n,) int
+        Which of them.
 
     Returns
     -------
     (n,) float64
         Magnitudes; NaN where neither the catalogue nor Hipparcos has a colour.
     """
-    bv = np.full(len(stars), np.nan) if stars.bv is None else stars.bv.astype(np.float64)
+    star_id = stars.star_id[some]
+    bv = np.full(len(star_id), np.nan) if stars.bv is None else stars.bv[some].astype(np.float64)
     missing = np.isnan(bv)
     if stars.catalogue == "bsc5" and missing.any():
         numbers, colours = _bundled()
-        at = np.searchsorted(numbers, stars.star_id).clip(max=len(numbers) - 1)
-        bv = np.where(missing & (numbers[at] == stars.star_id), colours[at], bv)
+        at = np.searchsorted(numbers, star_id).clip(max=len(numbers) - 1)
+        bv = np.where(missing & (numbers[at] == star_id), colours[at], bv)
     return bv
 
 
