@@ -40,6 +40,10 @@ OnPixels = Callable[[int, NDArray[Any], bytes], None]
 
 # Chunks per worker: enough to balance workers of different speed, and each chunk leaves one part of the truth.
 _CHUNKS_PER_WORKER: Final = 8
+# Images of fewer pixels are encoded faster than Python's lock changes hands: more threads would slow each other down.
+_FEWEST_PX_FOR_THREADS: Final = 1_000_000
+# Pixels for which one more thread has work: compressing them takes as long as Python needs for a frame.
+_PX_PER_THREAD: Final = 4_000_000
 # Frames per chunk at most, so that a worker that dies costs little.
 _MAX_CHUNK_FRAMES: Final = 1000
 
@@ -207,8 +211,8 @@ def draw_frames(
     as_part : bool
         Whether to write the truth as a part of its own, because other processes write at the same time.
     encoder_threads : int, optional
-        Threads that encode and write; one for each available processor if None, and 0 for a process that shares the
-        processors with others.
+        Threads that encode and write, at most: one for each available processor if None, and 0 for a process that
+        shares the processors with others.  Small images take fewer.
     on_pixels : callable, optional
         Called with the number, the pixels and the line of truth of each frame on the thread that encodes it.
 
@@ -276,12 +280,21 @@ def _pipeline(
         publish = None if on_pixels is None else partial(on_pixels, rendered[0].number)
         return use(task.encode(*rendered, on_pixels=publish))
 
-    if encoder_threads is None:
-        encoder_threads = available_processors()
+    most = available_processors() if encoder_threads is None else encoder_threads
+    encoder_threads = min(most, _useful_encoders(task, numbers)) if most else 0
     try:
         yield from pipelined(numbers.tolist(), task.frames.compose, begin, end, encode, encoder_threads=encoder_threads)
     finally:
         renderer.forget()
+
+
+def _useful_encoders(task: FrameTask, numbers: NDArray[np.int64]) -> int:
+    """Return the number of encoder threads beyond which an export is not faster."""
+    if not len(numbers):
+        return 0
+    camera = task.frames.shot(int(numbers[0])).simulator.camera
+    pixels = camera.width_px * camera.height_px
+    return 0 if pixels < _FEWEST_PX_FOR_THREADS else 2 + pixels // _PX_PER_THREAD
 
 
 def split_into_chunks(numbers: NDArray[np.int64], workers: int, firsts: NDArray[np.int64]) -> list[NDArray[np.int64]]:

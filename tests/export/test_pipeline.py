@@ -9,11 +9,17 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
+from glstar.config import Config
+from glstar.export import executors
 from glstar.export.executors import draw_frames
+from glstar.export.options import ExportOptions
 from glstar.export.pipeline import pipelined
+from glstar.export.prepare import prepare_export
 from glstar.export.processes import _environment, _worker_environment
-from glstar.export.task import EncodedFrame
+from glstar.export.task import EncodedFrame, FrameTask
 from glstar.export.truthfile import TruthFile
+from glstar.render.opengl import GLRenderer
+from glstar.system.resources import asset
 
 
 def in_two(draw):
@@ -186,3 +192,21 @@ def test_a_frame_begun_for_a_failed_export_is_not_drawn_for_another(tmp_path):
         done.extend(draw_frames(Failing(), renderer, np.arange(9), TruthFile(tmp_path), encoder_threads=0))
     assert done == [0, 1]
     assert renderer.begun == []
+
+
+@pytest.mark.parametrize(
+    ("size_px", "processors", "threads"),
+    [((1014, 760), 16, 0), ((2028, 1520), 16, 2), ((2028, 1520), 1, 1), ((4056, 3040), 16, 5), ((4056, 3040), 4, 4)],
+)
+def test_small_images_are_encoded_by_the_thread_that_draws(tmp_path, monkeypatch, size_px, processors, threads):
+    options = ExportOptions(frames=1)
+    size = {"camera.width_px": size_px[0], "camera.height_px": size_px[1], "camera.fx_px": 900.0, "camera.fy_px": 900.0}
+    job = prepare_export(Config().override(**size), asset("adelaide.BIN"), tmp_path / "frames", options)
+    (tmp_path / "frames").mkdir()
+    given = []
+    monkeypatch.setattr(executors, "available_processors", lambda: processors)
+    monkeypatch.setattr(executors, "pipelined", lambda *_, encoder_threads: given.append(encoder_threads) or iter(()))
+    monkeypatch.setattr(FrameTask, "writing", lambda _: nullcontext())
+    with GLRenderer.headless() as renderer:
+        list(draw_frames(job.task, renderer, job.numbers, TruthFile(tmp_path / "frames")))
+    assert given == [threads]

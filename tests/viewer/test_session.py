@@ -305,7 +305,8 @@ def test_an_invalid_setting_changes_nothing_and_is_reported(viewer):
 def test_a_scene_that_cannot_be_drawn_is_reported_and_the_last_image_stays(viewer):
     session = viewer.session
     image = session.image.texture
-    session.change(**{"sensor.psf_sigma_px": 90.0})
+    largest_sprite_px = session.renderer.context.info["GL_POINT_SIZE_RANGE"][1]
+    session.change(**{"sensor.psf_sigma_px": largest_sprite_px / 4})
     viewer.frame(0.0)
     assert "sprites" in session.status
     assert session.image.texture is image
