@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["Defects", "PixelPattern", "read_fits", "read_map"]
+__all__ = ["Defects", "PixelPattern", "read_fits", "read_map", "resampled"]
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -228,6 +228,26 @@ def smooth(flat: Float32) -> Float32:
 
     side = 33
     return np.asarray(cv2.blur(flat, (side, side), borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+
+
+def resampled(pixels: Float32, width_px: int, height_px: int) -> Float32:
+    """Return a map of another size, interpolated bilinearly between the centres of its pixels.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) float32
+        It covers the image.
+    width_px, height_px : int
+        Size of the image.
+
+    Returns
+    -------
+    (height, width) float32
+    """
+    import cv2  # noqa: PLC0415 - when a map is used
+
+    size_px = width_px, height_px
+    return np.asarray(cv2.resize(pixels, size_px, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
 def read_map(file: str) -> Float32:

@@ -40,7 +40,7 @@ OnPixels = Callable[[int, NDArray[Any], bytes], None]
 
 # Chunks per worker: enough to balance workers of different speed, and each chunk leaves one part of the truth.
 _CHUNKS_PER_WORKER: Final = 8
-# Images of fewer pixels are encoded faster than Python's lock changes hands: more threads would slow each other down.
+# An image of fewer pixels is encoded sooner than another thread gets Python's lock: more threads delay each other.
 _FEWEST_PX_FOR_THREADS: Final = 1_000_000
 # Pixels for which one more thread has work: compressing them takes as long as Python needs for a frame.
 _PX_PER_THREAD: Final = 4_000_000

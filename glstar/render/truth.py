@@ -80,8 +80,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``star_id``
             its number in the catalogue: HR or HIP;
         ``vmag, camera_mag``
-            the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``
-            replaces it;
+            its magnitude in the catalogue and as it is drawn: the same unless ``sensor.star_brightness`` replaces it;
         ``x_px, y_px``
             position in the middle of the exposure; null if it is then behind the camera or below the horizon;
         ``centroid_x_px, centroid_y_px``

@@ -13,6 +13,7 @@ from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.pathfit import LIMITS, SampledMotion, _least_squares
 from glstar.render.scene import Frame, Scene
+from glstar.render.segmentation import ROLLING_POSITION_PX
 from glstar.render.simulator import Simulator
 from glstar.render.trailpeaks import trail_peaks
 from glstar.render.truth import frame_truth
@@ -40,13 +41,18 @@ def rough(hz: float, interpolation: str = "slerp", seed: int = 0) -> Simulator:
     return flown(t, np.deg2rad(angles_deg), interpolation)
 
 
-def off_px(simulator: Simulator, scene: Scene, times: int = 1501) -> tuple[float, float]:
-    """Return the largest distances of drawn positions from true ones, and of their means, px."""
+def paths_px(simulator: Simulator, scene: Scene, times: int = 1501) -> tuple[np.ndarray, np.ndarray]:
+    """Return true and drawn positions, (times, k, 2) px each, evenly from the first row's opening to the last's end."""
     time = np.linspace(0.0, 1.0, times)
-    pointing = simulator.pointing(EXPOSURE.start_utc_s + time * EXPOSURE.duration_s)
+    pointing = simulator.pointing(EXPOSURE.start_utc_s + time * scene.exposure.span_s)
     directions = LENS.unproject(CORNERS_AND_MORE) @ pointing.C_camera_eq[times // 2]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    true, drawn = LENS.project(pointing.to_camera(directions)), scene.positions(directions, time)
+    return LENS.project(pointing.to_camera(directions)), scene.positions(directions, time)
+
+
+def off_px(simulator: Simulator, scene: Scene, times: int = 1501) -> tuple[float, float]:
+    """Return the largest distances of drawn positions from true ones, and of their means, px."""
+    true, drawn = paths_px(simulator, scene, times)
     stays = LENS.contains(true).all(axis=0)
     assert stays.sum() >= 3
     distance_px = np.linalg.norm(drawn - true, axis=-1)[LENS.contains(true)]
@@ -65,6 +71,18 @@ def test_drawn_paths_are_within_the_tolerance_of_the_interpolated_attitude(hz, i
     largest_px, _ = off_px(simulator, scene)
     # A spline may bend a little more between the times at which it is compared.
     assert largest_px <= 1.1 * tolerance_px
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_while_rows_open_and_close_paths_are_within_half_the_tolerance(seed):
+    simulator, readout_s = rough(200.0, seed=seed), 0.1
+    scene = simulator.scene(replace(EXPOSURE, readout_s=readout_s))
+    true, drawn = paths_px(simulator, scene, 2401)
+    distance_px = np.where(LENS.contains(true), np.linalg.norm(drawn - true, axis=-1), 0.0).max(axis=1)
+    time_s = np.linspace(0.0, scene.exposure.span_s, 2401)
+    is_end = np.minimum(time_s, time_s[-1] - time_s) <= readout_s
+    assert distance_px[is_end].max() <= 1.1 * ROLLING_POSITION_PX
+    assert ROLLING_POSITION_PX < distance_px.max() <= 1.1 * 0.01
 
 
 def test_only_short_segments_are_sampled_more_finely_and_the_samples_are_those_of_the_motion():

@@ -3,11 +3,10 @@
 from collections.abc import Hashable, Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.pixelpattern import read_map
+from glstar.camera.pixelpattern import read_map, resampled
 from glstar.errors import ConfigError
 from glstar.render.effects.effect import Effect, EffectTexture, Key, Stage, UniformValue, Values, quads_of
 from glstar.render.scene import Scene
@@ -57,8 +56,7 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
 
 def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     # Resampled here: the filter of a GPU divides the distance between texels into 256 steps, which are visible.
-    size = scene.camera.width_px, scene.camera.height_px
-    return quads_of(cv2.resize(relative_sky(str(values["sky_map"])), size, interpolation=cv2.INTER_LINEAR))
+    return quads_of(resampled(relative_sky(str(values["sky_map"])), scene.camera.width_px, scene.camera.height_px))
 
 
 def _depends_on(values: Values, scene: Scene) -> Hashable:
