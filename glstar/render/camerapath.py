@@ -170,8 +170,8 @@ class CameraPath:
         of_segments = nodes.of_segments(len(self._trails))
         return TrailPieces(replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, of_segments, bounds)
 
-    def error(self, moments: "PieceMoments", sigma_px: float) -> Float:
-        """Return an estimate of the error of the flux of each piece.
+    def errors(self, moments: "PieceMoments", sigma_px: float) -> tuple[Float, Float]:
+        """Return estimates of the errors of the flux of each piece.
 
         Parameters
         ----------
@@ -182,19 +182,22 @@ class CameraPath:
         Returns
         -------
         (n,) float64
-            From the third moments, relative to the trail there.
+            From the third moments, relative to the height of the piece.
+        (n,) float64
+            From the fourth cumulants.
         """
-        nodes, px_per_turn = moments.nodes, _px_per_turn(self._camera)
-        x_px, y_px = (moments.turn_rad @ along for along in px_per_turn)
-        xx, yy = x_px * x_px, y_px * y_px
-        powers = np.concatenate([xx + yy, xx * x_px, xx * y_px, x_px * yy, yy * y_px], axis=1)
-        means = nodes.mean(powers).reshape(-1, 5, xx.shape[1]).swapaxes(0, 1)
-        second, third = means[0] / sigma_px**2, means[1:] ** 2
-        norm = np.sqrt(third[0] + 3 * (third[1] + third[2]) + third[3]) / sigma_px**3
-        # The trail where Gaussians of this variance follow each other, over the height of one of them.
-        level = np.maximum(1.0, np.sqrt(np.pi / 6 * (1 + second) / np.maximum(second, 1e-12)))
-        error = (_THIRD_DERIVATIVE / 6) * norm / (1 + second) ** 1.5 / level
-        return np.asarray(error.max(axis=1))
+        x, y = (moments.turn_rad @ along / sigma_px for along in _px_per_turn(self._camera))
+        xx, xy, yy = x * x, x * y, y * y
+        powers = np.concatenate([xx, xy, yy, xx * x, xx * y, x * yy, yy * y, (xx + yy) ** 2], axis=1)
+        means = moments.nodes.mean(powers).reshape(-1, 8, x.shape[1]).swapaxes(0, 1)
+        (xx, xy, yy), third, fourth = means[:3], means[3:7] ** 2, means[7]
+        second = xx + yy
+        norm = np.sqrt(third[0] + 3 * (third[1] + third[2]) + third[3])
+        skewness = (_THIRD_DERIVATIVE / 6) * norm / (1 + second) ** 1.5
+        # In the middle of a Gaussian its fourth derivative, 3, is largest, and that of fourth order across it is 1.
+        cumulant = fourth - second**2 - 2 * (xx**2 + 2 * xy**2 + yy**2)
+        kurtosis = np.abs(cumulant) / 8 / (1 + second) ** 2
+        return skewness.max(axis=1), kurtosis.max(axis=1)
 
 
 # Every exposure of a flight has the same camera.

@@ -8,6 +8,7 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.truncation import TRUNCATION_DN
 from glstar.render.bodysources import BODIES
+from glstar.render.trailmodels import AnalyticSegments
 from glstar.render.trailpieces import (
     FAINT_LIMITS,
     FAINT_PEAK_DN,
@@ -82,8 +83,37 @@ def test_a_motion_that_stops_suddenly_takes_shorter_pieces():
     t = np.arange(0.0, 1.0, 0.01)
     jump_rad = 1.2 * SIGMA_PX / LENS.fx_px * np.clip((t - 0.60) / 0.02, 0.0, 1.0)
     trails = flown(t, np.array([np.zeros_like(t), np.zeros_like(t), jump_rad])).scene(EXPOSURE).trails
-    coarse = trail_pieces(trails, LENS, SIGMA_PX, replace(PIECE_LIMITS, error=np.inf))
+    coarse = trail_pieces(trails, LENS, SIGMA_PX, replace(PIECE_LIMITS, skewness_error=np.inf))
     assert len(coarse) < len(trail_pieces(trails, LENS, SIGMA_PX))
+
+
+def swinging(half_px: float) -> AnalyticSegments:
+    """Return the trails of five half swings of stars at the middle of the image, of twice so many px."""
+    t = np.arange(0.0, 1.0, 0.002)
+    swing_rad = half_px / LENS.fx_px * np.cos(2 * np.pi * 5 * (t + NIGHT_UTC_S - EXPOSURE.start_utc_s))
+    trails = flown(t, np.array([np.zeros_like(t), np.zeros_like(t), swing_rad])).scene(EXPOSURE).trails
+    assert isinstance(trails, AnalyticSegments)
+    return trails
+
+
+def test_a_swing_within_the_width_of_a_star_takes_shorter_pieces():
+    """A Gaussian is too sharp for a star that is longest at both ends of its swing."""
+    one = swinging(1.0)
+    rays = LENS.unproject(CORNERS_AND_MORE) @ one.pointing.C_camera_eq[0]
+    moving_eq = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    time = (np.arange(4000) + 0.5) / 4000
+    lengths_px = np.linalg.norm(np.diff(one.positions(LENS, moving_eq, time), axis=0), axis=-1).sum(axis=0)
+    fastest = int(lengths_px.argmax())
+    trails = swinging(5 * 1.4 * SIGMA_PX / lengths_px[fastest])
+    coarse = trail_pieces(trails, LENS, SIGMA_PX, replace(PIECE_LIMITS, kurtosis_error=np.inf))
+    fine = trail_pieces(trails, LENS, SIGMA_PX)
+    assert len(coarse) == 5 < len(fine)
+    path_px = trails.positions(LENS, moving_eq[[fastest]], time)[:, 0]
+    at_px = path_px.mean(axis=0, keepdims=True)
+    expected = np.exp(-((path_px - at_px) ** 2).sum(axis=1) / (2 * SIGMA_PX**2)).mean()
+    off = [abs(flux_of(pieces, moving_eq[fastest], at_px)[0] / expected - 1) for pieces in (coarse, fine)]
+    assert off[0] > 0.006
+    assert off[1] < 0.003
 
 
 def test_pieces_are_drawn_where_they_cost_less_and_the_stars_are_wide_enough():

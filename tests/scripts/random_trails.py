@@ -72,6 +72,7 @@ class Variant(NamedTuple):
     refraction: bool = False
     horizon: bool = False
     rolling: bool = False
+    shaking: bool = False
 
 
 VARIANTS = {
@@ -79,6 +80,7 @@ VARIANTS = {
     "refraction": "bend the light of the stars, at altitudes of 0.1 to 90 deg",
     "horizon": "let each star rise or set during its exposure, behind a pinhole",
     "rolling": "read rows or columns out one after the other within 0.01 to 0.2 s, behind a pinhole",
+    "shaking": "let each star shake about one place, by up to 2 standard deviations to either side",
 }
 
 
@@ -128,7 +130,10 @@ def random_trial(seed: int, variant: Variant = Variant()) -> Trial:  # noqa: B00
     sensor = Sensor(
         reference_peak_dn=1e6, reference_exposure_s=duration_s, psf_sigma_px=sigma_px, bit_depth=16, reference_vmag=0.0
     )
-    attitudes = _logged(random) if kind == "logged" else _made(random, kind, deg_per_s)
+    if variant.shaking:
+        kind, attitudes = "shaking", _shaken(random, sigma_px / FOCAL_PX)
+    else:
+        attitudes = _logged(random) if kind == "logged" else _made(random, kind, deg_per_s)
     first_s, last_s = attitudes.time_s[0], attitudes.time_s[-1]
     exposure = Exposure(
         first_s + random.uniform(0.5, last_s - first_s - duration_s - 0.5), duration_s, trail="analytic"
@@ -214,6 +219,18 @@ def _made(random: np.random.Generator, kind: str, deg_per_s: float) -> _Attitude
     q = np.roll(C_body_ned.as_quat(), 1, axis=1)  # SciPy's are (x, y, z, w)
     interpolation = "slerp" if random.random() < 0.5 else "spline"
     return _Attitudes(NIGHT_UTC_S + t, q, interpolation)
+
+
+def _shaken(random: np.random.Generator, sigma_rad: float) -> _Attitudes:
+    """Return an attitude that shakes about one axis as a sine, a triangle, nearly a square, or a sine's third power."""
+    t = np.arange(0.0, 2.5, 1e-3)
+    sine = np.sin(2 * np.pi * random.uniform(2.0, 20.0) * t)
+    waves = sine, np.arcsin(sine) / (np.pi / 2), np.tanh(4 * sine), sine**3
+    turned_rad = random.uniform(0.3, 2.0) * sigma_rad * waves[random.integers(len(waves))]
+    axis = random.normal(size=3)
+    base = Rotation.from_rotvec(random.normal(size=3))
+    C_body_ned = (base * Rotation.from_rotvec(np.outer(turned_rad, axis / np.linalg.norm(axis)))).inv()
+    return _Attitudes(NIGHT_UTC_S + t, np.roll(C_body_ned.as_quat(), 1, axis=1), "spline")
 
 
 def _logged(random: np.random.Generator) -> _Attitudes:
