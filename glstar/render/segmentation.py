@@ -116,6 +116,8 @@ SHAPE_LIMITS: Final = ShapeLimits()
 # RATE_CHANGE^2 there.
 _CHANGE_VARIANCE: Final = 0.0187834 * 2.3282816**2
 REFINEMENT: Final = Refinement()
+# Of a segment: what changes during less of it leaves no light.
+_SHORTEST: Final = 1e-5
 
 
 def segment_times(
@@ -213,29 +215,36 @@ class _SegmentEvaluator:
 
     def evaluate(self, *several: Segments) -> Iterator[Evaluated]:
         """Yield for each set of segments the probe paths, and each segment's error divided by the tolerance."""
-        times_s = [self._sample_times_s(begins, ends) for begins, ends in several]
+        elapsed = [self._elapsed(begins, ends) for begins, ends in several]
+        times_s = [_times_s(*of_segments, at) for of_segments, at in zip(several, elapsed, strict=True)]
         # The nodes are requested with the first samples, because a request costs more than its times.
         if self._at_nodes is None:
             self._at_nodes, *pointings = self._motion.pointings(self._nodes_s, *times_s)
         else:
             pointings = self._motion.pointings(*times_s)
-        for (begins, ends), pointing in zip(several, pointings, strict=True):
+        for (begins, ends), at, pointing in zip(several, elapsed, pointings, strict=True):
             xy, depth = _probe_paths(pointing, len(begins), self._camera)
             length_s = ends - begins
             fraction = length_s / (self._nodes_s[-1] - self._nodes_s[0])
-            excess = segment_excess(xy, depth, fraction, self._sigma_px, self._position_px)
+            excess = segment_excess(xy, depth, fraction, self._sigma_px, self._position_px, at)
             excess[length_s < REFINEMENT.shortest_s] = 0.0
             yield xy, excess
 
-    def _sample_times_s(self, begins: Float, ends: Float) -> Float:
-        """Return the times at which segments are evaluated, equally many for each, one segment after the other."""
-        within = int((self._nodes_s.searchsorted(ends) - self._nodes_s.searchsorted(begins)).max())
-        samples = REFINEMENT.min_samples
+    def _elapsed(self, begins: Float, ends: Float) -> Float:
+        """Return the elapsed fractions of segments at which they are evaluated, (times, segments).
+
+        They are even, but for the second and the last but one: the first and the last node, if it is nearer to an end.
+        """
+        first, last = self._nodes_s.searchsorted(begins, "right"), self._nodes_s.searchsorted(ends) - 1
+        samples, within = REFINEMENT.min_samples, int((last - first).max()) + 2
         while samples < 2 * within:
             samples *= 2
-        times_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * _even_fractions(samples + 1)
-        times_s[:, -1] = ends
-        return times_s.ravel()
+        even, length_s = _even_fractions(samples + 1), ends - begins
+        step = np.full(len(begins), even[1])
+        after_begin = np.minimum((self._nodes_s[first] - begins) / length_s, step)
+        before_end = np.minimum((ends - self._nodes_s[last]) / length_s, step)
+        inner = np.tile(even[1:-1, np.newaxis], len(begins))
+        return np.vstack([np.zeros_like(step), after_begin, inner, 1 - before_end, np.ones_like(step)])
 
     def refined(self, segments: Segments, excess: Float) -> Iterator[tuple[Float, int]]:
         """Yield, division by division, the starts of acceptable segments and how many parts of others remain."""
@@ -272,6 +281,13 @@ class _SegmentEvaluator:
         discontinuous = change > REFINEMENT.rate_change * np.linalg.norm(rate, axis=1).max()
         breaks_s: Float = self._nodes_s[np.concatenate([[True], discontinuous, [True]])]
         return breaks_s
+
+
+def _times_s(begins: Float, ends: Float, elapsed: Float) -> Float:
+    """Return the times of elapsed fractions, (times, segments), one segment after the other."""
+    times_s = begins + (ends - begins) * elapsed
+    times_s[-1] = ends
+    return times_s.T.ravel()
 
 
 def _even_parts(begins: Float, ends: Float, excess: Float) -> Segments:
@@ -321,9 +337,12 @@ def probe_rays(camera: Camera) -> Float:
     return rays
 
 
-def segment_excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: float, position_px: float) -> Float:
+def segment_excess(
+    xy: Float, depth: Float, time_fraction: Float, sigma_px: float, position_px: float, elapsed: Float | None = None
+) -> Float:
     """Return the error of segments divided by the tolerance, (segments,), of what `_probe_paths` returns.
 
+    `elapsed` are the fractions of the segments at these times, as `_SegmentEvaluator` takes them; even ones if None.
     NaN or infinite if a probe leaves the hemisphere in front of the camera, or if its path cannot be drawn at all.
     """
     off = xy - xy[0]
@@ -338,8 +357,11 @@ def segment_excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: floa
     off_px, error = np.zeros(short.shape), np.zeros(short.shape)
     # Most exposures need only one of the two.
     if np.count_nonzero(short) < short.size:
-        off_px, error = _curved_path_error(s, p, depth, length, sigma_px)
+        t = _even_fractions(len(s))[:, np.newaxis] if elapsed is None else elapsed
+        off_px, error = _curved_path_error(s, p, t[..., np.newaxis], depth, length, sigma_px)
     if np.count_nonzero(short):
+        if elapsed is not None:
+            s, p = (np.concatenate([of[:1], of[2:-2], of[-1:]]) for of in (s, p))
         off_px, error = (
             np.where(short, 0.0, off_px),
             np.where(short, _two_gaussians_error(s, p, length, sigma_px), error),
@@ -358,7 +380,7 @@ def _two_gaussians_error(s: Float, p: Float, length: Float, sigma_px: float) -> 
     Parameters
     ----------
     s, p : (times, segments, probes) float64
-        Positions along the chord and perpendicular to it, px.
+        Positions along the chord and perpendicular to it at even times, px.
     length : (segments, probes) float64
         Length of the chord, px.
     sigma_px : float
@@ -378,11 +400,14 @@ def _two_gaussians_error(s: Float, p: Float, length: Float, sigma_px: float) -> 
     return np.asarray(0.61 / sigma_px * np.hypot(mean_s, mean_p) + second_order + 4e-4 * extent2 * extent2 * extent2)
 
 
-def _curved_path_error(s: Float, p: Float, depth: Float, length: Float, sigma_px: float) -> tuple[Float, Float]:
+def _curved_path_error(
+    s: Float, p: Float, t: Float, depth: Float, length: Float, sigma_px: float
+) -> tuple[Float, Float]:
     """Return the largest position error, px, and the flux error of a curved path, (segments, probes) both.
 
     The curve and its flux per length are those of `curved_path` in `star_path.frag`; positions of the same time are
-    compared.  Parameters as for `_two_gaussians_error`; `depth` is `_probe_paths`'s.
+    compared.  Parameters as for `_two_gaussians_error`, but `t`, the elapsed fractions, (times, segments or 1, 1), and
+    `depth`, which is `_probe_paths`'s.
     """
     half = len(s) // 2
     safe_length = np.maximum(length, 1e-9)
@@ -402,12 +427,12 @@ def _curved_path_error(s: Float, p: Float, depth: Float, length: Float, sigma_px
     to_ends = x * (1 - x)
     drawn_time = x - to_ends * (flux_slope + flux_curvature * m * (2 / 3))
     flux = 1 + flux_slope * m + flux_curvature * (2 / 3 - 4 * to_ends)
-    late = drawn_time - _even_fractions(len(s))[:, np.newaxis, np.newaxis]
+    late = drawn_time - t
     off_along = length * late / np.maximum(flux, 0.1)
     off_across = p - length * to_ends * (curvature + asymmetry * m)
     off_px = np.sqrt((off_along * off_along + off_across * off_across).max(axis=0))
     # A displacement along the path changes the flux only where it varies, and no more than one across the path.
-    uneven = np.abs(np.diff(late, axis=0)).max(axis=0) * (len(s) - 1)
+    uneven = (np.abs(np.diff(late, axis=0)) / np.maximum(np.diff(t, axis=0), _SHORTEST)).max(axis=0)
     along = np.minimum(uneven, np.abs(off_along).max(axis=0) * (0.7 / sigma_px))
     # trail.frag neglects a tenth to a quarter of the square of the slope between the path's ends and its chord.
     error = along + np.abs(off_across).max(axis=0) * (0.7 / sigma_px) + 0.3 * curvature * curvature

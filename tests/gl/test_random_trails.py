@@ -34,6 +34,13 @@ def test_a_short_bent_segment_adds_no_light_beyond_its_ends(renderer, seed):
     assert worst_pixel(renderer, random_trial(seed)).fraction <= TOLERANCE
 
 
+# Logs of 25 Hz with a sample just before the end of an exposure of 0.05 s.
+@pytest.mark.parametrize("seed", [3003847, 3005402])
+def test_a_turn_rate_that_changes_just_before_the_end_is_drawn(renderer, seed):
+    """The ends of these trails were 0.6 and 0.8 % of the local maximum off."""
+    assert worst_pixel(renderer, random_trial(seed)).fraction <= 0.002
+
+
 # A vibration, a sine of 0.8 sigma to either side and a star that rests at either end, all of stars wider than 4 px.
 @pytest.mark.parametrize(
     ("seed", "variant"), [(1001667, Variant()), (186, Variant(shaking=True)), (252, Variant(shaking=True))]

@@ -58,3 +58,12 @@ def test_a_rotation_that_starts_at_a_sample_is_divided_there():
     assert np.abs(cuts_s - 0.22).min() < 1e-6
     # Before that a single segment suffices.
     assert np.count_nonzero(cuts_s < 0.22 - 1e-6) == 1
+
+
+@pytest.mark.parametrize("sample_s", [0.211, 0.709])
+def test_a_rotation_that_slows_just_after_the_start_or_before_the_end_is_divided_there(sample_s):
+    """Evenly spaced samples see nothing of such a part, which was up to 2 % too bright or too faint."""
+    t = np.array([0.0, sample_s, 1.0])
+    slower = np.deg2rad(60.0) * np.array([0.985, 1.0] if sample_s < 0.5 else [1.0, 0.985])
+    cuts_s = cut(rolling(t, np.concatenate([[0.0], np.cumsum(slower * np.diff(t))])), 0.21, t)
+    assert np.abs(cuts_s - (sample_s - 0.21)).min() < 1e-6
