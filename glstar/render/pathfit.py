@@ -42,8 +42,9 @@ class FitLimits:
         Maximum number of parts between two samples of the log at which all segments are sampled alike; more are added
         only in the segments that need them.
     sigma_px : float
-        Stars narrower than this have a proportionally smaller tolerance, px: a displacement by 0.01 px changes a pixel
-        by 0.5 % of the peak at 1.2 px, and a path may be somewhat farther off between the times of comparison.
+        Stars with a narrower point spread function have a proportionally smaller tolerance, px: a displacement by
+        0.01 px changes a pixel by 0.5 % of the peak at 1.2 px, and a path may be somewhat farther off between the times
+        of comparison.
     block : int
         Intervals of the log that are searched together: this bounds memory.
     search_fraction : float
@@ -67,7 +68,7 @@ class FitLimits:
     min_samples: int = 32
     min_parts: int = 4
     max_even_parts: int = 8
-    sigma_px: float = 1.4
+    sigma_px: float = 1.37
     block: int = 256
     search_fraction: float = 0.8
     rounds: int = 12
@@ -92,6 +93,7 @@ def fitted_segments(
     sigma_px: float,
     tolerance_px: float,
     *,
+    psf_sigma_px: float,
     position_px: float = TOLERANCES.position_px,
     readout_s: float = 0.0,
 ) -> AnalyticSegments | None:
@@ -109,6 +111,8 @@ def fitted_segments(
         Standard deviation of a star as the pixels record it, px.
     tolerance_px : float
         Largest distance between a star's true and fitted positions at the same time, px; positive.
+    psf_sigma_px : float
+        Standard deviation of a star without the pixel, px.
     position_px : float
         Largest distance between its fitted position and where the shaders draw it, px.
     readout_s : float
@@ -128,7 +132,7 @@ def fitted_segments(
     """
     # Narrower stars show smaller displacements.
     at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
-    tolerance_px *= min(1.0, sigma_px / LIMITS.sigma_px)
+    tolerance_px *= min(1.0, psf_sigma_px / LIMITS.sigma_px)
     samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))
     knots_s = samples.search(camera, tolerance_px, samples.strictness(readout_s, at_ends))
     for _ in range(LIMITS.rounds):

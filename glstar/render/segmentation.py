@@ -55,7 +55,7 @@ class Tolerances:
     """
 
     position_px: float = 0.02
-    trail_fraction: float = 5e-3
+    trail_fraction: float = 4e-3
     peak_fraction: float = 5e-4
 
 

@@ -284,6 +284,7 @@ class Simulator:
             self.camera,
             self.sensor.core.effective_sigma_px,
             tolerance_px,
+            psf_sigma_px=self.sensor.core.psf_sigma_px,
             position_px=_position_px(exposure),
             readout_s=exposure.readout_s,
         )

@@ -41,6 +41,13 @@ def test_a_turn_rate_that_changes_just_before_the_end_is_drawn(renderer, seed):
     assert worst_pixel(renderer, random_trial(seed)).fraction <= 0.002
 
 
+# The first and the last were divided too coarsely, the other's path was fitted too loosely.
+@pytest.mark.parametrize("seed", [4000249, 4003763, 4004899])
+def test_trails_of_stars_narrower_than_a_pixel_are_as_precise(renderer, seed):
+    """They were 0.51 to 0.60 % of the local maximum off."""
+    assert worst_pixel(renderer, random_trial(seed)).fraction <= TOLERANCE
+
+
 # A vibration, a sine of 0.8 sigma to either side and a star that rests at either end, all of stars wider than 4 px.
 @pytest.mark.parametrize(
     ("seed", "variant"), [(1001667, Variant()), (186, Variant(shaking=True)), (252, Variant(shaking=True))]
