@@ -59,10 +59,9 @@ class FitLimits:
         some corrections undetermined.
     shortest_s : float
         Shorter segments are not tried, s.
-    few_samples : int
-        Segments with fewer samples may be farther from the true path between them, as a spline oscillates:
-    between_few : float
-        their deviation is multiplied by this.
+    few_samples, between_few : int, float
+        Segments with fewer samples may be farther from the true path between them, as a spline oscillates: their
+        deviation is multiplied by the second.
     """
 
     min_samples: int = 32
@@ -130,7 +129,6 @@ def fitted_segments(
     the mean of that rotation over the exposure is zero, and the mean position of a star on the image is exact to
     second order.
     """
-    # Narrower stars show smaller displacements.
     at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
     tolerance_px *= min(1.0, psf_sigma_px / LIMITS.sigma_px)
     samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))

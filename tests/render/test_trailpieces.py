@@ -87,10 +87,10 @@ def test_a_motion_that_stops_suddenly_takes_shorter_pieces():
     assert len(coarse) < len(trail_pieces(trails, LENS, SIGMA_PX))
 
 
-def swinging(half_px: float) -> AnalyticSegments:
-    """Return the trails of five half swings of stars at the middle of the image, of twice so many px."""
+def swinging(amplitude_px: float) -> AnalyticSegments:
+    """Return the trails of stars that swing at 5 Hz, at the middle of the image by an amplitude in px."""
     t = np.arange(0.0, 1.0, 0.002)
-    swing_rad = half_px / LENS.fx_px * np.cos(2 * np.pi * 5 * (t + NIGHT_UTC_S - EXPOSURE.start_utc_s))
+    swing_rad = amplitude_px / LENS.fx_px * np.cos(2 * np.pi * 5 * (t + NIGHT_UTC_S - EXPOSURE.start_utc_s))
     trails = flown(t, np.array([np.zeros_like(t), np.zeros_like(t), swing_rad])).scene(EXPOSURE).trails
     assert isinstance(trails, AnalyticSegments)
     return trails
