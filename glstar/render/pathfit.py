@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.cameramotion import CameraMotion
+from glstar.render.nodecorrections import node_corrections
 from glstar.render.pointing import Pointing
 from glstar.render.segmentation import TOLERANCES, probe_rays, segment_excess
 from glstar.render.starpaths import end_weights
@@ -54,14 +55,12 @@ class FitLimits:
         Maximum number of times that segments above the tolerance are divided.
     max_parts : int
         Maximum number of parts that a segment is divided into at once.
-    stiffness : float
-        Weight of no correction relative to the mean weight of the samples: segments shorter than three samples leave
-        some corrections undetermined.
     shortest_s : float
         Shorter segments are not tried, s.
-    few_samples, between_few : int, float
-        Segments with fewer samples may be farther from the true path between them, as a spline oscillates: their
-        deviation is multiplied by the second.
+    few_samples : int
+        Segments with fewer samples may be farther from the true path between them, as a spline oscillates.
+    between_few : float
+        Factor of the deviation of these segments.
     """
 
     min_samples: int = 32
@@ -72,7 +71,6 @@ class FitLimits:
     search_fraction: float = 0.8
     rounds: int = 12
     max_parts: int = 24
-    stiffness: float = 1e-7
     shortest_s: float = 2e-5
     few_samples: int = 8
     between_few: float = 1.4
@@ -130,6 +128,7 @@ def fitted_segments(
     second order.
     """
     at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
+    # Narrower stars show smaller displacements.
     tolerance_px *= min(1.0, psf_sigma_px / LIMITS.sigma_px)
     samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))
     knots_s = samples.search(camera, tolerance_px, samples.strictness(readout_s, at_ends))
@@ -374,7 +373,7 @@ class SegmentFit:
         index = 2 * segment[:, np.newaxis] + np.arange(3)
         drawn = np.einsum("nk,nkij->nij", normalized, C[index])
         turn = _small_turn(sampled.C_camera_eq @ np.swapaxes(drawn, 1, 2))
-        correction = _least_squares(normalized, segment, turn, np.gradient(times_s), len(C))
+        correction = node_corrections(normalized, segment, turn, np.gradient(times_s), len(C))
         fitted = matrix_from_quaternion(quaternion_from_turn(correction)) @ C
         corrected = replace(nodes, C_camera_eq=fitted)
         return cls(sampled, corrected, np.diff(knots_s) / (knots_s[-1] - knots_s[0]), segment, basis, samples.bends)
@@ -448,53 +447,3 @@ def _small_turn(C: Float) -> Float:
     turn: Float = (C - np.swapaxes(C, 1, 2))[:, [1, 2, 0], [2, 0, 1]]
     turn *= (1.5 / np.trace(C, axis1=1, axis2=2))[:, np.newaxis]
     return turn
-
-
-def _least_squares(basis: Float, segment: Integer, turn: Float, weight: Float, count: int) -> Float:
-    """Return the corrections of the nodes, (count, 3) rad, that minimise the weighted squares of turn - basis.
-
-    A sample depends on the three nodes of its segment.  The middle one has no other samples, and is eliminated first;
-    the equations of the ends have three diagonals.  They are solved in a time proportional to the number of nodes, and
-    on one thread: NumPy's dense products and solver would keep all threads of OpenBLAS busy, and round differently with
-    another number of them.  SciPy's banded solver would take a worker longer to load than ten images to draw.
-    """
-    weighted = basis * weight[:, np.newaxis]
-    first, second = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)]).T
-    products = weighted[:, first] * basis[:, second]
-    right = (weighted[:, :, np.newaxis] * turn[:, np.newaxis]).reshape(-1, 9)
-    columns = np.concatenate([products, right], axis=1)
-    sums = np.add.reduceat(columns, segment.searchsorted(np.arange(count // 2)))
-    stiffness = LIMITS.stiffness * sums[:, :3].sum() / count
-    middle, to_start, to_end = sums[:, 1:2] + stiffness, sums[:, 3:4], sums[:, 4:5]
-    of_start, of_middle, of_end = (sums[:, at : at + 3] for at in (6, 9, 12))
-    # The diagonal and the right sides of the ends of the segments, and what is beside the diagonal.
-    ends = np.zeros((count // 2 + 1, 4))
-    ends[:-1] += np.hstack([sums[:, :1] - to_start * to_start / middle, of_start - to_start / middle * of_middle])
-    ends[1:] += np.hstack([sums[:, 2:3] - to_end * to_end / middle, of_end - to_end / middle * of_middle])
-    ends[:, 0] += stiffness
-    beside = sums[:, 5:] - to_start * to_end / middle
-    corrections = np.empty((count, 3))
-    corrections[::2] = _tridiagonal_solution(ends[:, 0].tolist(), beside[:, 0].tolist(), ends[:, 1:].T.tolist()).T
-    known = to_start * corrections[:-2:2] + to_end * corrections[2::2]
-    corrections[1::2] = (of_middle - known) / middle
-    return corrections
-
-
-def _tridiagonal_solution(diagonal: list[float], beside: list[float], right: list[list[float]]) -> Float:
-    """Return the solutions, (k, n), of symmetric positive definite equations with k right sides of n numbers.
-
-    `beside` has the n - 1 elements below the diagonal.  By elimination (Thomas), in Python: LAPACK would be no faster.
-    """
-    factors = []
-    for row, element in enumerate(beside):
-        factors.append(element / diagonal[row])
-        diagonal[row + 1] -= factors[-1] * element
-    solutions = []
-    for values in right:
-        for row, factor in enumerate(factors):
-            values[row + 1] -= factor * values[row]
-        solution = [values[-1] / diagonal[-1]]
-        for row in range(len(factors) - 1, -1, -1):
-            solution.append(values[row] / diagonal[row] - factors[row] * solution[-1])
-        solutions.append(solution[::-1])
-    return np.array(solutions)

@@ -11,7 +11,8 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.pathfit import LIMITS, SampledMotion, _least_squares
+from glstar.render.nodecorrections import STIFFNESS, node_corrections
+from glstar.render.pathfit import LIMITS, SampledMotion
 from glstar.render.scene import Frame, Scene
 from glstar.render.segmentation import ROLLING_POSITION_PX
 from glstar.render.simulator import Simulator
@@ -173,13 +174,13 @@ def test_the_corrections_of_the_nodes_are_those_of_a_dense_least_squares_solver(
     turn, weight = rng.normal(size=(samples, 3)), rng.uniform(0.1, 1.0, samples)
     design = np.zeros((samples, count))
     np.put_along_axis(design, 2 * segment[:, np.newaxis] + np.arange(3), basis, axis=1)
-    # Ridge regression as additional rows: LIMITS.stiffness relative to the mean of the diagonal.
+    # Ridge regression as additional rows: STIFFNESS relative to the mean of the diagonal.
     root = np.sqrt(weight)[:, np.newaxis]
-    ridge = LIMITS.stiffness * (root * design * root * design).sum() / count
+    ridge = STIFFNESS * (root * design * root * design).sum() / count
     rows = np.concatenate([root * design, np.sqrt(ridge) * np.eye(count)])
     expected = np.linalg.lstsq(rows, np.concatenate([root * turn, np.zeros((count, 3))]), rcond=None)[0]
 
-    found = _least_squares(basis, segment, turn, weight, count)
+    found = node_corrections(basis, segment, turn, weight, count)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
@@ -187,8 +188,8 @@ def test_a_path_is_fitted_without_scipy_which_takes_long_to_load():
     program = """
 import sys
 import numpy as np
-from glstar.render import pathfit, simulator
-pathfit._least_squares(np.ones((4, 3)) / 3, np.zeros(4, dtype=int), np.ones((4, 3)), np.ones(4), 3)
+from glstar.render import nodecorrections, simulator
+nodecorrections.node_corrections(np.ones((4, 3)) / 3, np.zeros(4, dtype=int), np.ones((4, 3)), np.ones(4), 3)
 assert not any(name.startswith("scipy") for name in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
