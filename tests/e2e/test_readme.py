@@ -1,6 +1,7 @@
 """The README is short, its links are valid, and continuous integration runs its two commands."""
 
 import re
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,15 @@ def test_the_two_commands_are_run_by_continuous_integration() -> None:
     for words in ('pip" install -q .', 'glstar" demo', "pip install -q -e '.[dev]'", "poe check"):
         assert words in script
     assert "pip install -e '.[dev]' && poe check" in check
+
+
+def test_the_environments_of_the_two_commands_are_ignored() -> None:
+    """The linter skips what Git ignores: in an environment inside the checkout it finds the scripts of libraries."""
+    ignored = (ROOT / ".gitignore").read_text(encoding="utf-8").split()
+    environments = re.findall(r"^python3 -m venv (\S+)", README, re.MULTILINE)
+    assert len(environments) == 2
+    for environment in environments:
+        assert any(fnmatch(f"{environment}/", pattern) for pattern in ignored)
 
 
 def test_the_readme_lists_every_command() -> None:
