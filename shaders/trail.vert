@@ -98,7 +98,7 @@ void main() {
     is_drawn = (is_long ? (is_far ? ends : begins) : profile.w == POINT && !is_far)
         && is_point_over(start_px + low_px, start_px + high_px);
 #elif SHAPE == 2
-    bool is_high = (gl_VertexID & 2) != 0, continues = is_far ? !ends : !begins;
+    bool is_high = is_high_corner(gl_VertexID, along), continues = is_far ? !ends : !begins;
     vec4 joint_px = is_far ? after : before;
     float s = is_far ? length_px - margin_px + 1.0 : margin_px - 1.0;
     vec2 own_px = start_px + s * along + (is_high ? across_px.y : across_px.x) * normal;

@@ -97,7 +97,7 @@ void main() {
     is_drawn = profile.w == POINT + PARTLY_OPEN
         && is_point_over(start_px + low_px - profile.x, start_px + high_px + profile.x);
 #elif SHAPE == 2
-    bool is_far = (gl_VertexID & 1) != 0, is_high = (gl_VertexID & 2) != 0;
+    bool is_far = (gl_VertexID & 1) != 0, is_high = is_high_corner(gl_VertexID, along);
     float s = is_far ? times.w * length_px + profile.x : times.z * length_px - profile.x;
     float p = is_high ? max(sagitta_px, 0.0) + profile.x : min(sagitta_px, 0.0) - profile.x;
     gl_Position = clip_position(start_px + s * along + p * normal);

@@ -1,5 +1,8 @@
 """Analytic trails, against sums of 20 000 sub-exposures in float64."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +21,7 @@ from glstar.rotation import quaternion_from_euler
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
 from glstar.system.resources import asset
-from tests.scripts.trail_search import worst_pixel
+from tests.scripts.trail_search import analytic, differences, random_simulator, worst_pixel
 from tests.support.reference import light_of
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 
@@ -103,6 +106,26 @@ def test_no_pixel_of_a_frame_full_of_trails_is_drawn_twice_or_not_at_all(rendere
     """Frames on which version 0.1.0 drew a pixel twice or not at all; `poe search-trails` draws many more."""
     fraction, _, _ = worst_pixel(renderer, seed)
     assert fraction <= 0.01
+
+
+def test_softpipe_draws_no_pixel_of_a_frame_full_of_trails_twice_or_not_at_all(renderer, tmp_path):
+    """Frames on which it did, by up to 55 %, where the triangles of a quad shared the wrong diagonal."""
+    if "Mesa" not in renderer.driver:
+        pytest.skip("the OpenGL driver is not Mesa's")
+    seeds, file = [18, 30, 42], tmp_path / "softpipe.npy"
+    program = """
+import sys
+import numpy as np
+from glstar.render.opengl import GLRenderer
+from tests.scripts.trail_search import analytic, random_simulator
+with GLRenderer.headless() as renderer:
+    assert "softpipe" in renderer.driver
+    np.save(sys.argv[1], [analytic(renderer, random_simulator(int(seed))[0]) for seed in sys.argv[2:]])
+"""
+    environment = {**os.environ, "GALLIUM_DRIVER": "softpipe"}
+    subprocess.run([sys.executable, "-c", program, file, *map(str, seeds)], env=environment, timeout=200, check=True)
+    for seed, on_softpipe in zip(seeds, np.load(file), strict=True):
+        assert differences(on_softpipe, analytic(renderer, random_simulator(seed)[0])).max() <= 0.005
 
 
 def test_a_star_that_passes_90_deg_from_the_boresight_leaves_no_flux(renderer):

@@ -9,6 +9,7 @@ import argparse
 import sys
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial.transform import Rotation
 
@@ -56,23 +57,32 @@ def random_simulator(seed: int) -> tuple[Simulator, float]:
     return simulator, np.deg2rad(rate_deg_per_s) * 1.6
 
 
+def drawn(renderer: GLRenderer, simulator: Simulator, exposure: Exposure) -> NDArray[np.float32]:
+    """Return the light of a frame, (rows, columns) DN."""
+    light_dn = renderer.render(simulator.scene(exposure), seed=0, light=True).light_dn
+    assert light_dn is not None
+    return light_dn
+
+
+def analytic(renderer: GLRenderer, simulator: Simulator) -> NDArray[np.float32]:
+    """Return the light of a frame of analytic trails, (rows, columns) DN."""
+    return drawn(renderer, simulator, Exposure(OPENS_S, EXPOSURE_S, trail="analytic"))
+
+
+def differences(light_dn: NDArray[np.float32], expected_dn: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the differences of pixels as fractions of the brightest pixel nearby."""
+    nearby_dn = np.maximum(maximum_filter(expected_dn, NEARBY_PX), LEAST_NEARBY_DN)
+    return np.abs(light_dn.astype(np.float64) - expected_dn) / nearby_dn
+
+
 def worst_pixel(renderer: GLRenderer, seed: int) -> tuple[float, int, int]:
     """Return the largest difference as a fraction of the brightest pixel nearby, and the pixel's column and row."""
     simulator, rate_rad_per_s = random_simulator(seed)
     # In the corners of the image stars move faster by half than at its centre.
     px_per_s = 1.5 * rate_rad_per_s * FOCAL_PX
     rate_hz = float(np.ceil(SUB_EXPOSURES_A_SIGMA * px_per_s / simulator.sensor.psf_sigma_px))
-    analytic, summed = (
-        renderer.render(simulator.scene(exposure), seed=0, light=True).light_dn
-        for exposure in (
-            Exposure(OPENS_S, EXPOSURE_S, trail="analytic"),
-            Exposure(OPENS_S, EXPOSURE_S, rate_hz, "sprites"),
-        )
-    )
-    assert analytic is not None
-    assert summed is not None
-    nearby_dn = np.maximum(maximum_filter(summed, NEARBY_PX), LEAST_NEARBY_DN)
-    fraction = np.abs(analytic.astype(np.float64) - summed) / nearby_dn
+    summed = drawn(renderer, simulator, Exposure(OPENS_S, EXPOSURE_S, rate_hz, "sprites"))
+    fraction = differences(analytic(renderer, simulator), summed)
     row, column = np.unravel_index(fraction.argmax(), fraction.shape)
     return float(fraction[row, column]), int(column), int(row)
 
