@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt, is_interrupt
+from glstar.system.process import EXIT_INTERRUPTED, exit_on_interrupt, is_interrupt
 
 __all__ = ["main"]
 

@@ -15,25 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "about_x",
-    "about_y",
-    "about_z",
-    "conjugate",
-    "euler_from_quaternion",
-    "fitted_rotation",
-    "matrix_from_euler",
-    "matrix_from_quaternion",
-    "multiply",
-    "quaternion_from_euler",
-    "quaternion_from_matrix",
-    "quaternion_from_turn",
-    "slerp",
-    "turn_between",
-    "turn_from_matrix",
-    "turn_from_quaternion",
-]
-
 Float = NDArray[np.float64]
 
 # Below this angle between two quaternions, rad, slerp is linear: its sines lose digits, and the difference is below

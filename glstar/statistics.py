@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["robust_std"]
-
 
 def robust_std(values: ArrayLike, middle: float = 0.0) -> float:
     """Return a robust standard deviation: 1.4826 times the median absolute deviation.

@@ -8,7 +8,7 @@
 
 // SIXTEEN_BITS: 1 for pixels of 16 bits, 0 for 8 bits.
 // OUTPUT: 0 for digital numbers; 1 for these and the largest signal of the fragment's pixels before charge moves along
-// lines (glstar/render/opengl/chargetransferpass.py); 2 for that signal only, of four pixels of chosen lines.
+// lines (glstar/render/opengl/passes/develop.py); 2 for that signal only, of four pixels of chosen lines.
 // LINES: 1 if charge moves along columns, 2 along rows, 0 if none has moved or yet to move.
 
 uniform sampler2D signal;         // DN, with the guard band

@@ -37,7 +37,7 @@ uniform vec3  less_rgb;
 
 out vec4 colour;
 
-// glstar.viewer.display has the same numbers.
+// glstar.viewer.picture.content has the same numbers.
 const int SIMULATED = 0, REAL = 1, WIPE = 2, DIFFERENCE = 3, SIDE_BY_SIDE = 4;
 // Largest number of image pixels read along a side of a screen pixel; of more, every second, third ... is read.
 const int MAX_TEXELS = 16;
@@ -108,7 +108,7 @@ float real_signal(vec2 from_px, vec2 to_px) {
 }
 #endif
 
-// From signal to brightness, both 0 to 1: glstar.viewer.stretch.Stretch.
+// From signal to brightness, both 0 to 1: glstar.viewer.picture.view.Stretch.
 float stretched(float signal, float black_level) {
     float linear = clamp((signal - black_level) * boost, 0.0, 1.0);
     float x = softening * linear;

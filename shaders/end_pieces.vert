@@ -1,7 +1,7 @@
 #version 330 core
 
 // End pass: a star during one piece of its trail in which a row opens or closes that it lights, under a rolling shutter, as
-// a point sprite.  A piece lies within one segment (glstar/render/endpieces.py): its path is a quadratic function of time.
+// a point sprite.  A piece lies within one segment (glstar/render/readout/openings.py): its path is a quadratic function of time.
 // trail_short.frag draws that part of it during which the row of each pixel is open.
 
 // STARS_PER_ROW: columns of the texture of stars.

@@ -2,7 +2,7 @@
 //
 // NARROW: 1 for pixels that integrate over their area under a point spread function narrower than 1.1 px.  Then three
 // Gaussians per side have the moments of a square pixel up to the sixth order, whatever the direction of the trail; their
-// variance is added to that of the point spread function (trailpass.py).  From 1.1 px on a single Gaussian widened by the
+// variance is added to that of the point spread function (passes/trail.py).  From 1.1 px on a single Gaussian widened by the
 // variance of the pixel is sufficient (Sensor.effective_sigma_px).
 
 // Flux at a position; the shader that includes this file defines it.

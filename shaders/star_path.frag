@@ -4,7 +4,7 @@
 // the exposure.
 //
 // Within a segment the vector to a star is a quadratic function of time through its values at the start, the middle and the
-// end, and its position the projection of that by a pinhole (glstar/render/segmentation.py divides the exposure so that
+// end, and its position the projection of that by a pinhole (glstar/render/motion/segmentation.py divides the exposure so that
 // this holds).  A segment is drawn as one of four kinds (trail_constants.glsl):
 //
 // NOTHING  it is behind the camera or below the horizon
@@ -26,7 +26,7 @@
 // COMPONENTS: 1 if each column has a Gaussian of its own width, sigma.  All segments are SHORT then, and `joint` holds
 // 1 / (2 sigma^2 ln 2), 1/px^2, and sigma, px.
 
-// SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
+// SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.motion.segmentation.ShapeLimits.
 
 uniform sampler2D positions;      // of project_stars.frag
 uniform sampler2D passage;        // transmission of cloud by star (column) and segment (row); one texel of 1 without

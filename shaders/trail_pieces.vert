@@ -3,7 +3,7 @@
 // Piece pass: a star during four consecutive pieces of the exposure, as a point sprite that covers all four Gaussians.
 //
 // A piece is as long as the point spread function allows, whatever the motion during it: a Gaussian with the mean and the
-// covariance of the star's path (glstar/render/trailpieces.py).
+// covariance of the star's path (glstar/render/readout/pieces.py).
 
 // STARS_PER_ROW: columns of the texture of stars.  PIECES_PER_SPRITE: 4.  ROWS: 1 under a rolling shutter, which draws only
 // pieces during which all rows that a star lights are open.

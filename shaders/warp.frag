@@ -4,7 +4,7 @@
 //
 // A pixel receives what falls into its patch of the undistorted plane: a lens preserves flux.  The signal between pixels is
 // a cubic B-spline plus a small fraction of its second derivative, which together are closest to a Gaussian
-// (tests/gl/test_lens.py).  They widen the signal, so stars are drawn narrower beforehand (distortionpass.py).  Stars are
+// (tests/gl/test_lens.py).  They widen the signal, so stars are drawn narrower beforehand (passes/lensdistortion.py).  Stars are
 // also drawn wider by the area of a pixel on the axis, or of a part of one; the coefficient of the second derivatives
 // accounts for the difference between that and the pixel's own patch.  Thus one sample is the mean over a patch, and large
 // patches, and those of narrow stars, take several.

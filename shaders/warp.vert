@@ -5,7 +5,7 @@
 //
 // A vertex is a patch, drawn as a point: software OpenGL shades the pixels along the seam of two triangles twice.  Within
 // a patch, positions in the undistorted plane are a biquadratic function of the pixel's position in it, u to the right and
-// v down, from -1 to 1 (glstar/render/opengl/distortionpatches.py).
+// v down, from -1 to 1 (glstar/render/opengl/passes/lensdistortion.py).
 
 // SPLINE_SUPPORT_PX: distance up to which the spline of warp.frag reads pixels.
 

@@ -12,34 +12,25 @@
 Teague & Chahl, section 2.5.
 """
 
-from glstar.calibrate.calibration import Calibration, calibrate
-from glstar.calibrate.calibrationreport import draw_geometry, draw_report, prepare_to_draw
-from glstar.calibrate.combine import CombinedCalibration, StarTable, combine
-from glstar.calibrate.combinedreport import draw_combined
-from glstar.calibrate.detect import DetectedStars, detect_stars
-from glstar.calibrate.extinctionfit import above_air, above_air_together
-from glstar.calibrate.geometry import GeometryCalibration, calibrate_geometry
-from glstar.calibrate.labels import Label, identify_by_labels
-from glstar.calibrate.lensfit import CameraFit, fit_camera, fit_lens
-from glstar.calibrate.lenstrials import LensChoice, LensTrial
-from glstar.calibrate.linearise import fit_gamma, linearised, recorded_again
-from glstar.calibrate.lost import identify_lost
-from glstar.calibrate.matches import Matches
-from glstar.calibrate.near import identify_again, identify_near
-from glstar.calibrate.photograph import Channel, Photograph, read_image
-from glstar.calibrate.photographmodel import PhotographModel, measure_photograph
-from glstar.calibrate.platesolution import PlateSolution
-from glstar.calibrate.pointspreadfit import with_point_spread
-from glstar.calibrate.readoutfit import LONGEST_READOUT_S, ReadoutFit, fit_readout, search_readout
-from glstar.calibrate.readouttime import ReadoutTime
-from glstar.calibrate.referencestars import ReferenceStars
-from glstar.calibrate.rowturns import RowTurns
-from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
-from glstar.calibrate.sharedgeometry import SharedGeometry, share_geometry
-from glstar.calibrate.sharedlens import SharedLensFit, fit_shared_lens
-from glstar.calibrate.twin import Twin, TwinFigures, compare_twin, render_twin
-from glstar.calibrate.twinreport import draw_twin
-from glstar.calibrate.zenithfit import find_zenith
+from glstar.calibrate.geometry.camera import GeometryCalibration, SharedGeometry, calibrate_geometry, share_geometry
+from glstar.calibrate.geometry.lenschoice import LensChoice, LensTrial
+from glstar.calibrate.geometry.lensfit import CameraFit, SharedLensFit, fit_camera, fit_lens, fit_shared_lens
+from glstar.calibrate.geometry.readout import LONGEST_READOUT_S, ReadoutFit, fit_readout, search_readout
+from glstar.calibrate.geometry.zenith import find_zenith
+from glstar.calibrate.identify.hints import Label, identify_again, identify_by_labels, identify_near
+from glstar.calibrate.identify.lost import identify_lost
+from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars
+from glstar.calibrate.identify.rollingshutter import ReadoutTime, RowTurns
+from glstar.calibrate.photo.detection import DetectedStars, detect_stars
+from glstar.calibrate.photo.photograph import Channel, Photograph, linearised, read_image, recorded_again
+from glstar.calibrate.photo.sky import fit_gamma
+from glstar.calibrate.sensor.brightness import above_air, above_air_together
+from glstar.calibrate.sensor.calibration import Calibration, calibrate, with_point_spread
+from glstar.calibrate.sensor.combine import CombinedCalibration, StarTable, combine, draw_combined
+from glstar.calibrate.sensor.fit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
+from glstar.calibrate.sensor.photographmodel import PhotographModel, measure_photograph
+from glstar.calibrate.sensor.report import draw_geometry, draw_report, prepare_to_draw
+from glstar.calibrate.twin import Twin, TwinFigures, compare_twin, draw_twin, render_twin
 
 __all__ = [
     "LONGEST_READOUT_S",

@@ -1,33 +1,33 @@
-"""The twin of a photograph: the image that the simulator makes of the same stars, and how it differs."""
+"""The twin of a photograph: the image that the simulator makes of the same stars, and how it differs.
+
+A photograph beside its twin as a PNG: both images, sky, noise against level, star profiles and peaks.
+"""
 
 from dataclasses import asdict, dataclass, replace
+from io import BytesIO
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate.calibration import Calibration
-from glstar.calibrate.linearise import linearised, recorded_again
-from glstar.calibrate.photograph import Photograph
-from glstar.calibrate.photographmodel import PhotographModel
-from glstar.calibrate.psf import fit_stars
-from glstar.calibrate.referencestars import ReferenceStars
-from glstar.calibrate.siderealtrails import sidereal_trails
-from glstar.calibrate.skymeasurement import NoiseAgainstLevel, SkyMap, measure_noise
+from glstar.calibrate.identify.platesolution import ReferenceStars, sidereal_trails
+from glstar.calibrate.photo.photograph import Photograph, linearised, recorded_again
+from glstar.calibrate.photo.psf import fit_stars
+from glstar.calibrate.photo.sky import NoiseAgainstLevel, SkyMap, measure_noise
+from glstar.calibrate.sensor.calibration import Calibration
+from glstar.calibrate.sensor.photographmodel import PhotographModel
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import PIXEL_VARIANCE_PX2
+from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2
 from glstar.config import Config
 from glstar.errors import CalibrationError
-from glstar.render.colourscenes import in_band
-from glstar.render.culling import DrawList
-from glstar.render.pointing import Pointing
-from glstar.render.scene import Renderer, Scene
-from glstar.render.trailmodels import SubExposures
+from glstar.render.motion.pointing import Pointing
+from glstar.render.motion.trailmodels import SubExposures
+from glstar.render.scene.culling import DrawList
+from glstar.render.scene.scene import Renderer, Scene
+from glstar.render.scene.starcomponents import in_band
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
-from glstar.sky.observed import SIDEREAL_RAD_PER_S
-from glstar.sky.site import Site
-
-__all__ = ["Twin", "TwinFigures", "compare_twin", "render_twin"]
+from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
+from glstar.sky.place.site import Site
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -320,3 +320,136 @@ def _profile(image: Float, xy_px: Index) -> Float:
         above = image[y - _PROFILE_PX : y + _PROFILE_PX + 1, x - _PROFILE_PX : x + _PROFILE_PX + 1] - np.median(near)
         found.append([above[radius == r].mean() for r in range(_PROFILE_PX + 1)])
     return np.mean(found, axis=0) if found else np.zeros(_PROFILE_PX + 1)
+
+
+_DPI: Final = 110
+# Black and white of the whole images, quantiles of the photograph; and of the details, noises about the sky.
+_BLACK, _WHITE = 0.001, 0.9995
+_DETAIL_SIGMA: Final = (-3.0, 12.0)
+# Side of the detail, px, which is shown at twice its size.
+_DETAIL_PX: Final = 220
+_MEASURED, _SIMULATED = "k", "tab:red"
+
+
+def draw_twin(model: PhotographModel, twin: Twin) -> bytes:
+    """Return a photograph beside its twin as a PNG.
+
+    Parameters
+    ----------
+    model : PhotographModel
+    twin : Twin
+
+    Returns
+    -------
+    bytes
+        Both images, a detail in the shadows, and measured beside simulated: the pixels of the sky, their noise against
+        the level, the mean profile of the ten brightest stars, and the peaks of all.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(15, 11))
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(
+        2, 4, left=0.05, right=0.98, top=0.92, bottom=0.06, hspace=0.2, wspace=0.25, height_ratios=(1.25, 1)
+    )
+    both = (model.calibration.image.pixels_dn, twin.pixels.astype(np.float64))
+    names = (model.calibration.image.path.name, "its twin")
+    low, high = np.quantile(both[0], (_BLACK, _WHITE))
+    for column, (image, name) in enumerate(zip(both, names, strict=True)):
+        axes = figure.add_subplot(grid[0, 2 * column : 2 * column + 2])
+        shown = np.clip((image - low) / max(high - low, 1e-9), 0, 1) ** 0.6
+        axes.imshow(shown, cmap="gray", vmin=0, vmax=1, interpolation="antialiased")
+        axes.set_title(name, fontsize=10)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        _draw_detail(axes, model, image)
+    _draw_sky(figure.add_subplot(grid[1, 0]), model, both)
+    _draw_noise(figure.add_subplot(grid[1, 1]), model, twin)
+    _draw_profiles(figure.add_subplot(grid[1, 2]), twin)
+    _draw_peaks(figure.add_subplot(grid[1, 3]), twin)
+    figures = twin.figures
+    figure.suptitle(
+        f"sky: Kolmogorov-Smirnov distance {figures.sky_ks:.3f}; peaks of {figures.stars} stars:"
+        f" {100 * figures.peak_error:.0f} % off (the noise alone {100 * figures.peak_noise:.0f} %); widths of"
+        f" {figures.width_stars}: ratio {figures.width_ratio:.3f}; profile: {100 * figures.profile_error:.0f} % off;"
+        f" neighbouring pixels correlated {figures.neighbour_correlation:.2f},"
+        f" twin {figures.twin_neighbour_correlation:.2f}",
+        fontsize=11,
+    )
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 9})
+    return drawn.getvalue()
+
+
+def _draw_detail(axes: Any, model: PhotographModel, image: Float) -> None:
+    """Draw an inset around the middle of the image, with the shadows brightened."""
+    height, width = image.shape
+    side = min(_DETAIL_PX, height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    part = slice(top, top + side), slice(left, left + side)
+    level = float(np.median(model.sky.level_dn[part]))
+    noise_dn = 1.4826 * float(np.median(np.abs(model.sky.residual_dn[part])))
+    low, high = (level + sigma * max(noise_dn, 0.5) for sigma in _DETAIL_SIGMA)
+    inset = axes.inset_axes((0.62, 0.0, 0.38, 0.38 * width / height))
+    inset.imshow(image[part], cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    inset.set_xticks([])
+    inset.set_yticks([])
+
+
+def _draw_sky(axes: Any, model: PhotographModel, both: tuple[Float, Float]) -> None:
+    values = [image[model.sky.is_sky] for image in both]
+    low, high = np.quantile(values[0], (0.0005, 0.9995))
+    step = max(1.0, np.ceil((high - low) / 100))
+    bins = np.arange(np.floor(low) - 0.5, high + step, step)
+    axes.hist(values[0], bins=bins, color="0.7", label="photograph")
+    axes.hist(values[1], bins=bins, histtype="step", color=_SIMULATED, label="twin")
+    axes.set_title("pixels of the sky", fontsize=10)
+    axes.set_xlabel("DN")
+    axes.legend(fontsize=7)
+
+
+def _draw_noise(axes: Any, model: PhotographModel, twin: Twin) -> None:
+    for noise, colour, name in ((model.noise, _MEASURED, "photograph"), (twin.noise, _SIMULATED, "twin")):
+        if noise is not None:
+            axes.plot(noise.level_dn, np.sqrt(noise.variance_dn2), "o-", ms=3, lw=1, color=colour, label=name)
+    axes.set_title("noise of the sky against its level", fontsize=10)
+    axes.set_xlabel("level, DN")
+    axes.set_ylabel("standard deviation, DN")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=7)
+
+
+def _draw_profiles(axes: Any, twin: Twin) -> None:
+    for profile, colour, name in zip(twin.profiles_dn, (_MEASURED, _SIMULATED), ("photograph", "twin"), strict=True):
+        axes.plot(np.maximum(profile, 1e-3 * twin.profiles_dn.max()), "o-", ms=3, lw=1, color=colour, label=name)
+    axes.set_yscale("log")
+    axes.set_title("mean profile of the ten brightest stars", fontsize=10)
+    axes.set_xlabel("distance from the centre, px")
+    axes.set_ylabel("above the sky, DN")
+    axes.legend(fontsize=7)
+
+
+def _draw_peaks(axes: Any, twin: Twin) -> None:
+    real, simulated = np.maximum(twin.peaks_dn, 1e-3)
+    axes.plot(real, simulated, ".", ms=4, color=_SIMULATED)
+    if len(real):
+        ends = [real.min(), real.max()]
+        axes.plot(ends, ends, "-", lw=1, color=_MEASURED)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        for axis in (axes.xaxis, axes.yaxis):
+            _label_few(axis)
+    axes.set_title("brightest pixel of each star above the sky", fontsize=10)
+    axes.set_xlabel("photograph, DN")
+    axes.set_ylabel("twin, DN")
+
+
+def _label_few(axis: Any) -> None:
+    """Label a logarithmic axis with numbers that do not overlap, also if it is shorter than a decade."""
+    from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter  # noqa: PLC0415 - a second to load
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high > 5 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    axis.set_major_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(np.inf, np.inf)))
+    axis.set_minor_formatter(NullFormatter())

@@ -9,18 +9,6 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = [
-    "MAX_DN",
-    "MAX_FRAMES",
-    "OPPOSITE",
-    "Exposure",
-    "Readout",
-    "Stack",
-    "Trail",
-    "check_readouts",
-    "exposure_span_s",
-]
-
 # How trails are drawn: integrated analytically, summed from sub-exposures, or whichever of the two is cheaper.
 Trail = Literal["auto", "analytic", "sprites"]
 
@@ -56,7 +44,7 @@ class Exposure:
         How trails are drawn.  ``"analytic"``: integrated in closed form over a few segments per exposure, without
         sampling ripple at any turn rate.  ``"sprites"``: summed from sub-exposures during which the stars do not move,
         as in the paper.  ``"auto"``: analytic, unless the attitude log is so noisy that sprites are cheaper; see
-        `glstar.render.segmentation.segment_times`.
+        `glstar.render.motion.segmentation.segment_times`.
     readout_s : float
         Readout time of a rolling shutter, s: from the opening of the first row to that of the last; 0 for a global
         shutter.

@@ -1,8 +1,11 @@
-"""The camera: a pixel grid behind a pinhole or a lens, and its mount on the aircraft."""
+"""The camera: a pixel grid behind a pinhole or a lens, and its mount on the aircraft.
+
+The error of a camera's attitude, as a viewer of its image sees it.
+"""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import isfinite
+from math import hypot, isfinite
 from typing import Literal, Self
 
 import numpy as np
@@ -10,9 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.distortion import Lens
 from glstar.errors import CalibrationError, RenderError
-from glstar.rotation import matrix_from_euler
-
-__all__ = ["Camera", "Mount"]
+from glstar.rotation import matrix_from_euler, turn_from_matrix
 
 Float = NDArray[np.float64]
 
@@ -369,3 +370,42 @@ def _camera_body(mount: Mount) -> Float:
     C = rotated if mount.reading == "literal" else _CAMERA_FRD @ rotated
     C.flags.writeable = False
     return C
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeError:
+    """The error of an attitude: the rotation from the true camera frame to the answered one.
+
+    Attributes
+    ----------
+    right_rad, down_rad : float
+        Error of the answered optical axis to the right and down in the image, rad.
+    roll_rad : float
+        Rotation about the optical axis, rad.
+    """
+
+    right_rad: float
+    down_rad: float
+    roll_rad: float
+
+    @property
+    def boresight_rad(self) -> float:
+        """Angle between the two optical axes, rad."""
+        return hypot(self.right_rad, self.down_rad)
+
+    @classmethod
+    def between(cls, C_camera_icrs: Float, C_answered_icrs: Float) -> Self:
+        """Return the error of a rotation from ICRS, or another frame, to the camera.
+
+        Parameters
+        ----------
+        C_camera_icrs, C_answered_icrs : (3, 3) float64
+            The true one and the other one.
+
+        Returns
+        -------
+        AttitudeError
+        """
+        turn = turn_from_matrix(C_answered_icrs @ C_camera_icrs.T)
+        # The optical axis turns about the image's right axis downwards, about its down axis to the left.
+        return cls(float(turn[1]), float(-turn[0]), float(turn[2]))

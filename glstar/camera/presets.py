@@ -1,17 +1,223 @@
-"""Cameras that ship with glstar."""
+"""Cameras that ship with glstar.
+
+Image sensors that glstar knows: their modes, gains, wells and noises, each with its source.
+"""
 
 import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, Final
 
+from glstar.camera.camerafile import label
 from glstar.camera.model import Camera
-from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
-from glstar.camera.yamlvalues import label
+from glstar.camera.sensor.colourband import BANDS_WITH_COLOURS
 from glstar.errors import ConfigError
-from glstar.system.nearmiss import nearest_word
 from glstar.system.resources import asset
+from glstar.system.userinput import nearest_word
 
-__all__ = ["camera_from_preset", "camera_presets"]
+# Bits of the digital numbers in `assets/sensors.toml`.
+_TABLE_BITS: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Sourced:
+    """A number and where it is from.
+
+    Attributes
+    ----------
+    value : float
+    source : str
+        Begins with "assumed" if it is no measurement.
+    """
+
+    value: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMode:
+    """One readout mode of a sensor.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``"imx477:2028x1520"``.
+    width_px, height_px : int
+        Size of its images.
+    binning : int
+        Side of the square of pixels that are averaged into one.
+    bit_depth : int
+        Bits of its digital numbers.
+    readout_s : float
+        Time between the first row and the last, s; 0 for a global shutter.
+    source : str
+        Where the readout time is from.
+    pixel_um : float
+        Pitch of its binned pixels, micrometres.
+    values : mapping of str to float or int
+        Keys of ``[sensor]``, for its binned pixels.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    binning: int
+    bit_depth: int
+    readout_s: float
+    source: str
+    pixel_um: float
+    values: Mapping[str, float]
+
+    def camera(self, lens_mm: float) -> Camera:
+        """Return the camera of this mode behind a lens without distortion.
+
+        Parameters
+        ----------
+        lens_mm : float
+            Focal length, mm.
+
+        Returns
+        -------
+        Camera
+        """
+        focal_px = 1000.0 * lens_mm / self.pixel_um
+        middle = (self.width_px - 1) / 2, (self.height_px - 1) / 2
+        return Camera(self.width_px, self.height_px, focal_px, focal_px, *middle)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorPreset:
+    """A sensor.
+
+    Attributes
+    ----------
+    name : str
+    description : str
+    numbers : mapping of str to Sourced
+        Numbers of a pixel at full resolution, at an analogue gain of 1; digital numbers are of 12 bits.
+    modes : tuple of SensorMode
+        The first is the full resolution; empty for ``generic``, which fits images of any size.
+    band : str or None
+        ``[sensor] band`` of its colour filters; None if glstar does not have them.
+    """
+
+    name: str
+    description: str
+    numbers: Mapping[str, Sourced]
+    modes: tuple[SensorMode, ...]
+    band: str | None
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Keys of ``[sensor]`` for pixels of the full resolution."""
+        return _values(self.numbers, 1, int(self.numbers["bit_depth"].value))
+
+
+def sensor_presets() -> Mapping[str, SensorPreset]:
+    """Return the sensors by name.
+
+    Returns
+    -------
+    mapping of str to SensorPreset
+    """
+    return _sensor_presets()
+
+
+def is_sensor_mode(name: str) -> bool:
+    """Return whether a name is that of a sensor, or of a mode of one, rather than of a camera.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"imx477:2028x1520"``.
+
+    Returns
+    -------
+    bool
+    """
+    return name.lower().partition(":")[0] in _sensor_presets()
+
+
+def sensor_mode(name: str) -> SensorMode | None:
+    """Return a mode of a sensor.
+
+    Parameters
+    ----------
+    name : str
+        ``"imx477:2028x1520"``, or a sensor's name for its full resolution.
+
+    Returns
+    -------
+    SensorMode or None
+        None for a sensor without modes: ``"generic"``.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such sensor or mode; the message lists those that there are.
+    """
+    sensor, colon, size = name.lower().partition(":")
+    if sensor not in _sensor_presets():
+        near = nearest_word(sensor, _sensor_presets(), cutoff=0.5)
+        hint = "there" if near is None else f'did you mean "{near}"? There'
+        raise ConfigError(
+            f'there is no sensor "{label(name)}" ({hint} are {", ".join(_sensor_presets())})', key="preset"
+        )
+    modes = {mode.name.partition(":")[2]: mode for mode in _sensor_presets()[sensor].modes}
+    if not colon:
+        return next(iter(modes.values()), None)
+    if size not in modes:
+        there = f"its modes are {', '.join(modes)}" if modes else "it has no modes"
+        raise ConfigError(f'the sensor {sensor} has no mode "{label(size)}" ({there})', key="preset")
+    return modes[size]
+
+
+@cache
+def _sensor_presets() -> dict[str, SensorPreset]:
+    tables = tomllib.loads(asset("sensors.toml").read_text(encoding="utf-8"))
+    return {name: _preset(name, table) for name, table in tables.items()}
+
+
+def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
+    numbers = {key: Sourced(**entry) for key, entry in table.items() if isinstance(entry, dict)}
+    modes = tuple(_mode(name, mode, numbers) for mode in table.get("modes", ()))
+    return SensorPreset(name, table["description"], numbers, modes, name if name in BANDS_WITH_COLOURS else None)
+
+
+def _mode(sensor: str, mode: Mapping[str, Any], numbers: Mapping[str, Sourced]) -> SensorMode:
+    width_px, height_px = mode["size"]
+    bit_depth = int(mode.get("bit_depth", numbers["bit_depth"].value))
+    return SensorMode(
+        name=f"{sensor}:{width_px}x{height_px}",
+        width_px=width_px,
+        height_px=height_px,
+        binning=mode["binning"],
+        bit_depth=bit_depth,
+        readout_s=mode["readout_ms"] / 1000.0,
+        source=mode["source"],
+        pixel_um=numbers["pixel_um"].value * mode["binning"],
+        values=_values(numbers, mode["binning"], bit_depth),
+    )
+
+
+def _values(numbers: Mapping[str, Sourced], binning: int, bit_depth: int) -> dict[str, float]:
+    """Return the keys of ``[sensor]`` of a mode that averages ``binning**2`` pixels and counts all their electrons."""
+    pixels = binning**2
+    dn_scale = 2.0 ** (bit_depth - _TABLE_BITS)
+    number = {key: entry.value for key, entry in numbers.items()}
+    return {
+        "bit_depth": bit_depth,
+        "gain_dn_per_e": number["gain_dn_per_e"] * dn_scale / pixels,
+        "full_well_e": number["full_well_e"] * pixels,
+        "black_level_dn": number["black_level_dn"] * dn_scale,
+        "read_noise_before_gain_e": number["read_noise_before_gain_e"] * binning,
+        "read_noise_after_gain_e": number["read_noise_after_gain_e"] * binning,
+        "dark_current_e_per_s": number["dark_current_e_per_s"] * pixels,
+        "hot_pixels_per_mpx": number["hot_pixels_per_mpx"],
+        "quantum_efficiency": number["quantum_efficiency"],
+        "photons_per_s_cm2": number["photons_per_s_cm2"],
+    }
 
 
 def camera_from_preset(name: str, lens_mm: float | None = None) -> Camera:
@@ -21,7 +227,7 @@ def camera_from_preset(name: str, lens_mm: float | None = None) -> Camera:
     ----------
     name : str
         A camera such as ``"picamhq-6mm"``; `camera_presets` lists them.  Or the mode of a sensor, such as
-        ``"imx477:2028x1520"``; see `glstar.camera.sensorpresets`.
+        ``"imx477:2028x1520"``; see `glstar.camera.presets`.
     lens_mm : float, optional
         Focal length of the lens before a sensor, mm; a camera has a lens of its own.
 
@@ -35,7 +241,7 @@ def camera_from_preset(name: str, lens_mm: float | None = None) -> Camera:
     ConfigError
         If there is no such preset, the message lists all presets; or if the lens is missing, or one too many.
     """
-    presets = _presets()
+    presets = _camera_presets()
     if is_sensor_mode(name):
         return _behind_a_lens(name, lens_mm)
     if lens_mm is not None and name in presets:
@@ -67,11 +273,11 @@ def _behind_a_lens(name: str, lens_mm: float | None) -> Camera:
 
 def camera_presets() -> dict[str, str]:
     """Return the presets: name to description, one line each."""
-    return {name: preset["description"] for name, preset in _presets().items()}
+    return {name: preset["description"] for name, preset in _camera_presets().items()}
 
 
 @cache
-def _presets() -> dict[str, dict[str, Any]]:
+def _camera_presets() -> dict[str, dict[str, Any]]:
     return tomllib.loads(asset("cameras.toml").read_text(encoding="utf-8"))
 
 

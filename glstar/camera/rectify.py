@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 
-__all__ = ["rectify"]
-
 # Largest side of an image that OpenCV's remap accepts, px.
 _MOST_PX = 32767
 # Rows whose positions are computed together; limits memory.

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.model import Camera
-from glstar.camera.pixelpattern import read_map, smooth
-
-__all__ = ["VIGNETTINGS", "FalloffFit", "Vignetting", "relative_solid_angle"]
+from glstar.camera.sensor.pixelpattern import read_map, smooth
 
 Float = NDArray[np.float64]
 VignettingModel = Literal["none", "cos4", "polynomial", "flat"]

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 from glstar import __version__
 from glstar.cli.verbosity import Quiet, Verbose, reporting
 from glstar.errors import GlstarError
-from glstar.system.interrupt import EXIT_INTERRUPTED
+from glstar.system.process import EXIT_INTERRUPTED
 
 __all__ = ["COMMANDS", "main"]
 
@@ -75,80 +75,84 @@ class _Command(NamedTuple):
 
 COMMANDS: Final = {
     "export": _Command(
-        "export",
+        "images.export",
         "export",
         "Write the long exposures that the camera would have taken on a flight, and where every star is on them.",
     ),
     "calibrate": _Command(
-        "calibrate",
+        "calibration.calibrate",
         "calibrate",
         "Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.",
     ),
     "compare": _Command(
-        "compare",
+        "images.compare",
         "compare",
         "Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.",
     ),
     "info": _Command(
-        "info",
+        "flights.info",
         "info",
         "Show what a flight log holds: vehicle, time, position, every attitude with its rate and gaps, night or day.",
     ),
     "convert": _Command(
-        "convert",
+        "images.convert",
         "convert",
         "Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, its frames to images with EXIF, or for learning.",
     ),
-    "view": _Command("view", "view", "Replay a flight in a window, as the camera would have recorded it."),
+    "view": _Command("flights.view", "view", "Replay a flight in a window, as the camera would have recorded it."),
     "live": _Command(
-        "live",
+        "flights.live",
         "live",
         "Show what the camera on an aircraft sees now, from its telemetry link, in a window; or write it as frames.",
     ),
     "replay-link": _Command(
-        "replaylink",
+        "flights.replaylink",
         "replay_link",
         "Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.",
     ),
     "score": _Command(
-        "score",
+        "images.score",
         "score",
         "Score a navigator's answers: attitude, position, identified stars and run time against the truth.",
     ),
     "answer": _Command(
-        "answer",
+        "flights.answer",
         "answer",
         "Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.",
     ),
     "fly": _Command(
-        "fly",
+        "flights.fly",
         "fly",
         "Write a flight without a log: an orbit, a transit, waypoints, a hover or a spin, in wind and gusts.",
     ),
     "demo": _Command(
-        "demo",
+        "images.demo",
         "demo",
         "Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars.",
     ),
     "sky": _Command(
-        "sky",
+        "flights.sky",
         "sky",
         "List the stars above a site, the Sun, Moon and planets, or satellites: apparent place, azimuth, altitude.",
     ),
-    "camera": _Command("camera", "app", "Calibrate cameras with boards, show camera files, rectify images."),
-    "catalogue": _Command("catalogue", "app", "Build star catalogues and show their contents."),
+    "camera": _Command(
+        "calibration.camera", "app", "Calibrate cameras with boards, show camera files, rectify images."
+    ),
+    "catalogue": _Command("machine.catalogue", "app", "Build star catalogues and show their contents."),
     "config": _Command(
-        "showconfig",
+        "machine.showconfig",
         "show_config",
         "Show every setting in effect, and whether it comes from a flag, the config file, a preset or the default.",
     ),
     "bench": _Command(
-        "bench",
+        "machine.bench",
         "bench",
         "Measure how many frames a second this machine draws, and draws and writes as PNG, by image size.",
     ),
-    "doctor": _Command("doctor", "doctor", "Show OpenGL, devices, libraries and catalogues, and their problems."),
-    "manual": _Command("manual", "manual", "Print a page of the manual."),
+    "doctor": _Command(
+        "machine.doctor", "doctor", "Show OpenGL, devices, libraries and catalogues, and their problems."
+    ),
+    "manual": _Command("machine.manual", "manual", "Print a page of the manual."),
 }
 
 
@@ -173,7 +177,7 @@ def _version(ctx: typer.Context, wanted: bool) -> None:
     if wanted:
         typer.echo(f"glstar {__version__}")
         if {"-v", "--verbose"} & set(ctx.meta.get(_WORDS, ())):
-            from glstar.cli.doctor import machine_lines  # noqa: PLC0415 - OpenGL, only when it is wanted
+            from glstar.cli.machine.doctor import machine_lines  # noqa: PLC0415 - OpenGL, only when it is wanted
 
             for line in machine_lines():
                 typer.echo(line)

@@ -4,8 +4,6 @@ from collections.abc import Callable, Iterable
 
 from glstar.system.resources import manual_pages
 
-__all__ = ["camera_names", "column_maps", "manual_topics", "sensor_names"]
-
 
 def _completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
     """Return a function that lists the names that begin with a word; they are read only where the shell asks."""
@@ -17,20 +15,19 @@ def _completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]
 
 
 def _cameras() -> Iterable[str]:
-    from glstar.camera.presets import camera_presets  # noqa: PLC0415 - read only where the shell asks
-    from glstar.camera.sensorpresets import sensor_presets  # noqa: PLC0415
+    from glstar.camera.presets import camera_presets, sensor_presets  # noqa: PLC0415 - only where the shell asks
 
     return [*camera_presets(), *(mode.name for preset in sensor_presets().values() for mode in preset.modes)]
 
 
 def _sensors() -> Iterable[str]:
-    from glstar.camera.sensorpresets import sensor_presets  # noqa: PLC0415
+    from glstar.camera.presets import sensor_presets  # noqa: PLC0415
 
     return sensor_presets()
 
 
 def _column_maps() -> Iterable[str]:
-    from glstar.telemetry.columnmap import ready_maps  # noqa: PLC0415
+    from glstar.telemetry.tables.mapped import ready_maps  # noqa: PLC0415
 
     return ready_maps()
 

@@ -13,8 +13,6 @@ from rich.text import Text
 
 from glstar.cli.verbosity import Verbosity, verbosity
 
-__all__ = ["progress_bar"]
-
 # Time between two lines of progress, s: a log of an hour's export has some hundred lines.
 _LINE_EVERY_S: Final = 30.0
 

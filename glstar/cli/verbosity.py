@@ -10,8 +10,6 @@ from typing import Annotated, Any, Final
 
 import typer
 
-__all__ = ["Quiet", "Verbose", "Verbosity", "echo_detail", "echo_note", "reporting", "verbosity", "with_verbosity"]
-
 
 class Verbosity(IntEnum):
     """What a command writes beside its result, its warnings and its errors."""

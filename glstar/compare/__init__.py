@@ -12,15 +12,13 @@ Teague & Chahl, section 3.
 """
 
 from glstar.compare.alignment import Alignment, fit_alignment
-from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
-from glstar.compare.comparison import ComparedImage, Comparison, RejectedImage
-from glstar.compare.comparisonfiles import write_comparison
-from glstar.compare.comparisonreport import draw_pairs, draw_plots
-from glstar.compare.flightcomparison import FlightComparison, Search
+from glstar.compare.comparison import ComparedImage, Comparison, RejectedImage, by_star, summarize
+from glstar.compare.detection import SubtractedImage, subtract_background
+from glstar.compare.flights import FlightComparison, Search
 from glstar.compare.folders import compare_folders, image_files
 from glstar.compare.pairs import Pair, Pairing, measure, pair_trails
-from glstar.compare.predictedtrails import Trails, predicted_trails
-from glstar.compare.summary import by_star, summarize
+from glstar.compare.prediction import Trails, predicted_trails
+from glstar.compare.report import draw_pairs, draw_plots, write_comparison
 
 __all__ = [
     "Alignment",

@@ -25,8 +25,6 @@ from glstar.camera.model import Mount
 from glstar.compare.pairs import Pairing
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
 
-__all__ = ["Alignment", "fit_alignment"]
-
 Float = NDArray[np.float64]
 
 # The motions: three rotations of the camera, time, and the readout time.

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
-from glstar.compare.backgroundsubtraction import SubtractedImage
+from glstar.compare.detection import SubtractedImage
 from glstar.compare.pairs import CrossCorrelation, coarse_side, shrunk
 from glstar.render.simulator import Simulator
-
-__all__ = ["likely_readout", "likely_start"]
 
 Float = NDArray[np.float64]
 

@@ -15,16 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, rejection
+from glstar.compare.detection import SubtractedImage, subtract_background
 from glstar.compare.pairs import measure, pair_trails
-from glstar.compare.predictedtrails import Trails, trail_jacobian
+from glstar.compare.prediction import Trails, trail_jacobian
 from glstar.errors import ImagesError
 from glstar.images import read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH
-from glstar.render.truth import as_current_schema
-
-__all__ = ["compare_folders", "paired_files"]
+from glstar.render.truth.frame import as_current_schema
 
 Float = NDArray[np.float64]
 

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from glstar.compare.backgroundsubtraction import SubtractedImage
-from glstar.compare.predictedtrails import Stamp, Trails, moved_path, stamp_of
+from glstar.compare.detection import SubtractedImage
+from glstar.compare.prediction import Stamp, Trails, moved_path, stamp_of
 from glstar.compare.trailfit import FoundTrail, find_trail
-
-__all__ = ["Cutouts", "Measures", "Pair", "Pairing", "measure", "pair_trails"]
 
 Float = NDArray[np.float64]
 

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from glstar.compare.backgroundsubtraction import SubtractedImage
-from glstar.compare.predictedtrails import Stamp, deformation, offsets_and_directions, stamp_of
-
-__all__ = ["FoundTrail", "find_trail"]
+from glstar.compare.detection import SubtractedImage
+from glstar.compare.prediction import Stamp, deformation, offsets_and_directions, stamp_of
 
 Float = NDArray[np.float64]
 

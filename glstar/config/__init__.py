@@ -6,15 +6,10 @@ lists all keys with their defaults.
 A `Config` is a snapshot: the files that it names are read once, when it is created.
 """
 
+from glstar.config.camera import ExposureSection, exposures_within
 from glstar.config.config import Config
-from glstar.config.sections import (
-    FLIGHT_FLAGS,
-    AirSection,
-    ExposureSection,
-    FlightSection,
-    SkySection,
-    exposures_within,
-)
+from glstar.config.flight import FLIGHT_FLAGS, AirSection, FlightSection
+from glstar.config.sky import SkySection
 from glstar.config.stillframe import render_frame, scene_at_pose
 from glstar.config.sweep import START, Sweep
 

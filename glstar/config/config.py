@@ -1,22 +1,33 @@
-"""All settings of glstar as one value.
+"""Where each value of a config comes from: a flag, the file, a preset, or the default.
+
+All settings of glstar as one value.
 
 Degrees are converted to radians here; the other packages use SI units, radians and pixels.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from math import radians
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
-from glstar.config.flightsections import SYNTHETIC, SyntheticSection
-from glstar.config.lenssection import checked_lens
-from glstar.config.navigatorsection import NavigatorSection
-from glstar.config.outputsection import checked_output
+from glstar.camera.sensor.sensor import Sensor
+from glstar.config.camera import CameraSection, ExposureSection, camera_numbers, checked_lens, checked_output
+from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, MountSection, NavigatorSection, SyntheticSection
+from glstar.config.keys import (
+    EFFECT_DEFAULTS,
+    SECTIONS,
+    SOURCES,
+    Fault,
+    config_error,
+    effect_values,
+    key_text,
+    split_key,
+    toml_value,
+)
 from glstar.config.reading import (
     BUNDLED_CAMERA,
     Tables,
@@ -38,36 +49,17 @@ from glstar.config.reading import (
     toml_of,
     with_readout,
 )
-from glstar.config.sections import (
-    EFFECT_DEFAULTS,
-    HORIZONS,
-    SECTIONS,
-    SOURCES,
-    AirSection,
-    CameraSection,
-    ExposureSection,
-    FlightSection,
-    MountSection,
-    SensorSection,
-    SkySection,
-    effect_values,
-    split_key,
-)
-from glstar.config.sensorsection import foreign_keys, noise_model_of, sensor_from
+from glstar.config.sensor import SensorSection, for_another_noise_model, sensor_from
+from glstar.config.sky import HORIZONS, SkySection, resolved_sky
 from glstar.config.sweep import START, Sweep
-from glstar.config.tomlvalues import toml_value
-from glstar.config.validation import Fault, config_error, key_text
 from glstar.errors import ConfigError
 from glstar.flight import Flight
 from glstar.flight.gimbal import Gimbal
 from glstar.render.simulator import Simulator
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.earthorientation import has_earth_orientation
-from glstar.sky.starbrightness import StarBrightness
-from glstar.system.nearmiss import did_you_mean
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.photometry import StarBrightness
+from glstar.system.userinput import did_you_mean
 from glstar.telemetry import Survey, TelemetrySource, open_source, read_flight, survey
-
-__all__ = ["Config"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +186,7 @@ class Config:
         if "sensor.file" in given:
             tables["sensor"] = {}
         elif {"sensor.noise", "sensor.preset"} & given.keys():
-            tables["sensor"] = _for_another_noise_model(self._sensor.given, tables.get("sensor", {}), given)
+            tables["sensor"] = for_another_noise_model(self._sensor.given, tables.get("sensor", {}), given)
         elif any(key.startswith("sensor.") for key in given) and "file" in tables.get("sensor", {}):
             tables["sensor"] = self._sensor.given
 
@@ -409,11 +401,11 @@ class Config:
         # Without [camera], the bundled camera is used.
         camera_keys = self._tables.get("camera") or {"preset": BUNDLED_CAMERA}
         return {
-            "camera": _numbers_of(self._camera) | source_of(camera_keys),
+            "camera": camera_numbers(self._camera) | source_of(camera_keys),
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(exclude_none=True),
             "sensor": self._sensor.given | source_of(self._tables.get("sensor", {})),
-            "sky": _resolved_sky(self.sky),
+            "sky": resolved_sky(self.sky),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
             **{name: dict(self._tables[name]) for name in (SYNTHETIC, "navigator") if self._tables.get(name)},
@@ -468,32 +460,61 @@ class Config:
         return cls(*flown, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
 
 
-def _for_another_noise_model(
-    former: Mapping[str, Any], table: Mapping[str, Any], given: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the keys of ``[sensor]`` that stay valid with the noise model or the preset given."""
-    keys = dict(former if "file" in table else table)
-    changed = {key.removeprefix("sensor."): value for key, value in given.items() if key.startswith("sensor.")}
-    noise = noise_model_of(changed)
-    dropped = {"noise", *foreign_keys(keys, noise)}
-    if "preset" in changed or noise != noise_model_of(keys):
-        # Another sensor has numbers of its own.
-        dropped |= {"bit_depth", *foreign_keys(keys, "paper")}
-    return {key: value for key, value in keys.items() if key not in dropped}
-
-
-def _resolved_sky(sky: SkySection) -> dict[str, Any]:
-    """Return the keys of ``[sky]``, without `dut1_s` if each frame takes it from the IERS table."""
-    keys = sky.model_dump(exclude_none=True)
-    return keys if "dut1_s" in keys or has_earth_orientation() else keys | {"dut1_s": 0.0}
-
-
-def _numbers_of(camera: Camera) -> dict[str, Any]:
-    """Return the keys of ``[camera]``."""
-    numbers = {f.name: getattr(camera, f.name) for f in fields(Camera) if f.name != "lens"}
-    return numbers if camera.lens is None else numbers | camera.lens.keys
-
-
 def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySource:
     """Open a log with the options of ``[flight]``."""
     return open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, columns=flight.columns)
+
+
+DEFAULT: Final = "default"
+# A value and where it comes from.
+Origin = tuple[Any, str]
+
+
+def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Origin]]:
+    """Return every value of a config with its origin.
+
+    Parameters
+    ----------
+    config : Config
+    flags : mapping of str to str
+        Flag by dotted key, of the keys that were given on the command line.
+
+    Returns
+    -------
+    dict of str to dict of str to (value, str)
+        By section and key; the origin is a flag, the config file, a preset or file that it names, or "default".
+    """
+    document = {} if config.file is None else toml_of(config.file)
+    name = "" if config.file is None else config.file.name
+    resolved = config.resolved()
+    defaults = Config().resolved()
+    counting = Config().override(**{"sensor.noise": "electrons"}).resolved()["sensor"]
+    defaults["sensor"] = counting | {"noise": "paper"} | defaults["sensor"]
+    sources = {section: _source(document, section, values) for section, values in resolved.items()}
+    # Modes of sensors have the time of their readout.
+    sources["exposure"] = sources["camera"] or sources["sensor"]
+    found: dict[str, dict[str, Origin]] = {}
+    for section, values in resolved.items():
+        table, former = _table(document, section), defaults.get(section, {})
+        found[section] = {}
+        for key, value in values.items():
+            origin = name if key in table else ""
+            if key not in table and (section == "camera" or value != former.get(key, value)):
+                origin = sources[section]
+            found[section][key] = value, flags.get(f"{section}.{key}", origin or DEFAULT)
+    return found
+
+
+def _source(document: Mapping[str, Any], section: str, values: Mapping[str, Any]) -> str:
+    """Return the preset or the file that a section names in a document, or ""."""
+    table = _table(document, section)
+    # The bundled camera is the default too, though it is a preset.
+    return next((f"{key} {values[key]}" for key in SOURCES if key in values and key in table), "")
+
+
+def _table(document: Mapping[str, Any], section: str) -> Mapping[str, Any]:
+    """Return a section of a document; ``flight.synthetic`` is a table inside another."""
+    table: Any = document
+    for part in section.split("."):
+        table = table.get(part, {}) if isinstance(table, Mapping) else {}
+    return table if isinstance(table, Mapping) else {}

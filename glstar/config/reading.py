@@ -11,66 +11,31 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 
 from glstar.camera.camerafile import camera_from_file
-from glstar.camera.colourband import ColourBand
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.exposure import check_readouts
 from glstar.camera.model import Camera
-from glstar.camera.presets import camera_from_preset
-from glstar.camera.sensor import EffectValue
-from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
-from glstar.camera.tonecurve import is_curve_text
-from glstar.config.flightsections import SYNTHETIC, SyntheticSection
-from glstar.config.sections import (
-    HORIZONS,
-    PATHS,
-    SECTIONS,
-    SOURCES,
-    AirSection,
-    CameraSection,
-    ExposureSection,
-    FlightSection,
-    Section,
-    SensorSection,
-    SkySection,
-    is_file_name,
-)
-from glstar.config.sensorsection import SENSOR_MAPS, completed_sensor
-from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
+from glstar.camera.presets import camera_from_preset, is_sensor_mode, sensor_mode
+from glstar.camera.sensor.colourband import ColourBand
+from glstar.camera.sensor.sensor import EffectValue
+from glstar.camera.sensor.tonecurve import is_curve_text
+from glstar.config.camera import CameraSection, ExposureSection
+from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, SyntheticSection
+from glstar.config.keys import PATHS, SECTIONS, SOURCES, Fault, allowed, at_home, hint, key_text, shown
+from glstar.config.section import Section, is_file_name
+from glstar.config.sensor import SENSOR_MAPS, SensorSection, completed_sensor
+from glstar.config.sky import HORIZONS, SkySection
 from glstar.errors import CalibrationError, ConfigError
 from glstar.render.effects import EFFECTS
-from glstar.render.effects.skymap import SKY_MAP_KEY, relative_sky
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.extinction import Extinction
-from glstar.sky.horizonprofile import HorizonProfile
-from glstar.sky.observed import Sky
-from glstar.sky.satellites import Satellites
-from glstar.sky.starbrightness import StarBrightness
-from glstar.system.inputfile import read_text
-from glstar.system.nearmiss import did_you_mean
+from glstar.render.effects.sky import SKY_MAP_KEY, relative_sky
+from glstar.sky.air.extinction import Extinction
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.satellites import Satellites
+from glstar.sky.observed.stars import Sky
+from glstar.sky.photometry import StarBrightness
+from glstar.sky.place.apparent import ASTROMETRY
+from glstar.sky.place.horizon import HorizonProfile
+from glstar.system.userinput import did_you_mean, read_text
 from glstar.telemetry import is_map_file
-
-__all__ = [
-    "BUNDLED_CAMERA",
-    "Tables",
-    "absolute",
-    "bundled_camera",
-    "camera_of",
-    "extinction_of",
-    "flight_of",
-    "is_path",
-    "known_tables",
-    "observed_sky",
-    "section_of",
-    "sensor_of",
-    "sky_effects",
-    "sky_of",
-    "source_of",
-    "star_brightness_of",
-    "synthetic_of",
-    "toml_of",
-    "with_readout",
-]
 
 # The default camera: small enough that a frame takes about 30 ms without a GPU.
 BUNDLED_CAMERA = "picamhq-6mm-binned4"

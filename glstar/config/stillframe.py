@@ -16,12 +16,10 @@ from glstar.camera.model import Mount
 from glstar.config.config import Config
 from glstar.errors import ConfigError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.scene import Frame, Renderer, Scene
+from glstar.render.scene.scene import Frame, Renderer, Scene
 from glstar.rotation import quaternion_from_euler
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
-
-__all__ = ["PoseOptions", "render_frame", "scene_at_pose"]
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 
 # Roll, pitch and yaw of a camera with this mount are the roll, altitude and azimuth of its optical axis.
 _CAMERA_ALONG_BODY_AXES = Mount(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)

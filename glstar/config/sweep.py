@@ -11,12 +11,9 @@ from typing import Annotated, Any, Final, Literal, Self, TypeGuard, Union, get_a
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.config.sections import SECTIONS, split_key
-from glstar.config.validation import Fault, key_text, shown
-from glstar.sky.timescale import format_utc, parse_utc
-from glstar.system.nearmiss import did_you_mean
-
-__all__ = ["MAX_SAMPLES", "START", "Axis", "Sweep"]
+from glstar.config.keys import SECTIONS, Fault, key_text, shown, split_key
+from glstar.sky.place.timescale import format_utc, parse_utc
+from glstar.system.userinput import did_you_mean
 
 # Larger data sets are taken for a mistake: a year of rendering on 100 processors, and every sample needs memory.
 MAX_SAMPLES: Final = 10_000_000

@@ -5,16 +5,19 @@ A directory of an export holds ``frame_000000.png`` and so on, ``truth.jsonl`` (
 While an export runs its truth grows in ``truth.jsonl.partial``.  An export that was killed is continued by the same
 command, and the directory is then byte for byte that of one run.
 
-`prepare_export` reads a flight and plans its frames, and `Export.run` draws the missing ones.  The modules, from the
+`prepare_export` reads a flight and plans its frames, and `Export.run` draws the missing ones.  The rooms, from the
 bottom to the top:
 
-======================================  ================================================================================
-`plan`, `frames`, `dataset`             which frames there are, and the scene of each
-`task`                                  how to draw and write a frame: all that a process needs, and can be pickled
-`framewriter`, `truthfile`, `images`    files and truth of a frame, in an order that survives a power failure
-`executors`, `processes`, `cluster`     draw a task's frames in this process, in several processes, or on a Dask cluster
-`run`                                   draws the missing frames of a directory, and returns a report
-`prepare`                               reads flights and returns an `Export`
-`verify`, `liveexport`                  compare a directory with what would be drawn; export from a live MAVLink link
-======================================  ================================================================================
+===========================  ===========================================================================================
+`directory`                  names of files and folders, no links, the lock and the lease, errors of the disk
+`truth`                      `truth.lines` writes and reads ``truth.jsonl``; tables, splits and data card of it
+`imagefiles`                 formats, camera processing, EXIF, FITS headers, masks
+`plan`                       which frames there are, and the scene of each; ``manifest.json``
+`frame`                      `FrameTask` draws and encodes a frame's files; `FrameWriter` writes them, then its truth
+`run`                        prepares an export, draws its missing frames in processes or on a cluster; verifies
+`convert`                    a complete export in the formats of other tools
+`publish`                    frames for other programs while they are drawn
+`navigator`, `environment`   what a navigator is handed of each frame, on disk and step by step
+`live`                       export from a live MAVLink link
+===========================  ===========================================================================================
 """

@@ -13,19 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
-from glstar.config.flightsections import SYNTHETIC
+from glstar.config.flight import SYNTHETIC
 from glstar.errors import ConfigError
-from glstar.export.navrecord import Navigator
-from glstar.export.task import frame_seed
+from glstar.export.frame import frame_seed
+from glstar.export.navigator import Navigator
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.flight.navigator import EstimatedAttitude
-from glstar.render.scene import Frame, Renderer
+from glstar.render.scene.scene import Frame, Renderer
 from glstar.render.simulator import Simulator
-from glstar.render.truth import frame_truth
-from glstar.sky.site import Site
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.place.site import Site
 from glstar.system.resources import bundled_flight
-
-__all__ = ["Environment", "GymnasiumAdapter", "Observation", "Pose"]
 
 Float = NDArray[np.float64]
 

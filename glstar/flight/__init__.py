@@ -9,21 +9,19 @@
 ====================  ==================================================================================================
 module                holds
 ====================  ==================================================================================================
-``attitude``          `AttitudeTrack` and its gaps
+``attitude``          `AttitudeTrack`, its gaps, and resets of the estimator: turns that the aircraft did not make
 ``position``          `PositionTrack`
-``flight``            `Flight`, the two tracks and where they come from
-``events``            `FlightEvents`: flight modes and messages
+``flight``            `Flight`, the two tracks and where they come from; `FlightEvents`: flight modes and messages
 ``spline``            `RotationSpline`: a curve through attitudes with continuous rate and angular acceleration
 ``gyroaided``         `gyro_aided`: attitude between samples from integrated gyro rates, and the lag of the gyros
-``estimatorresets``   `estimator_resets`: turns that the aircraft did not make
 ``gimbal``            `Gimbal`: the attitude of the platform that carries the camera
-``rotationvector``    rotation vectors and their time derivatives
+``navigator``         `NavigatorModel`: what the aircraft knows
+``synthetic``         flights without a log: paths, gusts
 ====================  ==================================================================================================
 """
 
 from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
-from glstar.flight.events import EventKind, FlightEvents
-from glstar.flight.flight import CameraTriggers, ClockQuality, Flight, GimbalAttitude
+from glstar.flight.flight import CameraTriggers, ClockQuality, EventKind, Flight, FlightEvents, GimbalAttitude
 from glstar.flight.position import PositionTrack
 
 __all__ = [

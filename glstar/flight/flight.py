@@ -1,17 +1,91 @@
-"""A flight: attitude and position over UTC, and where each of them comes from."""
+"""A flight: attitude and position over UTC, and where each of them comes from.
 
+What a log says about the course of a flight: flight modes and messages of the autopilot.
+
+What records of a flight have in common: their times.
+"""
+
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.flight.attitude import AttitudeTrack
-from glstar.flight.events import FlightEvents
 from glstar.flight.position import PositionTrack
-from glstar.flight.timedrecord import TimedRecord
 
-__all__ = ["CameraTriggers", "ClockQuality", "Flight", "GimbalAttitude"]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedRecord:
+    """Something that a log states at several times.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64
+        UTC seconds since 1970.
+    """
+
+    utc_s: NDArray[np.float64]
+
+    def shifted(self, shift_s: float) -> Self:
+        """Return the record with all times shifted.
+
+        Parameters
+        ----------
+        shift_s : float
+            Added to all times, s.
+
+        Returns
+        -------
+        TimedRecord
+            Of the same class.
+        """
+        return replace(self, utc_s=self.utc_s + shift_s)
+
+
+class EventKind(StrEnum):
+    """A kind of event."""
+
+    MODE = "mode"
+    MESSAGE = "message"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightEvents(TimedRecord):
+    """Flight modes and messages of an autopilot.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64
+        UTC seconds since 1970, ascending.
+    kinds : tuple of EventKind
+        Of each event.
+    texts : tuple of str
+        The mode that begins (``"LOITER"``), or the message.
+    """
+
+    kinds: tuple[EventKind, ...]
+    texts: tuple[str, ...]
+
+    @classmethod
+    def joined(cls, parts: Iterable[Self]) -> Self | None:
+        """Return the events of several parts of a flight in the order of time; None if there are none.
+
+        Parameters
+        ----------
+        parts : iterable of FlightEvents
+
+        Returns
+        -------
+        FlightEvents or None
+        """
+        found = [event for part in parts for event in zip(part.utc_s.tolist(), part.kinds, part.texts, strict=True)]
+        if not found:
+            return None
+        times_s, kinds, texts = zip(*sorted(found, key=lambda event: event[0]), strict=True)
+        return cls(np.array(times_s), kinds, texts)
 
 
 @dataclass(frozen=True, slots=True)

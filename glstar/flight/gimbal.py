@@ -12,8 +12,6 @@ from glstar.flight.attitude import AttitudeTrack, Interpolation
 from glstar.flight.flight import Flight, GimbalAttitude
 from glstar.rotation import euler_from_quaternion, multiply, quaternion_from_euler
 
-__all__ = ["NO_GIMBAL", "Gimbal", "GimbalMode"]
-
 Float = NDArray[np.float64]
 
 GimbalMode = Literal["none", "level", "log"]

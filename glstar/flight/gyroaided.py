@@ -6,12 +6,9 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.flight.rotationvector import apply, cubic, vector_of_rate
-from glstar.flight.spline import RotationSpline
+from glstar.flight.spline import RotationSpline, apply, cubic, vector_of_rate
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quaternion_from_turn, slerp, turn_between
 from glstar.statistics import robust_std
-
-__all__ = ["DATA_GAP_INTERVALS", "GyroTrack", "gyro_aided", "gyro_lag_s"]
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]

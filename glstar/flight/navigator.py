@@ -10,8 +10,6 @@ from glstar.errors import ConfigError
 from glstar.flight.attitude import AttitudeTrack
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion, multiply, quaternion_from_turn
 
-__all__ = ["AttitudeErrorModel", "AttitudeErrors", "EstimatedAttitude", "MountError", "perlin_noise"]
-
 Float = NDArray[np.float64]
 
 # Samples of the drift per correlation time: linear interpolation between them loses 0.3 % of its variance.

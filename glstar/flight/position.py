@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import TelemetryError
-from glstar.sky.site import Site
-
-__all__ = ["PositionTrack"]
+from glstar.sky.place.site import Site
 
 Float = NDArray[np.float64]
 

@@ -5,9 +5,8 @@ their pixels.
 """
 
 from glstar.images.decoding import FittedImage, Grey, fit, read_grey
-from glstar.images.folder import RealImage, RealImages, choose_images, find_images
+from glstar.images.folder import RealImage, RealImages, choose_images, find_images, triggered_images
 from glstar.images.times import ImageTime, TimeReference, exposure_of
-from glstar.images.triggered import triggered_images
 
 __all__ = [
     "FittedImage",

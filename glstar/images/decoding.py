@@ -10,12 +10,9 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from glstar.camera.bitalignment import as_digital_numbers, stated_shift_bits
-from glstar.camera.photofile import decode_photo, has_image_signature
+from glstar.camera.photofile import as_digital_numbers, decode_photo, has_image_signature, stated_shift_bits
 from glstar.errors import ImagesError
-from glstar.system.imagesize import size_error
-
-__all__ = ["FittedImage", "Grey", "fit", "is_image", "read_grey"]
+from glstar.system.imagefiles import size_error
 
 # Digital numbers of 8 or 16 bits.
 Grey = NDArray[np.unsignedinteger[Any]]
@@ -108,7 +105,7 @@ def read_grey(path: Path) -> Grey:
     Raises
     ------
     ImagesError
-        If it cannot be read, is cut off, is larger than `glstar.system.imagesize.MAX_MEGAPIXELS`, or holds other
+        If it cannot be read, is cut off, is larger than `glstar.system.imagefiles.MAX_MEGAPIXELS`, or holds other
         numbers.
 
     Notes

@@ -3,8 +3,11 @@
 Opening a folder reads names, tables and EXIF, but no pixels; it uses no OpenGL and may run on any thread.  A decoder
 thread reads the pixels, one image at a time: `RealImages.fitted` never blocks, and returns None until the pixels are
 decoded.  Each file that cannot be used adds a line to `RealImages.problems`.
+
+Images without a time of their own, taken at the triggers of a camera that a flight log records.
 """
 
+import re
 from bisect import bisect_left
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Sequence
@@ -15,10 +18,9 @@ from types import TracebackType
 from typing import Final, Self
 
 from glstar.errors import ImagesError
+from glstar.flight import Flight
 from glstar.images.decoding import FittedImage, fit, is_image, read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
-
-__all__ = ["RealImage", "RealImages", "choose_images", "find_images"]
 
 # Size of the cache of decoded images, bytes: 330 images of 1014 x 760, 20 of 12 megapixels.
 _CACHE_BYTES: Final = 256 * 2**20
@@ -372,3 +374,53 @@ def _nothing_usable(problems: list[str]) -> str:
         f"holds no image with a time; {problems[0]}{more}; put the time into the names (2019-07-29T204726.png) or"
         " write images.csv with the columns file, utc"
     )
+
+
+def triggered_images(paths: Sequence[Path], flight: Flight, *, delay_s: float = 0.0) -> list[RealImage]:
+    """Return images with the times of the camera's triggers: the first by name was taken at the first trigger.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders, and image files.
+    flight : Flight
+    delay_s : float
+        Time from a trigger to the opening of the shutter, s.
+
+    Returns
+    -------
+    list of RealImage
+        In the order of the triggers.
+
+    Raises
+    ------
+    ImagesError
+        If there is no such folder or file, the log has no triggers, or their number is not that of the images.
+    """
+    files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
+    if missing := [path for path in files if not path.exists()]:
+        raise ImagesError(missing[0], "is neither an image nor a folder of images")
+    images = sorted((path for path in set(files) if path.is_file() and is_image(path)), key=_natural_order)
+    if flight.triggers is None:
+        raise ImagesError(
+            paths[0],
+            f"{flight.name} does not say when a camera was triggered; leave out --at camera, or write images.csv",
+        )
+    times_s = flight.triggers.utc_s.tolist()
+    if len(images) != len(times_s):
+        raise ImagesError(
+            paths[0],
+            f"holds {len(images)} images, but {flight.name} has {len(times_s)} triggers ({flight.triggers.source});"
+            " remove the images without a trigger, or write images.csv",
+        )
+    source = f"{flight.triggers.source} of {flight.name}"
+    return [
+        # The time of an image is that of the camera's clock.
+        RealImage(path, ImageTime(utc_s + delay_s + flight.time_offset_s, source, is_start=True))
+        for path, utc_s in zip(images, times_s, strict=True)
+    ]
+
+
+def _natural_order(path: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts image10 after image9."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

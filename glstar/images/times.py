@@ -27,24 +27,9 @@ import exifread
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import ConfigError, ImagesError
-from glstar.render.truth import SCHEMAS_READ
-from glstar.sky.timescale import parse_utc
-from glstar.system.inputfile import read_text
-
-__all__ = [
-    "BESIDE",
-    "TABLES",
-    "TRUTH",
-    "ExifTime",
-    "ImageTime",
-    "TimeReference",
-    "exposure_of",
-    "read_exif",
-    "read_table",
-    "read_truth",
-    "time_of",
-    "utc_from_name",
-]
+from glstar.render.truth.frame import SCHEMAS_READ
+from glstar.sky.place.timescale import parse_utc
+from glstar.system.userinput import read_text
 
 TABLES: Final = ("images.csv", "times.csv")
 TRUTH: Final = "truth.jsonl"

@@ -14,28 +14,22 @@ module                holds
 ====================  ==================================================================================================
 ``endpoint``          connection strings
 ``transport``         bytes over a serial port, UDP and TCP
-``framing``           packets in a stream of bytes
-``supervisor``        `Link`, the thread that owns a link; ``status``: its status and events
-``receiver``          attitude, position and time of one autopilot, from packets
+``packets``           the messages of a link, packets in a stream of bytes, recording to a ``.tlog``
+``history``           the samples of the last minutes, and the truth that a simulator sends beside the estimates
+``status``            status, events, damage, losses and floods
 ``clock``             UTC from the time since boot
-``received``          `Received`, a copy of them all, and the flight that it makes
-``history``           the samples of the last minutes
-``requests``          heartbeats and message-rate requests, all that glstar sends of its own accord
-``injection``         position fixes, sent only if the caller gives an `Injector`
-``linkgimbal``        the attitude of the gimbal that carries the camera
-``simulatorstate``    the truth that a simulator sends beside the estimates
-``quality``           damage, losses and floods
-``recorder``          recording to a ``.tlog``
+``gimbal``            the attitude of the gimbal that carries the camera
+``receiver``          attitude, position and time of one autopilot, from packets
+``outgoing``          all that glstar sends: heartbeats, requests, and position fixes if the caller gives an `Injector`
+``supervisor``        `Link`, the thread that owns a link; `Received`, the copy from which it makes a flight
 ``vehicle``           `Vehicle`, the sender of ``glstar replay-link``
 ====================  ==================================================================================================
 """
 
 from glstar.link.endpoint import Endpoint
-from glstar.link.framing import Framer, Packet
 from glstar.link.history import Estimate
-from glstar.link.injection import InjectedMessage, Injector, PositionFix
-from glstar.link.messages import carried_rate_hz
-from glstar.link.recorder import LinkRecording, Recorder
+from glstar.link.outgoing import InjectedMessage, Injector, PositionFix
+from glstar.link.packets import Framer, LinkRecording, Packet, Recorder, carried_rate_hz
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
 from glstar.link.supervisor import Link, Truth
 from glstar.link.transport import Transport, open_transport, serial_ports

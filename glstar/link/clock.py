@@ -10,9 +10,7 @@ from statistics import median
 from typing import Final
 
 from glstar.link.status import LatestAttitude
-from glstar.telemetry.samplevalidation import YEAR_2010_S, YEAR_2100_S
-
-__all__ = ["COMPUTER_CLOCK", "BootClock"]
+from glstar.telemetry.source import YEAR_2010_S, YEAR_2100_S
 
 # UTC source if UTC is not from the link.
 COMPUTER_CLOCK: Final = "the computer's clock"

@@ -22,9 +22,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, Self
 
 from glstar.errors import ConfigError
-from glstar.system.nearmiss import nearest_word
-
-__all__ = ["Endpoint", "EndpointKind"]
+from glstar.system.userinput import nearest_word
 
 EndpointKind = Literal["serial", "udpin", "udpout", "tcp", "tcpin"]
 

@@ -9,10 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from glstar.link.clock import BootClock
-from glstar.link.framing import Packet
-from glstar.link.history import History
-from glstar.link.linkgimbal import LinkGimbal
-from glstar.link.messages import (
+from glstar.link.gimbal import LinkGimbal
+from glstar.link.history import SIMULATOR_MESSAGES, History, SimulatorState
+from glstar.link.packets import (
     ATTITUDE,
     ATTITUDE_QUATERNION,
     COMMAND_ACK,
@@ -24,16 +23,14 @@ from glstar.link.messages import (
     MOUNT_STATUS,
     POSITION,
     SYSTEM_TIME,
+    Packet,
     dialect,
 )
-from glstar.link.simulatorstate import SIMULATOR_MESSAGES, SimulatorState
 from glstar.link.status import LatestAttitude
 from glstar.rotation import conjugate, quaternion_from_euler
-from glstar.sky.site import HEIGHTS_M
-from glstar.telemetry.samplevalidation import UNIT_TOLERANCE, YEAR_2010_S
-from glstar.telemetry.vehicles import autopilot, vehicle_kind
-
-__all__ = ["Receiver"]
+from glstar.sky.place.site import HEIGHTS_M
+from glstar.telemetry.mavlink.vehicles import autopilot, vehicle_kind
+from glstar.telemetry.source import UNIT_TOLERANCE, YEAR_2010_S
 
 Sender = tuple[int, int]
 

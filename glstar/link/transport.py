@@ -17,8 +17,6 @@ from typing import Any, Final, Protocol, Self
 from glstar.errors import LinkError
 from glstar.link.endpoint import Endpoint
 
-__all__ = ["SerialPort", "Transport", "open_transport", "serial_ports"]
-
 # Largest number of bytes of one read; more remain in the buffer of the operating system.
 _READ_BYTES: Final = 65536
 # Size of that buffer for UDP, bytes: a second of a fast link while a frame is drawn.

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, TelemetryError
 from glstar.flight import AttitudeTrack, Flight, GimbalAttitude
-from glstar.link.framing import Framer
-from glstar.link.messages import (
+from glstar.link.packets import (
     ATTITUDE,
     ATTITUDE_QUATERNION,
     GIMBAL_DEVICE_STATUS,
@@ -37,12 +36,11 @@ from glstar.link.messages import (
     HEARTBEAT,
     POSITION,
     SYSTEM_TIME,
+    Framer,
     dialect,
 )
 from glstar.link.transport import Transport
 from glstar.rotation import conjugate, euler_from_quaternion
-
-__all__ = ["PlayedFlight", "Vehicle"]
 
 Float = NDArray[np.float64]
 

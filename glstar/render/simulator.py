@@ -10,37 +10,36 @@ from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.flight import Flight
 from glstar.flight.gimbal import NO_GIMBAL, Gimbal
-from glstar.render.bodysources import BodySources, body_field
-from glstar.render.cameramotion import CameraMotion, MotionSamples
-from glstar.render.cloudedsky import CloudedSky
-from glstar.render.colourscenes import in_band
-from glstar.render.culling import DrawList, StarCuller, TouchingStars
-from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SegmentLimit, SpriteCost
-from glstar.render.pathfit import fitted_segments
-from glstar.render.pointing import Pointing
-from glstar.render.satellitemotion import SatelliteMotion, passing_satellites
-from glstar.render.scene import Scene, StarListing
-from glstar.render.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
-from glstar.render.stacking import StackedTrails, union
-from glstar.render.trailmodels import (
+from glstar.render.motion.pointing import CameraMotion, MotionSamples, Pointing
+from glstar.render.motion.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
+from glstar.render.motion.segmentfit import fitted_segments
+from glstar.render.motion.trailmodels import (
     SAMPLE_SPACING_SIGMA,
+    SUB_EXPOSURES_PER_SEGMENT,
     AnalyticSegments,
+    SegmentLimit,
+    SpriteCost,
     SubExposureRule,
     SubExposures,
     TrailModel,
 )
-from glstar.sky.bodies import observed_bodies
-from glstar.sky.extinction import Extinction
-from glstar.sky.horizon import MAX_REFRACTION_RAD
-from glstar.sky.observed import Sky
-from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
-from glstar.sky.starbrightness import StarBrightness
-from glstar.sky.starfield import StarField
-
-__all__ = ["Simulator"]
+from glstar.render.readout.stacking import StackedTrails, union
+from glstar.render.scene.bodies import BodySources, body_field
+from glstar.render.scene.culling import DrawList, StarCuller, TouchingStars
+from glstar.render.scene.occlusion import CloudedSky
+from glstar.render.scene.satellites import SatelliteMotion, passing_satellites
+from glstar.render.scene.scene import Scene, StarListing
+from glstar.render.scene.starcomponents import in_band
+from glstar.sky.air.extinction import Extinction
+from glstar.sky.air.refraction import MAX_REFRACTION_RAD
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.observed.solarsystem import observed_bodies
+from glstar.sky.observed.stars import Sky
+from glstar.sky.photometry import StarBrightness
+from glstar.sky.place.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 
 Float = NDArray[np.float64]
 
@@ -220,7 +219,7 @@ class Simulator:
         Teague & Chahl, section 2.6.  Departs from the paper's n = 200 dt: n = max(ceil(200 dt), ceil(longest trail
         / 1.5 sigma)), because at 60 deg/s a star moves by 20 px in 5 ms; the trail is measured at its fastest, so
         that no part of it shows a sampling ripple.  Analytic trails have no sub-exposures: see
-        `glstar.render.segmentation`.
+        `glstar.render.motion.segmentation`.
         """
         self.camera.require_drawable()
         scene = self._stacked(exposure) if exposure.frames > 1 else self._single(exposure)

@@ -33,18 +33,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import AnswersError, GlstarError
 from glstar.rotation import about_y, about_z, matrix_from_quaternion
-from glstar.sky.timescale import parse_utc
-from glstar.system.inputfile import read_text
-
-__all__ = [
-    "INSTANTS",
-    "Answer",
-    "ErrorEllipse",
-    "ObservedStars",
-    "attitude_of_boresight",
-    "parse_answer",
-    "read_answers",
-]
+from glstar.sky.place.timescale import parse_utc
+from glstar.system.userinput import read_text
 
 Float = NDArray[np.float64]
 

@@ -7,12 +7,20 @@ from typing import Any
 
 from glstar.errors import AnswersError
 from glstar.score.answers import Answer, read_answers
-from glstar.score.framescore import FrameScore, Limits, score_frame
-from glstar.score.frametruth import FrameTruth, read_frame_truths
-from glstar.score.runs import Run, RunSpread, drawn_settings, runs_of, settings_bins, spread_of_runs
-from glstar.score.scoresummary import BINS, Orbit, Summary, as_json, summarized
-
-__all__ = ["DETECTABLE_SNR", "Score", "score"]
+from glstar.score.frames import FrameScore, FrameTruth, Limits, read_frame_truths, score_frame
+from glstar.score.summary import (
+    BINS,
+    Orbit,
+    Run,
+    RunSpread,
+    Summary,
+    as_json,
+    drawn_settings,
+    runs_of,
+    settings_bins,
+    spread_of_runs,
+    summarized,
+)
 
 # Signal-to-noise ratio above which a matched filter detects a trail with few false alarms.
 DETECTABLE_SNR = 10.0

@@ -12,8 +12,6 @@ from urllib.request import url2pathname
 
 import glstar
 
-__all__ = ["OPENGL_ON_LINUX", "install_command", "library_versions", "missing_library"]
-
 # What a Linux system without OpenGL or X11 lacks.
 OPENGL_ON_LINUX: Final = "Debian and Ubuntu: sudo apt-get install libgl1 libegl1"
 # Libraries whose versions matter in a report of a problem.

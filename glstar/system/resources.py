@@ -3,8 +3,6 @@
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["asset", "bundled_flight", "manual_pages", "shader", "shader_paths"]
-
 
 def _inside(folder: str, name: str) -> Path:
     """Return a file of `glstar.<folder>`; in an editable install the folder is at the root of the checkout."""

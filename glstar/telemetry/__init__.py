@@ -10,23 +10,19 @@
 ====================  ==================================================================================================
 module                holds
 ====================  ==================================================================================================
-``formats``           `LOG_FORMATS`, the table of log formats: a new format is a reader and one entry
-``source``            `TelemetrySource`, the interface of readers, and the samples that they yield
-``tlog``              MAVLink telemetry logs; ``mavlogdump``: their CSV
-``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
-``ulog``              PX4 ULog; ``ulog2csv``: its CSV
-``table``             CSV tables with glstar's own column names
-``mappedtable``       tables of other programs, by a `ColumnMap` (``columnmap``, ``tablefile``)
-``tracks``            positions without attitude: GPX, KML, NMEA, IGC
-``rosbag``            ROS 1 and ROS 2 bags, MCAP
-``mavlinkstream``     MAVLink packets without arrival times, Mission Planner's ``.rlog``
-``unpacked``          logs in gzip files and zip archives
-``scripted``          `ScriptedFlight`, a source without a file
+``source``            `TelemetrySource`, the interface of readers, the samples that they yield, removal of damaged ones
 ``boots``             detection of reboots within a log
-``samplevalidation``  removal of damaged samples
+``tables``            ``files`` (text, Parquet, Excel), ``native`` (own columns), ``mapped`` (by a `ColumnMap`)
+``mavlink``           MAVLink: ``packets``, ``clock``, ``vehicles`` (names, gimbal); readers ``tlog``, ``mavlogdump``
+``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
+``ulog``              PX4 ULog and the CSV of ulog2csv; ``ulogfile``: their topics
+``rosbag``            ROS 1 and ROS 2 bags, MCAP
+``tracks``            positions without attitude: GPX, KML, NMEA, IGC
+``formats``           `LOG_FORMATS`, the table of log formats: a new format is a reader and one entry; gzip and zip
 ``recording``         `Recording`, the samples of one boot, and `FlightOptions`
 ``recordedlog``       `RecordedLog`, all boots of a log, and their conversion to one flight
 ``survey``            the report of ``glstar info``
+``synthetic``         flights without a log: ``fly:...`` in one line, and `ScriptedFlight`
 ====================  ==================================================================================================
 """
 
@@ -39,18 +35,23 @@ from typing import Final
 
 from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
-from glstar.sky.site import Site
-from glstar.telemetry.columnmap import ColumnMap, column_map, is_map_file, ready_maps
+from glstar.sky.place.site import Site
 from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader
-from glstar.telemetry.flightdescription import KEYS, PREFIX, SyntheticSource, is_flight_description, synthetic_flight
-from glstar.telemetry.formats import LOG_FORMATS, LOG_SUFFIXES, READABLE, LogFormat, log_format
-from glstar.telemetry.mappedtable import MappedTableReader, mapped_reader
-from glstar.telemetry.mavlogdump import MavlogdumpReader
-from glstar.telemetry.otherfiles import other_file
+from glstar.telemetry.formats import (
+    LOG_FORMATS,
+    LOG_SUFFIXES,
+    READABLE,
+    LogFormat,
+    is_packed,
+    log_format,
+    other_file,
+    unpack,
+)
+from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader
+from glstar.telemetry.mavlink.tlog import TelemetryLogReader
 from glstar.telemetry.recordedlog import BootSummary, read_flight
 from glstar.telemetry.recording import FlightOptions, Recording
 from glstar.telemetry.rosbag import BagReader, is_bag_directory
-from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
@@ -62,15 +63,28 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
     TriggerSamples,
+    UnpackedSource,
 )
 from glstar.telemetry.survey import Survey, TriggerSurvey, survey
-from glstar.telemetry.table import TableReader, as_table
-from glstar.telemetry.temporarylog import UnpackedSource
-from glstar.telemetry.tlog import TelemetryLogReader
+from glstar.telemetry.synthetic import (
+    KEYS,
+    PREFIX,
+    ScriptedFlight,
+    SyntheticSource,
+    is_flight_description,
+    synthetic_flight,
+)
+from glstar.telemetry.tables.mapped import (
+    ColumnMap,
+    MappedTableReader,
+    column_map,
+    is_map_file,
+    mapped_reader,
+    ready_maps,
+)
+from glstar.telemetry.tables.native import TableReader, as_table
 from glstar.telemetry.tracks import GivenTrack, read_track
-from glstar.telemetry.ulog import ULogReader
-from glstar.telemetry.ulog2csv import Ulog2csvReader
-from glstar.telemetry.unpacked import is_packed, unpack
+from glstar.telemetry.ulog import Ulog2csvReader, ULogReader
 
 __all__ = [
     "KEYS",
@@ -119,6 +133,7 @@ __all__ = [
     "survey",
     "synthetic_flight",
 ]
+
 
 # Length of the beginning of a file by which its format is recognised: some dozens of packets or lines.
 _HEAD_BYTES: Final = 4096

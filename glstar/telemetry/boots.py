@@ -27,10 +27,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.telemetry.samplevalidation import spikes
-from glstar.telemetry.source import EVERYWHERE, Boot, Span
-
-__all__ = ["find_boots", "within"]
+from glstar.telemetry.source import EVERYWHERE, Boot, Span, spikes
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]

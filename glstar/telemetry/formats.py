@@ -1,33 +1,106 @@
 """The table of log formats that glstar reads.
 
 A new format is a reader, a `TelemetrySource` in a module of its own, and one entry of `LOG_FORMATS`.
+
+Logs in gzip files and zip archives, opened without unpacking them first.
+
+Files that are not flight logs but are given to glstar: what they are, for error messages.
 """
 
+import gzip
+import re
+import tempfile
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path, PurePath
+from typing import Any, Final
 
-from glstar.telemetry.columnmap import ready_map
-from glstar.telemetry.dataflash import (
-    DataFlashDumpReader,
-    DataFlashReader,
-    is_dataflash,
-    is_dataflash_dump,
-)
-from glstar.telemetry.mappedtable import MappedTableReader
-from glstar.telemetry.mavlinkstream import is_mavlink_stream, stream_reader
-from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
-from glstar.telemetry.otherfiles import other_file
+from glstar.errors import LogFormatError
+from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader, is_dataflash, is_dataflash_dump
+from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader, is_mavlogdump
+from glstar.telemetry.mavlink.packets import is_telemetry_log
+from glstar.telemetry.mavlink.tlog import TelemetryLogReader, is_mavlink_stream, stream_reader
 from glstar.telemetry.rosbag import BagReader, is_bag
-from glstar.telemetry.rows import csv_header
 from glstar.telemetry.source import TelemetrySource
-from glstar.telemetry.table import TableReader
-from glstar.telemetry.tablefile import is_office_file, is_parquet, table_header
-from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
-from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
-from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
+from glstar.telemetry.tables.files import csv_header, is_office_file, is_parquet, table_header
+from glstar.telemetry.tables.mapped import MappedTableReader, ready_map
+from glstar.telemetry.tables.native import TableReader
+from glstar.telemetry.ulog import ULOG_MAGIC, Ulog2csvReader, ULogReader, is_ulog2csv
 
-__all__ = ["LOG_FORMATS", "LOG_SUFFIXES", "READABLE", "LogFormat", "log_format"]
+# What a file is, by its first bytes.
+_BY_MAGIC: Final = {
+    b"\x89PNG\r\n\x1a\n": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"II*\x00": "a TIFF image",
+    b"MM\x00*": "a TIFF image",
+    b"GIF8": "a GIF image",
+    b"SIMPLE  =": "a FITS image",
+    b"%PDF-": "a PDF",
+    b"MATLAB 5.0": "a MATLAB file",
+    b"BZh": "compressed with bzip2; unpack it first",
+    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
+    b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
+    b"PK\x03\x04": "a zip archive without a log",
+    b"\x89HDF\r\n": "an HDF5 file",
+    b"\x93NUMPY": "a NumPy array",
+    b"H Product:Blackbox": "a Betaflight or INAV blackbox log; its attitude has no compass and no UTC",
+    b"RIFF": "a WebP image, audio or video",
+    b"ULogEnc": "an encrypted ULog; decrypt it first",
+    b"\xff\xfe": "text in UTF-16; save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16; save it as UTF-8",
+    b"$GP": "an NMEA track; it has positions but no attitude: --position takes it",
+    b"$GN": "an NMEA track; it has positions but no attitude: --position takes it",
+    b"<": "a web page or XML; was it saved from a browser?",
+    b"{": "JSON",
+}
+
+# What an archive or an XML file contains, by a string in its first bytes.
+_CONTENTS: Final = {
+    b"PK\x03\x04": {
+        b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude: --position takes it",
+    },
+    b"<": {
+        b"<gpx": "a GPX track; it has positions but no attitude: --position takes it",
+        b"<kml": "a KML track; it has positions but no attitude: --position takes it",
+        b"<TrainingCenterDatabase": "a TCX track; it has positions but no attitude",
+    },
+}
+
+# First lines of an IGC file: its recorder, and header records.
+_IGC: Final = re.compile(rb"A[A-Z0-9]{3}[^\n]*\r?\n(?:[^\n]*\r?\n){0,4}?H[FOP]")
+# Output of mavlogdump.py: 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
+_PRINTED: Final = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
+
+
+def other_file(head: bytes, name: str) -> str | None:
+    """Return what a file is that glstar does not read.
+
+    Parameters
+    ----------
+    head : bytes
+        The first bytes of the file, some thousands.
+    name : str
+        The file.
+
+    Returns
+    -------
+    str or None
+        For messages: ``"a PNG image"``; None if the file is text and may be a table.
+    """
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    for magic, kind in _BY_MAGIC.items():
+        if text.startswith(magic):
+            contents = _CONTENTS.get(magic, {})
+            return next((content for mark, content in contents.items() if mark in head), kind)
+    if _IGC.match(text):
+        return "an IGC track; it has positions but no attitude: --position takes it"
+    if _PRINTED.match(text):
+        return "what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
+    if b"\0" in head and "DJI" in Path(name).name:
+        return "no log that glstar knows; DJI encrypts its flight records"
+    return "no log that glstar knows" if b"\0" in head else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,3 +179,115 @@ def log_format(head: bytes) -> LogFormat | None:
         None if glstar does not read the file.
     """
     return next((one for one in LOG_FORMATS if one.recognises(head)), None)
+
+
+_GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
+# Name of the member of a KMZ, which is a track.
+_KMZ: Final = b"doc.kml"
+_HEAD_BYTES: Final = 4096
+# Larger content is refused: a few kilobytes can unpack to any size, bytes.
+_LARGEST_BYTES: Final = 16 << 30
+_PIECE_BYTES: Final = 1 << 20
+
+
+def is_packed(head: bytes) -> bool:
+    """Return whether a file is gzipped or a zip archive, but no Excel workbook and no KMZ.
+
+    Parameters
+    ----------
+    head : bytes
+        The first bytes of the file, some thousands.
+
+    Returns
+    -------
+    bool
+    """
+    return head.startswith(_GZIP) or (head.startswith(_ZIP) and not is_office_file(head) and _KMZ not in head[:200])
+
+
+# What gzip and zipfile raise on damaged files; damaged names and directories of an archive end in the last two.
+_DAMAGED: Final = (
+    EOFError,
+    zlib.error,
+    gzip.BadGzipFile,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    IndexError,
+    UnicodeDecodeError,
+)
+
+
+def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
+    """Unpack the log of a gzip file or a zip archive into a temporary directory.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+
+    Returns
+    -------
+    TemporaryDirectory
+        Removed by its `cleanup`, or when it is no longer referenced.
+    Path
+        The log in it; other files of the archive are beside it.
+
+    Raises
+    ------
+    LogFormatError
+        If it is damaged, or does not hold exactly one log.
+    """
+    folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
+    try:
+        with Path(name).open("rb") as file:
+            is_gzip = file.read(2) == _GZIP
+        if is_gzip:
+            path = Path(folder.name) / (PurePath(name).stem or "log")
+            with gzip.open(name) as packed:
+                _copy(name, packed, path, 0)
+            return folder, path
+        return folder, _unzipped(name, Path(folder.name))
+    except _DAMAGED as error:
+        folder.cleanup()
+        raise LogFormatError(name, f"cannot be unpacked: {error}") from error
+    except BaseException:
+        folder.cleanup()
+        raise
+
+
+def _copy(name: str, packed: Any, path: Path, before_bytes: int) -> int:
+    """Write the unpacked content to a file; return the total number of bytes."""
+    with path.open("xb") as file:
+        while piece := packed.read(_PIECE_BYTES):
+            before_bytes += len(piece)
+            if before_bytes > _LARGEST_BYTES:
+                raise LogFormatError(name, f"unpacks to more than {_LARGEST_BYTES >> 30} GiB")
+            file.write(piece)
+    return before_bytes
+
+
+def _unzipped(name: str, folder: Path) -> Path:
+    """Unpack all files of an archive into one folder, and return the only log."""
+    size = 0
+    logs: list[Path] = []
+    tables: list[Path] = []
+    with zipfile.ZipFile(name) as archive:
+        for member in archive.infolist():
+            # A path could lead out of the folder: only its last part counts.
+            path = folder / PurePath(member.filename.replace("\\", "/")).name
+            if member.is_dir() or path.name.startswith(".") or path.exists():
+                continue
+            with archive.open(member) as packed:
+                size = _copy(name, packed, path, size)
+            with path.open("rb") as file:
+                head = file.read(_HEAD_BYTES)
+            if (found := log_format(head)) is not None:
+                (tables if found is LOG_FORMATS[-1] else logs).append(path)
+    # Any text may be a table: a text beside a log is a readme.
+    logs = logs or tables
+    if len(logs) != 1:
+        held = ", ".join(path.name for path in logs[:5])
+        what = f"holds {len(logs)} logs ({held}); unpack it and name one" if logs else "is a zip archive without a log"
+        raise LogFormatError(name, what)
+    return logs[0]

@@ -10,11 +10,9 @@ import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
 from glstar.flight import AttitudeTrack, CameraTriggers, Flight, FlightEvents, GimbalAttitude, PositionTrack
-from glstar.sky.timescale import format_utc
+from glstar.sky.place.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
-
-__all__ = ["BootSummary", "RecordedLog", "read_flight"]
 
 # Boots separated by more than this are different flights, s; one export of both would skip days of frames.
 _SAME_FLIGHT_S: Final = 86400.0

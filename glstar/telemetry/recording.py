@@ -18,8 +18,8 @@ from glstar.flight import (
     Interpolation,
     PositionTrack,
 )
-from glstar.sky.site import Site
-from glstar.sky.timescale import format_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import format_utc
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
@@ -32,8 +32,6 @@ from glstar.telemetry.source import (
     TriggerSamples,
 )
 from glstar.telemetry.tracks import GivenTrack
-
-__all__ = ["DEFAULT_OPTIONS", "FlightOptions", "Recording", "given_utc"]
 
 Float = NDArray[np.float64]
 

@@ -29,19 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, LogFormatError
-from glstar.system.nearmiss import did_you_mean
-from glstar.telemetry.mappedtable import q_body_ned_of
-from glstar.telemetry.samplevalidation import (
+from glstar.system.userinput import did_you_mean
+from glstar.telemetry.source import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
     YEAR_2100_S,
-    no_position_samples,
-    position_samples,
-    quaternion_lengths,
-    valid_rare_times,
-    valid_rates,
-)
-from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
     LogFacts,
@@ -51,9 +43,13 @@ from glstar.telemetry.source import (
     TelemetrySource,
     TriggerSamples,
     check_only_boot,
+    no_position_samples,
+    position_samples,
+    quaternion_lengths,
+    valid_rare_times,
+    valid_rates,
 )
-
-__all__ = ["BagOptions", "BagReader", "is_bag", "is_bag_directory"]
+from glstar.telemetry.tables.mapped import q_body_ned_of
 
 Float = NDArray[np.float64]
 

@@ -15,16 +15,14 @@ from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
 from glstar.flight import AttitudeTrack, ClockQuality, Flight
-from glstar.sky.bodies import moon_over
-from glstar.sky.observed import sun_altitude_rad
-from glstar.sky.site import Site
-from glstar.sky.timescale import format_utc
-from glstar.sky.twilight import light_name
+from glstar.sky.air.skybrightness import light_name
+from glstar.sky.observed.solarsystem import moon_over
+from glstar.sky.observed.stars import sun_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import format_utc
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
 from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
-
-__all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 
 Float = NDArray[np.float64]
 

@@ -17,10 +17,8 @@ import numpy as np
 
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import PositionTrack
-from glstar.sky.timescale import parse_utc
-from glstar.system.inputfile import read_bytes
-
-__all__ = ["GivenTrack", "read_track"]
+from glstar.sky.place.timescale import parse_utc
+from glstar.system.userinput import read_bytes
 
 # Larger files are refused as mistakes: a day of 10 Hz NMEA has 200 MB.
 _LARGEST_BYTES: Final = 512 << 20

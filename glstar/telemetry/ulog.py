@@ -21,6 +21,12 @@ logged messages                                                                 
 
 Other topics with a quaternion are read if named: ``"vehicle_attitude_groundtruth"`` of a simulator,
 ``"estimator_attitude[1]"`` of one of several estimators.  Heights are above mean sea level.
+
+The CSV files that pyulog's ``ulog2csv`` writes of a ULog: one file for each instance of a topic.
+
+``flight.ulg`` becomes ``flight_vehicle_attitude_0.csv``, ``flight_vehicle_gps_position_0.csv`` and so on.  The column
+``timestamp`` is the time since boot in microseconds, the others are the fields of the topic.  Any of the files may be
+opened: the others are found by their names in the same directory.
 """
 
 import os
@@ -38,23 +44,16 @@ from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.rotation import conjugate
 from glstar.telemetry.boots import find_boots
-from glstar.telemetry.flightmodes import px4_navigation_state
-from glstar.telemetry.gimbals import gimbal_of_topics
-from glstar.telemetry.samplevalidation import (
+from glstar.telemetry.mavlink.vehicles import angle_samples, px4_navigation_state, status_samples, vehicle_kind, version
+from glstar.telemetry.source import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
     YEAR_2100_S,
-    no_position_samples,
-    position_samples,
-    valid_rare_times,
-    valid_rates,
-    valid_times,
-)
-from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
     ClockSamples,
     EventSamples,
+    GimbalSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
@@ -62,11 +61,43 @@ from glstar.telemetry.source import (
     TelemetrySource,
     TriggerSamples,
     chosen_boots,
+    no_position_samples,
+    position_samples,
+    valid_rare_times,
+    valid_rates,
+    valid_times,
 )
-from glstar.telemetry.ulogfile import LogTopics, Topics, joined_logs
-from glstar.telemetry.vehicles import vehicle_kind, version
+from glstar.telemetry.ulogfile import CsvTopics, LogTopics, Topics, joined_logs
 
-__all__ = ["CLOCKED", "RECEIVERS", "ULOG_MAGIC", "ULogReader", "clock_readings"]
+
+def gimbal_of_topics(log: Topics) -> Iterator[GimbalSamples]:
+    """Yield the attitude of the gimbal of a PX4 log, from the first topic that has one.
+
+    Parameters
+    ----------
+    log : Topics
+
+    Yields
+    ------
+    GimbalSamples
+    """
+    for _, topic in log["gimbal_device_attitude_status"]:
+        names = ("device_flags", "q[0]", "q[1]", "q[2]", "q[3]")
+        if set(names) <= set(topic):
+            values = np.stack([topic[name] for name in names], axis=-1)
+            samples = status_samples(topic["timestamp"] * 1e-6, values, "gimbal_device_attitude_status")
+            if samples.clock_s.size > 1:
+                yield samples
+                return
+    for _, topic in log["mount_orientation"]:
+        axes = [f"attitude_euler_angle[{axis}]" for axis in range(3)]
+        if set(axes) <= set(topic):
+            values = np.rad2deg(np.stack([topic[axis] for axis in axes], axis=-1))
+            samples = angle_samples(topic["timestamp"] * 1e-6, values, "mount_orientation")
+            if samples.clock_s.size > 1:
+                yield samples
+                return
+
 
 ULOG_MAGIC: Final = b"ULog\x01\x12\x35"
 
@@ -444,3 +475,99 @@ def _columns_of_rates(name: str) -> Iterator[tuple[str, ...]]:
     axes = "xyz" if name == "sensor_gyro" else "012"
     for spelling in _GYROS[name]:
         yield tuple(spelling.format(axis) for axis in axes)
+
+
+# Fields of the topics that are read, which tables of other origin do not have.
+_TYPICAL_FIELDS: Final = {
+    "q[0]",
+    "time_utc_usec",
+    "xyz[0]",
+    "gyro_rad[0]",
+    "gyro_rad_s[0]",
+    "system_type",
+    "terrain_alt",
+}
+_FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")
+
+
+def is_ulog2csv(header: str) -> bool:
+    """Return whether a table was exported by ulog2csv.
+
+    Parameters
+    ----------
+    header : str
+        First line of the table.
+
+    Returns
+    -------
+    bool
+    """
+    first, mark, rest = header.strip().partition("timestamp")
+    if first or not mark or not rest:
+        return False
+    fields = rest[1:].split(rest[0])
+    return all(map(_FIELD.fullmatch, fields)) and not _TYPICAL_FIELDS.isdisjoint(fields)
+
+
+class Ulog2csvReader(ULogReader):
+    """The files of ulog2csv as a telemetry source; its clock is the autopilot's time since boot.
+
+    Parameters
+    ----------
+    path : path-like
+        One of the files.
+    attitude : str
+        ``"auto"``: the attitude in the opened file, else vehicle_attitude in the directory.  Or a topic by name; see
+        `ULogReader`.
+
+    Raises
+    ------
+    LogFormatError
+        If the file cannot be read.
+    """
+
+    format = "CSV of PX4 ULog, by ulog2csv"
+
+    def _open(self) -> list[Topics]:
+        topics = CsvTopics(self.name)
+        if self._attitude.strip().lower() == "auto" and topics.own_quaternion:
+            self._topic, self._instance = topics.own
+        return [topics]
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield attitude, position, UTC and gyro rates of the log, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude, or not the requested one.
+        """
+        for batch in super().samples():
+            yield replace(batch, notes=self._notes) if isinstance(batch, AttitudeSamples) else batch
+
+    @property
+    def _notes(self) -> tuple[str, ...]:
+        """Remarks on files in the directory that are left out."""
+        [topics] = self._logs
+        if not isinstance(topics, CsvTopics):
+            return ()
+        for name in topics.names:
+            topics.count(name)
+        return tuple(topics.left_out)
+
+    @cached_property
+    def _found_boots(self) -> tuple[Boot, ...]:
+        # The order of rows in different files is unknown: each file is examined separately.
+        [topics] = self._logs
+        position, clock_s, utc_s = clock_readings(self._logs)
+        nothing = position[:0], clock_s[:0], utc_s[:0]
+        source = next((name for name in RECEIVERS if topics.count(name)), None) if position.size else None
+        for name in CLOCKED:
+            for stamps in topics.stamps(name):
+                boots = find_boots([stamps], (position, clock_s, utc_s) if name == source else nothing)
+                if len(boots) > 1:
+                    message = (
+                        f"the time since boot of {name} restarts: {len(boots)} boots; give the .ulg files themselves"
+                    )
+                    raise LogFormatError(self.name, message)
+        return (Boot(1),)

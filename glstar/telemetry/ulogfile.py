@@ -25,10 +25,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
-from glstar.telemetry.source import Span
-from glstar.telemetry.suppressedoutput import suppressed_output
-
-__all__ = ["LogTopics", "Topics", "joined_logs"]
+from glstar.telemetry.source import Span, suppressed_output
+from glstar.telemetry.tables.files import Dump, separator
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
@@ -395,3 +393,98 @@ def _needs_more(flags: bytes) -> bool:
     """Return whether a log has incompatible features that pyulog lacks; it supports the first bit, appended data."""
     _, incompatible = _FLAGS.unpack_from(flags)
     return any(incompatible[1:]) or incompatible[0] > 1
+
+
+_TOPICS = (
+    r"(?:vehicle|estimator|external_ins)_attitude(?:_groundtruth)?|vehicle_global_position|vehicle_gps_position"
+    r"|sensor_gps|vehicle_angular_velocity|sensor_combined|sensor_gyro|vehicle_status"
+)
+_FILE = re.compile(rf"(?P<log>.*)_(?P<topic>{_TOPICS})_(?P<instance>\d{{1,3}})\.csv", re.DOTALL | re.IGNORECASE)
+_QUATERNION = "q[0]"
+_UNNAMED = "vehicle_attitude"
+
+
+class CsvTopics(Topics):
+    """The topics of a log, one file each."""
+
+    whole_bytes = unread_bytes = 0
+
+    def __init__(self, path: str) -> None:
+        self._path = Path(path)
+        self.about: Mapping[str, str | int] = {}
+        named = _FILE.fullmatch(self._path.name)
+        self._log = named["log"] if named else None
+        self.own = (named["topic"].lower(), int(named["instance"])) if named else (_UNNAMED, 0)
+        self._read: dict[str, list[tuple[int, dict[str, Float]]]] = {}
+        # Remarks on files in the directory that are left out.
+        self.left_out: list[str] = []
+        self._files: dict[tuple[str, int], Path] = {self.own: self._path}
+        for beside in self._path.parent.iterdir() if named else ():
+            other = _FILE.fullmatch(beside.name)
+            if other and other["log"] == self._log:
+                self._files.setdefault((other["topic"].lower(), int(other["instance"])), beside)
+        self.own_quaternion = _QUATERNION in _fields(self._path)
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all topics with a file, sorted."""
+        return sorted({topic for topic, _ in self._files})
+
+    def count(self, name: str) -> int:
+        """Return the number of samples of a topic."""
+        return sum(columns["timestamp"].size for _, columns in self[name])
+
+    def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
+        """Return the instances of a topic, sorted by number."""
+        if name not in self._read:
+            instances = sorted(instance for topic, instance in self._files if topic == name)
+            dumps = [(instance, self._columns(self._files[name, instance])) for instance in instances]
+            self._read[name] = [(instance, columns) for instance, columns in dumps if "timestamp" in columns]
+        return self._read[name]
+
+    def with_quaternion(self) -> list[str]:
+        """Return the names of all topics with a quaternion."""
+        return sorted({topic for (topic, _), file in self._files.items() if _QUATERNION in _fields(file)})
+
+    def extent(self) -> str:
+        """Return an empty message: a truncated table cannot be distinguished from a complete one."""
+        return ""
+
+    def lack(self, *names: str) -> str:
+        """Return which files are missing, for messages."""
+        if self._log is None:
+            return f"the name of the file should be LOG_{_UNNAMED}_0.csv, as ulog2csv wrote it, to find those beside it"
+        files = [f"{self._log}_{name}_0.csv" for name in names]
+        return f"neither {' nor '.join(files)} lies beside it" if len(files) > 1 else f"no {files[0]} lies beside it"
+
+    def stamps(self, name: str) -> list[tuple[Integer, Float]]:
+        """Return row numbers and times, s since boot, of each instance of a topic."""
+        return [(np.arange(columns["timestamp"].size), columns["timestamp"] * 1e-6) for _, columns in self[name]]
+
+    def only(self, spans: Sequence[Span]) -> Topics:
+        """Return all topics: files of several boots are rejected."""
+        del spans
+        return self
+
+    def _columns(self, file: Path) -> dict[str, Float]:
+        """Return the columns of a file; none if it is another file in the directory and cannot be read."""
+        try:
+            return Dump(str(file)).columns
+        except OSError as error:
+            reason = error.strerror or str(error)
+        except LogFormatError as error:
+            reason = error.reason
+        if file == self._path:
+            raise LogFormatError(file, f"cannot be read: {reason}")
+        self.left_out.append(f"{file.name} beside it is left out: {reason}")
+        return {}
+
+
+def _fields(file: Path) -> list[str]:
+    """Return the names of the columns of a file; none if it is not text."""
+    try:
+        with file.open(encoding="utf-8-sig") as text:
+            header = text.readline(1 << 16).strip()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return header.split(separator(str(file)))

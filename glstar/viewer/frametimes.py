@@ -10,8 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-__all__ = ["FrameTimes"]
-
 # Number of frames in the frame rate.
 _LATEST: Final = 60
 

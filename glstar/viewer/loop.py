@@ -1,33 +1,108 @@
-"""The main loop of the viewer, and scripts that run it without a user."""
+"""The main loop of the viewer, and scripts that run it without a user.
+
+The surface that the viewer draws on: a window, or an offscreen framebuffer.
+
+A surface without a display: the same interface on a headless context, for scripts and tests.
+"""
 
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
+from imgui_bundle import imgui
 from numpy.typing import NDArray
 
 from glstar.config import Config
 from glstar.errors import GlstarError, RenderError
 from glstar.link import Endpoint, Link
-from glstar.render.opengl import GLRenderer
-from glstar.sky.timescale import CLOCK_GRAIN_S
-from glstar.system.heap import return_freed_memory, share_one_heap
-from glstar.viewer.liveflight import LiveFlight
-from glstar.viewer.loadedflight import LoadedFlight
-from glstar.viewer.overlays import Overlay
-from glstar.viewer.pictures import PictureAction, cut_picture, record, use_picture, write_picture
-from glstar.viewer.playhead import Mode
-from glstar.viewer.session import Session
-from glstar.viewer.surface import Surface
+from glstar.render.opengl import Context, Framebuffer, GLRenderer
+from glstar.render.opengl.context import headless_context
+from glstar.render.opengl.targets import wait_until_drawn
+from glstar.sky.place.timescale import CLOCK_GRAIN_S
+from glstar.system.process import return_freed_memory, share_one_heap
+from glstar.viewer.flight.live import LiveFlight
+from glstar.viewer.flight.loaded import LoadedFlight
+from glstar.viewer.flight.playhead import Mode
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.session.memory import WindowMemory
+from glstar.viewer.session.saving import PictureAction, cut_picture, record, use_picture, write_picture
+from glstar.viewer.session.state import Session
 from glstar.viewer.ui.interface import Interface
 from glstar.viewer.ui.theme import resized_text
-from glstar.viewer.windowmemory import WindowMemory
 
-__all__ = ["Script", "Viewer"]
+
+class Surface(Protocol):
+    """A framebuffer to draw on, with its events.
+
+    Attributes
+    ----------
+    context : Context
+        Current on the thread that made the surface.
+    size : tuple of int
+        Width and height, px.
+    window_size : tuple of int
+        Width and height of the window when it does not fill the screen, screen units.
+    target : Framebuffer
+    scale : float
+        Of the screen.
+    native_dialogs : bool
+        Whether files are chosen in the system's dialogs.
+    should_close : bool
+    """
+
+    context: Context
+
+    @property
+    def scale(self) -> float: ...  # noqa: D102 - documented above
+
+    @property
+    def native_dialogs(self) -> bool: ...  # noqa: D102
+
+    @property
+    def size(self) -> tuple[int, int]: ...  # noqa: D102
+
+    @property
+    def window_size(self) -> tuple[int, int]: ...  # noqa: D102
+
+    @property
+    def target(self) -> Framebuffer: ...  # noqa: D102
+
+    @property
+    def should_close(self) -> bool: ...  # noqa: D102
+
+    def attach(self) -> None:
+        """Connect the events to the current imgui context."""
+
+    def new_frame(self) -> None:
+        """Give imgui size, time, keys and mouse."""
+
+    def wait(self, timeout_s: float) -> bool:
+        """Process events, waiting for the first of them; return whether there was one."""
+        ...
+
+    def dropped(self) -> list[Path]:
+        """Return the files dropped onto it since the last call."""
+        ...
+
+    def set_full_screen(self, full: bool) -> None:
+        """Fill the screen, or stop filling it."""
+
+    def set_title(self, title: str) -> None:
+        """Set the text of the title bar."""
+
+    def present(self) -> None:
+        """Show the frame that was drawn."""
+
+    def detach(self) -> None:
+        """Disconnect from imgui, before its context is destroyed."""
+
+    def close(self) -> None:
+        """Release the context and its objects; a second call does nothing."""
+
 
 # Shortest time between two frames, s.
 _FRAME_S: Final = 1 / 60
@@ -421,3 +496,70 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class HeadlessSurface:
+    """A surface that is not displayed.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height, px.
+    """
+
+    scale = 1.0
+    should_close = False
+    native_dialogs = False
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = self.window_size = size
+        self.context = headless_context()
+        self._current = ExitStack()
+        self._current.enter_context(self.context)
+        self._texture = self.context.texture(size, 4)
+        self.target: Framebuffer = self.context.framebuffer([self._texture])
+        self._frame_s = time.monotonic()
+        self._closed = False
+
+    def attach(self) -> None:
+        """Do nothing: there are no events to connect to imgui."""
+
+    def new_frame(self) -> None:
+        """Give imgui the size and the time."""
+        io, now_s = imgui.get_io(), time.monotonic()
+        io.display_size = imgui.ImVec2(*self.size)
+        io.delta_time = max(now_s - self._frame_s, 1e-4)
+        self._frame_s = now_s
+
+    def wait(self, timeout_s: float) -> bool:
+        """Sleep: there are no events."""
+        time.sleep(timeout_s)
+        return False
+
+    def dropped(self) -> list[Path]:
+        """Return an empty list: nothing can be dropped."""
+        return []
+
+    def set_full_screen(self, full: bool) -> None:
+        """Do nothing: there is no screen."""
+
+    def set_title(self, title: str) -> None:
+        """Do nothing: there is no title bar."""
+
+    def present(self) -> None:
+        """Wait until the frame has been drawn."""
+        wait_until_drawn(self.context)
+
+    def detach(self) -> None:
+        """Do nothing: nothing was attached."""
+
+    def close(self) -> None:
+        """Release the context and its objects; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self.context.detect_framebuffer(0).use()
+        self.target.release()
+        self._texture.release()
+        self._current.close()
+        self.context.release()

@@ -7,14 +7,13 @@ from typing import Any, Final
 
 from imgui_bundle import imgui  # before glfw: the two then share one library
 
+from glstar.errors import ContextError, RenderError
+from glstar.render.opengl import Context, Framebuffer
+from glstar.render.opengl.context import adopt_context
+from glstar.viewer.ui.dialogs import has_native_dialogs
+
 import glfw  # isort: skip
 
-from glstar.errors import ContextError, RenderError
-from glstar.render.opengl.context import adopt_context
-from glstar.render.opengl.objects import Context, Framebuffer
-from glstar.viewer.ui.filedialogs import has_native_dialogs
-
-__all__ = ["WindowSurface"]
 
 _ALTERNATIVES: Final = "glstar view --headless --screenshot FILE draws without a window, glstar export writes frames"
 

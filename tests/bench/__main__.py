@@ -42,19 +42,18 @@ from rich.table import Table
 from glstar import __version__
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config, scene_at_pose
 from glstar.export.environment import Environment
-from glstar.export.frames import FlightFrames
-from glstar.export.plan import Plan, PlannedFrame
-from glstar.export.task import FrameTask
+from glstar.export.frame import FrameTask
+from glstar.export.plan.frames import FlightFrames, Plan, PlannedFrame
+from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
+from glstar.render.scene.scene import Scene
 from glstar.render.simulator import Simulator
-from glstar.render.trailmodels import AnalyticSegments
-from glstar.render.truth import frame_truth
-from glstar.sky.starfield import StarField
-from glstar.sky.timescale import parse_utc
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.place.timescale import parse_utc
 from tests.bench.realflights import add_logs_option, logs_of, missing_logs
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide

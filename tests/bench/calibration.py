@@ -23,7 +23,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from glstar.calibrate import PlateSolution, calibrate, detect_stars, identify_lost, identify_near
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.render.opengl import GLRenderer
 from glstar.rotation import about_x, about_y, about_z

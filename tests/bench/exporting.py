@@ -32,18 +32,18 @@ from rich.table import Table
 
 from glstar import __version__
 from glstar.config import Config
-from glstar.export.executors import Executor, SerialExecutor
-from glstar.export.images import encode
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
-from glstar.export.processes import ProcessExecutor
-from glstar.export.run import Export
+from glstar.export.imagefiles.formats import encode
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import Executor, SerialExecutor
+from glstar.export.run.export import Export
+from glstar.export.run.prepare import prepare_export
+from glstar.export.run.processes import ProcessExecutor
 from glstar.flight import Flight
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
 from glstar.rotation import quaternion_from_euler
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
 from tests.bench.realflights import REAL_FLIGHTS, add_logs_option, logs_of, missing_logs
@@ -204,7 +204,7 @@ def _processor_s() -> float:
 def _dask(count: int, export: Export) -> Iterator[Executor]:
     from distributed import LocalCluster  # noqa: PLC0415 - an extra
 
-    from glstar.export.cluster import DaskExecutor  # noqa: PLC0415 - an extra
+    from glstar.export.run.cluster import DaskExecutor  # noqa: PLC0415 - an extra
 
     moved = _moved(export, f"{count} Dask workers")
     with (

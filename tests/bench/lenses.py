@@ -29,7 +29,7 @@ from glstar.calibrate import (
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.render.opengl import GLRenderer
 from glstar.rotation import about_x, about_z

@@ -32,11 +32,9 @@ from rich.table import Table
 from glstar import __version__
 from glstar.config import Config
 from glstar.link import Endpoint, Link, Transport, Vehicle, open_transport
-from glstar.render.scene import Scene
+from glstar.render.scene.scene import Scene
 from glstar.system.resources import asset
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
-from glstar.viewer.surface import Surface
+from glstar.viewer.loop import HeadlessSurface, Surface, Viewer
 
 START_S = 20.0
 BITS_A_BYTE = 10

@@ -16,7 +16,7 @@ MESSAGES = ["ATT", "XKQ", "POS", "GPS", "MSG", "EV", "IMU"]
 
 def glstar(log: str) -> int:
     """Make a flight of a log, as `glstar export` does."""
-    from glstar.sky.site import Site  # noqa: PLC0415
+    from glstar.sky.place.site import Site  # noqa: PLC0415
     from glstar.telemetry import open_flight  # noqa: PLC0415
 
     given = {"utc_start": 1.7e9, "site": Site(0.5, 0.5)} if log.endswith(".ulg") else {}

@@ -21,12 +21,11 @@ import numpy as np
 from glstar.config import Config
 from glstar.flight import Flight
 from glstar.link import Endpoint, Link, Recorder
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 from glstar.rotation import conjugate, quaternion_from_euler
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.telemetry import ScriptedFlight
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
+from glstar.viewer.loop import HeadlessSurface, Viewer
 from tests.support.links import free_port
 
 UTC_S = 1710068400.0

@@ -30,9 +30,8 @@ from rich.table import Table
 from glstar import __version__
 from glstar.config import Config
 from glstar.system.resources import asset
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
-from glstar.viewer.playhead import Mode
+from glstar.viewer.flight.playhead import Mode
+from glstar.viewer.loop import HeadlessSurface, Viewer
 
 PRESETS = ("picamhq-6mm-binned4", "picamhq-6mm")
 WINDOW_PX = (1280, 800)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from glstar.calibrate.boards import CharucoBoard, Chessboard, _fitted, camera_from_boards
+from glstar.calibrate.geometry.boards import CharucoBoard, Chessboard, _fitted, camera_from_boards
 from glstar.camera.camerafile import camera_from_file, camera_to_yaml
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera

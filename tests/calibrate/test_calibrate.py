@@ -28,17 +28,17 @@ from glstar.calibrate import (
     identify_near,
     read_image,
 )
-from glstar.calibrate.geometry import refraction_notes
-from glstar.calibrate.matches import is_significant, require_significant
-from glstar.calibrate.matching import mutual_nearest, refine
-from glstar.calibrate.psf import dilution, draw_stars, fit_stars, profile
+from glstar.calibrate.geometry.camera import refraction_notes
+from glstar.calibrate.identify.matching import mutual_nearest, refine
+from glstar.calibrate.identify.platesolution import is_significant, require_significant
+from glstar.calibrate.photo.psf import dilution, draw_stars, fit_stars, profile
 from glstar.camera.model import Camera
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import CalibrationError
 from glstar.rotation import about_x, about_y, about_z
-from glstar.sky.apparent import right_ascension_declination
-from glstar.sky.magnitudes import brightness_ratio
+from glstar.sky.photometry import brightness_ratio
+from glstar.sky.place.apparent import right_ascension_declination
 from glstar.system.installation import install_command
 from tests.support.reference import profile as drawn_profile
 from tests.support.starphotos import ALL_STARS, EXPOSURE_S, StarPhoto

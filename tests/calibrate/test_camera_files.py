@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from glstar.calibrate import Channel, detect_stars, identify_near, read_image
-from glstar.calibrate.photontransfer import images_in
+from glstar.calibrate.sensor.photontransfer import images_in
 from glstar.camera.photofile import decode_photo, has_image_signature
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError, ImagesError
 from glstar.images.decoding import is_image, read_grey
 from tests.support.dng import dng

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.calibrate import Calibration, calibrate, combine, detect_stars, draw_combined, identify_near
-from glstar.calibrate.combine import Observations, _error_mag, _measured_well, solve_brightness
-from glstar.camera.sensor import Sensor
+from glstar.calibrate.sensor.combine import Observations, _error_mag, _measured_well, solve_brightness
+from glstar.camera.sensor.sensor import Sensor
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import CalibrationError

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from glstar.calibrate import DetectedStars, Photograph, detect_stars, read_image
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from tests.support.starphotos import StarPhoto
 
 sep = pytest.importorskip("sep")

@@ -16,7 +16,7 @@ from glstar.calibrate import (
     fit_brightness,
     identify_near,
 )
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from tests.support.starphotos import EXPOSURE_S, StarPhoto
 

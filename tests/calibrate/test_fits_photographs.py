@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glstar.calibrate import read_image
-from glstar.calibrate.photontransfer import images_in
+from glstar.calibrate.sensor.photontransfer import images_in
 from glstar.errors import CalibrationError
 
 

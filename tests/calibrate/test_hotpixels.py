@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from glstar.calibrate.hotpixels import find_hot_pixels, light_beside_star
-from glstar.calibrate.jointpsf import JointPsf
-from glstar.camera.pointspread import PointSpread
+from glstar.calibrate.sensor.jointpsf import JointPsf
+from glstar.calibrate.sensor.photographmodel import find_hot_pixels, light_beside_star
+from glstar.camera.sensor.pointspread import PointSpread
 
 SHAPE, READ_DN, DN_PER_E, STARS, HOT = (600, 800), 3.0, 0.5, 800, 120
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.calibrate.jointpsf import JointPsf, fit_joint_psf, measure_fluxes
-from glstar.calibrate.starstamps import cut_stamps
-from glstar.camera.pointspread import PointSpread
+from glstar.calibrate.sensor.jointpsf import JointPsf, cut_stamps, fit_joint_psf, measure_fluxes
+from glstar.camera.sensor.pointspread import PointSpread
 
 BETA, SIGMA_PX = 3.0, 1.3
 HALF_PX, PITCH_PX, STARS = 9, 24, 100

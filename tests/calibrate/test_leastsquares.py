@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glstar.calibrate.leastsquares import Minimum, minimise, projection_jacobian
+from glstar.calibrate.identify.leastsquares import Minimum, minimise, projection_jacobian
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn

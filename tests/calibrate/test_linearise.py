@@ -15,11 +15,11 @@ from glstar.calibrate import (
     linearised,
     measure_photograph,
 )
-from glstar.calibrate.linearise import gamma_of_noise, recorded_again
-from glstar.calibrate.skymeasurement import NoiseAgainstLevel
-from glstar.camera.sensor import Sensor
+from glstar.calibrate.photo.photograph import recorded_again
+from glstar.calibrate.photo.sky import NoiseAgainstLevel, gamma_of_noise
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError
-from glstar.export.processing import process
+from glstar.export.imagefiles.processing import process
 from tests.support.plainphotos import REFERENCE, imperfect, pinhole_camera
 
 WHITE_DN = 255.0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from glstar.calibrate import PhotographModel, PlateSolution, calibrate, detect_stars, identify_near, measure_photograph
-from glstar.calibrate.brightnessterms import fit_brightness_terms
-from glstar.calibrate.skymeasurement import before_clipping
+from glstar.calibrate.photo.sky import before_clipping
+from glstar.calibrate.sensor.brightness import fit_brightness_terms
 from glstar.calibrate.twin import render_twin
 from glstar.camera.vignetting import Vignetting
 from glstar.config import Config
 from glstar.errors import CalibrationError
-from glstar.render.scene import Frame, Scene
-from glstar.sky.starcolours import star_colours
+from glstar.render.scene.scene import Frame, Scene
+from glstar.sky.photometry import star_colours
 from tests.support.plainphotos import REFERENCE, imperfect, own_deviations, pinhole_camera
 
 # What `imperfect` draws.

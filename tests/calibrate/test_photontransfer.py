@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from glstar.calibrate.photograph import Photograph
-from glstar.calibrate.photontransfer import photon_transfer
+from glstar.calibrate.photo.photograph import Photograph
+from glstar.calibrate.sensor.photontransfer import photon_transfer
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import CalibrationError

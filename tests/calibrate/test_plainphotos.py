@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glstar.calibrate import DetectedStars, Matches, PlateSolution, detect_stars, fit_lens, identify_lost
-from glstar.calibrate.siderealtrails import sidereal_trails
+from glstar.calibrate.identify.platesolution import sidereal_trails
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from glstar.calibrate import Calibration, PlateSolution, calibrate, detect_stars, identify_near, with_point_spread
-from glstar.calibrate.misfit import RadialProfile
-from glstar.calibrate.pointspreadfit import fit_moffat
+from glstar.calibrate.sensor.calibration import fit_moffat
+from glstar.calibrate.sensor.misfit import RadialProfile
 from glstar.config import Config
 from tests.support.plainphotos import REFERENCE, imperfect, pinhole_camera
 

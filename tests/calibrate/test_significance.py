@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from glstar.calibrate.significance import chance_pairs, match_probability, significant
+from glstar.calibrate.identify.matching import chance_pairs, match_probability, significant
 
 SIDE_PX = 1500.0
 RADIUS_PX = 6.0

@@ -9,11 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from glstar.camera.camerafile import (
-    camera_from_file,
-    camera_to_yaml,
-    camera_warnings,
-)
+from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset, camera_presets

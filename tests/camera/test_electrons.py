@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.errors import ConfigError
 
 MODEL = ElectronModel(vmag_0_e_per_s=9e4, sky_e_per_s=4.0, gain_dn_per_e=0.25, analogue_gain=4.0)

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.limitingmagnitude import limiting_mag, noise_equivalent_area_px2
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import ElectronModel, Sensor, limiting_mag, noise_equivalent_area_px2
 
 
 def squared_profile_area_px2(sensor: Sensor) -> float:

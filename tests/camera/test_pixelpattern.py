@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from glstar.camera.pixelpattern import PixelPattern, read_map
+from glstar.camera.sensor.pixelpattern import PixelPattern, read_map
 from glstar.errors import ConfigError
 
 SIZE_PX = (1000, 500)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from glstar.camera.pointspread import PointSpread, moffat_mixture
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.pointspread import PointSpread, moffat_mixture
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError
 
 # equations.md, section 7: the L1 error of one static star against the integral over each pixel.

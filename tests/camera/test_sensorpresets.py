@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from glstar.camera.presets import camera_from_preset
-from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode, sensor_presets
+from glstar.camera.presets import camera_from_preset, is_sensor_mode, sensor_mode, sensor_presets
 from glstar.errors import ConfigError
 
 NAMES = (

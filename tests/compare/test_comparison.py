@@ -12,20 +12,20 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.compare import Comparison, FlightComparison, Search, compare_folders, write_comparison
 from glstar.compare.coarsealignment import likely_start
 from glstar.compare.comparison import chance
-from glstar.compare.comparisonfiles import alignment_json, comparison_json, comparison_table
+from glstar.compare.report import alignment_json, comparison_json, comparison_table
 from glstar.errors import ImagesError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, quaternion_from_turn
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
-from glstar.sky.observed import Sky
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.photometry import brightness_ratio, magnitude_difference
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S
 
 LENS = Camera(380, 285, 363.0, 363.0, 189.5, 142.0)

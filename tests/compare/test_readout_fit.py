@@ -10,17 +10,17 @@ import pytest
 
 from glstar.camera.exposure import Exposure, Readout
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.compare import Alignment, FlightComparison, Search
-from glstar.compare.predictedtrails import predicted_trails
+from glstar.compare.prediction import predicted_trails
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage, TimeReference
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, quaternion_from_turn
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
 from glstar.system.resources import asset
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 

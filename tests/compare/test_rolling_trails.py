@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
-from glstar.compare.predictedtrails import predicted_trails
+from glstar.camera.sensor.sensor import Sensor
+from glstar.compare.prediction import predicted_trails
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 

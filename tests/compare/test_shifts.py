@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from glstar.compare.comparison import shift_grid
 from glstar.compare.pairs import Pair
-from glstar.compare.summary import shift_grid
 
 ANY_PAIR = Pair("image.png", "bsc5", 1, "", 2.0, *[0.0] * 7, False, *[0.0] * 10)
 

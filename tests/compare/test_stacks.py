@@ -10,17 +10,17 @@ import pytest
 
 from glstar.camera.exposure import Exposure, Stack
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.compare import FlightComparison, Search
-from glstar.compare.predictedtrails import predicted_trails
+from glstar.compare.prediction import predicted_trails
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.images import ImageTime, RealImage
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
 from glstar.system.resources import asset
 
 LENS = Camera(380, 285, 363.0, 363.0, 189.5, 142.0)

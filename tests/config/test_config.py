@@ -17,7 +17,7 @@ from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.presets import camera_from_preset
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError
 from glstar.render.effects import EFFECTS

@@ -1,6 +1,6 @@
 """The configuration page of the manual is generated from the models."""
 
-from glstar.config.sections import SECTIONS
+from glstar.config.keys import SECTIONS
 from glstar.system.resources import manual_pages
 from tests.scripts.make_config_page import page
 

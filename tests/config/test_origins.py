@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.config import Config
-from glstar.config.origins import origins
+from glstar.config.config import origins
 
 RUNNER = CliRunner()
 

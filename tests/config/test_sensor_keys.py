@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from glstar.config import Config
-from glstar.config.sensorsection import zero_point_e_per_s
+from glstar.config.sensor import zero_point_e_per_s
 from glstar.errors import ConfigError
 
 HQ = {

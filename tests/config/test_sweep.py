@@ -8,10 +8,10 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.dataset import DataSetFrames
-from glstar.export.plan import plan_frames
+from glstar.export.plan.dataset import DataSetFrames
+from glstar.export.plan.frames import plan_frames
 from glstar.flight import AttitudeTrack, Flight, Gap, PositionTrack
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.system.resources import asset
 
 

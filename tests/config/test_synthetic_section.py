@@ -8,8 +8,8 @@ from scipy.special import ellipe
 
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.dataset import DataSetFrames
-from glstar.sky.catalogue import StarCatalogue
+from glstar.export.plan.dataset import DataSetFrames
+from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.telemetry import open_flight
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glstar.config.tomlvalues import toml_value
+from glstar.config.keys import toml_value
 
 scalars = (
     st.booleans()

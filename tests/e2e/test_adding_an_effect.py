@@ -43,7 +43,9 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (effects / "vignetting.py").write_text(module, encoding="utf-8")
     listed = (effects / "__init__.py").read_text(encoding="utf-8")
     listed = listed.replace("    QUANTISATION,\n", "    QUANTISATION,\n    VIGNETTING,\n")
-    last_import = "from glstar.render.effects.skylevel import SKY_LEVEL\n"
+    last_import = next(
+        line + "\n" for line in listed.splitlines() if line.startswith("from glstar.render.effects.stars ")
+    )
     listed = listed.replace(last_import, last_import + "from glstar.render.effects.vignetting import VIGNETTING\n")
     (effects / "__init__.py").write_text(listed, encoding="utf-8")
     return root

@@ -15,7 +15,7 @@ import pytest
 from glstar.config import Config
 from glstar.flight import Flight
 from glstar.link import Endpoint, Framer, Link, Recorder, Transport, open_transport, supervisor
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 from glstar.system.resources import asset
 from tests.support.links import Plug, farthest_rad, free_port, playing, until
 

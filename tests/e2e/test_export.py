@@ -20,12 +20,12 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from glstar.camera.truncation import TRUNCATION_DN
+from glstar.camera.sensor.pointspread import TRUNCATION_DN
 from glstar.cli import app
 from glstar.errors import ExportError
-from glstar.export.images import encode, write_video
-from glstar.render.truth import KEYS
-from glstar.sky.catalogue import StarCatalogue
+from glstar.export.imagefiles.formats import encode, write_video
+from glstar.render.truth.frame import KEYS
+from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.system.resources import asset
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide

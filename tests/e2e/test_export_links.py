@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from glstar.errors import ExportError
-from glstar.export.latestframe import LatestFrameWriter
-from glstar.export.layout import output_files
-from glstar.export.links import open_to_append
+from glstar.export.directory import open_to_append, output_files
+from glstar.export.publish.latest import LatestFrameWriter
 from tests.e2e.test_export import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
 
 VALUABLE = b"the only copy"

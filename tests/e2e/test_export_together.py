@@ -24,13 +24,12 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.executors import draw_frames
-from glstar.export.layout import frame_folder
-from glstar.export.lease import Lease, revoke_leases
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_data_set, prepare_export
-from glstar.export.shard import Shard
-from glstar.export.truthfile import TruthFile
+from glstar.export.directory import Lease, frame_folder, revoke_leases
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import draw_frames
+from glstar.export.run.export import Shard
+from glstar.export.run.prepare import prepare_data_set, prepare_export
+from glstar.export.truth.lines import TruthFile
 from glstar.render.opengl import GLRenderer
 from tests.e2e.test_export import (
     FRAMES,
@@ -202,7 +201,7 @@ def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp
     assert_same(directory, many)
 
 
-@pytest.mark.parametrize("library", ["typer", "cv2", "glstar.export.processes"])
+@pytest.mark.parametrize("library", ["typer", "cv2", "glstar.export.run.processes"])
 def test_ctrl_c_while_libraries_are_loaded_is_one_line(library: str, words: tuple[object, ...], tmp_path: Path) -> None:
     command = [sys.executable, "-c", INTERRUPTED, library, *map(str, words), str(tmp_path / "frames")]
 
@@ -478,7 +477,7 @@ def test_an_export_waits_for_a_worker_that_writes_before_it_clears_the_directory
             (directory / "frame_000099.png").write_bytes(b"of the run before")
             writing.close()
 
-        monkeypatch.setattr("glstar.export.lease.time.sleep", finish_writing)
+        monkeypatch.setattr("glstar.export.directory.time.sleep", finish_writing)
         done(*words, directory, "--force")
 
     assert len(waited) == 1
@@ -650,7 +649,7 @@ def wait_until_idle(cluster: Any) -> None:
     [
         ("import glstar; glstar.__version__ = '0.0.9'", r"glstar 0\.0\.9, not "),
         (ANOTHER_DRIVER, "OpenGL another, not |, not another"),
-        ("from glstar.export import fingerprint; fingerprint.file_hash = lambda _: 'y'", "star catalogue y, not "),
+        ("from glstar.export.plan import manifest; manifest.file_hash = lambda _: 'y'", "star catalogue y, not "),
     ],
 )
 def test_a_dask_worker_that_would_draw_other_frames_is_refused_by_name(

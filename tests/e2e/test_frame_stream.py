@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.errors import ConfigError
-from glstar.export.framestream import AnswerReceiver, FrameStream, send_answers
-from glstar.sky.timescale import parse_utc
+from glstar.export.publish.stream import AnswerReceiver, FrameStream, send_answers
+from glstar.sky.place.timescale import parse_utc
 from tests.e2e.test_link import interrupted_when
 from tests.e2e.test_simulator_link import SMALL, angle_rad, lines
 from tests.examples import answer_frames

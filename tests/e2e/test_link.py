@@ -22,11 +22,11 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import LinkError
-from glstar.export.latestframe import LatestFrameReader
+from glstar.export.publish.latest import LatestFrameReader
 from glstar.flight import Flight
 from glstar.link import Endpoint, Framer, Link, Recorder, open_transport, supervisor
-from glstar.link.messages import dialect
-from glstar.sky.timescale import parse_utc
+from glstar.link.packets import dialect
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from tests.support.links import Plug, farthest_rad, free_port, playing, until
 

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.cli.manual import summary
+from glstar.cli.machine.manual import summary
 from glstar.system.resources import manual_pages
 
 
@@ -31,7 +31,7 @@ def test_a_page_is_printed_as_plain_markdown_into_a_pipe(topic):
 
 
 def test_a_page_is_formatted_on_a_terminal(monkeypatch):
-    monkeypatch.setattr("glstar.cli.manual.is_terminal", lambda: True)
+    monkeypatch.setattr("glstar.cli.machine.manual.is_terminal", lambda: True)
 
     printed = manual("conventions").output
 

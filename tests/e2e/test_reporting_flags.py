@@ -15,7 +15,8 @@ import typer
 from typer.testing import CliRunner
 
 import glstar
-from glstar.cli import app, windowoptions
+from glstar.cli import app
+from glstar.cli.flights import windowoptions
 from glstar.cli.verbosity import Verbosity, verbosity
 from glstar.system import installation
 from glstar.system.resources import asset

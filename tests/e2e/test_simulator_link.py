@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from glstar.camera.exposure import Exposure
 from glstar.cli import app
-from glstar.cli.injectedanswers import InjectedAnswers
+from glstar.cli.flights.navigatoranswers import InjectedAnswers
 from glstar.link import Endpoint, Injector
 from glstar.rotation import quaternion_from_euler
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from tests.e2e.test_link import has_frames, interrupted_when
 from tests.support.autopilot import (
     BIAS_RAD,

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from glstar.export.images import decode, encode
+from glstar.export.imagefiles.formats import decode, encode
 from tests.e2e.test_export import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
 
 COUNT = 6

@@ -15,7 +15,7 @@ import cv2
 import pytest
 
 from glstar.config import Config
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from tests.support import links
 from tests.support.links import free_port, playing, soon

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.config import Config
 from glstar.flight import Flight
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from tests.e2e.test_view import needs_xvfb, started, until
 from tests.e2e.test_view_panels import Places, differ, display

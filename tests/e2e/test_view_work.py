@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from tests.e2e.test_view import GLSTAR, needs_xvfb, started, until
 from tests.e2e.test_view_panels import Places, display

@@ -19,9 +19,9 @@ import erfa
 import numpy as np
 
 import glstar as gs
-from glstar.calibrate.lost import pattern_database
+from glstar.calibrate.identify.lost import pattern_database
 from glstar.rotation import fitted_rotation, quaternion_from_matrix
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 
 FAINTEST_VMAG = 6.5
 BRIGHTEST = 24  # trails whose pattern is looked up

@@ -15,7 +15,7 @@ import numpy as np
 
 import glstar as gs
 from glstar.rotation import quaternion_from_matrix
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from tests.examples.celestial_fix import position
 
 

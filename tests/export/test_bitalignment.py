@@ -11,10 +11,10 @@ from astropy.io import fits
 from typer.testing import CliRunner
 
 from glstar.calibrate import read_image
-from glstar.camera.bitalignment import as_digital_numbers, shift_bits, stated_shift_bits
+from glstar.camera.photofile import as_digital_numbers, shift_bits, stated_shift_bits
 from glstar.cli import app
 from glstar.errors import CalibrationError
-from glstar.export.images import _eight_bits, decode, encode
+from glstar.export.imagefiles.formats import _eight_bits, decode, encode
 from glstar.images.decoding import read_grey
 
 SETTINGS = """

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.export.executors import split_into_chunks
+from glstar.export.run.executors import split_into_chunks
 
 
 def prepared(chunks: list[np.ndarray], firsts: np.ndarray) -> int:

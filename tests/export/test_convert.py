@@ -18,10 +18,9 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.export.csvtruth import write_csv
-from glstar.export.subtitles import write_subtitles
+from glstar.export.convert.text import write_csv, write_subtitles
 from glstar.images.times import read_exif
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
 
 RUNNER = CliRunner()

@@ -5,7 +5,7 @@ import pytest
 
 import glstar as gs
 from glstar.rotation import quaternion_from_euler, turn_between
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 
 SMALL = {"camera.width_px": 160, "camera.height_px": 120, "camera.fx_px": 150.0, "camera.fy_px": 150.0}
 SETTINGS = SMALL | {

@@ -11,9 +11,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.export.images import decode, find_damage
+from glstar.export.imagefiles.formats import decode, find_damage
 from glstar.images.times import read_exif
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 
 RUNNER = CliRunner()
 SMALL = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 151.0\n"

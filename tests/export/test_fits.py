@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.export.fitsfile import damage_of_fits, decode_fits, encode_fits
-from glstar.export.images import find_damage
-from glstar.export.wcsfit import fit_tan_sip
-from glstar.render.rowtimes import recorded_times
-from glstar.render.scene import Frame, Scene
+from glstar.export.imagefiles.fits import damage_of_fits, decode_fits, encode_fits, fit_tan_sip
+from glstar.export.imagefiles.formats import find_damage
+from glstar.render.readout.rows import recorded_times
+from glstar.render.scene.scene import Frame, Scene
 from glstar.render.simulator import Simulator
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.place.apparent import ASTROMETRY
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 PINHOLE = camera(480, 360, 420.0)

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from glstar.errors import ConfigError, ExportError
-from glstar.export import latestframe
-from glstar.export.latestframe import LatestFrameReader, LatestFrameWriter
-from glstar.system import filelock
-from glstar.system.filelock import lock_handle
+from glstar.export.publish import latest as latestframe
+from glstar.export.publish.latest import LatestFrameReader, LatestFrameWriter
+from glstar.system import files as filelock
+from glstar.system.files import lock_handle
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

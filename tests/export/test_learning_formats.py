@@ -17,7 +17,7 @@ from pycocotools.cocoeval import COCOeval
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.export.readtruth import read_truth
+from glstar.export.truth.lines import read_truth
 
 # pycocotools calls NumPy in an old manner.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -15,12 +15,11 @@ from scipy.spatial.transform import Rotation
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.fitsfile import damage_of_fits
-from glstar.export.navfile import refuse_other_files
-from glstar.export.navrecord import Navigator
+from glstar.export.imagefiles.fits import damage_of_fits
+from glstar.export.navigator import Navigator, refuse_other_files
 from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_quaternion, turn_between
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 
 CONFIG = """

@@ -12,11 +12,11 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.errors import ExportError
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 parquet = pytest.importorskip("pyarrow.parquet")
-write_parquet = import_module("glstar.export.parquet").write_parquet  # which needs pyarrow
+write_parquet = import_module("glstar.export.truth.parquet").write_parquet  # which needs pyarrow
 ROLLING = {"mid_offset_s", "exposed_s", "light_dn"}
 FRAMES_PER_GROUP = 256
 

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.export import executors
-from glstar.export.executors import draw_frames
-from glstar.export.options import ExportOptions
-from glstar.export.pipeline import pipelined
-from glstar.export.prepare import prepare_export
-from glstar.export.processes import _environment, _worker_environment
-from glstar.export.task import EncodedFrame, FrameTask
-from glstar.export.truthfile import TruthFile
+from glstar.export.frame import EncodedFrame, FrameTask
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run import executors
+from glstar.export.run.executors import draw_frames, pipelined
+from glstar.export.run.prepare import prepare_export
+from glstar.export.run.processes import _environment, _worker_environment
+from glstar.export.truth.lines import TruthFile
 from glstar.render.opengl import GLRenderer
 from glstar.system.resources import asset
 

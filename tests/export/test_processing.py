@@ -9,14 +9,13 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.sensor import Sensor
-from glstar.camera.tonecurve import _interpolated, _named_curve
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
+from glstar.camera.sensor.tonecurve import _interpolated, _named_curve
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.images import _eight_bits, decode, find_damage, fit_format
-from glstar.export.processing import process
+from glstar.export.imagefiles.formats import _eight_bits, decode, find_damage, fit_format
+from glstar.export.imagefiles.processing import process
 
 SETTINGS = """
 [camera]

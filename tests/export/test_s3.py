@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.export import storeexport
+from glstar.export.run import store as storeexport
 
 pytest.importorskip("moto", reason="moto (an S3 server for tests) is not installed")
 pytest.importorskip("s3fs", reason="s3fs is not installed")

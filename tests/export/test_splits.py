@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.errors import ConfigError
-from glstar.export.readtruth import read_truth
-from glstar.export.splits import FlightIdentity, SplitRule, splits_by_file
+from glstar.export.truth.lines import read_truth
+from glstar.export.truth.splits import FlightIdentity, SplitRule, splits_by_file
 
 RUNNER = CliRunner()
 SPLITS = ("train", "validation", "test")

@@ -11,8 +11,8 @@ from fsspec.implementations.memory import MemoryFileSystem
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.export import storeexport
-from glstar.export.executors import SerialExecutor
+from glstar.export.run import store as storeexport
+from glstar.export.run.executors import SerialExecutor
 
 RUNNER = CliRunner()
 SMALL = "[camera]\nwidth_px = 64\nheight_px = 48\nfx_px = 60.0\nfy_px = 60.0\n"

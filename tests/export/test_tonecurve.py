@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from glstar.camera.sensor import Sensor
-from glstar.camera.tonecurve import curve_text, parse_curve, read_curve
+from glstar.camera.sensor.sensor import Sensor
+from glstar.camera.sensor.tonecurve import curve_text, parse_curve, read_curve
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.processing import process
+from glstar.export.imagefiles.processing import process
 
 RAMP = np.arange(4096, dtype=np.uint16).reshape(64, 64)
 POINTS = [[0.02, 0.0], [0.05, 0.3], [0.2, 0.6], [0.9, 1.0]]

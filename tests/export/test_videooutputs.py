@@ -16,9 +16,8 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.frameoutputs import open_frame_output
-from glstar.export.mjpegserver import MjpegServer
-from glstar.sky.timescale import parse_utc
+from glstar.export.publish.outputs import MjpegServer, open_frame_output
+from glstar.sky.place.timescale import parse_utc
 from tests.e2e.test_link import interrupted_when
 from tests.e2e.test_simulator_link import SMALL
 from tests.support.autopilot import simulated

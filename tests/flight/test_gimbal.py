@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from glstar.flight import AttitudeTrack, Flight, Gap, PositionTrack
 from glstar.flight.gimbal import Gimbal
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 
 T_S = np.arange(0.0, 20.0, 0.02)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.spatial.transform import RotationSpline as ScipysSpline
 
 from glstar.flight import AttitudeTrack
-from glstar.flight.estimatorresets import estimator_resets
+from glstar.flight.attitude import estimator_resets
 from glstar.flight.gyroaided import GyroTrack, gyro_aided, gyro_lag_s
 from glstar.flight.spline import RotationSpline
 from glstar.rotation import (

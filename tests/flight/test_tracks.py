@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from glstar.errors import ConfigError, TelemetryError, TrackRangeError
 from glstar.flight import AttitudeTrack, Flight, Gap, PositionTrack
 from glstar.rotation import conjugate, multiply, quaternion_from_euler, slerp
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 
 ARCSEC = np.pi / 648000
 DEG = np.pi / 180

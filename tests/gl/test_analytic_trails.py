@@ -10,16 +10,16 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.culling import DrawList
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
+from glstar.render.scene.culling import DrawList
+from glstar.render.scene.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_euler
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
 from glstar.system.resources import asset
 from tests.scripts.trail_search import analytic, differences, random_simulator, worst_pixel
 from tests.support.reference import light_of
@@ -269,7 +269,7 @@ def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
     simulator = vibrating(20.0, 0.5)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
     expected = light(renderer, scene)
-    monkeypatch.setattr("glstar.render.opengl.trailpass._STARS_PER_CALL", 7)
-    monkeypatch.setattr("glstar.render.opengl.trailpass._SEGMENTS_PER_CALL", 9)
+    monkeypatch.setattr("glstar.render.opengl.passes.trail._STARS_PER_CALL", 7)
+    monkeypatch.setattr("glstar.render.opengl.passes.trail._SEGMENTS_PER_CALL", 9)
     with GLRenderer(renderer.context) as other:
         np.testing.assert_allclose(light(other, scene), expected, rtol=0, atol=1e-6 * expected.max())

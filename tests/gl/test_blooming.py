@@ -9,15 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from glstar.camera.distortion import Lens
-from glstar.camera.electrons import ElectronModel
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS
-from glstar.render.effects.blooming import BLOOMING, bloomed
+from glstar.render.effects.electrons import BLOOMING, bloomed
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Frame, Scene
-from glstar.render.truth import frame_truth
+from glstar.render.scene.scene import Frame, Scene
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
 Float = NDArray[np.float64]

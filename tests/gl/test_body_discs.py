@@ -8,13 +8,13 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.bodysources import BodySources, body_field, disc_sources
-from glstar.render.culling import DrawList
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
-from glstar.render.truth import frame_truth
-from glstar.sky.bodies import Body
+from glstar.render.scene.bodies import BodySources, body_field, disc_sources
+from glstar.render.scene.culling import DrawList
+from glstar.render.scene.scene import Scene
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.observed.solarsystem import Body
 from tests.support.scenes import camera, sky_over_adelaide, stars_at
 
 LENS = camera(64, 56, 3000.0)

@@ -9,11 +9,11 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.flight.position import PositionTrack
-from glstar.render.clouds import cloud_sheet
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
+from glstar.render.scene.clouds import cloud_sheet
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 EARTH_M = 6371008.8

@@ -13,10 +13,9 @@ from glstar.config import Config
 from glstar.images import FittedImage, RealImages, fit
 from glstar.render.opengl import GLRenderer
 from glstar.system.resources import asset
-from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, compose
-from glstar.viewer.display import Display, PanelContent
-from glstar.viewer.imageview import ImageView
-from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState, compose
+from glstar.viewer.picture.content import Display, PanelContent
+from glstar.viewer.picture.view import ImageView, Stretch, StretchKind
 
 WIDTH_PX, HEIGHT_PX = 61, 40
 STRETCH_BY_NAME = {

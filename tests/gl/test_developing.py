@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
 from tests.support.scenes import camera, stars_at
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError, ShaderError
 from glstar.render.effects import EFFECTS, Effect, EffectTexture, Key, Stage, active_effects, effects_truth
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
-from glstar.render.truth import frame_truth
+from glstar.render.scene.scene import Scene
+from glstar.render.truth.frame import frame_truth
 from tests.examples import add_an_effect
 from tests.examples.add_an_effect import VIGNETTING
 from tests.support.scenes import camera, stars_at
@@ -170,7 +170,9 @@ def test_the_truth_of_a_frame_has_the_keys_of_its_effects(renderer: GLRenderer, 
     scene = scene_of(replace(CLEAN, effects={"vignetting.strength": 0.8}))
     frame = renderer.render(scene, seed=0)
     assert effects_truth(scene, [*EFFECTS, VIGNETTING]) == {"vignetting": {"strength": 0.8}}
-    monkeypatch.setattr("glstar.render.truth.effects_truth", lambda scene: effects_truth(scene, [*EFFECTS, VIGNETTING]))
+    monkeypatch.setattr(
+        "glstar.render.truth.frame.effects_truth", lambda scene: effects_truth(scene, [*EFFECTS, VIGNETTING])
+    )
 
     line = json.loads(frame_truth(scene, frame, number=0, file="frame_000000.png"))
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
-from glstar.score.frametruth import read_frame_truths
+from glstar.render.truth.frame import frame_truth
+from glstar.score.frames import read_frame_truths
 from tests.support.scenes import camera, stars_at
 
 Float = NDArray[np.float64]

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.pixelpattern import PixelPattern
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.pixelpattern import PixelPattern
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.config import Config
 from glstar.render.effects import EFFECTS
 from glstar.render.effects.fixedpattern import DARK_PATTERN
-from glstar.render.opengl import GLRenderer, developpass
-from glstar.render.scene import Scene
+from glstar.render.opengl import GLRenderer
+from glstar.render.opengl.passes import develop as developpass
+from glstar.render.scene.scene import Scene
 from tests.support.scenes import camera, stars_at
 
 # Not a multiple of 16 pixels wide.

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
-from glstar.render.effects.flare import flare_dn
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.effects.lensflare import flare_dn
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 LENS = camera(320, 240, 300.0)

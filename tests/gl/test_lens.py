@@ -10,11 +10,11 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.render.culling import DrawList
-from glstar.render.scene import Scene
-from glstar.render.truth import frame_truth
+from glstar.render.scene.culling import DrawList
+from glstar.render.scene.scene import Scene
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
 LENSES = {

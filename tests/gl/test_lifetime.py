@@ -6,7 +6,7 @@ import moderngl
 import pytest
 
 from glstar.camera.distortion import Lens
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ContextError, RenderError, ShaderError
 from glstar.render.opengl import GLRenderer
 from glstar.render.opengl import program as program_module

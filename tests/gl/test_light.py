@@ -8,10 +8,10 @@ import pytest
 from scipy import special
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
-from glstar.render.truth import frame_truth
+from glstar.render.scene.scene import Scene
+from glstar.render.truth.frame import frame_truth
 from tests.support.reference import integrated_profile, light_of
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 

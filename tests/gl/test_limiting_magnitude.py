@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
-from glstar.render.clouds import cloud_sheet, sheet_crossing
-from glstar.render.effects.cloudtexture import transmission_at
+from glstar.render.effects.cloud import transmission_at
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
-from glstar.render.viewingconditions import LimitingMagnitude, conditions_report, limiting_magnitude
-from glstar.sky.extinction import Extinction
+from glstar.render.scene.clouds import cloud_sheet, sheet_crossing
+from glstar.render.scene.scene import Scene
+from glstar.render.truth.conditions import LimitingMagnitude, conditions_report, limiting_magnitude
+from glstar.sky.air.extinction import Extinction
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 
 EXPOSURE = Exposure(NIGHT_UTC_S + 4.0, 0.5)

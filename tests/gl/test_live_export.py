@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.export import liveexport as live
-from glstar.export.liveexport import LiveExport, LiveReport
+from glstar.export import live
+from glstar.export.live import LiveExport, LiveReport
 from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from tests.link.test_receiver import UTC_S, Sender

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.camera.colourband import ColourBand
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.colourband import ColourBand
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.config.reading import extinction_of
 from glstar.errors import ConfigError
-from glstar.render.colourscenes import colours_used, in_band
-from glstar.render.scene import Scene
-from glstar.sky.extinction import Extinction
+from glstar.render.scene.scene import Scene
+from glstar.render.scene.starcomponents import colours_used, in_band
+from glstar.sky.air.extinction import Extinction
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
 
 LENS = replace(camera(161, 121), lens=Lens("plumb_bob", (-0.1, 0.0, 0.0, 0.0, 0.0)))

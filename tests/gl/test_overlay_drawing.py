@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.overlays import Overlay
-from glstar.viewer.shapes import Labels, Lines, Mark, Marks, Shapes
-from glstar.viewer.ui.overlaydrawing import draw_shapes, overlay_colour
+from glstar.viewer.overlays.canvas import Labels, Lines, Mark, Marks, Shapes
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.ui.panels.imagelayers import draw_shapes, overlay_colour
 
 WIDTH, HEIGHT = 200, 150
 

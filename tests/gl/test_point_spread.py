@@ -7,13 +7,12 @@ import pytest
 from scipy.special import erf
 
 from glstar.camera.distortion import Lens
-from glstar.camera.electrons import ElectronModel
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
-from glstar.camera.truncation import TRUNCATION_DN
-from glstar.render.gaussianscenes import gaussian_scenes
+from glstar.camera.sensor.pointspread import TRUNCATION_DN
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
+from glstar.render.scene.scene import Scene
+from glstar.render.scene.starcomponents import gaussian_scenes
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
 
 SIGMA_PX = 1.4

@@ -12,13 +12,12 @@ from typer.testing import CliRunner
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.cli import app
-from glstar.export.masks import ground_mask
-from glstar.render.truth import frame_truth
-from glstar.render.viewingconditions import viewing_conditions
-from glstar.sky.horizon import ned_direction
-from glstar.sky.horizonprofile import HorizonProfile
+from glstar.export.imagefiles.masks import ground_mask
+from glstar.render.truth.conditions import viewing_conditions
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.place.horizon import HorizonProfile, ned_direction
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 SIDEREAL = 2 * pi * 1.00273790935 / 86400

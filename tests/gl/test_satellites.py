@@ -10,19 +10,19 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.clouds import horizontal_axes
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
+from glstar.render.scene.clouds import horizontal_axes
 from glstar.render.simulator import Simulator
-from glstar.render.trailmask import trail_mask
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
+from glstar.render.truth.mask import trail_mask
 from glstar.rotation import matrix_from_quaternion
-from glstar.sky.bodies import observed_bodies
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
-from glstar.sky.satellites import Satellites, lit_fraction, satellite_vmag
-from glstar.sky.timescale import parse_utc
-from glstar.telemetry.scripted import ScriptedFlight
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.satellites import Satellites, lit_fraction, satellite_vmag
+from glstar.sky.observed.solarsystem import observed_bodies
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.timescale import parse_utc
+from glstar.telemetry.synthetic import ScriptedFlight
 from tests.gl.test_cloud import CLOUD
 from tests.support.reference import profile
 from tests.support.rollingshutter import open_fractions

@@ -8,8 +8,8 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.truth import frame_truth
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 SEEN = camera(400, 300, 500.0)

@@ -11,9 +11,9 @@ import pytest
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure, Trail
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.segmentation import SHAPE_LIMITS
 from glstar.render.opengl import GLRenderer, program
-from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.system.resources import shader_paths
 from tests.gl.test_lens import LENSES
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide

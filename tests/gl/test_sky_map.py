@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.render.opengl import GLRenderer

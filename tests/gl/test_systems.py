@@ -3,7 +3,8 @@
 import pytest
 
 from glstar.errors import ContextError
-from glstar.render.opengl import context, devices
+from glstar.render.opengl import context
+from glstar.render.opengl import context as devices
 
 
 @pytest.mark.parametrize(

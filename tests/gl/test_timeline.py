@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from glstar.config import Config, ExposureSection
 from glstar.flight import DATA_GAP, AttitudeTrack, Flight, Gap
 from glstar.rotation import quaternion_from_euler
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
-from glstar.viewer.playhead import Mode, PlayHead
-from glstar.viewer.ui.playbackcontrols import PlaybackControls
-from glstar.viewer.ui.timeline import Timeline
+from glstar.viewer.flight.playhead import Mode, PlayHead
+from glstar.viewer.ui.panels.playback import PlaybackControls
+from glstar.viewer.ui.panels.timeline import Timeline
 
 WIDTH, HEIGHT = 1000, 360
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)

@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.cli import app
 from glstar.compare.folders import image_files
-from glstar.export.masks import saturated_mask
+from glstar.export.imagefiles.masks import saturated_mask
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Scene
-from glstar.render.trailmask import mask_threshold_dn, trail_mask
-from glstar.render.truth import frame_truth
+from glstar.render.scene.scene import Scene
+from glstar.render.truth.frame import frame_truth
+from glstar.render.truth.mask import mask_threshold_dn, trail_mask
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 SENSOR = Sensor(sky_mean_dn=20.0, sky_std_dn=4.0)

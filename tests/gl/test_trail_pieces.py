@@ -9,11 +9,11 @@ from scipy.ndimage import maximum_filter
 
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
-from glstar.camera.truncation import TRUNCATION_DN
+from glstar.camera.sensor.pointspread import TRUNCATION_DN
 from glstar.config import Config
-from glstar.render.opengl import trailpass
-from glstar.render.opengl.readoutclock import pinhole_clock
-from glstar.render.trailmodels import AnalyticSegments
+from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.opengl.passes import trail as trailpass
+from glstar.render.opengl.textures import pinhole_clock
 from glstar.system.resources import asset
 from tests.scripts.random_trails import FREE_PIECES, Variant, drawn_in_pieces, random_trial, worst_pixel
 

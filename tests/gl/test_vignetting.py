@@ -8,16 +8,15 @@ import moderngl
 import numpy as np
 import pytest
 
-from glstar.camera.electrons import ElectronModel
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.camera.vignetting import Vignetting
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.render.effects import EFFECTS, Effect, Stage
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Frame, Scene
-from glstar.render.truth import frame_truth
+from glstar.render.scene.scene import Frame, Scene
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
 
 # A field of 34 by 27 deg off the axis; noise well below a DN.

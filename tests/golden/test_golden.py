@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 

@@ -20,7 +20,7 @@ from glstar.images.times import (
     time_of,
     utc_from_name,
 )
-from glstar.sky.timescale import format_utc, parse_utc
+from glstar.sky.place.timescale import format_utc, parse_utc
 from tests.support.exif import (
     DATE_TIME_ORIGINAL,
     EXPOSURE_TIME,

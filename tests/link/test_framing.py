@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from glstar.link import Framer
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 
 
 def packets(count: int, *, sign: bool = False) -> list[bytes]:

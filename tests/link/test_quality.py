@@ -1,6 +1,6 @@
 """Reports of damage, losses and floods on a link."""
 
-from glstar.link.quality import Quality
+from glstar.link.status import Quality
 
 
 def reported(*, packets_hz: float = 60.0, lost_hz: float = 0.0, bad: float = 0.0) -> list[str]:

@@ -10,10 +10,10 @@ from glstar.flight import Flight
 from glstar.link import Framer, Packet
 from glstar.link.clock import BootClock
 from glstar.link.history import RowBuffer
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 from glstar.link.receiver import Receiver
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.telemetry import FlightOptions
 
 MAVLINK = dialect()

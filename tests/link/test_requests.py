@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from glstar.link.messages import (
+from glstar.link.outgoing import Requests
+from glstar.link.packets import (
     ATTITUDE,
     ATTITUDE_QUATERNION,
     GPS,
@@ -16,7 +17,6 @@ from glstar.link.messages import (
     dialect,
 )
 from glstar.link.receiver import Receiver
-from glstar.link.requests import Requests
 from tests.link.test_receiver import Sender, receiver
 
 MAVLINK = dialect()

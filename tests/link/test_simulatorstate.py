@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from glstar.link.clock import BootClock
+from glstar.link.history import SimulatorState
 from glstar.link.receiver import Receiver
-from glstar.link.simulatorstate import SimulatorState
 from glstar.rotation import euler_from_quaternion
 from tests.link.test_receiver import MAVLINK, Sender
 from tests.support.autopilot import body_to_ned

@@ -13,7 +13,7 @@ import pytest
 
 import glstar
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.flight import PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.rotation import (
@@ -25,11 +25,11 @@ from glstar.rotation import (
     quaternion_from_matrix,
     slerp,
 )
-from glstar.sky.apparent import ASTROMETRY, direction
-from glstar.sky.horizon import C_ned_eq, ned_direction, ned_to_azimuth_altitude_rad
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc, tai_minus_utc_s, tt_julian_date, ut1_julian_date
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import ASTROMETRY, direction
+from glstar.sky.place.horizon import C_ned_eq, ned_direction, ned_to_azimuth_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc, tai_minus_utc_s, tt_julian_date, ut1_julian_date
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
 
@@ -37,7 +37,7 @@ DEG = np.pi / 180
 NORTH, EAST, DOWN = FORWARD, RIGHT, FLOOR = IMAGE_RIGHT, IMAGE_DOWN, BORESIGHT = np.eye(3)
 
 # Modules of the user interface and of files, where degrees are allowed.
-USER_FACING = re.compile(r"glstar\.(cli|config|render\.truth|camera\.camerafile|telemetry|__main__)\b")
+USER_FACING = re.compile(r"glstar\.(cli|config|render\.truth\.frame|camera\.camerafile|telemetry|__main__)\b")
 
 
 def modules() -> Iterator[ModuleType]:

@@ -67,7 +67,7 @@ PHRASES = (
 # Where a word or a phrase is the right one: (files, term, reason).
 EXCEPTIONS = (
     ("tests/project/test_words.py", "*", "this list"),
-    ("glstar/export/truthfile.py", "tell", "the method of Python's files"),
+    ("glstar/export/truth/lines.py", "tell", "the method of Python's files"),
     ("tests/scripts/powerloss.py", "tell", "the method of Python's files"),
 )
 

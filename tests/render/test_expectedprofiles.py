@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 
 LENS = camera(241, 181, 300.0)

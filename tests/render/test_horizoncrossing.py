@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from glstar.render.horizoncrossing import NEVER, rise_and_set
-from glstar.render.pointing import Pointing
-from glstar.render.trailmodels import AnalyticSegments
-from glstar.sky.horizon import refraction_displacement, refraction_scale
+from glstar.render.motion.pointing import Pointing
+from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.scene.occlusion import NEVER, rise_and_set
+from glstar.sky.air.refraction import refraction_displacement, refraction_scale
 
 EARTH_RAD_PER_S = 7.292115e-5
 LATITUDE_RAD = np.deg2rad(-35.0)

@@ -7,11 +7,11 @@ import orjson
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.scene import Frame, Scene
+from glstar.render.scene.scene import Frame, Scene
 from glstar.render.simulator import Simulator
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
 from tests.support.reference import light_of
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 

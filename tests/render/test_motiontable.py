@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.render.motiontable import MotionTable
+from glstar.render.motion.pointing import MotionTable
 from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
 
 SECOND = np.arange(0.0, 1.0, 0.02)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.render.endpieces import divided_trails
-from glstar.render.openpieces import PixelOpenings
-from glstar.render.trailpieces import PieceCosts, in_pieces
+from glstar.render.readout.openings import PixelOpenings, divided_trails
+from glstar.render.readout.pieces import PieceCosts, in_pieces
 from tests.render.test_pathfit import EXPOSURE, LENS, flown, rough
 
 FREE = PieceCosts(min_segments=1, pieces_per_segment=np.inf)

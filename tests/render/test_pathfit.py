@@ -11,13 +11,12 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.nodecorrections import STIFFNESS, node_corrections
-from glstar.render.pathfit import LIMITS, SampledMotion
-from glstar.render.scene import Frame, Scene
-from glstar.render.segmentation import ROLLING_POSITION_PX
+from glstar.render.motion.segmentation import ROLLING_POSITION_PX
+from glstar.render.motion.segmentfit import LIMITS, STIFFNESS, SampledMotion, node_corrections
+from glstar.render.scene.scene import Frame, Scene
 from glstar.render.simulator import Simulator
-from glstar.render.trailpeaks import trail_peaks
-from glstar.render.truth import frame_truth
+from glstar.render.truth.frame import frame_truth
+from glstar.render.truth.peaks import trail_peaks
 from glstar.rotation import quaternion_from_euler
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 

@@ -8,12 +8,12 @@ import orjson
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.opengl import GLRenderer
-from glstar.render.rowtimes import recorded_times
-from glstar.render.stacking import short_seed
-from glstar.render.trailmask import mask_threshold_dn, trail_mask
-from glstar.render.truth import frame_truth
+from glstar.render.readout.rows import recorded_times
+from glstar.render.readout.stacking import short_seed
+from glstar.render.truth.frame import frame_truth
+from glstar.render.truth.mask import mask_threshold_dn, trail_mask
 from tests.gl.test_analytic_trails import BRIGHT, light, most_of_the_time_on_the_image
 from tests.support.rollingshutter import recorded_span_s, rolling_light, star_positions
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field

@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.recordedpaths import recorded_positions
-from glstar.render.rowtimes import recorded_times
-from glstar.render.scene import Frame, Scene
-from glstar.render.truth import frame_truth
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.readout.rows import recorded_positions, recorded_times
+from glstar.render.scene.scene import Frame, Scene
+from glstar.render.truth.frame import frame_truth
 from tests.gl.test_analytic_trails import vibrating
 from tests.support.rollingshutter import star_positions
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field

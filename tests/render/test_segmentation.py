@@ -5,7 +5,7 @@ import pytest
 
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.segmentation import segment_times
+from glstar.render.motion.segmentation import segment_times
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_euler
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide

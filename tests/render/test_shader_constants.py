@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from glstar.camera.sensor import PIXEL_VARIANCE_PX2
-from glstar.render import segmentation
-from glstar.render.opengl import distortionpass, pathpass
-from glstar.sky import horizon
-from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
+from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2
+from glstar.render.motion import segmentation
+from glstar.render.opengl.passes import lensdistortion as distortionpass
+from glstar.render.opengl.passes import path as pathpass
+from glstar.sky.air import refraction
+from glstar.sky.air.refraction import LOWEST_ALTITUDE_RAD, refraction_displacement
 from glstar.system.resources import shader, shader_paths
 
 DECLARED = re.compile(r"^\s*const\s+(?:float|int)\s+(?P<some>[^;\[]+);", re.MULTILINE)
@@ -49,7 +50,7 @@ def test_the_shaders_refract_as_the_labels_do() -> None:
 
 def test_the_shaders_hold_the_refraction_constant_below_the_same_altitude_as_the_labels() -> None:
     lowest = constants("refraction.glsl")["SINE_OF_LOWEST_ALTITUDE"]
-    assert lowest == pytest.approx(math.sin(horizon.LOWEST_ALTITUDE_RAD), rel=1e-15)
+    assert lowest == pytest.approx(math.sin(refraction.LOWEST_ALTITUDE_RAD), rel=1e-15)
 
 
 @pytest.mark.parametrize(

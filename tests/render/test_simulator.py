@@ -7,15 +7,15 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import TrackRangeError
 from glstar.flight import AttitudeTrack, PositionTrack
+from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
 from glstar.render.simulator import Simulator
-from glstar.render.trailmodels import AnalyticSegments, SubExposures
 from glstar.rotation import multiply, quaternion_from_euler
-from glstar.sky.horizon import ned_direction, ned_to_azimuth_altitude_rad
-from glstar.telemetry.scripted import ScriptedFlight
+from glstar.sky.place.horizon import ned_direction, ned_to_azimuth_altitude_rad
+from glstar.telemetry.synthetic import ScriptedFlight
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field, with_stars_at
 
 ARCSEC = np.pi / 648000

@@ -10,8 +10,8 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.errors import ConfigError, RenderError
 from glstar.render.opengl import GLRenderer
-from glstar.render.stacking import short_seed, union
-from glstar.render.truth import frame_truth
+from glstar.render.readout.stacking import short_seed, union
+from glstar.render.truth.frame import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 SMALL = camera(240, 180, 400.0)

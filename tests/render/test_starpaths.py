@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.render.starpaths import ConicPaths, SampledPaths, end_weights
+from glstar.render.motion.starpaths import ConicPaths, SampledPaths, end_weights
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from tests.support.scenes import camera
 

@@ -8,12 +8,11 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render import brightestpoints
-from glstar.render.recordedpaths import recorded_positions
-from glstar.render.rowtimes import recorded_times
+from glstar.render.readout.rows import recorded_positions, recorded_times
 from glstar.render.simulator import Simulator
-from glstar.render.trailpeaks import trail_peaks
-from glstar.render.trailstatistics import TrailStatistics
+from glstar.render.truth import peaks as brightestpoints
+from glstar.render.truth.peaks import trail_peaks
+from glstar.render.truth.statistics import TrailStatistics
 from glstar.rotation import quaternion_from_euler
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 

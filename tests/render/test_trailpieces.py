@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.camera.truncation import TRUNCATION_DN
-from glstar.render.bodysources import BODIES
-from glstar.render.trailmodels import AnalyticSegments
-from glstar.render.trailpieces import (
+from glstar.camera.sensor.pointspread import TRUNCATION_DN
+from glstar.render.motion.trailmodels import AnalyticSegments, TrailPieces
+from glstar.render.readout.pieces import (
     FAINT_LIMITS,
     FAINT_PEAK_DN,
     PIECE_LIMITS,
     PIECES_PER_SPRITE,
     SNAPPING_PX,
     PieceCosts,
-    TrailPieces,
     in_pieces,
     trail_pieces,
 )
+from glstar.render.scene.bodies import BODIES
 from tests.render.test_pathfit import CORNERS_AND_MORE, EXPOSURE, LENS, flown, rough
 from tests.support.scenes import NIGHT_UTC_S
 

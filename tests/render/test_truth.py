@@ -11,15 +11,15 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.scene import Frame
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.scene.scene import Frame
 from glstar.render.simulator import Simulator
-from glstar.render.truth import KEYS, frame_truth
+from glstar.render.truth.frame import KEYS, frame_truth
 from glstar.rotation import matrix_from_quaternion
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
-from glstar.telemetry.scripted import ScriptedFlight
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import ASTROMETRY
+from glstar.telemetry.synthetic import ScriptedFlight
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 

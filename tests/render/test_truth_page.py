@@ -4,7 +4,7 @@ import json
 import re
 
 import glstar as gs
-from glstar.render.truth import KEYS
+from glstar.render.truth.frame import KEYS
 from glstar.system.resources import manual_pages
 
 PAGE = manual_pages()["truth"].read_text(encoding="utf-8")

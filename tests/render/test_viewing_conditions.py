@@ -7,10 +7,10 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import RenderError
-from glstar.render.viewingconditions import conditions_report, viewing_conditions
-from glstar.sky.bodies import observed_bodies
-from glstar.sky.timescale import parse_utc
-from glstar.telemetry.scripted import ScriptedFlight
+from glstar.render.truth.conditions import conditions_report, viewing_conditions
+from glstar.sky.observed.solarsystem import observed_bodies
+from glstar.sky.place.timescale import parse_utc
+from glstar.telemetry.synthetic import ScriptedFlight
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
 LENS = camera(320, 240, 300.0)

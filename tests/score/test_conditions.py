@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.render.truth import KEYS
+from glstar.render.truth.frame import KEYS
 from glstar.rotation import about_y, quaternion_from_matrix
 from glstar.score.scoring import Score, score
 

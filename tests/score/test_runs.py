@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glstar.errors import AnswersError
-from glstar.render.truth import KEYS
+from glstar.render.truth.frame import KEYS
 from glstar.rotation import about_y, quaternion_from_euler, quaternion_from_matrix
 from glstar.score.scoring import Score, score
 

@@ -14,10 +14,10 @@ from scipy.stats import chi2
 from glstar.errors import AnswersError
 from glstar.rotation import about_x, about_y, about_z, matrix_from_quaternion, quaternion_from_matrix
 from glstar.score.answers import ErrorEllipse, attitude_of_boresight, read_answers
-from glstar.score.framescore import Outcome
+from glstar.score.frames import Outcome
 from glstar.score.scoring import Score, score
-from glstar.sky.apparent import direction
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.apparent import direction
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
 
 DEG, ARCSEC = np.pi / 180, np.pi / 180 / 3600

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.colourband import BandName, Channel, ColourBand
+from glstar.camera.sensor.colourband import BandName, Channel, ColourBand
 
 Float = NDArray[np.float64]
 

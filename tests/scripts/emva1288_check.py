@@ -26,8 +26,7 @@ def draw(folder: Path) -> None:
     """Write two frames of each exposure with and without light, and stacks at half saturation and in the dark."""
     import numpy as np
 
-    from glstar.camera.electrons import ElectronModel
-    from glstar.camera.sensor import Sensor
+    from glstar.camera.sensor.sensor import ElectronModel, Sensor
     from glstar.render.opengl import GLRenderer
     from tests.support.scenes import camera, stars_at
 

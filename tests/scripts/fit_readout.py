@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.render.opengl import GLRenderer
 from tests.compare.test_readout_fit import CLOCK_S, READOUT_S, TURN_DEG, Hidden, fitted, simulator

@@ -35,7 +35,7 @@ import pandas as pd
 from pymavlink.dialects.v20 import common
 
 from glstar.errors import LogFormatError
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import open_flight, open_source
 from tests.support import joinedlogs

@@ -10,7 +10,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from glstar.config.sections import SECTIONS
+from glstar.config.keys import SECTIONS
 from glstar.system.resources import asset
 
 PAGE = Path(__file__).parents[2] / "assets" / "manual" / "config.md"

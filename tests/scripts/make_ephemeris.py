@@ -17,7 +17,7 @@ from jplephem.ephem import Ephemeris
 from numpy.polynomial.chebyshev import chebfit
 from numpy.typing import NDArray
 
-from glstar.sky.ephemeris import AU_KM, PLANETS
+from glstar.sky.observed.solarsystem import AU_KM, PLANETS
 
 ASSET = Path(__file__).parents[2] / "assets" / "ephemeris.npz"
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import erfa
 import numpy as np
 
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue.reading import StarCatalogue
 
 ASSET = Path(__file__).parents[2] / "assets" / "galaxy.npz"
 STEP_DEG = 2.5

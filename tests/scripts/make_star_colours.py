@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue.reading import StarCatalogue
 
 ASSET = Path(__file__).parents[2] / "assets" / "bsc5-colours.npz"
 STARS = "package/data/stars.8.json"

@@ -20,10 +20,9 @@ import psutil
 from imgui_bundle import imgui
 
 from glstar.config import Config
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.keys import KEYS, Action
-from glstar.viewer.loop import Viewer
-from glstar.viewer.ui.keyboard import parse_chord
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.session.keys import KEYS, Action
+from glstar.viewer.ui.interface import parse_chord
 from tests.support.windowinput import HELD_KEYS
 from tests.viewer.conftest import write_flight
 

@@ -414,8 +414,8 @@ class Laboratory:
 
     def export(self, case: Case, directory: Path, frames: int, seed: int) -> Any:
         from glstar.config import Config
-        from glstar.export.options import ExportOptions
-        from glstar.export.prepare import prepare_export
+        from glstar.export.plan.frames import ExportOptions
+        from glstar.export.run.prepare import prepare_export
 
         kind = case.words[1] if "--format" in case.words else None
         config, flight = Config.load(self.folder / "small.toml"), self.folder / "flight.csv"
@@ -423,8 +423,8 @@ class Laboratory:
         return prepare_export(config, flight, directory, options)
 
     def draw(self, export: Any, shares: tuple[str, ...] = ("1/1",), *, force: bool = False) -> None:
-        from glstar.export.executors import SerialExecutor
-        from glstar.export.shard import Shard
+        from glstar.export.run.executors import SerialExecutor
+        from glstar.export.run.export import Shard
 
         for share in shares:
             export.run(SerialExecutor(self._renderer), shard=Shard.parse(share), force=force)

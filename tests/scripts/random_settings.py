@@ -28,11 +28,11 @@ import orjson
 
 from glstar.config import Config
 from glstar.errors import GlstarError
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.prepare import prepare_export
 from glstar.flight import Flight
+from glstar.render.motion.trailmodels import SubExposures
 from glstar.render.opengl import GLRenderer
-from glstar.render.trailmodels import SubExposures
 from glstar.system.resources import asset
 
 # Of the brightest pixel above the background.

@@ -30,12 +30,13 @@ from scipy.special import erf
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.render.opengl import GLRenderer, trailpass
+from glstar.render.opengl import GLRenderer
+from glstar.render.opengl.passes import trail as trailpass
+from glstar.render.readout.pieces import PieceCosts, in_pieces
 from glstar.render.simulator import Simulator
-from glstar.render.trailpieces import PieceCosts, in_pieces
 from glstar.rotation import (
     conjugate,
     euler_from_quaternion,
@@ -44,7 +45,7 @@ from glstar.rotation import (
     quaternion_from_euler,
     quaternion_from_matrix,
 )
-from glstar.sky.horizon import refraction_displacement
+from glstar.sky.air.refraction import refraction_displacement
 from glstar.system.resources import asset
 from tests.support.rollingshutter import rolling_light
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field

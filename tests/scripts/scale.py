@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 import psutil
 
-from glstar.export.layout import OURS, output_files
+from glstar.export.directory import OURS, output_files
 
 SETTINGS = """
 [camera]

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera
 
 # Bright stars and 16 bits, so that truncation is not visible.

@@ -9,9 +9,9 @@ import argparse
 from pathlib import Path
 
 from glstar.calibrate import Calibration
-from glstar.cli.calibrateoptions import CalibrateOptions
-from glstar.cli.calibraterun import calibrate_images
-from glstar.cli.calibratetwin import write_twin
+from glstar.cli.calibration.run import calibrate_images
+from glstar.cli.calibration.settings import CalibrateOptions
+from glstar.cli.calibration.twin import write_twin
 from glstar.errors import CalibrationError
 
 _NOWHERE = {"--lat": None, "--lon": None}

@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glstar.sky.apparent import (
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import (
     ASTROMETRY,
     ErfaAstrometry,
     PaperAstrometry,
@@ -21,11 +23,9 @@ from glstar.sky.apparent import (
     proper_motion,
     right_ascension_declination,
 )
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.horizon import ned_direction
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.timescale import centuries_since_j2000, parse_utc, tt_julian_date
+from glstar.sky.place.horizon import ned_direction
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import centuries_since_j2000, parse_utc, tt_julian_date
 
 ARCSEC = np.pi / 648000
 DEG = np.pi / 180

@@ -11,15 +11,13 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.bodies import BODIES, Body, observed_bodies
-from glstar.sky.bodymagnitudes import moon_vmag
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.ephemeris import AU_KM, is_corrected, moon_km
-from glstar.sky.horizon import ned_direction
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc, tt_julian_date
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.solarsystem import AU_KM, BODIES, Body, is_corrected, moon_km, moon_vmag, observed_bodies
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import ASTROMETRY
+from glstar.sky.place.horizon import ned_direction
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc, tt_julian_date
 
 skyfield_api = pytest.importorskip("skyfield.api")
 magnitudelib = pytest.importorskip("skyfield.magnitudelib")

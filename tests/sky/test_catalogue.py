@@ -19,18 +19,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-import glstar.sky.catalogue as catalogue_module
+import glstar.sky.catalogue.reading as catalogue_module
 from glstar.cli import app as main_app
-from glstar.cli.catalogue import app
+from glstar.cli.machine.catalogue import app
 from glstar.errors import CatalogueError, ExportError, GlstarError
-from glstar.sky.catalogue import CatalogueFile, StarCatalogue, catalogue_path
-from glstar.sky.cataloguebuild import (
-    build_bsc5,
-    build_hipparcos,
-    to_j2000,
-    vmag_from_hp,
-)
-from glstar.sky.starnames import designation, proper_names
+from glstar.sky.catalogue.bright import build_bsc5, build_hipparcos, to_j2000, vmag_from_hp
+from glstar.sky.catalogue.names import designation, proper_names
+from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue, catalogue_path
 from glstar.system.installation import install_command
 
 ARCSEC = np.pi / 180 / 3600
@@ -773,7 +768,7 @@ def test_the_command_builds_at_the_given_path(tmp_path, bsc_table):
 
 def test_the_command_does_not_change_an_installation(tmp_path, bsc_table, monkeypatch):
     monkeypatch.setattr(
-        "glstar.cli.catalogue.catalogue_path", lambda name: tmp_path / "site" / "assets" / "bsc5.sqlite"
+        "glstar.cli.machine.catalogue.catalogue_path", lambda name: tmp_path / "site" / "assets" / "bsc5.sqlite"
     )
     result = runner.invoke(app, ["build", "bsc5", "--from", str(bsc_table), "--force"])
     assert isinstance(result.exception, CatalogueError)
@@ -787,8 +782,6 @@ def test_an_unknown_catalogue_is_a_usage_error():
 
 def test_importing_the_catalogue_imports_nothing_heavy():
     heavy = ("astropy", "moderngl", "cv2", "pymavlink", "erfa", "typer")
-    code = (
-        f"import sys, glstar.sky.catalogue, glstar.sky.cataloguebuild; print([m for m in {heavy} if m in sys.modules])"
-    )
+    code = f"import sys, glstar.sky.catalogue.bright; print([m for m in {heavy} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

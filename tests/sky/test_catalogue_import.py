@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from glstar.cli.catalogue import app
+from glstar.cli.machine.catalogue import app
 from glstar.errors import CatalogueError
-from glstar.sky.catalogue import StarCatalogue, star_label
-from glstar.sky.catalogueimport import build_gaia, build_hip_main, build_table, build_tycho2
-from glstar.sky.cataloguenames import tycho_number
-from glstar.sky.startable import space_motion_to_j2000, vmag_from_gaia
+from glstar.sky.catalogue.deep import build_gaia, build_hip_main, build_table, build_tycho2
+from glstar.sky.catalogue.reading import StarCatalogue, star_label, tycho_number
+from glstar.sky.catalogue.writing import space_motion_to_j2000, vmag_from_gaia
 
 MAS = np.pi / 648000 / 1000
 
@@ -171,7 +170,7 @@ def test_more_stars_than_one_chunk_are_read_in_the_order_of_brightness(
     source.write_text("\n".join(["id,ra,dec,vmag", *lines]), encoding="utf-8")
     catalogue = build_table(tmp_path / "many.sqlite", source, {})
     whole = catalogue.brighter_than(11.0)
-    monkeypatch.setattr("glstar.sky.catalogue._ROWS_AT_ONCE", 40)
+    monkeypatch.setattr("glstar.sky.catalogue.reading._ROWS_AT_ONCE", 40)
     parts = catalogue.brighter_than(11.0)
     assert (
         parts.star_id.tolist()

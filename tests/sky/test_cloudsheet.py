@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
-from glstar.sky.cloudsheet import CloudSheet, SheetCrossing
+from glstar.sky.air.clouds import CloudLights, CloudSheet, SheetCrossing, cloud_from_above, cloud_from_below
 
 SHEET = CloudSheet(0.4, 2.0, 4000.0, 2000.0, 1.0, 20.0, np.deg2rad(270.0), 1)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from glstar.errors import CatalogueError
-from glstar.sky import constellations as module
-from glstar.sky.apparent import direction
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue import names as module
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.place.apparent import direction
 from glstar.system.resources import asset
 
 ARCSEC = np.pi / 180 / 3600

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.sky import earthorientation
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.earthorientation import described_earth_orientation, earth_orientation
-from glstar.sky.horizon import ned_direction
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place import timescale as earthorientation
+from glstar.sky.place.apparent import ASTROMETRY
+from glstar.sky.place.horizon import ned_direction
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import described_earth_orientation, earth_orientation, parse_utc
 from tests.e2e.test_export import SETTINGS, done, manifest_of, refused, table_of_a_flight, truth_of
 
 ARCSEC = np.pi / 648000

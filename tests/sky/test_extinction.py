@@ -8,12 +8,12 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.config.reading import extinction_of
 from glstar.render.opengl import GLRenderer
-from glstar.render.truth import frame_truth
-from glstar.sky.extinction import Extinction, air_mass
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.air.extinction import Extinction, air_mass
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 # Green 1992, International Comet Quarterly 14, 55, Table Ia: extinction, mag, by zenith distance, deg, at 0, 0.5, 1, 2

@@ -6,20 +6,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glstar.sky.apparent import direction
-from glstar.sky.horizon import (
+from glstar.sky.air.refraction import (
     LOWEST_ALTITUDE_RAD,
-    C_ned_eq,
-    azimuth_altitude_rad,
     bennett_refraction_rad,
-    diurnal_aberration_rad,
-    hour_angle_rad,
-    ned_direction,
-    ned_to_azimuth_altitude_rad,
     refraction_displacement,
     refraction_rad,
     refraction_scale,
     true_altitude_rad,
+)
+from glstar.sky.place.apparent import direction
+from glstar.sky.place.horizon import (
+    C_ned_eq,
+    azimuth_altitude_rad,
+    diurnal_aberration_rad,
+    hour_angle_rad,
+    ned_direction,
+    ned_to_azimuth_altitude_rad,
 )
 
 ARCSEC = np.pi / 648000

@@ -7,7 +7,7 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.sky.horizonprofile import HorizonProfile
+from glstar.sky.place.horizon import HorizonProfile
 
 HEADER = "azimuth_deg,altitude_deg\n"
 

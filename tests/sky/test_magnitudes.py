@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
+from glstar.sky.photometry import brightness_ratio, magnitude_difference
 
 
 def test_a_star_one_magnitude_fainter_has_two_fifths_of_the_flux() -> None:

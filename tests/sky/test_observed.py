@@ -4,19 +4,13 @@ import erfa
 import numpy as np
 import pytest
 
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.horizon import (
-    C_ned_eq,
-    azimuth_altitude_rad,
-    hour_angle_rad,
-    ned_direction,
-    refraction_rad,
-    refraction_scale,
-)
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.air.refraction import refraction_rad, refraction_scale
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import ASTROMETRY
+from glstar.sky.place.horizon import C_ned_eq, azimuth_altitude_rad, hour_angle_rad, ned_direction
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 
 ARCSEC = np.pi / 648000
 DEG = np.pi / 180

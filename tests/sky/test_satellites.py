@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.errors import ConfigError
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.horizon import ned_to_azimuth_altitude_rad
-from glstar.sky.observed import Sky
-from glstar.sky.satellites import Satellites, lit_fraction, satellite_vmag
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.satellites import Satellites, lit_fraction, satellite_vmag
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from tests.support.satellites import HIGHER, PASS, dut1_s, elements, seen_by_skyfield, with_checksum
 
 EPOCH_S = parse_utc("2024-03-18T10:00:00Z")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.sky.scintillation import SMALL_LENS_RMS, Scintillation
+from glstar.sky.air.extinction import SMALL_LENS_RMS, Scintillation
 
 STARS = np.arange(1, 4001, dtype=np.int32)
 RMS = np.full(len(STARS), 0.38)

@@ -5,8 +5,8 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.sky.horizon import refraction_scale
-from glstar.sky.site import Site
+from glstar.sky.air.refraction import refraction_scale
+from glstar.sky.place.site import Site
 
 DEG = np.pi / 180
 

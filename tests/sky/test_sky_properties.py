@@ -5,23 +5,20 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from glstar.render.pointing import Pointing
-from glstar.sky.apparent import ASTROMETRY, direction, precession_matrix, right_ascension_declination
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.horizon import (
+from glstar.render.motion.pointing import Pointing
+from glstar.sky.air.refraction import (
     LOWEST_ALTITUDE_RAD,
-    C_ned_eq,
-    diurnal_aberration_rad,
-    ned_direction,
-    ned_to_azimuth_altitude_rad,
     refraction_displacement,
     refraction_rad,
     refraction_scale,
     true_altitude_rad,
 )
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc, tt_julian_date
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import ASTROMETRY, direction, precession_matrix, right_ascension_declination
+from glstar.sky.place.horizon import C_ned_eq, diurnal_aberration_rad, ned_direction, ned_to_azimuth_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc, tt_julian_date
 
 ARCSEC = np.pi / 648000
 DEG = np.pi / 180

@@ -9,16 +9,15 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.render.effects.naturalsky import NATURAL_SKY, sky_radiance_at
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
-from glstar.render.truth import frame_truth
-from glstar.sky.extinction import Extinction
-from glstar.sky.horizon import dip_rad
-from glstar.sky.skybrightness import (
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.air.extinction import Extinction
+from glstar.sky.air.skybrightness import (
     SkyLights,
     SkyState,
     SkyView,
@@ -27,8 +26,9 @@ from glstar.sky.skybrightness import (
     sky_radiance,
     twilight_mag,
 )
-from glstar.sky.timescale import parse_utc
-from glstar.telemetry.scripted import ScriptedFlight
+from glstar.sky.place.horizon import dip_rad
+from glstar.sky.place.timescale import parse_utc
+from glstar.telemetry.synthetic import ScriptedFlight
 from tests.support.scenes import ADELAIDE, camera, sky_over_adelaide
 
 NATURAL = {"sky.brightness": "natural"}

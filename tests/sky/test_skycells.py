@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.sky.skycells import SkyCells
+from glstar.sky.catalogue.starfield import SkyCells
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import erfa
 import numpy as np
 import pytest
 
-from glstar.sky.spacelight import S10_MAG_ARCSEC2, beyond_the_air_s10, galaxy_s10, zodiacal_s10
+from glstar.sky.air.skybrightness import S10_MAG_ARCSEC2, beyond_the_air_s10, galaxy_s10, zodiacal_s10
 
 EVERYWHERE = np.meshgrid(np.deg2rad(np.arange(0.5, 360)), np.deg2rad(np.arange(-89.5, 90)))
 AREA = np.cos(EVERYWHERE[1])

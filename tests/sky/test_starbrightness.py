@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from glstar.camera.colourband import ColourBand
+from glstar.camera.sensor.colourband import ColourBand
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
-from glstar.render.colourscenes import in_band
-from glstar.sky.starbrightness import StarBrightness
-from glstar.sky.starfield import StarField
+from glstar.render.scene.starcomponents import in_band
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.photometry import StarBrightness
 from glstar.system.resources import asset
 
 # Sirius, Canopus and Rigil Kentaurus, the second half a magnitude brighter to the camera.

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glstar.errors import ConfigError
-from glstar.sky.timescale import (
+from glstar.sky.place.timescale import (
     centuries_since_j2000,
     format_utc,
     julian_day,

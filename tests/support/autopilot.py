@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 
 MAVLINK: Final = dialect()
 UTC_S: Final = 1_710_068_400.0

@@ -9,15 +9,15 @@ import numpy as np
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor.sensor import Sensor
 from glstar.compare import Alignment, FlightComparison, Search
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, quaternion_from_turn
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S
 
 _LENS: Final = Camera(300, 225, 286.0, 286.0, 149.5, 112.0)

@@ -9,8 +9,8 @@ import numpy as np
 from pymavlink.DFReader import DFReader_binary
 
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry.dataflash.records import BinaryRecords
 
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)

@@ -16,9 +16,9 @@ from scipy.special import erf
 
 from glstar.calibrate import Matches, Photograph, ReferenceStars
 from glstar.camera.model import Camera
-from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.observed import Sky
-from glstar.sky.starcolours import star_colours
+from glstar.sky.observed.stars import Sky
+from glstar.sky.photometry import star_colours
+from glstar.sky.place.apparent import ASTROMETRY
 from tests.support.starphotos import ALL_STARS
 
 Float = NDArray[np.float64]

@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.camera.sensor import Sensor
-from glstar.render.scene import Frame, Scene
-from glstar.render.trailmodels import AnalyticSegments
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.scene.scene import Frame, Scene
 
 Float = NDArray[np.float64]
 

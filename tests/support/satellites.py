@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from skyfield.api import EarthSatellite, load, wgs84
 from skyfield.positionlib import ICRF
 
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 
 Float = NDArray[np.float64]
 

@@ -8,19 +8,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.culling import DrawList
-from glstar.render.pointing import Pointing
-from glstar.render.scene import Scene
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.pointing import Pointing
+from glstar.render.motion.trailmodels import SubExposures
+from glstar.render.scene.culling import DrawList
+from glstar.render.scene.scene import Scene
 from glstar.render.simulator import Simulator
-from glstar.render.trailmodels import SubExposures
 from glstar.rotation import about_x, about_y
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.sky.starfield import StarField
-from glstar.sky.timescale import parse_utc
-from glstar.telemetry.scripted import ScriptedFlight
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
+from glstar.telemetry.synthetic import ScriptedFlight
 
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)
 NIGHT_UTC_S = parse_utc("2024-03-10T11:00:00Z")

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from glstar.calibrate import Photograph, PlateSolution, ReferenceStars
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
-from glstar.camera.sensor import Sensor
-from glstar.render.scene import Scene
-from glstar.render.trailmodels import SubExposures
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.trailmodels import SubExposures
+from glstar.render.scene.scene import Scene
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
 from tests.support.reference import light_of
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 

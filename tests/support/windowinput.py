@@ -3,7 +3,7 @@
 import numpy as np
 from imgui_bundle import imgui
 
-from glstar.viewer.ui.keyboard import parse_chord
+from glstar.viewer.ui.interface import parse_chord
 
 HELD_KEYS = {imgui.Key.mod_ctrl: imgui.Key.left_ctrl, imgui.Key.mod_shift: imgui.Key.left_shift}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from glstar.system.clipboard import copy_png
+from glstar.system.imagefiles import copy_png
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the programs of Linux desktops")
 

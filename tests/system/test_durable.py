@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from glstar.export.framewriter import FrameWriter
-from glstar.export.truthfile import TruthFile
+from glstar.export.frame import FrameWriter
+from glstar.export.truth.lines import TruthFile
 from glstar.link import Recorder
-from glstar.system import durable
-from glstar.system.durable import TEMPORARY, StagedFile, flush, make_directory, write_atomically
+from glstar.system import files as durable
+from glstar.system.files import TEMPORARY, StagedFile, flush, make_directory, write_atomically
 
 
 @pytest.fixture
@@ -215,7 +215,7 @@ def test_joining_the_truth_on_a_full_disk_leaves_no_temporary_file(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as full:
-        full.setattr("glstar.export.truthfile._copy", copy_half)
+        full.setattr("glstar.export.truth.lines._copy", copy_half)
         with pytest.raises(OSError, match="No space"):
             truth.finish(np.arange(6))
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from glstar.system import filelock
-from glstar.system.filelock import LockFile, LockHeldError, lock_handle
+from glstar.system import files as filelock
+from glstar.system.files import LockFile, LockHeldError, lock_handle
 
 # Takes a lock, reports it, and keeps it until its input ends or it is killed.
 OWNER = """

@@ -16,7 +16,7 @@ from glstar.camera.model import Camera
 from glstar.cli import app
 from glstar.errors import CalibrationError, ImagesError
 from glstar.images import read_grey
-from glstar.system.imagesize import image_size, size_error
+from glstar.system.imagefiles import image_size, size_error
 
 HUGE = (32000, 32000)
 

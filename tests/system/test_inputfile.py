@@ -9,9 +9,9 @@ from glstar.camera.camerafile import camera_from_file
 from glstar.config import Config
 from glstar.errors import GlstarError
 from glstar.images.times import read_table
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.starbrightness import StarBrightness
-from glstar.system.inputfile import read_bytes, read_text
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.photometry import StarBrightness
+from glstar.system.userinput import read_bytes, read_text
 
 SECRET = "hunter2"
 

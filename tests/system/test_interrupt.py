@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from glstar.system.interrupt import defer_interrupts
+from glstar.system.process import defer_interrupts
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from glstar.system.nearmiss import did_you_mean, nearest_word
+from glstar.system.userinput import did_you_mean, nearest_word
 
 
 def test_the_most_similar_word_is_proposed() -> None:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from glstar.system.png import encode_png
+from glstar.system.imagefiles import encode_png
 
 
 def noise(mean_dn: float, sigma_dn: float, dtype: type = np.uint8) -> np.ndarray:

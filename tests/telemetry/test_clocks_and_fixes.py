@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import common
 
 from glstar.config import Config
 from glstar.errors import LogFormatError
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
-from glstar.sky.timescale import parse_utc
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.prepare import prepare_export
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import Recording, open_flight, open_source
 from tests.support.dataflash import Log as DataFlash
 from tests.support.dataflash import TextLog

@@ -11,7 +11,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import DataFlashReader, LogFacts, RateSamples, TelemetrySource, open_flight
 from glstar.telemetry.dataflash.records import BinaryRecords

@@ -13,7 +13,7 @@ import pyulog.ulog2csv
 from glstar.errors import LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import conjugate, multiply
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.telemetry import Recording, open_flight, open_source
 from tests.support.dataflash import ELEVEN_S, Log, beginning
 from tests.support.dataflash import times as dataflash_times

@@ -11,7 +11,7 @@ from glstar.config import Config
 from glstar.flight import EventKind, FlightEvents
 from glstar.system.resources import asset
 from glstar.telemetry import EventSamples
-from glstar.telemetry.flightmodes import ardupilot_mode, px4_mode, px4_navigation_state
+from glstar.telemetry.mavlink.vehicles import ardupilot_mode, px4_mode, px4_navigation_state
 from glstar.telemetry.ulogfile import LogTopics
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight.synthetic.paths import Wind
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import as_table, open_flight, open_source, survey, synthetic_flight
-from glstar.telemetry.flightdescription import KEYS, parse_description
+from glstar.telemetry.synthetic import KEYS, parse_description
 
 GUSTY = "fly:orbit?radius_m=300&turns=0.2&wind_m_per_s=8&gusts=light&seed=3"
 

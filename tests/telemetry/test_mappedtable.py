@@ -15,11 +15,11 @@ from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import RateSamples, column_map, open_flight, open_source, ready_maps
-from glstar.telemetry.tablefile import TableFile
+from glstar.telemetry.tables.files import TableFile
 
 START_S = 1710068400.0  # 2024-03-10T11:00:00Z
 TIMES_S = np.arange(200) * 0.05

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glstar.errors import LogFormatError
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.telemetry import open_flight
 
 HOME = Site(latitude_rad=-0.6, longitude_rad=2.4)

@@ -16,7 +16,7 @@ from glstar.cli import app
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 from glstar.telemetry import RateSamples, open_flight, open_source
 
 START_NS = 1710068400_250000000

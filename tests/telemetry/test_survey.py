@@ -8,9 +8,9 @@ import pytest
 
 from glstar.flight import AttitudeTrack
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
-from glstar.sky.observed import sun_altitude_rad
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.observed.stars import sun_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import (
     AttitudeSamples,
     ClockSamples,

@@ -9,8 +9,8 @@ import pytest
 
 from glstar.errors import LogFormatError
 from glstar.rotation import quaternion_from_euler
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import (
     FlightOptions,
     Recording,

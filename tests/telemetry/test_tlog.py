@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import common
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import (
     LogFacts,
     RateSamples,
@@ -24,9 +24,9 @@ from glstar.telemetry import (
     open_flight,
     open_source,
     survey,
-    tlogfile,
 )
-from glstar.telemetry.tlogfile import LogPackets
+from glstar.telemetry.mavlink import packets as tlogfile
+from glstar.telemetry.mavlink.packets import LogPackets
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 ADELAIDE = LOGS / "plane_SITL_adelaide_100Hz.tlog"

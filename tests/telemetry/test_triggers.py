@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError, ImagesError
-from glstar.export.plan import plan_frames
+from glstar.export.plan.frames import plan_frames
 from glstar.flight import Flight
 from glstar.images import triggered_images
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
 from tests.support.dataflash import Log
 

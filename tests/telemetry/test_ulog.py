@@ -16,8 +16,8 @@ from pyulog import ULog
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
-from glstar.sky.site import Site
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.site import Site
+from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import LogFacts, RateSamples, TelemetrySource, ULogReader, open_flight
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
+from glstar.viewer.loop import HeadlessSurface, Viewer
 
 SECONDS = 12.0
 

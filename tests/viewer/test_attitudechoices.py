@@ -13,9 +13,9 @@ from pymavlink import mavutil
 from glstar.config import Config
 from glstar.rotation import quaternion_from_euler
 from glstar.system.resources import asset
-from glstar.viewer.attitudechoices import AttitudeChoices, AttitudeFinder
+from glstar.viewer.flight.loaded import AttitudeChoices, AttitudeFinder
 from glstar.viewer.loop import Viewer
-from glstar.viewer.ui import attitudecontrols
+from glstar.viewer.ui.panels import settings as attitudecontrols
 from tests.support.windowinput import press
 
 DEG = np.pi / 180

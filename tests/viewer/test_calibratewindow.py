@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.cli.windowcalibration import calibrate_photo
+from glstar.cli.flights.windowoptions import calibrate_photo
 from glstar.config import Config
-from glstar.export.executors import SerialExecutor
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import SerialExecutor
+from glstar.export.run.prepare import prepare_export
 from glstar.render.opengl import GLRenderer
-from glstar.viewer.photocalibration import with_calibration
+from glstar.viewer.picture.fitting import with_calibration
 from tests.support.windowinput import press
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_fitpanel import pressing

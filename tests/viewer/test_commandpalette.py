@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.keys import KEYS, Action
-from glstar.viewer.ui.commandpalette import matching_actions
+from glstar.viewer.session.keys import KEYS, Action
+from glstar.viewer.session.memory import WindowMemory
+from glstar.viewer.ui.search import matching_actions
 from glstar.viewer.ui.theme import resized_text
-from glstar.viewer.windowmemory import WindowMemory
 from tests.support.windowinput import press, screen, type_text
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, TimeReference
-from glstar.viewer.ui.comparisonpanel import ComparisonPanel, PanelRequests
+from glstar.images.times import TimeReference
+from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState
+from glstar.viewer.ui.panels.compare import ComparisonPanel, PanelRequests
 
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26
 LABELLED = ("button", "radio_button", "selectable", "checkbox", "input_text_with_hint", "tree_node", "input_double")

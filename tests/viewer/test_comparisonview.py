@@ -11,18 +11,17 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.errors import ExportError
 from glstar.images import RealImage, fit
-from glstar.images.times import ImageTime
-from glstar.viewer.comparisonview import (
+from glstar.images.times import ImageTime, TimeReference
+from glstar.viewer.picture.comparison import (
     LESS_RGB,
     MORE_RGB,
     ComparisonMode,
     ComparisonState,
-    TimeReference,
     compose,
     outside,
     save_view,
 )
-from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.picture.view import Stretch, StretchKind
 
 ASINH = Stretch(StretchKind.ASINH)
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26

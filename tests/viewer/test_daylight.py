@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from glstar.flight import PositionTrack
-from glstar.render.viewingconditions import limiting_magnitude, viewing_conditions
-from glstar.sky.observed import sun_altitude_rad
-from glstar.sky.timescale import parse_utc
-from glstar.sky.twilight import LIGHT_LEVELS, light_name
-from glstar.viewer import currentconditions
-from glstar.viewer.currentconditions import CurrentConditions
-from glstar.viewer.daylight import light_intervals
+from glstar.render.truth.conditions import limiting_magnitude, viewing_conditions
+from glstar.sky.air.skybrightness import LIGHT_LEVELS, light_name
+from glstar.sky.observed.stars import sun_altitude_rad
+from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.flight import sky as currentconditions
+from glstar.viewer.flight.sky import CurrentConditions, light_intervals
 from tests.support.scenes import ADELAIDE
 from tests.support.windowinput import press, screen
 from tests.viewer.conftest import write_flight

@@ -8,10 +8,9 @@ import pytest
 
 from glstar.images import FittedImage
 from glstar.render.opengl.context import headless_context
-from glstar.viewer.comparisonview import ComparisonMode, compose
-from glstar.viewer.display import Display, PanelContent
-from glstar.viewer.imageview import ImageView
-from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.picture.comparison import ComparisonMode, compose
+from glstar.viewer.picture.content import Display, PanelContent
+from glstar.viewer.picture.view import ImageView, Stretch, StretchKind
 
 RNG = np.random.default_rng(5)
 SIMULATED = RNG.integers(0, 256, (38, 50)).astype(np.uint8)

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.colourmap import ColourMap
-from glstar.viewer.histogram import Histogram
-from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.picture.view import ColourMap, Histogram, Stretch, StretchKind
 from glstar.viewer.ui.theme import accent
 from tests.support.windowinput import press, screen
 

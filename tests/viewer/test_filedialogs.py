@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from glstar.viewer.ui import filedialogs
-from glstar.viewer.ui.filedialogs import FileChooser, has_native_dialogs
-from glstar.viewer.ui.manualwindow import blocks_of
+from glstar.viewer.ui import dialogs as filedialogs
+from glstar.viewer.ui.dialogs import FileChooser, has_native_dialogs
+from glstar.viewer.ui.guide import blocks_of
 from tests.support.windowinput import press
 
 

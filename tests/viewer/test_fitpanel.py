@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from imgui_bundle import imgui
 
-from glstar.cli.imagefit import fit_images
+from glstar.cli.flights.view import fit_images
 from glstar.config import Config
-from glstar.export.executors import SerialExecutor
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import SerialExecutor
+from glstar.export.run.prepare import prepare_export
 from glstar.render.opengl import GLRenderer
 from glstar.viewer.loop import Viewer
 

@@ -7,11 +7,9 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.camera.model import Camera
-from glstar.sky.geodesy import geodetic, local_ned_m
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site, geodetic, local_ned_m
 from glstar.system.resources import asset
-from glstar.viewer.coastlines import Coastlines, MapLimits, graticule
-from glstar.viewer.footprint import ground_footprint
+from glstar.viewer.flight.map import Coastlines, MapLimits, graticule, ground_footprint
 from tests.support.windowinput import press, screen
 from tests.viewer.test_fitpanel import pressing
 from tests.viewer.test_flightpanel import _pixels_of, _write

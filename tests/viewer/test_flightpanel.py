@@ -7,9 +7,8 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
-from glstar.sky.geodesy import north_east_down_m
-from glstar.sky.site import Site
-from glstar.viewer.aircraftstate import aircraft_state, ground_track_m
+from glstar.sky.place.site import Site, north_east_down_m
+from glstar.viewer.flight.map import aircraft_state, ground_track_m
 from tests.support.windowinput import press, screen
 from tests.viewer.conftest import write_flight
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from glstar.camera.model import Camera
 from glstar.config import Config
-from glstar.viewer.imageazimuths import image_azimuths_rad
+from glstar.viewer.flight.map import image_azimuths_rad
 
 CAMERA = Camera(width_px=120, height_px=90, fx_px=114.0, fy_px=114.0, cx_px=59.5, cy_px=44.5)
 

@@ -10,9 +10,9 @@ from imgui_bundle import imgui
 from numpy.typing import NDArray
 
 from glstar.camera.camerafile import camera_to_yaml
-from glstar.viewer.comparisonview import ComparisonMode, compose
 from glstar.viewer.loop import Viewer
-from glstar.viewer.stretch import Stretch, StretchKind
+from glstar.viewer.picture.comparison import ComparisonMode, compose
+from glstar.viewer.picture.view import Stretch, StretchKind
 from tests.support.windowinput import press, screen
 
 WINDOW_PX = (900, 600)

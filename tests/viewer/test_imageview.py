@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glstar.viewer.imageview import ImageView
+from glstar.viewer.picture.view import ImageView
 
 places = st.tuples(st.floats(0, 799), st.floats(0, 499))
 

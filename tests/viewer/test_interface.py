@@ -10,14 +10,12 @@ from imgui_bundle import imgui
 
 from glstar import __version__
 from glstar.config import Config
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.keys import KEYS, Action, key_of
-from glstar.viewer.loop import Viewer
-from glstar.viewer.overlays import Overlay
-from glstar.viewer.playhead import Mode
-from glstar.viewer.saving import unused_path
-from glstar.viewer.ui.interface import Interface
-from glstar.viewer.ui.keyboard import parse_chord
+from glstar.viewer.flight.playhead import Mode
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.session.keys import KEYS, Action, key_of
+from glstar.viewer.session.saving import unused_path
+from glstar.viewer.ui.interface import Interface, parse_chord
 from glstar.viewer.window import text_scale
 from tests.scripts.monkey import WINDOW_PX, Monkey, viewer_of
 from tests.support.windowinput import HELD_KEYS, press, screen

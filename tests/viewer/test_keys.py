@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from glstar.cli.windowoptions import overlays_of
-from glstar.viewer.keys import KEYS, MENUS, Action, key_of, markdown
-from glstar.viewer.overlays import Overlay
+from glstar.cli.flights.windowoptions import overlays_of
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.session.keys import KEYS, MENUS, Action, key_of, markdown
 
 PAGE = (Path(__file__).parents[2] / "assets" / "manual" / "viewer.md").read_text(encoding="utf-8")
 

@@ -14,10 +14,9 @@ from imgui_bundle import imgui
 from glstar.config import Config
 from glstar.flight import Flight
 from glstar.link import Endpoint, Link
-from glstar.sky.timescale import parse_utc
+from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
+from glstar.viewer.loop import HeadlessSurface, Viewer
 from tests.support.links import farthest_rad, free_port, playing
 
 DEG = np.pi / 180

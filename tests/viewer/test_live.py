@@ -16,19 +16,18 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
-from glstar.export.executors import SerialExecutor
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import SerialExecutor
+from glstar.export.run.prepare import prepare_export
 from glstar.flight import Flight
 from glstar.link import Endpoint, LatestAttitude, Link, Recorder, open_transport
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 from glstar.link.transport import _TcpClient
 from glstar.render.opengl import GLRenderer
 from glstar.system.resources import asset
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
-from glstar.viewer.playhead import Mode
-from glstar.viewer.saving import save_frame
+from glstar.viewer.flight.playhead import Mode
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.session.saving import save_frame
 from tests.link.test_receiver import UTC_S, Sender
 from tests.support.links import ScriptedLink, flown, free_port, playing
 from tests.support.windowinput import press, screen
@@ -319,7 +318,7 @@ def test_a_vehicle_that_restarts_begins_a_new_flight(watch, flight) -> None:
 
 def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monkeypatch) -> None:
     """The autopilot is off from 8 to 9 s and restarts with its clock at zero, at first without UTC."""
-    monkeypatch.setattr("glstar.viewer.liveflight._REFRESH_S", 0.0)
+    monkeypatch.setattr("glstar.viewer.flight.live._REFRESH_S", 0.0)
     script = [*flown(Sender(1), 100.0, 0.0, 8.0, UTC_S), *flown(Sender(1), 0.5, 9.0, 12.0, None)]
     link = ScriptedLink(script)
     with ExitStack() as held:

@@ -8,14 +8,13 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.cli.placedanswers import ShownAnswers
+from glstar.cli.flights.placedanswers import ShownAnswers
 from glstar.link import Endpoint, Link
 from glstar.score.answers import parse_answer
-from glstar.sky.timescale import format_utc
-from glstar.viewer.actions import perform
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
-from glstar.viewer.overlays import Overlay
+from glstar.sky.place.timescale import format_utc
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.session.actions import perform
 from tests.support.autopilot import ESTIMATED_DEG, TRUE_DEG, estimated_yaw_rad, simulated, true_yaw_rad
 from tests.support.links import free_port
 from tests.viewer.test_live import frames_until
@@ -122,7 +121,7 @@ def test_the_cameras_clock_error_is_taken_from_the_time_of_an_answer(small) -> N
 
 def test_the_overlays_of_the_command_line_are_shown_in_a_window_that_stays_open(monkeypatch) -> None:
     shown = []
-    monkeypatch.setattr("glstar.cli.live.surface_of", lambda size, headless: HeadlessSurface(size))
+    monkeypatch.setattr("glstar.cli.flights.live.surface_of", lambda size, headless: HeadlessSurface(size))
     monkeypatch.setattr(Viewer, "run", lambda viewer: shown.append(set(viewer.session.shown_overlays)))
     port = free_port()
     with simulated(port):

@@ -12,10 +12,9 @@ from imgui_bundle import imgui
 from glstar.config import Config
 from glstar.images import Grey
 from glstar.images import folder as folders
-from glstar.viewer.comparisonview import ComparisonMode
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
-from glstar.viewer.saving import save_comparison, save_frame
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.picture.comparison import ComparisonMode
+from glstar.viewer.session.saving import save_comparison, save_frame
 from tests.support.windowinput import screen
 from tests.viewer.conftest import write_flight
 

@@ -10,10 +10,9 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError, RenderError
-from glstar.sky.timescale import parse_utc
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Script, Viewer
-from glstar.viewer.saving import save_frame, save_range, save_settings
+from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.loop import HeadlessSurface, Script, Viewer
+from glstar.viewer.session.saving import save_frame, save_range, save_settings
 from tests.support.dataflash import ELEVEN_S, Log, times
 from tests.support.windowinput import press, screen, type_text
 from tests.viewer.conftest import write_flight

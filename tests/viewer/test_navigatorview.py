@@ -8,14 +8,14 @@ import pytest
 from imgui_bundle import imgui
 from scipy.spatial.transform import Rotation
 
-from glstar.cli.placedanswers import placed_answers
+from glstar.cli.flights.placedanswers import placed_answers
 from glstar.errors import AnswersError, ExportError
 from glstar.rotation import matrix_from_quaternion, multiply, quaternion_from_matrix, quaternion_from_turn
 from glstar.system.resources import asset
-from glstar.viewer.actions import perform
-from glstar.viewer.belief import PlacedAnswer
-from glstar.viewer.overlays import Overlay
-from glstar.viewer.shapes import Mark
+from glstar.viewer.overlays.belief import PlacedAnswer
+from glstar.viewer.overlays.canvas import Mark
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.session.actions import perform
 from tests.support.windowinput import screen
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_session import exported

@@ -1,4 +1,4 @@
-"""Overlays against ERFA, OpenCV and the angles of `glstar.sky.horizon`: positions of all overlays."""
+"""Overlays against ERFA, OpenCV and the angles of `glstar.sky.place.horizon`: positions of all overlays."""
 
 from dataclasses import replace
 
@@ -11,22 +11,23 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
-from glstar.render.pointing import Pointing
-from glstar.render.scene import Frame
+from glstar.camera.sensor.sensor import Sensor
+from glstar.render.motion.pointing import Pointing
+from glstar.render.scene.scene import Frame
 from glstar.render.simulator import Simulator
-from glstar.render.truth import frame_truth
-from glstar.sky.apparent import direction, right_ascension_declination
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.constellations import constellations
-from glstar.sky.horizon import ned_direction, ned_to_azimuth_altitude_rad, refraction_scale, true_altitude_rad
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.telemetry.scripted import ScriptedFlight
-from glstar.viewer.curves import ImageRegion
-from glstar.viewer.overlays import Overlay, Overlays
-from glstar.viewer.shapes import Mark, Shapes
-from glstar.viewer.starpick import star_at
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.air.refraction import refraction_scale, true_altitude_rad
+from glstar.sky.catalogue.names import constellations
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import direction, right_ascension_declination
+from glstar.sky.place.horizon import ned_direction, ned_to_azimuth_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.telemetry.synthetic import ScriptedFlight
+from glstar.viewer.overlays.canvas import Mark, Shapes
+from glstar.viewer.overlays.curves import ImageRegion
+from glstar.viewer.overlays.table import Overlay, Overlays
+from glstar.viewer.skyobjects import star_at
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.export.task import frame_seed
-from glstar.viewer import simulatedimage
-from glstar.viewer.display import Display
+from glstar.export.frame import frame_seed
+from glstar.viewer.flight.playhead import Mode
 from glstar.viewer.loop import Viewer
-from glstar.viewer.pictures import cut_picture
-from glstar.viewer.playhead import Mode
+from glstar.viewer.picture import simulated as simulatedimage
+from glstar.viewer.picture.content import Display
+from glstar.viewer.session.saving import cut_picture
 
 MakeViewer = Callable[..., Viewer]
 

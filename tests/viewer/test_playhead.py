@@ -10,10 +10,10 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError, TelemetryError
-from glstar.export.plan import plan_frames
+from glstar.export.plan.frames import plan_frames
 from glstar.flight import DATA_GAP, AttitudeTrack, Flight, Gap, PositionTrack
-from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc
-from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
+from glstar.sky.place.timescale import CLOCK_GRAIN_S, format_utc
+from glstar.viewer.flight.playhead import FASTEST, SLOWEST, Mode, PlayHead
 
 ADELAIDE_UTC_S = 1710068400.123456
 # Today's UTC seconds that differ by two float64 steps are equal.

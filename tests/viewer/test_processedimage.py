@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from glstar.camera.exposure import Exposure
-from glstar.viewer.actions import is_on
-from glstar.viewer.keys import Action
-from glstar.viewer.processedimage import why_not_processed
-from glstar.viewer.saving import save_frame
+from glstar.viewer.picture.simulated import why_not_processed
+from glstar.viewer.session.actions import is_on
+from glstar.viewer.session.keys import Action
+from glstar.viewer.session.saving import save_frame
 from tests.support.windowinput import press, screen
 
 COLOUR = {

@@ -10,15 +10,15 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.executors import SerialExecutor
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
-from glstar.export.task import frame_seed
+from glstar.export.frame import frame_seed
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import SerialExecutor
+from glstar.export.run.prepare import prepare_export
 from glstar.render.opengl import GLRenderer
-from glstar.viewer.comparisonview import ComparisonMode
-from glstar.viewer.playhead import Mode
-from glstar.viewer.saving import save_frame, save_range, save_settings
-from glstar.viewer.stretch import Stretch
+from glstar.viewer.flight.playhead import Mode
+from glstar.viewer.picture.comparison import ComparisonMode
+from glstar.viewer.picture.view import Stretch
+from glstar.viewer.session.saving import save_frame, save_range, save_settings
 from glstar.viewer.ui import interface
 from tests.viewer.conftest import SECONDS, write_flight
 
@@ -454,7 +454,7 @@ def test_a_failed_save_leaves_no_file(viewer, monkeypatch):
     def refuse(*_, **__):
         raise ExportError(session.output, "the disk is full")
 
-    monkeypatch.setattr("glstar.viewer.saving.prepare_export", refuse)
+    monkeypatch.setattr("glstar.viewer.session.saving.prepare_export", refuse)
     save_frame(session)
     finish(viewer)
 

@@ -9,7 +9,7 @@ from imgui_bundle import imgui
 from glstar.config import Config
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.loop import Viewer
-from glstar.viewer.ui import settingspanel
+from glstar.viewer.ui.panels import settings as settingspanel
 
 ALL_KINDS = Effect(
     name="some",

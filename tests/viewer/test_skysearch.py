@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.observed import Sky
-from glstar.sky.site import Site
-from glstar.viewer.skysearch import ObjectKind, SkySearch, object_direction_eq
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.site import Site
+from glstar.viewer.skyobjects import ObjectKind, SkySearch, object_direction_eq
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from glstar.sky.timescale import parse_utc
-from glstar.viewer.comparisonview import ComparisonMode
-from glstar.viewer.ui import statusbar
+from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.picture.comparison import ComparisonMode
+from glstar.viewer.ui import status as statusbar
 from tests.viewer.test_live import frames_until
 
 

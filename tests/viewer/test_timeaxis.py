@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glstar.sky.timescale import parse_utc
-from glstar.viewer.timeaxis import TimeAxis
+from glstar.sky.place.timescale import parse_utc
+from glstar.viewer.flight.traces import TimeAxis
 
 many = settings(deadline=None, max_examples=200)
 lengths_s = st.floats(0.005, 100_000.0)

@@ -9,11 +9,10 @@ from imgui_bundle import imgui
 
 from glstar.config import Config, ExposureSection
 from glstar.flight import CameraTriggers, EventKind, FlightEvents
-from glstar.render.viewingconditions import limiting_magnitude
-from glstar.viewer.skysamples import SkySampler
-from glstar.viewer.timeaxis import TimeAxis
-from glstar.viewer.timelinecurves import TimelineCurve, motion_traces
-from glstar.viewer.ui.timelineevents import TimelineEvents
+from glstar.render.truth.conditions import limiting_magnitude
+from glstar.viewer.flight.sky import SkySampler
+from glstar.viewer.flight.traces import TimeAxis, TimelineCurve, motion_traces
+from glstar.viewer.ui.panels.timeline import TimelineEvents
 from tests.support.windowinput import screen
 
 START_S = 1710068400.0

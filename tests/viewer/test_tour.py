@@ -6,11 +6,10 @@ import re
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.keys import KEYS, Action, shown_chord
-from glstar.viewer.loop import Viewer
-from glstar.viewer.ui.tour import STEPS
-from glstar.viewer.windowmemory import WindowMemory
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.session.keys import KEYS, Action, shown_chord
+from glstar.viewer.session.memory import WindowMemory
+from glstar.viewer.ui.guide import STEPS
 from tests.support.windowinput import press
 
 

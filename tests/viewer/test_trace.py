@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glstar.viewer.trace import Trace
+from glstar.viewer.flight.traces import Trace
 
 many = settings(deadline=None, max_examples=150)
 

@@ -5,16 +5,16 @@ from concurrent.futures import wait
 import numpy as np
 import pytest
 
-from glstar.cli.imageresiduals import measure_image
-from glstar.export.executors import SerialExecutor
-from glstar.export.options import ExportOptions
-from glstar.export.prepare import prepare_export
+from glstar.cli.flights.view import measure_image
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.executors import SerialExecutor
+from glstar.export.run.prepare import prepare_export
 from glstar.render.opengl import GLRenderer
-from glstar.viewer.arrowshapes import arrow_strokes, residual_scale
-from glstar.viewer.comparisonview import ComparisonMode
-from glstar.viewer.overlays import Overlay
-from glstar.viewer.trailresiduals import TrailResiduals
-from glstar.viewer.ui.residualpanel import residuals_of
+from glstar.viewer.overlays.belief import arrow_strokes, residual_scale
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.picture.comparison import ComparisonMode
+from glstar.viewer.picture.fitting import TrailResiduals
+from glstar.viewer.ui.panels.compare import residuals_of
 from tests.support.windowinput import press, screen
 from tests.viewer.test_fitpanel import frames_until
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from glstar.errors import ConfigError, ExportError
-from glstar.export.videofile import VideoFile
-from glstar.viewer.keys import Action
+from glstar.export.imagefiles.formats import VideoFile
+from glstar.viewer.flight.playhead import Mode
 from glstar.viewer.loop import Viewer
-from glstar.viewer.playhead import Mode
-from glstar.viewer.video import RangeVideo, ScreenVideo, VideoRange
+from glstar.viewer.session.keys import Action
+from glstar.viewer.session.recording import RangeVideo, ScreenVideo, VideoRange
 
 
 def frames_of(path: Path) -> list[np.ndarray]:
@@ -142,7 +142,7 @@ def test_a_copied_picture_is_the_one_that_is_shown(
     make_viewer: Callable[..., Viewer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copied: list[bytes] = []
-    monkeypatch.setattr("glstar.viewer.pictures.copy_png", lambda content: copied.append(content) or "")
+    monkeypatch.setattr("glstar.viewer.session.saving.copy_png", lambda content: copied.append(content) or "")
     viewer = make_viewer()
     viewer.interface.perform(Action.COPY_PICTURE)
     viewer.interface.screenshot = tmp_path / "window.png"

@@ -9,11 +9,11 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.system.resources import bundled_flight
-from glstar.viewer.headless import HeadlessSurface
-from glstar.viewer.loop import Viewer
-from glstar.viewer.overlays import Overlay
-from glstar.viewer.ui import connectdialog, welcome
-from glstar.viewer.windowmemory import WindowMemory
+from glstar.viewer.loop import HeadlessSurface, Viewer
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.session.memory import WindowMemory
+from glstar.viewer.ui import dialogs as connectdialog
+from glstar.viewer.ui import guide as welcome
 from tests.support.links import free_port, playing
 from tests.support.windowinput import press
 from tests.viewer.test_live import frames_until

@@ -14,18 +14,6 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = [
-    "GRAVITY_M_PER_S2",
-    "FlownPath",
-    "Wind",
-    "ground_orbit_period_s",
-    "held_orbit",
-    "orbit_over_ground",
-    "stationary",
-    "straight",
-    "through_waypoints",
-]
-
 Float = NDArray[np.float64]
 
 GRAVITY_M_PER_S2: Final = 9.80665

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
-from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.flight.synthetic.dryden import DrydenGusts
+from glstar.flight.attitude import AttitudeTrack
+from glstar.flight.flight import Flight
+from glstar.flight.position import PositionTrack
+from glstar.flight.synthetic.gusts import AttitudeResponse, DrydenGusts, VibrationLine, vibration_turns
 from glstar.flight.synthetic.paths import (
     FlownPath,
     Wind,
@@ -20,11 +22,8 @@ from glstar.flight.synthetic.paths import (
     straight,
     through_waypoints,
 )
-from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine, vibration_turns
 from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_turn
-from glstar.sky.site import Site
-
-__all__ = ["FLIGHT_PATHS", "FlightPath", "SyntheticFlight"]
+from glstar.sky.place.site import Site
 
 Float = NDArray[np.float64]
 FlightPath = Literal["orbit", "transit", "waypoints", "hover", "spin", "still"]

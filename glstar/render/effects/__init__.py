@@ -7,12 +7,8 @@ exports, truth and the viewer's settings panel take it from there.
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from glstar.camera.sensor import Sensor
-from glstar.render.effects.blacklevel import BLACK_LEVEL
-from glstar.render.effects.blooming import BLOOMING
+from glstar.camera.sensor.sensor import Sensor
 from glstar.render.effects.cloud import CLOUD
-from glstar.render.effects.colourkeys import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS
-from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import (
     ChargeTransfer,
     Control,
@@ -23,22 +19,16 @@ from glstar.render.effects.effect import (
     UniformValue,
     Values,
 )
-from glstar.render.effects.falloff import FLAT_FALLOFF, LENS_FALLOFF
+from glstar.render.effects.electrons import BLACK_LEVEL, BLOOMING, DARK_CURRENT, FULL_WELL, QUANTISATION
 from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
-from glstar.render.effects.flare import FLARE
-from glstar.render.effects.fullwell import FULL_WELL
+from glstar.render.effects.lensfalloff import FLAT_FALLOFF, LENS_FALLOFF
+from glstar.render.effects.lensflare import FLARE
 from glstar.render.effects.naturalsky import NATURAL_SKY
-from glstar.render.effects.noise import NOISE
-from glstar.render.effects.outputkeys import CAMERA_PROCESSING, PROCESSING_DEFAULTS
-from glstar.render.effects.pointspreadkeys import POINT_SPREAD
-from glstar.render.effects.quantisation import QUANTISATION
-from glstar.render.effects.rownoise import ROW_NOISE
-from glstar.render.effects.scintillationkeys import SCINTILLATION
-from glstar.render.effects.shotnoise import SHOT_NOISE
-from glstar.render.effects.skylevel import SKY_LEVEL
-from glstar.render.effects.skymap import SKY_MAP
-from glstar.render.effects.uniformsky import UNIFORM_SKY
-from glstar.render.scene import Scene
+from glstar.render.effects.noise import NOISE, ROW_NOISE, SHOT_NOISE
+from glstar.render.effects.output import CAMERA_PROCESSING, PROCESSING_DEFAULTS
+from glstar.render.effects.sky import SKY_LEVEL, SKY_MAP, UNIFORM_SKY
+from glstar.render.effects.stars import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS, POINT_SPREAD, SCINTILLATION
+from glstar.render.scene.scene import Scene
 
 __all__ = [
     "EFFECTS",
@@ -54,6 +44,7 @@ __all__ = [
     "active_effects",
     "effects_truth",
 ]
+
 
 EFFECTS: tuple[Effect, ...] = (
     SKY_LEVEL,

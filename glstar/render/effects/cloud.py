@@ -1,14 +1,165 @@
-"""Cloud: keys of a sheet of cloud, through which stars and the natural sky are seen."""
+"""Cloud: keys of a sheet of cloud, through which stars and the natural sky are seen.
+
+What a sheet of cloud transmits in the directions of pixels, in the middle of the exposure.
+"""
 
 from collections.abc import Mapping
-from typing import Any
+from functools import lru_cache
+from typing import Any, Final
 
-from glstar.render.clouds import CLOUD_DEFAULTS
-from glstar.render.effects.cloudtexture import frame_transmission
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
 from glstar.render.effects.effect import Control, Effect, Key, Stage, Values
-from glstar.render.scene import Scene
+from glstar.render.scene.clouds import CLOUD_DEFAULTS, cloud_sheet, sheet_crossing
+from glstar.render.scene.scene import Scene
+from glstar.sky.air.clouds import SheetCrossing
 
-__all__ = ["CLOUD"]
+Float = NDArray[np.float64]
+
+# Columns and rows at which the mean transmission of a frame is sampled.
+_SAMPLES: Final = (49, 37)
+
+
+def crossing_at(scene: Scene, time: int, direction_eq: Float) -> SheetCrossing | None:
+    """Return where lines of sight cross the scene's sheet of cloud.
+
+    Parameters
+    ----------
+    scene : Scene
+    time : int
+        0, 1, 2: the start, the middle, the end of the exposure.
+    direction_eq : (..., 3) float64
+        Apparent unit vectors, true equator and equinox, with refraction.
+
+    Returns
+    -------
+    SheetCrossing or None
+        None without cloud.
+    """
+    sheet = cloud_sheet(scene.sensor, scene.motion)
+    if sheet is None or scene.motion is None:
+        return None
+    exposure = scene.exposure
+    utc_s = (exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s)[time]
+    latitude_rad, longitude_rad, height_m = scene.motion.flight.position.coordinates(np.array([utc_s]))
+    zenith = scene.shutter.zenith_eq[time]
+    site = float(latitude_rad[0]), float(longitude_rad[0]), float(height_m[0])
+    return sheet_crossing(sheet, direction_eq @ zenith, direction_eq, zenith, site, utc_s)
+
+
+def transmission_at(scene: Scene, xy_px: Float) -> Float:
+    """Return the transmission for the sky behind pixels, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    xy_px : (..., 2) float64
+
+    Returns
+    -------
+    (...) float64
+        1 without cloud, below the horizon, and for a sheet below the aircraft.
+    """
+    rays = scene.camera.unit_vectors(xy_px.reshape(-1, 2))
+    return _transmission(scene, rays).reshape(xy_px.shape[:-1])
+
+
+def _transmission(scene: Scene, rays: Float) -> Float:
+    direction = rays @ scene.shutter.C_camera_eq[1]
+    is_sky = scene.above_horizon(direction) >= 0
+    return np.where(is_sky, transmission_towards(scene, direction), 1.0)
+
+
+def transmission_towards(scene: Scene, direction_eq: Float) -> Float:
+    """Return the transmission in some directions above the horizon, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (n, 3) float64
+        Apparent unit vectors, true equator and equinox, with refraction.
+
+    Returns
+    -------
+    (n,) float64
+        1 without cloud, and for a sheet below the aircraft.
+    """
+    crossing = crossing_at(scene, 1, direction_eq) if is_below_cloud(scene) else None
+    return np.ones(len(direction_eq)) if crossing is None else crossing.transmission
+
+
+def is_below_cloud(scene: Scene) -> bool:
+    """Return whether there is a sheet of cloud above the aircraft.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    bool
+    """
+    sheet = cloud_sheet(scene.sensor, scene.motion)
+    return sheet is not None and sheet.height_m > scene.site.height_m
+
+
+def frame_transmission(scene: Scene) -> float | None:
+    """Return the mean transmission of cloud over the part of the image that shows the sky.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float or None
+        In the middle of the exposure; 1 for a sheet below the aircraft, None if the image shows no sky.
+    """
+    rays = _rays(scene.camera)
+    is_sky = scene.above_horizon(rays @ scene.shutter.C_camera_eq[1]) >= 0
+    return round(float(_transmission(scene, rays)[is_sky].mean()), 6) if is_sky.any() else None
+
+
+def sky_fraction(scene: Scene) -> float:
+    """Return the fraction of the image that shows the sky, not the ground, in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        To about 1 %.
+    """
+    is_sky = scene.above_horizon(_rays(scene.camera) @ scene.shutter.C_camera_eq[1]) >= 0
+    return round(float(is_sky.mean()), 4)
+
+
+def axis_transmission(scene: Scene) -> float:
+    """Return the transmission of cloud on the optical axis in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        1 without cloud, below the horizon, and for a sheet below the aircraft.
+    """
+    return float(_transmission(scene, np.array([[0.0, 0.0, 1.0]]))[0])
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Camera) -> Float:
+    """Return directions in the camera frame, evenly over the image, (n, 3) unit vectors."""
+    columns, rows = _SAMPLES
+    x = (np.arange(columns) + 0.5) / columns * camera.width_px - 0.5
+    y = (np.arange(rows) + 0.5) / rows * camera.height_px - 0.5
+    return camera.unit_vectors(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
 
 
 def _is_active(values: Values) -> bool:

@@ -8,22 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.electrons import ElectronModel
-from glstar.camera.sensor import EffectValue, NoiseModel, Sensor
-from glstar.render.scene import Scene
-
-__all__ = [
-    "ChargeTransfer",
-    "Control",
-    "Effect",
-    "EffectTexture",
-    "Key",
-    "Stage",
-    "UniformValue",
-    "Values",
-    "no_uniforms",
-    "quads_of",
-]
+from glstar.camera.sensor.sensor import EffectValue, ElectronModel, NoiseModel, Sensor
+from glstar.render.scene.scene import Scene
 
 # The values of an effect by the names of its keys, without the section.
 Values = Mapping[str, EffectValue]

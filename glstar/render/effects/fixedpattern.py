@@ -8,11 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.pixelpattern import PixelPattern, read_map
+from glstar.camera.sensor.pixelpattern import PixelPattern, read_map
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms, quads_of
-from glstar.render.scene import Scene
-
-__all__ = ["DARK_PATTERN", "RESPONSE_PATTERN", "pattern_of"]
+from glstar.render.scene.scene import Scene
 
 _DEFAULT: Final = PixelPattern()
 _PATH: Final = "the path of an image: PNG, TIFF, FITS or NPY"

@@ -11,35 +11,36 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.errors import RenderError
-from glstar.render.clouds import cloud_sheet
-from glstar.render.effects.cloudtexture import crossing_at, is_below_cloud
+from glstar.render.effects.cloud import crossing_at, is_below_cloud
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
-from glstar.render.effects.flare import FLARE, flare_at_nodes, has_flare
-from glstar.render.effects.lightsources import bodies_of
-from glstar.render.effects.skynodes import (
+from glstar.render.effects.lensflare import FLARE, flare_at_nodes, has_flare
+from glstar.render.effects.skylight import (
     FINE_GRID,
     SMOOTH_GRID,
+    bodies_of,
     interpolates_by_quads,
     node_positions,
     node_rays,
     softened,
     with_halfway_nodes,
 )
-from glstar.render.scene import Scene
-from glstar.sky.bodies import Body
-from glstar.sky.cloudlight import CloudLights, cloud_from_above, cloud_from_below
-from glstar.sky.extinction import Extinction, air_mass
-from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
-from glstar.sky.skybrightness import SkyLights, SkyState, SkyView, sky_radiance
-from glstar.sky.spacelight import (
+from glstar.render.scene.clouds import cloud_sheet
+from glstar.render.scene.scene import Scene
+from glstar.sky.air.clouds import CloudLights, cloud_from_above, cloud_from_below
+from glstar.sky.air.extinction import Extinction, air_mass
+from glstar.sky.air.skybrightness import (
     S10_MAG_ARCSEC2,
     STARLIGHT_IN_DARK_SKY_S10,
     ZODIACAL_IN_DARK_SKY_S10,
+    SkyLights,
+    SkyState,
+    SkyView,
     beyond_the_air_s10,
     diffuse_transmission,
+    sky_radiance,
 )
-
-__all__ = ["NATURAL_SKY", "natural_sky_dn", "sky_radiance_at"]
+from glstar.sky.observed.solarsystem import Body
+from glstar.sky.photometry import brightness_ratio, magnitude_difference
 
 Float = NDArray[np.float64]
 

@@ -10,8 +10,6 @@ import moderngl
 from glstar.errors import ShaderError
 from glstar.system.resources import shader
 
-__all__ = ["linked", "set_uniforms", "set_used_uniforms"]
-
 _NONE: Mapping[str, str] = MappingProxyType({})
 _INCLUDE = re.compile(r'#include "(.+)"')
 

@@ -7,28 +7,20 @@ from typing import Self
 
 import moderngl
 
-from glstar.camera.colourband import Channel
+from glstar.camera.sensor.colourband import Channel
 from glstar.errors import RenderError
-from glstar.render.colourscenes import channel_scenes
 from glstar.render.effects import EFFECTS, Effect
-from glstar.render.gaussianscenes import gaussian_scenes
+from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
 from glstar.render.opengl.context import headless_context
-from glstar.render.opengl.developpass import DevelopPass
-from glstar.render.opengl.distortionpass import DistortionPass
-from glstar.render.opengl.drawqueue import DrawQueue
-from glstar.render.opengl.guardbands import GuardBands
-from glstar.render.opengl.readback import Readback
-from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
-from glstar.render.opengl.sprites import with_drawable_sprites
-from glstar.render.opengl.stacktexture import StackTexture
-from glstar.render.opengl.starcomponents import drawn_together
-from glstar.render.opengl.subexposurepass import SubExposurePass
-from glstar.render.opengl.targets import SignalTarget, Targets
-from glstar.render.opengl.trailpass import TrailPass
-from glstar.render.scene import Frame, Scene
-from glstar.render.trailmodels import AnalyticSegments, SubExposures
-
-__all__ = ["GLRenderer"]
+from glstar.render.opengl.passes.develop import DevelopPass
+from glstar.render.opengl.passes.lensdistortion import DistortionPass
+from glstar.render.opengl.passes.path import drawn_together
+from glstar.render.opengl.passes.subexposure import SubExposurePass, with_drawable_sprites
+from glstar.render.opengl.passes.trail import DrawQueue, TrailPass
+from glstar.render.opengl.targets import GuardBands, Readback, SignalTarget, StackTexture, Targets
+from glstar.render.opengl.textures import ReadoutClock, pinhole_clock
+from glstar.render.scene.scene import Frame, Scene
+from glstar.render.scene.starcomponents import channel_scenes, gaussian_scenes
 
 
 class GLRenderer:

@@ -3,14 +3,9 @@
 ====================  ==================================================================================================
 module                holds
 ====================  ==================================================================================================
-``reader``            `DataFlashReader`, the log as a telemetry source
 ``records``           the records of a binary log as columns; ``text``: of a text log; ``dump``: of mavlogdump's CSV
-``estimates``         attitude estimates, and which EKF lane was in use
-``estimator``         which estimator was in use, and remarks on differences between estimators
-``gps``               UTC and position
-``gyrorecords``       gyro rates
-``eventrecords``      flight modes and messages
-``restarts``          boots
+``attitude``          attitude estimates, the EKF lane and the estimator in use, differences between estimators
+``reader``            `DataFlashReader`, the log as a telemetry source: UTC, position, gyros, gimbal, modes, boots
 ====================  ==================================================================================================
 
 ==========  ==================================================  =========================================

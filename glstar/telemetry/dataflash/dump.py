@@ -24,17 +24,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.sky.place.timescale import leap_seconds
 from glstar.telemetry.boots import within
-from glstar.telemetry.dataflash.estimator import preferred_messages
-from glstar.telemetry.dataflash.gps import LOGGED_LATE_S, leap_seconds
-from glstar.telemetry.dataflash.reader import DataFlashReader
+from glstar.telemetry.dataflash.attitude import preferred_messages
+from glstar.telemetry.dataflash.reader import LOGGED_LATE_S, DataFlashReader, boots_of
 from glstar.telemetry.dataflash.records import Records, stamped
-from glstar.telemetry.dataflash.restarts import boots_of
-from glstar.telemetry.rows import Dump
-from glstar.telemetry.samplevalidation import YEAR_2010_S, YEAR_2100_S, no_position_samples, spikes
-from glstar.telemetry.source import AttitudeSamples, Boot, ClockSamples, PositionSamples, Samples, Span
-
-__all__ = ["DataFlashDumpReader", "is_dataflash_dump"]
+from glstar.telemetry.source import (
+    YEAR_2010_S,
+    YEAR_2100_S,
+    AttitudeSamples,
+    Boot,
+    ClockSamples,
+    PositionSamples,
+    Samples,
+    Span,
+    no_position_samples,
+    spikes,
+)
+from glstar.telemetry.tables.files import Dump
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]

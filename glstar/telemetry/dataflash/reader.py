@@ -1,4 +1,15 @@
-"""The reader of DataFlash logs."""
+"""The reader of DataFlash logs.
+
+UTC and position from the GPS records of a DataFlash log.
+
+Gyro rates of a DataFlash log.
+
+The attitude of a gimbal in the MNT records of a DataFlash log.
+
+Flight modes and messages of a DataFlash log.
+
+The boots of a DataFlash log, by its clocks and its GPS.
+"""
 
 import os
 import re
@@ -10,29 +21,328 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
-from glstar.telemetry.dataflash.estimates import AttitudeEstimate, estimates
-from glstar.telemetry.dataflash.estimator import active_estimator, estimator_notes, preferred_messages
-from glstar.telemetry.dataflash.eventrecords import event_records
-from glstar.telemetry.dataflash.gimbalrecords import gimbal_of_records
-from glstar.telemetry.dataflash.gps import positions, utc
-from glstar.telemetry.dataflash.gyrorecords import turn_rates
-from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, stamped
-from glstar.telemetry.dataflash.restarts import boots_of
+from glstar.flight import EventKind
+from glstar.rotation import quaternion_from_euler
+from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
+from glstar.telemetry.boots import find_boots
+from glstar.telemetry.dataflash.attitude import (
+    AttitudeEstimate,
+    active_estimator,
+    estimates,
+    estimator_notes,
+    preferred_messages,
+)
+from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, nearest, numbered, stamped
 from glstar.telemetry.dataflash.text import TextRecords, is_dataflash_text
-from glstar.telemetry.samplevalidation import valid_rare_times
+from glstar.telemetry.mavlink.vehicles import ardupilot_mode
 from glstar.telemetry.source import (
+    YEAR_2010_S,
+    YEAR_2100_S,
     AttitudeSamples,
     Boot,
+    ClockSamples,
+    EventSamples,
+    GimbalSamples,
     LogFacts,
+    PositionSamples,
+    RateSamples,
     Samples,
     TelemetrySource,
     TriggerSamples,
     chosen_boots,
+    no_position_samples,
+    position_samples,
+    valid_rare_times,
+    valid_rates,
+    valid_times,
 )
 
-__all__ = ["DataFlashReader", "is_dataflash"]
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+_FIX_3D = 3
+
+# Delay from a GPS sample to its record, s: 16 to 30 ms in the mean of logs with GPA, 21 ms by SYSTEM_TIME in the
+# telemetry log of the Adelaide flight.
+LOGGED_LATE_S = 0.020
+# A GPA record belongs to the GPS record of the same receiver that was written within this time, s.
+_SAME_SAMPLE_S = 0.05
+
+# Names of week and millisecond, now and before 2015.
+_WEEK_AND_MS = (("GWk", "GMS"), ("Week", "TimeMS"))
+_UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS or T)"
+
+
+def positions(log: Records) -> PositionSamples:
+    """Return the positions of a log; if there are none, an empty batch that says why.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    PositionSamples
+    """
+    names = ("Lat", "Lng", "Alt")
+    if (records := stamped(log, "POS", *names)) is not None:
+        clock_s, (latitude_deg, longitude_deg, height_m) = records
+        if (known := position_samples(clock_s, latitude_deg, longitude_deg, height_m, "POS")).clock_s.size:
+            return known
+    if "GPS" not in log:
+        return no_position_samples("it has neither POS nor GPS records")
+    if (fixes := _fixes(log, *names)) is None:
+        return no_position_samples(_UNSTAMPED)
+    _, clock_s, (latitude_deg, longitude_deg, height_m) = fixes
+    if (known := position_samples(clock_s, latitude_deg, longitude_deg, height_m, "GPS")).clock_s.size:
+        return known
+    return no_position_samples("its GPS never had a 3D fix")
+
+
+def utc(log: Records) -> ClockSamples:
+    """Return the UTC readings of the GPS of a log; if there are none, an empty batch that says why.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    ClockSamples
+    """
+    if "GPS" not in log:
+        return _no_utc("it has no GPS records")
+    fields = set(log.fields("GPS"))
+    names = next((names for names in _WEEK_AND_MS if set(names) <= fields), None)
+    if names is None:
+        return _no_utc("its GPS records have no week and milliseconds (GWk, GMS)")
+    if (fixes := _fixes(log, *names)) is None:
+        return _no_utc(_UNSTAMPED)
+    receiver, clock_s, (week, week_ms) = fixes
+    fixed = week > 0
+    if not fixed.any():
+        return _no_utc("its GPS never had a 3D fix and a week")
+
+    with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
+        gps_s = GPS_EPOCH_S + week * WEEK_S + week_ms * 1e-3
+    plausible = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
+    if not plausible.any():
+        odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"
+        return _no_utc(f"{odd}: the receiver's week has rolled over")
+    clock_s, gps_s = clock_s[plausible], gps_s[plausible]
+    sampled_s = _sampled_s(log, receiver, clock_s)
+    if np.isfinite(sampled_s).any():
+        valid, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
+        lag_s, is_measured = float(np.median((clock_s - sampled_s)[valid])), True
+        clock_s, gps_s = sampled_s[valid], gps_s[valid]
+    else:
+        lag_s, is_measured = LOGGED_LATE_S, False
+        clock_s, how = clock_s - LOGGED_LATE_S, "GPS time when logged (no GPA)"
+    leap_s = leap_seconds(float(np.median(gps_s)))
+    source = f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds"
+    return ClockSamples(clock_s, gps_s - leap_s, source, lag_s=lag_s, lag_is_measured=is_measured)
+
+
+def gps_readings(log: Records) -> tuple[Integer, Float, Float]:
+    """Return file positions, times since boot and GPS times of the readings of the GPS in use.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    position : (n,) int64
+    clock_s, gps_s : (n,) float64
+        Time since boot, s; GPS time, counted like unix seconds from 1970.
+    """
+    for names in _WEEK_AND_MS:
+        if (records := stamped(log, "GPS", "Status", *names)) is None:
+            continue
+        clock_s, (status, week, week_ms) = records
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
+            gps_s = GPS_EPOCH_S + week * WEEK_S + week_ms * 1e-3
+            valid = (status >= _FIX_3D) & (week > 0) & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
+        receivers, in_use = numbered(log, "GPS", "I"), log.columns("GPS", "U")
+        if in_use is not None and (valid & (in_use[0] == 1)).any():
+            valid &= in_use[0] == 1
+        elif valid.any():
+            found, count = np.unique(receivers[valid], return_counts=True)
+            valid &= receivers == found[count.argmax()]
+        return log.position("GPS")[valid], clock_s[valid], gps_s[valid]
+    return np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)
+
+
+def _no_utc(reason: str) -> ClockSamples:
+    return ClockSamples(np.empty(0), np.empty(0), reason)
+
+
+def _fixes(log: Records, *names: str) -> tuple[int, Float, list[Float]] | None:
+    """Return the number of the GPS receiver in use, and times and columns of its records with a 3D fix.
+
+    None if a column is missing, or the records have no time since boot.
+    """
+    if (records := stamped(log, "GPS", "Status", *names)) is None:
+        return None
+    clock_s, (status, *columns) = records
+    receivers, in_use = numbered(log, "GPS", "I"), log.columns("GPS", "U")
+    fixed = status >= _FIX_3D
+    if in_use is not None and (fixed & (in_use[0] == 1)).any():
+        fixed &= in_use[0] == 1
+    found, count = np.unique(receivers[fixed], return_counts=True)
+    receiver = int(found[count.argmax()]) if found.size else 0
+    fixed &= (receivers == receiver) & valid_times(clock_s)
+    return receiver, clock_s[fixed], [column[fixed] for column in columns]
+
+
+def _sampled_s(log: Records, receiver: int, clock_s: Float) -> Float:
+    """Return the times of the samples of GPS records written at given times, s since boot; NaN without GPA."""
+    sampled_s = np.full(clock_s.size, np.nan)
+    if (accuracy := log.columns("GPA", "TimeUS", "SMS")) is None:
+        return sampled_s
+    valid = (accuracy[1] > 0) & (numbered(log, "GPA", "I") == receiver)
+    written_s, sms_s = accuracy[0][valid] * 1e-6, accuracy[1][valid] * 1e-3
+    if written_s.size:
+        near = nearest(written_s, clock_s)
+        together = np.abs(written_s[near] - clock_s) < _SAME_SAMPLE_S
+        sampled_s[together] = sms_s[near][together]
+    return sampled_s
+
+
+# Raw samples are used if they cover this fraction of the flight; they may be logged for a part of it.
+_NEARLY_ALL = 0.95
+
+
+def turn_rates(log: Records) -> RateSamples | None:
+    """Return the rates of one gyro: raw samples (GYR) if they cover the flight, else filtered ones (IMU).
+
+    Both are in the axes of the autopilot's board, forward, right, down, as XKQ is.  Of several gyros the first one is
+    used: they are on one board.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    RateSamples or None
+        None if the log has no rates.
+    """
+    filtered, raw = _first(log, "IMU"), _first(log, "GYR")
+    if raw is None or filtered is None:
+        return filtered or raw
+    whole_s, raw_s = np.ptp(filtered.clock_s), np.ptp(raw.clock_s)
+    faster = raw.clock_s.size / max(raw_s, 1e-6) > filtered.clock_s.size / max(whole_s, 1e-6)
+    return raw if faster and raw_s >= _NEARLY_ALL * whole_s else filtered
+
+
+def _first(log: Records, name: str) -> RateSamples | None:
+    """Return the rates of the first instance; older logs number the messages (IMU, IMU2; GYR1, GYR2) instead."""
+    for spelling in (name, *(f"{name}{number}" for number in (1, 2, 3))):
+        if (records := stamped(log, spelling, "GyrX", "GyrY", "GyrZ")) is None:
+            continue
+        clock_s, rates = records
+        if name == "GYR":  # written in bursts, with the time of each sample
+            if (sampled := log.columns(spelling, "SampleUS")) is None:
+                continue
+            clock_s = np.where(sampled[0] > 0, sampled[0] * 1e-6, clock_s)
+        instance, rate_rad_per_s = numbered(log, spelling, "I"), np.stack(rates, axis=-1)
+        valid = valid_rates(rate_rad_per_s)
+        for one in np.unique(instance[valid]):
+            mine = np.flatnonzero(valid & (instance == one))
+            mine = mine[valid_times(clock_s[mine])]
+            if mine.size > 1:
+                return RateSamples(clock_s[mine], rate_rad_per_s[mine], f"{spelling} {one}")
+    return None
+
+
+# Roll and pitch against the horizon, deg; the yaw against the aircraft's heading and against north, deg.
+_ANGLES: Final = ("Roll", "Pitch", "YawB", "YawE")
+
+
+def gimbal_of_records(log: Records) -> GimbalSamples | None:
+    """Return the attitude of the first gimbal; None if the log has none.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    GimbalSamples or None
+    """
+    if "MNT" not in log:
+        return None
+    if (known := stamped(log, "MNT", *_ANGLES)) is None:
+        return None
+    clock_s, (roll_deg, pitch_deg, yaw_deg, yaw_earth_deg) = known
+    # The yaw against north does not depend on the aircraft's heading; it is NaN where the gimbal does not know it.
+    is_earth = np.isfinite(yaw_earth_deg)
+    angles_deg = np.stack([roll_deg, pitch_deg, np.where(is_earth, yaw_earth_deg, yaw_deg)])
+    number = numbered(log, "MNT", "I")
+    valid = np.isfinite(angles_deg).all(axis=0) & valid_times(clock_s)
+    if not valid.any():
+        return None
+    valid &= number == number[valid].min()
+    if np.count_nonzero(valid) < 2:
+        return None
+    q = quaternion_from_euler(*np.deg2rad(angles_deg[:, valid]))
+    return GimbalSamples(clock_s[valid], q, is_earth[valid], "MNT")
+
+
+def event_records(log: Records, vehicle: str | None) -> Iterator[EventSamples]:
+    """Yield the flight modes and the messages of a boot.
+
+    Parameters
+    ----------
+    log : Records
+    vehicle : str or None
+        The firmware, whose modes these are.
+
+    Yields
+    ------
+    EventSamples
+    """
+    for field in ("ModeNum", "Mode"):
+        modes = stamped(log, "MODE", field)
+        if modes is not None and modes[0].size and np.isfinite(modes[1][0]).any():
+            clock_s, (number,) = modes
+            named = valid_rare_times(clock_s) & np.isfinite(number)
+            names = [ardupilot_mode(vehicle, int(one)) for one in number[named].tolist()]
+            yield EventSamples.of(EventKind.MODE, clock_s[named], names)
+            break
+    messages = stamped(log, "MSG")
+    texts = log.texts("MSG", "Message")
+    if messages is not None and messages[0].size == len(texts) and texts:
+        clock_s = np.where(valid_rare_times(messages[0]), messages[0], np.nan)
+        yield EventSamples.of(EventKind.MESSAGE, clock_s, texts)
+
+
+# Messages by which reboots are detected: those that are logged at a steady rate.
+_CLOCKED = (
+    *("ATT", "AHR2", "SIM", "POS", "GPS"),
+    *(f"{name}{number}" for name in ("XKQ", "NKQ", "IMU", "GYR") for number in ("", 1, 2, 3)),
+)
+
+
+def boots_of(log: Records, *, knows_utc: bool | None = None) -> tuple[Boot, ...]:
+    """Return the boots of a log, in the order of the file.
+
+    Parameters
+    ----------
+    log : Records
+    knows_utc : bool, optional
+        Whether the log has UTC; by default whether its GPS has.
+
+    Returns
+    -------
+    tuple of Boot
+    """
+    series = [(log.position(name), records[0]) for name in _CLOCKED if (records := stamped(log, name)) is not None]
+    return find_boots(series, gps_readings(log), log.heads, log.alike, knows_utc=knows_utc)
+
 
 # Firmware in a message: ArduPlane V4.5.1 (1a2b3c4d); APM:Copter V3.3 (acf71d5f); Rover V4.2.0-dev.
 _FIRMWARE = re.compile(

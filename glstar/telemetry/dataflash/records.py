@@ -22,10 +22,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
-from glstar.telemetry.source import Span
-from glstar.telemetry.suppressedoutput import suppressed_output
-
-__all__ = ["DATAFLASH_MAGIC", "BinaryRecords", "Records", "nearest", "numbered", "stamped"]
+from glstar.telemetry.source import Span, suppressed_output
 
 DATAFLASH_MAGIC = b"\xa3\x95\x80"
 

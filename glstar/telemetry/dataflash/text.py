@@ -32,8 +32,6 @@ from glstar.telemetry.boots import within
 from glstar.telemetry.dataflash.records import Records
 from glstar.telemetry.source import Span
 
-__all__ = ["TextRecords", "is_dataflash_text"]
-
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 

@@ -1,27 +1,244 @@
-"""Dialogs: a range to export, the UTC and the site that a log or a link lacks; and the list of keys."""
+"""Dialogs: a range to export, the UTC and the site that a log or a link lacks; and the list of keys.
 
+What dialogs that ask for a part of the flight have in common.
+
+The dialog that asks which range of the flight a video shows, and how fast.
+
+The dialog that connects to a telemetry link.
+
+Choosing a file or a folder: the system's own dialog, or a text field if there is none.
+"""
+
+import os
+import shutil
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar, Final, get_args
+from typing import Any, ClassVar, Final, Literal, get_args
 
 from imgui_bundle import imgui
+from imgui_bundle import portable_file_dialogs as pfd
 
 from glstar.errors import ConfigError
-from glstar.export.images import ImageFormat
-from glstar.viewer.keys import KEYS, MENUS, shown_chord
-from glstar.viewer.missing import MissingFromLink, MissingFromLog
-from glstar.viewer.saving import file_stem, save_range
-from glstar.viewer.session import Session
-from glstar.viewer.ui.rangedialog import RangeDialog
-from glstar.viewer.ui.theme import accent, button_size, centre_next_window, dialog_size, error, scaled, scaled_across
+from glstar.export.imagefiles.formats import ImageFormat
+from glstar.link import serial_ports
+from glstar.viewer.flight.loaded import MissingFromLink, MissingFromLog
+from glstar.viewer.session.recording import RangeVideo, VideoRange
+from glstar.viewer.session.saving import SCREEN_FRAMES_PER_S, file_stem, save_range, unused_path
+from glstar.viewer.session.state import Session
+from glstar.viewer.ui.theme import button_size, centre_next_window, error, scaled_across
 
-__all__ = ["ExportDialog", "MissingDialog", "draw_help"]
+Kind = Literal["open", "save", "folder"]
 
 _AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
-# Width of the widest field, screen px.
+# Width of the widest field of a dialog, screen px.
 _WIDTH: Final = 440.0
-# Size of the list of keys, px.
-_HELP_PX: Final = (880.0, 730.0)
+# The programs that portable_file_dialogs uses on Linux; macOS and Windows have dialogs of their own.
+_DIALOG_PROGRAMS: Final = ("zenity", "matedialog", "qarma", "kdialog")
+
+
+def has_native_dialogs() -> bool:
+    """Return whether the system has file dialogs.
+
+    Returns
+    -------
+    bool
+    """
+    if sys.platform in {"darwin", "win32"}:
+        return True
+    has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return has_display and any(shutil.which(program) for program in _DIALOG_PROGRAMS)
+
+
+class FileChooser:
+    """Lets the user choose a path, one at a time.
+
+    Parameters
+    ----------
+    native : bool
+        Whether to open the system's dialogs; otherwise the path is typed into a text field.
+    """
+
+    def __init__(self, *, native: bool = False) -> None:
+        self._native = native
+        self._dialog: Any = None
+        self._title = ""
+        self._text = ""
+        self._take: Callable[[Path], None] = lambda _: None
+        self._opening = False
+
+    def ask(self, kind: Kind, title: str, path: Path, take: Callable[[Path], None]) -> None:
+        """Open the dialog; does nothing while a native dialog is open.
+
+        Parameters
+        ----------
+        kind : {"open", "save", "folder"}
+        title : str
+        path : Path
+            The initial choice.
+        take : callable
+            Called with the chosen path, in `draw`; not called if the user cancels.
+        """
+        if self._dialog is not None:
+            return
+        self._take = take
+        if not self._native:
+            self._title, self._text, self._opening = title, str(path), True
+        elif kind == "open":
+            self._dialog = pfd.open_file(title, str(path))
+        elif kind == "save":
+            self._dialog = pfd.save_file(title, str(path))
+        else:
+            self._dialog = pfd.select_folder(title, str(path))
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether a native dialog has been closed, and `draw` will take its result."""
+        return self._dialog is not None and bool(self._dialog.ready(0))
+
+    def draw(self) -> None:
+        """Draw the text field if it is open, and take the result of a native dialog that has been closed."""
+        if self.is_answered:
+            result, self._dialog = self._dialog.result(), None
+            # Dialogs that open files return a list of paths, the others a path; both are empty after Cancel.
+            chosen = result[0] if isinstance(result, list) and result else result
+            if chosen:
+                self._take(Path(chosen))
+        self._draw_field()
+
+    def _draw_field(self) -> None:
+        if self._opening:
+            imgui.open_popup(self._title)
+        centre_next_window()
+        if not self._title or not imgui.begin_popup_modal(self._title, None, _AUTO)[0]:
+            return
+        if self._opening:
+            imgui.set_keyboard_focus_here()
+            self._opening = False
+        imgui.set_next_item_width(scaled_across(_WIDTH))
+        entered, self._text = imgui.input_text("##path", self._text, _ENTER)
+        imgui.text_disabled("or drop it onto the window")
+        if imgui.button("OK", button_size()) or entered:
+            imgui.close_current_popup()
+            if self._text.strip():
+                self._take(Path(self._text.strip()).expanduser())
+        imgui.same_line()
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
+            imgui.close_current_popup()
+        imgui.end_popup()
+
+    def close(self) -> None:
+        """Close a native dialog that is still open."""
+        if self._dialog is not None:
+            self._dialog.kill()
+            self._dialog = None
+
+
+class RangeDialog(ABC):
+    """Asks for a part of the flight, from the in to the out point unless others are typed.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        The part, s after the first attitude.
+    path : str
+        The file or folder to write.
+    """
+
+    title: ClassVar[str]
+    action: ClassVar[str]
+
+    def __init__(self) -> None:
+        self._opening = False
+        self.start_s = self.stop_s = 0.0
+        self.path = ""
+
+    def ask(self, session: Session) -> None:
+        """Open the dialog for the part between the in and out points of the flight shown.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        if session.head is None or session.flight is None or not self.prepare(session):
+            return
+        self.start_s, self.stop_s = (end_s - session.head.origin_s for end_s in session.head.part)
+        self._opening = True
+
+    def draw(self, session: Session) -> None:
+        """Draw the dialog if it is open.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        if self._opening:
+            imgui.open_popup(self.title)
+            self._opening = False
+        centre_next_window()
+        if imgui.begin_popup_modal(self.title, None, _AUTO)[0]:
+            self._draw_fields(session)
+            imgui.end_popup()
+
+    @abstractmethod
+    def prepare(self, session: Session) -> bool:
+        """Set the path, and return whether the dialog can be opened.
+
+        Parameters
+        ----------
+        session : Session
+
+        Returns
+        -------
+        bool
+        """
+
+    @abstractmethod
+    def draw_options(self) -> None:
+        """Draw the fields between the range and the path."""
+
+    @abstractmethod
+    def draw_summary(self, session: Session) -> bool:
+        """Draw what will be written, and return whether it can be.
+
+        Parameters
+        ----------
+        session : Session
+
+        Returns
+        -------
+        bool
+        """
+
+    @abstractmethod
+    def accept(self, session: Session) -> None:
+        """Start what the dialog asked for.
+
+        Parameters
+        ----------
+        session : Session
+        """
+
+    def _draw_fields(self, session: Session) -> None:
+        imgui.push_item_width(scaled_across(_WIDTH) * 0.45)
+        _, self.start_s = imgui.input_double("from, s", self.start_s, 1.0, 10.0, "%.3f")
+        _, self.stop_s = imgui.input_double("to, s", self.stop_s, 1.0, 10.0, "%.3f")
+        self.draw_options()
+        imgui.pop_item_width()
+        imgui.set_next_item_width(scaled_across(_WIDTH))
+        _, self.path = imgui.input_text("##path", self.path)
+        possible = self.draw_summary(session) and bool(self.path.strip())
+        imgui.begin_disabled(not possible)
+        entered = imgui.is_key_pressed(imgui.Key.enter) and not imgui.is_any_item_active()
+        if imgui.button(self.action, button_size()) or (entered and possible):
+            imgui.close_current_popup()
+            self.accept(session)
+        imgui.end_disabled()
+        imgui.same_line()
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
+            imgui.close_current_popup()
 
 
 class ExportDialog(RangeDialog):
@@ -158,40 +375,149 @@ class MissingDialog:
             imgui.close_current_popup()
 
 
-def draw_help(is_open: bool) -> bool:
-    """Draw the window with the table of keys.
+class VideoDialog(RangeDialog):
+    """Asks for the range, the speed and the frame rate of a video."""
 
-    Parameters
-    ----------
-    is_open : bool
+    title: ClassVar = "Video of a range"
+    action: ClassVar = "Record"
 
-    Returns
-    -------
-    bool
-        Whether it stays open.
-    """
-    if not is_open:
-        return False
-    centre_next_window()
-    size = dialog_size(*_HELP_PX)
-    imgui.set_next_window_size(size)
-    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
-    expanded, stays = imgui.begin("Keys", True, int(flags))
-    if expanded:
-        columns = 2 if size.x >= scaled(_HELP_PX[0]) - 1 else 1  # two in a narrow window would cut off the text
-        imgui.columns(columns, "##keys", False)
-        half = (len(KEYS) + len(MENUS)) // 2
-        rows = 0
-        for menu in MENUS:
-            if rows >= half - 3 and imgui.get_column_index() < columns - 1:
-                imgui.next_column()
-            imgui.text_colored(accent(), menu)
-            rows += 1
-            for key in (key for key in KEYS if key.menu == menu and key.chords):
-                imgui.text_disabled("  " + ", ".join(map(shown_chord, key.chords)))
-                imgui.same_line(scaled(130.0))
-                imgui.text(key.label)
-                rows += 1
-        imgui.columns(1)
-    imgui.end()
-    return bool(stays) and not imgui.is_key_pressed(imgui.Key.escape)
+    def __init__(self) -> None:
+        super().__init__()
+        self._speed = 1.0
+        self._frames_per_s = SCREEN_FRAMES_PER_S
+
+    def prepare(self, session: Session) -> bool:
+        """Name a new file; a video that is being recorded has to end first.
+
+        Parameters
+        ----------
+        session : Session
+
+        Returns
+        -------
+        bool
+        """
+        if session.video is not None:
+            session.notify("a video is being recorded; end it first (Ctrl+R)", is_error=True)
+            return False
+        self.path = str(unused_path(session.output / f"{file_stem(session)}-range.mp4"))
+        return True
+
+    def draw_options(self) -> None:
+        """Draw the speed and the frame rate."""
+        _, self._speed = imgui.input_double("times real time", self._speed, 0.0, 0.0, "%g")
+        _, self._frames_per_s = imgui.input_double("frames/s", self._frames_per_s, 0.0, 0.0, "%g")
+
+    def draw_summary(self, session: Session) -> bool:
+        """Draw the length of the video, or why it cannot be made.
+
+        Parameters
+        ----------
+        session : Session
+
+        Returns
+        -------
+        bool
+        """
+        try:
+            part = self._part(session)
+            length_s = part.count / part.frames_per_s
+        except ConfigError as refusal:
+            imgui.text_colored(error(), str(refusal))
+            return False
+        imgui.text_disabled(f"{part.count} frames, {length_s:.1f} s; the picture as it is shown, with its overlays")
+        return True
+
+    def accept(self, session: Session) -> None:
+        """Record the video.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        path = Path(self.path.strip()).expanduser()
+        session.video = RangeVideo(path if path.suffix else path.with_suffix(".mp4"), self._part(session))
+
+    def _part(self, session: Session) -> VideoRange:
+        head = session.head
+        assert head is not None
+        start_s, stop_s = (
+            min(max(head.origin_s + end_s, head.first_s), head.last_s) for end_s in (self.start_s, self.stop_s)
+        )
+        return VideoRange(start_s, stop_s, self._speed, self._frames_per_s)
+
+
+_CONNECT_TITLE: Final = "Connect to a telemetry link"
+_LINK_WIDTH: Final = 380.0
+# Baud rates of telemetry radios and of autopilots' serial ports.
+_BAUD_RATES: Final = ("57600", "115200", "921600")
+# Links to local programs, and what listens or sends there.
+_EXAMPLES: Final = (
+    ("udpin:127.0.0.1:14550", "MAVProxy or QGroundControl forward to here"),
+    ("tcp:127.0.0.1:5760", "an ArduPilot simulator"),
+)
+
+
+class ConnectDialog:
+    """Lists serial ports, and takes any connection string."""
+
+    def __init__(self) -> None:
+        self._opening = False
+        self._ports: list[tuple[str, str]] = []
+        self._link = _EXAMPLES[0][0]
+        self._baud_rate = 0
+
+    def ask(self, session: Session) -> None:
+        """Open the dialog, with the serial ports that are there now; a session has one link at most.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        if session.live is not None:
+            session.notify(f"{session.live.status.endpoint} is open already; start another glstar for a second link")
+            return
+        self._opening = True
+        self._ports = [(port.device, port.description) for port in serial_ports()]
+
+    def draw(self) -> str | None:
+        """Draw the dialog if it is open.
+
+        Returns
+        -------
+        str or None
+            The connection string that the user has given; None in all other frames.
+        """
+        if self._opening:
+            self._opening = False
+            imgui.open_popup(_CONNECT_TITLE)
+        centre_next_window()
+        link = None
+        if imgui.begin_popup_modal(_CONNECT_TITLE, None, _AUTO)[0]:
+            link = self._draw_fields()
+            imgui.end_popup()
+        return link
+
+    def _draw_fields(self) -> str | None:
+        width = scaled_across(_LINK_WIDTH)
+        if self._ports:
+            imgui.set_next_item_width(width / 3)
+            _, self._baud_rate = imgui.combo("baud", self._baud_rate, list(_BAUD_RATES))
+        else:
+            imgui.text_disabled("no serial port: nothing is plugged in")
+        offered = [(f"{device},{_BAUD_RATES[self._baud_rate]}", description) for device, description in self._ports]
+        for link, description in (*offered, *_EXAMPLES):
+            if imgui.selectable(
+                f"{link}   {description}", link == self._link, imgui.SelectableFlags_.no_auto_close_popups
+            )[0]:
+                self._link = link
+        imgui.set_next_item_width(width)
+        entered, self._link = imgui.input_text("##link", self._link, _ENTER)
+        connect = imgui.button("Connect", button_size()) or entered
+        imgui.same_line()
+        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
+            imgui.close_current_popup()
+        if connect and self._link.strip():
+            imgui.close_current_popup()
+            return self._link.strip()
+        return None

@@ -1,23 +1,13 @@
 """Colours and fonts of the window: dark, or red by night to preserve dark adaptation."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import imgui_bundle
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-__all__ = [
-    "accent",
-    "apply_theme",
-    "button_size",
-    "centre_next_window",
-    "dialog_size",
-    "error",
-    "load_font",
-    "resized_text",
-    "scaled",
-    "scaled_across",
-]
+from glstar.sky.air.skybrightness import LIGHT_LEVELS
 
 Rgba = tuple[float, float, float, float]
 
@@ -221,3 +211,99 @@ def centre_next_window() -> None:
     """Let the next window appear in the middle of the viewport."""
     centre = imgui.get_main_viewport().get_center()
     imgui.set_next_window_pos(centre, int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))
+
+
+# Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
+_BEHIND: Final = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
+_NO_MARKER: Final = int(implot.Marker_.none)
+_DOWN, _UP, _SQUARE = (int(each) for each in (implot.Marker_.down, implot.Marker_.up, implot.Marker_.square))
+_MARK_PX: Final = 3.0
+
+
+class Palette:
+    """The colours of the timeline.
+
+    Parameters
+    ----------
+    lines : tuple of three colours
+        Of roll, pitch and yaw, and of the rates about their axes.
+    gap, part, exposures, shown, missing, marker, head : colour
+        Of gaps, the part between the in and out points, exposures, the exposure shown, the same if it touches a gap,
+        markers, and the play head.
+    mode, message, trigger, image : colour
+        Of flight modes, messages, triggers of the camera and times of real images.
+    light : sequence of four colours
+        Of day and of civil, nautical and astronomical twilight.
+    """
+
+    def __init__(
+        self,
+        lines: tuple[Rgba, Rgba, Rgba],
+        gap: Rgba,
+        part: Rgba,
+        exposures: Rgba,
+        shown: Rgba,
+        missing: Rgba,
+        marker: Rgba,
+        head: Rgba,
+        mode: Rgba,
+        message: Rgba,
+        trigger: Rgba,
+        image: Rgba,
+        light: Sequence[Rgba],
+    ) -> None:
+        self.lines, self.line_colours = [_line(colour, flags=0) for colour in lines], lines
+        self.gap, self.part, self.exposures = _fill(gap), _fill(part), _fill(exposures)
+        self.shown, self.missing = _fill(shown), _fill(missing)
+        self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
+        self.mode = _line(mode)
+        self.message, self.trigger, self.image = _mark(message, _DOWN), _mark(trigger, _UP), _mark(image, _SQUARE)
+        names = (name for name, _ in LIGHT_LEVELS)
+        self.light = dict(zip(names, map(_fill, light), strict=False))
+
+
+def _line(colour: Rgba, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
+    return implot.Spec(line_color=colour, line_weight=weight, marker=_NO_MARKER, flags=flags)
+
+
+def _mark(colour: Rgba, marker: int) -> implot.Spec:
+    return implot.Spec(
+        marker=marker, marker_size=_MARK_PX, marker_fill_color=colour, marker_line_color=colour, flags=_BEHIND
+    )
+
+
+def _fill(colour: Rgba) -> implot.Spec:
+    clear = (0.0, 0.0, 0.0, 0.0)
+    return implot.Spec(line_color=clear, fill_color=colour, marker=_NO_MARKER, flags=_BEHIND)
+
+
+DAY_PALETTE: Final = Palette(
+    lines=((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
+    gap=(0.75, 0.2, 0.2, 0.35),
+    part=(0.3, 0.7, 1.0, 0.14),
+    exposures=(1.0, 1.0, 1.0, 0.10),
+    shown=(1.0, 0.85, 0.3, 0.40),
+    missing=(1.0, 0.2, 0.2, 0.60),
+    marker=(0.9, 0.5, 1.0, 0.9),
+    head=(1.0, 0.85, 0.3, 1.0),
+    mode=(0.85, 0.87, 0.9, 0.45),
+    message=(0.55, 0.85, 0.9, 0.9),
+    trigger=(1.0, 0.6, 0.3, 0.9),
+    image=(0.95, 0.95, 0.95, 0.9),
+    light=((1.0, 0.95, 0.65, 0.26), (1.0, 0.65, 0.35, 0.22), (0.45, 0.50, 1.0, 0.20), (0.35, 0.40, 0.9, 0.11)),
+)
+NIGHT_PALETTE: Final = Palette(
+    lines=((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
+    gap=(0.6, 0.0, 0.0, 0.35),
+    part=(1.0, 0.0, 0.0, 0.16),
+    exposures=(1.0, 0.0, 0.0, 0.12),
+    shown=(1.0, 0.0, 0.0, 0.40),
+    missing=(1.0, 0.0, 0.0, 0.75),
+    marker=(0.8, 0.0, 0.0, 0.9),
+    head=(1.0, 0.0, 0.0, 1.0),
+    mode=(0.7, 0.0, 0.0, 0.6),
+    message=(0.8, 0.0, 0.0, 0.9),
+    trigger=(1.0, 0.0, 0.0, 0.9),
+    image=(0.6, 0.0, 0.0, 0.9),
+    light=tuple((1.0, 0.0, 0.0, opacity) for opacity in (0.26, 0.19, 0.13, 0.07)),
+)

@@ -5,8 +5,14 @@ import pytest
 from scipy.integrate import quad
 
 from glstar.errors import ConfigError
-from glstar.flight.synthetic.dryden import GUST_NAMES, DrydenGusts, LinearSystem
-from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine, vibration_turns
+from glstar.flight.synthetic.gusts import (
+    GUST_NAMES,
+    AttitudeResponse,
+    DrydenGusts,
+    LinearSystem,
+    VibrationLine,
+    vibration_turns,
+)
 
 LIGHT = DrydenGusts(7.7, 100.0, 18.0, 2.0)
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from glstar.errors import ConfigError
+from glstar.flight.synthetic.gusts import VibrationLine
 from glstar.flight.synthetic.paths import Wind
-from glstar.flight.synthetic.response import VibrationLine
 from glstar.flight.synthetic.syntheticflight import FLIGHT_PATHS, SyntheticFlight
 from glstar.rotation import turn_between
-from glstar.sky.site import Site
+from glstar.sky.place.site import Site
 
 ADELAIDE = Site(radians(-34.93), radians(138.60), 300.0)
 NIGHT_UTC_S = 1710068400.0

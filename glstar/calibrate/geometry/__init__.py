@@ -1,0 +1,1 @@
+"""The geometry of a camera: lens, readout time and zenith from identified stars, or the lens from boards."""

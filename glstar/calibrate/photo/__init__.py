@@ -1,0 +1,1 @@
+"""Photographs: reading, background, detection of stars, their point spread function, brightness of the sky."""

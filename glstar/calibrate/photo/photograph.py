@@ -1,0 +1,262 @@
+"""Photographs, read as one channel of digital numbers."""
+
+import logging
+import re
+from dataclasses import dataclass, replace
+from io import BytesIO
+from math import nan
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import cv2
+import exifread
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.photofile import PhotoPixels, as_digital_numbers, decode_photo, stated_shift_bits
+from glstar.camera.sensor.tonecurve import GAMMAS, light_before, recorded_by
+from glstar.errors import CalibrationError, ConfigError
+from glstar.system.imagefiles import size_error
+
+Channel = Literal["value", "red", "green", "blue", "mean"]
+
+_DEPTHS: Final = (8, 10, 12, 14, 16)
+# OpenCV's order.
+_PLANE: Final[dict[str, int]] = {"blue": 0, "green": 1, "red": 2}
+# End of a complete file; OpenCV silently fills the missing part of a truncated one with grey.
+_ENDS: Final[dict[bytes, bytes]] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
+_END_WITHIN_BYTES: Final = 64 * 1024
+# Messages of exifread on files without EXIF are suppressed.
+logging.getLogger("exifread").addHandler(logging.NullHandler())
+
+# First characters of a FITS file, and its exposure, s.
+_FITS_BEGIN: Final = b"SIMPLE  ="
+_FITS_EXPOSURE: Final = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
+
+# Smallest side of an image of stars.
+_LEAST_SIDE_PX: Final = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """A photograph of the sky.
+
+    Attributes
+    ----------
+    path : Path
+    pixels_dn : (height, width) float64
+        Digital numbers, upright; row 0 is the top.
+    bit_depth : int
+        Bits of a digital number: it saturates at 2**bit_depth - 1.
+    channel : {"value", "red", "green", "blue", "mean", "grey"}
+        The colour channel; ``"grey"`` for a monochrome image.
+    exposure_s : float or None
+        Exposure stated in the file, s.
+    gamma : str or float
+        The tone curve of the file, if `pixels_dn` are the light before it: see `linearised`.
+    recorded_bits : int
+        Bits of the file, if it has a tone curve.
+    """
+
+    path: Path
+    pixels_dn: NDArray[np.float64]
+    bit_depth: int
+    channel: str
+    exposure_s: float | None
+    gamma: str | float = "linear"
+    recorded_bits: int = 8
+
+    @property
+    def output_keys(self) -> dict[str, str | float | bool]:
+        """The keys of ``[output]`` with which a simulated camera processes as that of the photograph did."""
+        if self.gamma == "linear":
+            return {}
+        return {"output.process": "isp", "output.subtract_black": False, "output.gamma": self.gamma}
+
+    @property
+    def saturation_dn(self) -> int:
+        """The largest digital number of its bit depth."""
+        return int(2**self.bit_depth - 1)
+
+
+def read_image(
+    path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None, demosaiced: bool = True
+) -> Photograph:
+    """Return an image as one channel.
+
+    Parameters
+    ----------
+    path : path-like
+        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; DNG, HEIC;
+        or FITS of one channel.
+    channel : {"value", "red", "green", "blue", "mean"}
+        Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
+    bit_depth : int, optional
+        Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits, whether its
+        numbers are in the lowest bits or, left-aligned, in the highest.  By default 8;
+        for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG states it, and so does a
+        grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits.
+    demosaiced : bool
+        Whether a DNG's mosaic becomes a colour image.
+
+    Returns
+    -------
+    Photograph
+
+    Raises
+    ------
+    CalibrationError
+        If it cannot be read, is cut off, is too large (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.
+
+    Notes
+    -----
+    Teague & Chahl, section 2.5: the value channel.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {(error.strerror or str(error)).lower()}", path=path) from error
+    for begin, end in _ENDS.items():
+        if content.startswith(begin) and end not in content[-_END_WITHIN_BYTES:]:
+            raise CalibrationError("is cut off: the end of the image is missing; copy it again", path=path)
+    too_large = size_error(content)
+    if too_large is not None:
+        raise CalibrationError(too_large, path=path)
+    photo = _decoded(content, path, demosaiced=demosaiced)
+    pixels, white_dn = photo.pixels, photo.white_dn
+    grey, name = _one_channel(pixels, channel)
+    if min(grey.shape) < _LEAST_SIDE_PX:
+        message = f"is an image of {grey.shape[1]} x {grey.shape[0]} px; a star field needs {_LEAST_SIDE_PX} or more"
+        raise CalibrationError(message, path=path)
+    stated = _depth_of(pixels) if white_dn is None else white_dn.bit_length()
+    depth = stated if bit_depth is None else bit_depth
+    if bit_depth is not None and grey.max() > 2**depth - 1:
+        grey = as_digital_numbers(grey, 16 - depth)
+    if grey.max() > 2**depth - 1:
+        message = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
+        raise CalibrationError(message, path=path)
+    return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(photo.exif or content))
+
+
+def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> PhotoPixels:
+    try:
+        photo = decode_photo(content, demosaiced=demosaiced, upright=True)
+    except ValueError as error:
+        raise CalibrationError(str(error), path=path) from error
+    if photo is not None:
+        return photo
+    # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore the EXIF orientation.
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+    try:
+        pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise CalibrationError("is no image that can be read; JPEG, PNG, TIFF, DNG, HEIC and FITS can", path=path)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
+        raise CalibrationError(message, path=path)
+    shift = stated_shift_bits(content)
+    shifted_back = as_digital_numbers(np.asarray(pixels), shift)
+    return PhotoPixels(shifted_back, None if shifted_back is pixels else 2 ** (16 - shift) - 1)
+
+
+def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:
+    if pixels.ndim == 2:
+        return pixels, "grey"
+    colours = pixels[..., :3]
+    if channel == "value":
+        return colours.max(axis=-1), channel
+    if channel == "mean":
+        return colours.mean(axis=-1), channel
+    return colours[..., _PLANE[channel]], channel
+
+
+def _depth_of(pixels: NDArray[Any]) -> int:
+    if pixels.dtype == np.uint8:
+        return 8
+    return next((depth for depth in _DEPTHS if int(pixels.max()) == 2**depth - 1), 16)
+
+
+def _exposure_s(content: bytes) -> float | None:
+    """Return the exposure that the camera wrote into its file, s, or None."""
+    if content.startswith(_FITS_BEGIN):
+        found = _FITS_EXPOSURE.search(content[:_END_WITHIN_BYTES])
+        return (float(found[1]) or None) if found else None
+    try:
+        tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
+        return float(tags["EXIF ExposureTime"].values[0]) or None
+    except Exception:
+        # The exposure is optional, and exifread raises various exceptions on a damaged file.
+        return None
+
+
+# Bits of a photograph's light: fine enough for the steps of 8 recorded bits.
+_LIGHT_BITS: Final = 16
+
+
+def linearised(image: Photograph, gamma: str | float) -> Photograph:
+    """Return the light of a photograph that a tone curve has processed.
+
+    Parameters
+    ----------
+    image : Photograph
+        As recorded.
+    gamma : str or float
+        As in ``[output] gamma``: ``"srgb"``, ``"rpi"``, or g for a recorded value that grows as the light to the power
+        of 1 / g.
+
+    Returns
+    -------
+    Photograph
+        Of 16 bits, proportional to the light; the same where `gamma` is ``"linear"``.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such curve.
+    """
+    if gamma == "linear":
+        return image
+    curve = _checked_gamma(gamma)
+    light = light_before(image.pixels_dn / image.saturation_dn, curve)
+    return replace(
+        image, pixels_dn=light * (2**_LIGHT_BITS - 1), bit_depth=_LIGHT_BITS, recorded_bits=image.bit_depth, gamma=curve
+    )
+
+
+def recorded_again(image: Photograph, pixels: NDArray[Any]) -> NDArray[Any]:
+    """Return raw pixels as the camera of a photograph records them.
+
+    Parameters
+    ----------
+    image : Photograph
+    pixels : (height, width) uint8 or uint16
+        Raw, with the bits of `image`.
+
+    Returns
+    -------
+    (height, width) uint8 or uint16
+        Processed with its tone curve, with the bits of its file.
+    """
+    if image.gamma == "linear":
+        return pixels
+    recorded = recorded_by(pixels / image.saturation_dn, image.gamma)
+    return np.asarray(recorded * (2**image.recorded_bits - 1) + 0.5).astype(
+        np.uint16 if image.recorded_bits > 8 else np.uint8
+    )
+
+
+def _checked_gamma(gamma: str | float) -> str | float:
+    """Return the name of a tone curve, or a number."""
+    if gamma in GAMMAS:
+        return gamma
+    try:
+        number = float(gamma)
+    except ValueError:
+        number = nan
+    if not 0.1 <= number <= 10:
+        raise ConfigError(f"--gamma is {', '.join(GAMMAS)}, fit, or a number from 0.1 to 10, not {gamma!r}")
+    return number

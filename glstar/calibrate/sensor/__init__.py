@@ -1,0 +1,1 @@
+"""The sensor of a camera from photographs: brightness, point spread, noise, misfit and photon transfer."""

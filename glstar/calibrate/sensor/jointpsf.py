@@ -1,0 +1,535 @@
+"""One point spread function fitted to many stars of a photograph together, saturated ones with their wings.
+
+The pixels around the stars of a photograph, and the light that a point spread function has in them.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial import KDTree
+from scipy.special import erf
+
+from glstar.camera.sensor.pointspread import PointSpread
+from glstar.errors import ConfigError
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarStamps:
+    """Pixels around stars.
+
+    Attributes
+    ----------
+    corner_px : (n, 2) float64
+        First column and row of each stamp.
+    values_dn : (n, m, m) float64
+        Above the sky.
+    variance_dn2 : (n, m, m) float64
+        Of the sky and the sensor, without the star's own light; infinite for pixels that do not count.
+    xy_px : (n, 2) float64
+        Positions of the stars.
+    trail_px : (n, 2) float64
+        Motion during the exposure.
+    offset : (n, 2) float64
+        Position (x, y) minus the principal point, over half the diagonal.
+    bv : (n,) float64
+        Colours B - V.
+    dn_per_e : float
+        Gain: the variance of a star's light over its level, DN.  It acts on the fitted light: the recorded one would
+        give pixels that are too dark by chance more weight, and make stars narrower and fainter than they are.
+    """
+
+    corner_px: Float
+    values_dn: Float
+    variance_dn2: Float
+    xy_px: Float
+    trail_px: Float
+    offset: Float
+    bv: Float
+    dn_per_e: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.xy_px)
+
+    def some(self, k: Index | Mask) -> "StarStamps":
+        """Return the stamps of some stars."""
+        return StarStamps(
+            self.corner_px[k], self.values_dn[k], self.variance_dn2[k], self.xy_px[k], self.trail_px[k],
+            self.offset[k], self.bv[k], self.dn_per_e,
+        )  # fmt: skip
+
+    def profiles(self, psf: PointSpread, sigma_px: float) -> Float:
+        """Return the image of each star for a flux of 1, (n, m, m)."""
+        samples, weights = _trail_samples(self.trail_px, sigma_px)
+        along = np.arange(self.values_dn.shape[1], dtype=np.float64)
+        near = self.xy_px - self.corner_px
+        scale = psf.scale_at(self.offset, self.bv)
+        light = np.zeros_like(self.values_dn)
+        # The core's Gaussians scale with the growth; those of the outer parts do not.
+        ones, twos = psf.components(sigma_px, scale=1.0), psf.components(sigma_px, scale=2.0)
+        for one, two in zip(ones, twos, strict=True):
+            grows = two.sigma_px / one.sigma_px - 1
+            width = (one.sigma_px * (1 + grows * (scale - 1)))[:, np.newaxis, np.newaxis]
+            axes = []
+            for axis in (0, 1):
+                offset = one.offset_px[axis] * (1 + grows * (scale - 1))
+                centre = (near[:, axis] + offset)[:, np.newaxis] + samples * self.trail_px[:, axis, np.newaxis]
+                axes.append(_pixels(along - centre[..., np.newaxis], width))
+            across, down = axes
+            light += one.flux_fraction * np.einsum("t,nty,ntx->nyx", weights, down, across, optimize=True)
+        return light
+
+
+def cut_stamps(
+    above_dn: Float,
+    variance_dn2: Float,
+    usable: Mask,
+    xy_px: Float,
+    others_px: Float,
+    trail_px: Float,
+    offset: Float,
+    bv: Float,
+    half_px: int,
+    dn_per_e: float = 0.0,
+) -> tuple[StarStamps, Index]:
+    """Return the stamps of stars that lie wholly on the image, and which stars these are.
+
+    Parameters
+    ----------
+    above_dn, variance_dn2 : (height, width) float64
+        The image above its sky, DN, and the variance of its pixels without the light of stars, DN^2.
+    usable : (height, width) bool
+        Pixels that are not saturated.
+    xy_px : (n, 2) float64
+        Positions, px.
+    others_px : (k, 2) float64
+        Positions of all stars: pixels that are nearer to another star do not count.
+    trail_px : (n, 2) float64
+    offset : (n, 2) float64
+        From the principal point, over half the diagonal.
+    bv : (n,) float64
+        Colours B - V.
+    half_px : int
+        Half the side of a stamp.
+    dn_per_e : float
+        Variance of the light of stars over its level, DN.
+
+    Returns
+    -------
+    StarStamps
+    (k,) intp
+    """
+    height, width = above_dn.shape
+    corner = np.rint(xy_px).astype(np.intp) - half_px
+    inside = np.flatnonzero(((corner >= 0) & (corner < np.array([width, height]) - 2 * half_px)).all(axis=1))
+    along = np.arange(2 * half_px + 1)
+    columns, rows = corner[inside, :1] + along, corner[inside, 1:] + along
+    place = rows[:, :, np.newaxis], columns[:, np.newaxis, :]
+    counts = usable[place]
+    tree = KDTree(others_px)
+    for k, star in enumerate(inside):
+        for other in others_px[tree.query_ball_point(xy_px[star], 2.9 * half_px)]:
+            if float(np.hypot(*(other - xy_px[star]))) >= 1.0:
+                # What lies closer to the other star than that may have its light.
+                r2, other_r2 = (_squares(columns[k], rows[k], one) for one in (xy_px[star], other))
+                counts[k] &= other_r2 > np.minimum(r2, (0.6 * half_px) ** 2)
+    variance = np.where(counts, variance_dn2[place], np.inf)
+    stamps = StarStamps(
+        corner[inside].astype(np.float64), above_dn[place], variance, xy_px[inside], trail_px[inside],
+        offset[inside], bv[inside], dn_per_e,
+    )  # fmt: skip
+    return stamps, inside
+
+
+def _squares(columns: Index, rows: Index, xy_px: Float) -> Float:
+    """Return the squared distances of the pixels of a rectangle from a position, px^2."""
+    return np.asarray((columns - xy_px[0]) ** 2 + ((rows - xy_px[1]) ** 2)[:, np.newaxis])
+
+
+def _pixels(offset_px: Float, sigma_px: Float) -> Float:
+    """Return one axis of a Gaussian of flux 1, integrated over pixels."""
+    upper, lower = (offset_px + 0.5) / (np.sqrt(2) * sigma_px), (offset_px - 0.5) / (np.sqrt(2) * sigma_px)
+    return np.asarray(0.5 * (erf(upper) - erf(lower)))
+
+
+def _trail_samples(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
+    """Return Gauss-Legendre nodes along trails, -1/2 to 1/2, and their weights."""
+    longest_px = float(np.linalg.norm(trail_px, axis=1).max(initial=0.0))
+    count = 1 if longest_px < 1e-3 else 2 + int(np.ceil(longest_px / max(sigma_px, 0.3)))
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes / 2, weights / 2
+
+
+# A model is wrong by about this fraction of a star's brightness: it limits the weight of bright pixels.
+_MODEL_ERROR: Final = 0.03
+# Gauss-Newton rounds for the positions in each round of the shape, and rounds of the shape.
+_POSITION_ROUNDS: Final = 3
+_ROUNDS: Final = 3
+# Step of numerical derivatives by position, px, and the largest step of a position, px.
+_STEP_PX: Final = 0.02
+_LARGEST_STEP_PX: Final = 0.4
+# A further parameter must lower the squared residuals, over their mean, by this much.
+_BETTER: Final = 12.0
+# ... and growth, tilt, colour and ellipticity must exceed their standard errors by this factor.
+_CLEAR: Final = 3.0
+# Light this far off the first fit does not count in the last one, standard deviations.
+_OUTLIER: Final = 4.0
+# Moffat exponent from which on a star is a Gaussian, and range of the fit.
+_GAUSSIAN_BETA: Final = 15.0
+_BETA: Final = (2.05, 19.0)
+_MOST_ELLIPTICAL: Final = 0.39
+_LARGEST_GROWTH: Final = 3.0
+_LARGEST_TILT: Final = 0.6
+_LARGEST_COLOUR_GROWTH: Final = 0.5
+_LARGEST_WING: Final = 0.8
+# Parameters that are tried together, and where they start: first the better of the first two, then the others in turn.
+_GROUPS: Final = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("tilt_x", "tilt_y"), ("colour",), ("e1", "e2"))
+_ROUND_GROUPS: Final = 5
+_STARTS: Final = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointPsf:
+    """A point spread function with the standard errors of its parameters.
+
+    Attributes
+    ----------
+    psf : PointSpread
+    sigma_px : float
+        ``psf_sigma_px``.
+    standard_error : dict of str to float
+        By key of ``[sensor]``.
+    stars : int
+        Number of stars it was fitted to.
+    misfit : float
+        Root mean square of the residuals over their expected noise.
+    """
+
+    psf: PointSpread
+    sigma_px: float
+    standard_error: dict[str, float]
+    stars: int
+    misfit: float
+
+
+def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, StarStamps]:
+    """Return the point spread function of stars, and their stamps with fitted positions.
+
+    Parameters
+    ----------
+    stamps : StarStamps
+        Of isolated stars, most of them not saturated.
+    start_sigma_px : float
+        Approximate width, px.
+
+    Returns
+    -------
+    JointPsf
+        A Gaussian; with a Moffat exponent, wings, growth, tilt, colour and ellipticity each only where they lower the
+        residuals clearly.
+    StarStamps
+
+    Notes
+    -----
+    Weighted least squares on all pixels of all stars with the renderer's own sums of Gaussians, integrated over pixels
+    and along the sidereal trails; flux and sky of each star are solved for each shape (variable projection, Golub &
+    Pereyra 1973), positions in turns with the shape.
+    """
+    names: tuple[str, ...] = ("sigma",)
+    fitted, stamps, cost = _fitted(stamps, names, _Shape(start_sigma_px))
+    left = list(_GROUPS)
+    while left:
+        # Of the shapes with a further group of parameters, the one that explains most.
+        trials = []
+        for group in left[: 2 if len(left) > _ROUND_GROUPS else 1]:
+            start = fitted.started(group)
+            trials.append((*_fitted(stamps, (*names, *group), start), group))
+        trial, moved, trial_cost, group = min(trials, key=lambda one: one[2] / (1 - 1e-3 * len(one[3])))
+        left.remove(group)
+        unit = trial_cost / max(_free_pixels(stamps) - 5 * len(stamps), 1)
+        # Pixels of one star share its own peculiarities: they are fewer than they seem.
+        if cost - trial_cost > _BETTER * unit * len(group) and _is_clear(moved, (*names, *group), group, trial):
+            names, fitted, stamps, cost = (*names, *group), trial, moved, trial_cost
+    # Stars below the limit of detection are outliers of the pixels around the others.
+    fitted, stamps, cost = _fitted(_without_outliers(stamps, fitted), names, fitted)
+    fitted = _without_position_bias(stamps, names, fitted)
+    errors = _errors(stamps, names, fitted)
+    pixels = max(_free_pixels(stamps) - 4 * len(stamps), 1)
+    return JointPsf(fitted.psf, fitted.sigma_px, errors, len(stamps), float(np.sqrt(cost / pixels))), stamps
+
+
+def measure_fluxes(stamps: StarStamps, joint: JointPsf) -> tuple[Float, Float, StarStamps]:
+    """Return the fluxes of stars with a known point spread function, their standard errors, and moved stamps.
+
+    Parameters
+    ----------
+    stamps : StarStamps
+    joint : JointPsf
+
+    Returns
+    -------
+    flux_dn, error_dn : (n,) float64
+    StarStamps
+    """
+    shape = _Shape(joint.sigma_px, fixed=joint.psf)
+    weight = _weights(stamps, shape, np.zeros(len(stamps)))
+    flux = _residuals(stamps, shape, weight)[1]
+    for _ in range(3):
+        weight = _weights(stamps, shape, flux)
+        stamps = _moved(stamps, shape, weight)
+        flux = _residuals(stamps, shape, weight)[1]
+    profile = stamps.profiles(shape.psf, shape.sigma_px)
+    information = np.sum(weight * profile**2, axis=(1, 2)) - np.sum(weight * profile, axis=(1, 2)) ** 2 / np.maximum(
+        weight.sum(axis=(1, 2)), 1e-12
+    )
+    return flux, 1 / np.sqrt(np.maximum(information, 1e-12)), stamps
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """Parameters of a shape; `fixed` is a finished one."""
+
+    sigma_px: float
+    beta: float = 20.0
+    growth: float = 0.0
+    e1: float = 0.0
+    e2: float = 0.0
+    wing: float = 0.0
+    ln_wing_px: float = 1.4
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    colour: float = 0.0
+    fixed: PointSpread | None = None
+
+    @property
+    def psf(self) -> PointSpread:
+        if self.fixed is not None:
+            return self.fixed
+        ellipticity = min(float(np.hypot(self.e1, self.e2)), _MOST_ELLIPTICAL)
+        tilt = float(np.hypot(self.tilt_x, self.tilt_y))
+        try:
+            return PointSpread(
+                psf="moffat" if self.beta < _GAUSSIAN_BETA else "gaussian",
+                psf_beta=float(np.clip(self.beta, *_BETA)) if self.beta < _GAUSSIAN_BETA else 3.0,
+                psf_wing_fraction=float(np.clip(self.wing, 0, _LARGEST_WING)),
+                psf_wing_sigma_px=float(np.exp(self.ln_wing_px)) if self.wing > 0 else 4.0,
+                psf_growth=float(np.clip(self.growth, 0, _LARGEST_GROWTH)),
+                psf_ellipticity=ellipticity if ellipticity > 1e-4 else 0.0,
+                psf_angle_rad=float(np.arctan2(self.e2, self.e1) / 2) if ellipticity > 1e-4 else 0.0,
+                psf_tilt=tilt,
+                psf_tilt_angle_rad=float(np.arctan2(self.tilt_y, self.tilt_x)) if tilt > 0 else 0.0,
+                psf_colour_growth=float(np.clip(self.colour, -_LARGEST_COLOUR_GROWTH, _LARGEST_COLOUR_GROWTH)),
+            )
+        except ConfigError as error:  # pragma: no cover - the ranges above exclude it
+            raise ValueError(str(error)) from error
+
+    def started(self, group: tuple[str, ...]) -> "_Shape":
+        """Return the shape with the starting values of a group of parameters."""
+        given: dict[str, Any] = {name: _STARTS[name] for name in group if name in _STARTS}
+        return replace(self, **given)
+
+    def vector(self, names: tuple[str, ...]) -> Float:
+        values = {"sigma": np.log(self.sigma_px), "beta": 1 / self.beta}
+        return np.array([values.get(name, getattr(self, name, 0.0)) for name in names], dtype=np.float64)
+
+    def at(self, names: tuple[str, ...], vector: Float) -> "_Shape":
+        given = dict(zip(names, vector.tolist(), strict=True))
+        sigma_px = float(np.exp(given.pop("sigma")))
+        if "beta" in given:
+            given["beta"] = 1 / given["beta"]
+        return replace(self, sigma_px=sigma_px, **given)
+
+
+_LIMITS: Final = {
+    "sigma": (np.log(0.2), np.log(12.0)),
+    "beta": (1 / (_GAUSSIAN_BETA - 0.1), 1 / _BETA[0]),
+    "growth": (0.0, _LARGEST_GROWTH),
+    "tilt_x": (-_LARGEST_TILT, _LARGEST_TILT),
+    "tilt_y": (-_LARGEST_TILT, _LARGEST_TILT),
+    "colour": (-_LARGEST_COLOUR_GROWTH, _LARGEST_COLOUR_GROWTH),
+    "e1": (-0.27, 0.27),
+    "e2": (-0.27, 0.27),
+    "wing": (0.0, _LARGEST_WING),
+    "ln_wing_px": (np.log(0.8), np.log(12.0)),
+}
+
+
+def _limits(stamps: StarStamps, names: tuple[str, ...]) -> tuple[Float, Float]:
+    """Return the smallest and largest value of each parameter; wider wings than half a stamp's half are sky."""
+    low, high = np.transpose([_LIMITS[name] for name in names])
+    widest_px = max(stamps.values_dn.shape[1] / 4, 1.0)
+    return low, np.where(np.array(names) == "ln_wing_px", np.minimum(high, np.log(widest_px)), high)
+
+
+def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[_Shape, StarStamps, float]:
+    """Return the best shape, the stamps with the best positions, and the weighted sum of squares."""
+    low, high = _limits(stamps, names)
+    shape = start
+    weight = _weights(stamps, shape, _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1])
+    for _ in range(_ROUNDS):
+        stamps = _moved(stamps, shape, weight)
+        begin = np.clip(shape.vector(names), low + 1e-6, high - 1e-6)
+        here, there = stamps, weight
+
+        def cost(vector: Float, stamps: StarStamps = here, weight: Float = there, shape: _Shape = shape) -> Float:
+            return _residuals(stamps, shape.at(names, vector), weight)[0].reshape(-1)
+
+        found = least_squares(cost, begin, bounds=(low, high), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=12)
+        shape = shape.at(names, found.x)
+        weight = _weights(stamps, shape, _residuals(stamps, shape, weight)[1])
+    residual, _ = _residuals(stamps, shape, weight)
+    return shape, stamps, float(np.sum(residual**2))
+
+
+def _is_clear(stamps: StarStamps, names: tuple[str, ...], group: tuple[str, ...], shape: _Shape) -> bool:
+    """Return whether a group's parameters differ from 0 beyond chance; wings are judged by the residuals alone."""
+    errors = _errors(stamps, names, shape)
+    if group == ("growth",):
+        return shape.growth > _CLEAR * errors["psf_growth"]
+    if group == ("tilt_x", "tilt_y"):
+        return shape.psf.psf_tilt > _CLEAR * errors["psf_tilt"]
+    if group == ("colour",):
+        return abs(shape.colour) > _CLEAR * errors["psf_colour_growth"]
+    if group == ("e1", "e2"):
+        return float(np.hypot(shape.e1, shape.e2)) > _CLEAR * errors["psf_ellipticity"]
+    return True
+
+
+def _errors(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> dict[str, float]:
+    """Return standard errors: sandwich estimator whose independent units are stars, with fixed positions."""
+    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
+    weight = _weights(stamps, shape, flux)
+    residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1)
+    J = _slopes(stamps, names, shape, weight)
+    inverse = np.linalg.pinv(np.einsum("npk,npl->kl", J, J))
+    scores = np.einsum("npk,np->nk", J, residual)
+    spread = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * len(stamps) / max(len(stamps) - len(names), 1))
+    by_name = dict(zip(names, spread.tolist(), strict=True))
+    errors = {"psf_sigma_px": by_name["sigma"] * shape.sigma_px}
+    if "beta" in by_name:
+        errors["psf_beta"] = by_name["beta"] * shape.beta**2
+    if "wing" in by_name:
+        errors["psf_wing_fraction"] = by_name["wing"]
+        errors["psf_wing_sigma_px"] = by_name["ln_wing_px"] * float(np.exp(shape.ln_wing_px))
+    if "growth" in by_name:
+        errors["psf_growth"] = by_name["growth"]
+    if "tilt_x" in by_name:
+        errors["psf_tilt"] = float(np.hypot(by_name["tilt_x"], by_name["tilt_y"]) / np.sqrt(2))
+        errors["psf_tilt_angle_deg"] = float(np.rad2deg(errors["psf_tilt"] / max(shape.psf.psf_tilt, 1e-3)))
+    if "colour" in by_name:
+        errors["psf_colour_growth"] = by_name["colour"]
+    if "e1" in by_name:
+        errors["psf_ellipticity"] = float(np.hypot(by_name["e1"], by_name["e2"]) / np.sqrt(2))
+        size = max(float(np.hypot(shape.e1, shape.e2)), 1e-3)
+        errors["psf_angle_deg"] = float(np.rad2deg(errors["psf_ellipticity"] / (2 * size)))
+    return errors
+
+
+def _weights(stamps: StarStamps, shape: _Shape, flux: Float) -> Float:
+    """Return the weights of pixels: noise of sky and star, and the model's own error where stars are bright."""
+    if not flux.any():
+        return 1 / stamps.variance_dn2
+    model = np.maximum(flux, 0.0)[:, np.newaxis, np.newaxis] * stamps.profiles(shape.psf, shape.sigma_px)
+    return np.asarray(1 / (stamps.variance_dn2 + stamps.dn_per_e * model + (_MODEL_ERROR * model) ** 2))
+
+
+def _without_outliers(stamps: StarStamps, shape: _Shape) -> StarStamps:
+    """Return the stamps without the light that a shape does not explain, found by a filter as wide as a star."""
+    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
+    residual = _residuals(stamps, shape, _weights(stamps, shape, flux))[0]
+    sigma_px = float(np.clip(shape.sigma_px, 0.7, 3.0))
+    noise = 1 / (2 * np.sqrt(np.pi) * sigma_px)
+    near = np.ones((2 * round(1.5 * sigma_px) + 1,) * 2, np.uint8)
+    unexplained = [
+        cv2.dilate((np.abs(cv2.GaussianBlur(one, (0, 0), sigma_px)) > _OUTLIER * noise).astype(np.uint8), near) > 0
+        for one in residual
+    ]
+    return replace(stamps, variance_dn2=np.where(unexplained, np.inf, stamps.variance_dn2))
+
+
+def _without_position_bias(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> _Shape:
+    """Return the shape that stars have about their true positions.
+
+    Fitted positions follow the noise, and about them stars look narrower: with the covariance C of a position the
+    parameters are off by -(J' W J)^-1 J' W tr(C m'') / 2 (Box 1971, *J. R. Stat. Soc. B* 33, 171), m'' being the second
+    derivatives of a star's light by its position.
+    """
+    weight = _weights(stamps, shape, _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1])
+    flux = _residuals(stamps, shape, weight)[1][:, np.newaxis, np.newaxis]
+    here = stamps.profiles(shape.psf, shape.sigma_px)
+    step_px = 5 * _STEP_PX
+    missing = np.zeros_like(here)
+    for axis in (0, 1):
+        sides = []
+        for sign in (-1, 1):
+            shifted = stamps.xy_px.copy()
+            shifted[:, axis] += sign * step_px
+            sides.append(replace(stamps, xy_px=shifted).profiles(shape.psf, shape.sigma_px))
+        slope = flux * (sides[1] - sides[0]) / (2 * step_px)
+        variance_px2 = 1 / np.maximum(np.sum(weight * slope**2, axis=(1, 2), keepdims=True), 1e-12)
+        missing += variance_px2 * flux * (sides[0] + sides[1] - 2 * here) / step_px**2 / 2
+    J = _slopes(stamps, names, shape, weight)
+    # `J` is that of the residuals, data minus model.
+    by = -np.einsum("npk,np->k", J, (np.sqrt(weight) * missing).reshape(len(stamps), -1))
+    inverse = np.linalg.pinv(np.einsum("npk,npl->kl", J, J))
+    error = np.sqrt(np.diag(inverse))
+    # The expansion holds for small shifts.
+    moved = shape.vector(names) + np.clip(inverse @ by, -error, error)
+    low, high = _limits(stamps, names)
+    return shape.at(names, np.clip(moved, low + 1e-6, high - 1e-6))
+
+
+def _slopes(stamps: StarStamps, names: tuple[str, ...], shape: _Shape, weight: Float) -> Float:
+    """Return the derivatives of the weighted residuals by the parameters, (n, m^2, parameters)."""
+    vector = shape.vector(names)
+    residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1)
+    slopes = []
+    middle = np.mean(_limits(stamps, names), axis=0)
+    for k in range(len(names)):
+        # Towards the inside of the range.
+        step = 1e-3 if vector[k] < middle[k] else -1e-3
+        there = vector + step * (np.arange(len(names)) == k)
+        slopes.append(
+            (_residuals(stamps, shape.at(names, there), weight)[0].reshape(len(stamps), -1) - residual) / step
+        )
+    return np.stack(slopes, axis=-1)
+
+
+def _residuals(stamps: StarStamps, shape: _Shape, weight: Float) -> tuple[Float, Float]:
+    """Return weighted residuals (n, m, m) with the best flux and sky of each star, and these fluxes (n,)."""
+    profile = stamps.profiles(shape.psf, shape.sigma_px)
+    values = np.where(weight > 0, stamps.values_dn, 0.0)
+    w, wp, wv = (np.sum(weight * one, axis=(1, 2)) for one in (1.0, profile, values))
+    wpp, wpv = (np.sum(weight * profile * one, axis=(1, 2)) for one in (profile, values))
+    determinant = np.maximum(w * wpp - wp**2, 1e-12 * w * wpp + 1e-30)
+    flux = (w * wpv - wp * wv) / determinant
+    sky = (wpp * wv - wp * wpv) / determinant
+    model = flux[:, np.newaxis, np.newaxis] * profile + sky[:, np.newaxis, np.newaxis]
+    return np.sqrt(weight) * (values - model), flux
+
+
+def _moved(stamps: StarStamps, shape: _Shape, weight: Float) -> StarStamps:
+    """Return the stamps with better positions: Gauss-Newton steps by numerical derivatives."""
+    for _ in range(_POSITION_ROUNDS):
+        residual, _ = _residuals(stamps, shape, weight)
+        slopes = []
+        for axis in (0, 1):
+            shifted = stamps.xy_px.copy()
+            shifted[:, axis] += _STEP_PX
+            slopes.append((_residuals(replace(stamps, xy_px=shifted), shape, weight)[0] - residual) / _STEP_PX)
+        J = np.stack(slopes, axis=-1).reshape(len(stamps), -1, 2)
+        normal = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(2)
+        step = -np.linalg.solve(normal, np.swapaxes(J, 1, 2) @ residual.reshape(len(stamps), -1, 1))[..., 0]
+        stamps = replace(stamps, xy_px=stamps.xy_px + np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX))
+    return stamps
+
+
+def _free_pixels(stamps: StarStamps) -> int:
+    return int(np.isfinite(stamps.variance_dn2).sum())

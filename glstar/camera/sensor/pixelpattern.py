@@ -1,0 +1,332 @@
+"""The fixed pattern of a sensor: hot, stuck and dead pixels, uneven dark current and uneven response."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import log
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+# Dark current of hot pixels over that of the others: from, to; falling with the square in between.
+_HOT_FACTOR: Final = (10.0, 1000.0)
+# Offsets of stuck pixels, e: from, to; their logarithm is uniform.
+_STUCK_E: Final = (20.0, 2000.0)
+_CARD_BYTES: Final = 80
+_FITS_BLOCK_BYTES: Final = 2880
+# Types by the value of BITPIX.
+_FITS_TYPES: Final = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
+# Streams of random numbers of one camera.
+_DEFECTS, _DARK, _RESPONSE = range(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Defects:
+    """The defective pixels of a sensor.
+
+    Attributes
+    ----------
+    x_px, y_px : (n,) int64
+        Their positions.
+    dark_factor : (n,) float64
+        Dark current over that of an ordinary pixel; 1 unless hot.
+    offset_e : (n,) float64
+        Electrons without light and at no exposure; 0 unless stuck.
+    is_dead : (n,) bool
+        Whether it does not respond to light.
+    """
+
+    x_px: NDArray[np.int64]
+    y_px: NDArray[np.int64]
+    dark_factor: Float
+    offset_e: Float
+    is_dead: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class PixelPattern:
+    """What differs from pixel to pixel, the same in all frames of a camera.
+
+    Attributes
+    ----------
+    camera_seed : int
+        Seed of the camera: another one has its defects elsewhere.
+    hot_pixels_per_mpx : float
+        Density of hot and stuck pixels, per million pixels.
+    stuck_fraction : float
+        Fraction of them that have an offset at any exposure instead of a large dark current.
+    dead_pixels_per_mpx : float
+        Density of pixels without response, per million pixels.
+    dsnu_fraction : float
+        Standard deviation of the logarithm of the dark current.
+    prnu_fraction : float
+        Standard deviation of the response over its mean.
+    dark_frame : str
+        File of a mean dark frame, DN; empty for none.
+    flat_field : str
+        File of a mean flat field, in any unit; empty for none.
+    defect_map : str
+        File of the defective pixels, nonzero where a pixel does not respond; empty for none.
+
+    Notes
+    -----
+    Chapman et al., defect studies 2011 to 2016 (IS&T Electronic Imaging): hot pixels are uniform over the chip, and
+    more than 40 % of them have an offset at no exposure.  EMVA 1288, release 4.0, section 8: DSNU and PRNU.
+    """
+
+    camera_seed: int = 0
+    hot_pixels_per_mpx: float = 0.0
+    stuck_fraction: float = 0.4
+    dead_pixels_per_mpx: float = 0.0
+    dsnu_fraction: float = 0.0
+    prnu_fraction: float = 0.0
+    dark_frame: str = ""
+    flat_field: str = ""
+    defect_map: str = ""
+
+    @property
+    def has_dark(self) -> bool:
+        """Whether pixels differ in the dark."""
+        return bool(self.hot_pixels_per_mpx or self.dsnu_fraction or self.dark_frame)
+
+    @property
+    def has_response(self) -> bool:
+        """Whether pixels differ in their response to light."""
+        return bool(self.dead_pixels_per_mpx or self.prnu_fraction or self.flat_field or self.defect_map)
+
+    def defects(self, width_px: int, height_px: int) -> Defects:
+        """Return the hot, stuck and dead pixels.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Size of the image.
+
+        Returns
+        -------
+        Defects
+            Each position occurs once.
+        """
+        pixels = width_px * height_px
+        dead = round(self.dead_pixels_per_mpx * pixels / 1e6)
+        hot = round(self.hot_pixels_per_mpx * pixels / 1e6)
+        rng = self._random(_DEFECTS)
+        chosen = rng.choice(pixels, size=min(dead + hot, pixels), replace=False, shuffle=True)
+        is_dead = np.arange(len(chosen)) < dead
+        is_stuck = ~is_dead & (rng.random(len(chosen)) < self.stuck_fraction)
+        least, most = _HOT_FACTOR
+        factor = 1 / (1 / least - rng.random(len(chosen)) * (1 / least - 1 / most))
+        offset_e = np.exp(rng.uniform(log(_STUCK_E[0]), log(_STUCK_E[1]), len(chosen)))
+        return Defects(
+            x_px=chosen % width_px,
+            y_px=chosen // width_px,
+            dark_factor=np.where(is_dead | is_stuck, 1.0, factor),
+            offset_e=np.where(is_stuck, offset_e, 0.0),
+            is_dead=is_dead,
+        )
+
+    def dark_e(self, width_px: int, height_px: int, dark_e: float) -> Float32:
+        """Return the electrons of each pixel in the dark above the mean dark current.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Size of the image.
+        dark_e : float
+            Mean electrons of the dark current of ordinary pixels.
+
+        Returns
+        -------
+        (height, width) float32
+            Without `dark_frame`, e.
+        """
+        above = np.zeros((height_px, width_px), np.float32)
+        if self.dsnu_fraction:
+            # A log-normal distribution with a mean of 1.
+            exponent = self._random(_DARK).standard_normal(above.shape, np.float32) * np.float32(self.dsnu_fraction)
+            above = np.float32(dark_e) * np.expm1(exponent - np.float32(self.dsnu_fraction**2 / 2))
+        defects = self.defects(width_px, height_px)
+        above[defects.y_px, defects.x_px] += (defects.dark_factor - 1) * dark_e + defects.offset_e
+        return np.asarray(above)
+
+    def response(self, width_px: int, height_px: int) -> Float32:
+        """Return the deviation of each pixel's response from 1.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Size of the image.
+
+        Returns
+        -------
+        (height, width) float32
+            0 for the mean response, -1 for a dead pixel.
+        """
+        deviation = np.zeros((height_px, width_px), np.float32)
+        if self.prnu_fraction:
+            scatter = self._random(_RESPONSE).standard_normal(deviation.shape, np.float32)
+            deviation = scatter * np.float32(self.prnu_fraction)
+        if self.flat_field:
+            flat = read_map(self.flat_field)
+            deviation = (1 + deviation) * (flat / smooth(flat)) - 1
+        if self.defect_map:
+            deviation[read_map(self.defect_map) != 0] = -1.0
+        defects = self.defects(width_px, height_px)
+        deviation[defects.y_px[defects.is_dead], defects.x_px[defects.is_dead]] = -1.0
+        return np.asarray(deviation, dtype=np.float32)
+
+    def require_size(self, width_px: int, height_px: int) -> None:
+        """Reject maps that cannot be read or have another size than the image.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Size of the image.
+
+        Raises
+        ------
+        ConfigError
+            `key` names the map.
+        """
+        for key in ("dark_frame", "flat_field", "defect_map"):
+            file = getattr(self, key)
+            if not file:
+                continue
+            try:
+                height, width = read_map(file).shape
+            except (OSError, ValueError) as error:
+                raise ConfigError(f"cannot be used: {file}: {error}", key=f"sensor.{key}") from None
+            if (width, height) != (width_px, height_px):
+                raise ConfigError(
+                    f"{file} has {width} x {height} px and the camera {width_px} x {height_px}", key=f"sensor.{key}"
+                )
+
+    def _random(self, stream: int) -> np.random.Generator:
+        return np.random.Generator(np.random.PCG64([self.camera_seed, stream]))
+
+
+def smooth(flat: Float32) -> Float32:
+    """Return a flat field without what differs from pixel to pixel: a mean over 33 x 33 px, mirrored at the edges.
+
+    Parameters
+    ----------
+    flat : (height, width) float32
+
+    Returns
+    -------
+    (height, width) float32
+    """
+    import cv2  # noqa: PLC0415 - when a map is used
+
+    side = 33
+    return np.asarray(cv2.blur(flat, (side, side), borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+
+
+def resampled(pixels: Float32, width_px: int, height_px: int) -> Float32:
+    """Return a map of another size, interpolated bilinearly between the centres of its pixels.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) float32
+        It covers the image.
+    width_px, height_px : int
+        Size of the image.
+
+    Returns
+    -------
+    (height, width) float32
+    """
+    import cv2  # noqa: PLC0415 - when a map is used
+
+    size_px = width_px, height_px
+    return np.asarray(cv2.resize(pixels, size_px, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def read_map(file: str) -> Float32:
+    """Return a map of pixels: PNG, TIFF, FITS or NPY, of one channel.
+
+    Parameters
+    ----------
+    file : str
+
+    Returns
+    -------
+    (height, width) float32
+        Row 0 is the top, in FITS too.  Read only.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is not an image of one channel.
+    """
+    return _read_map(file, Path(file).stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=6)
+def _read_map(file: str, _modified_ns: int) -> Float32:
+    suffix = Path(file).suffix.lower()
+    pixels: Any
+    if suffix == ".npy":
+        pixels = np.load(file, allow_pickle=False)
+    elif suffix in {".fits", ".fit", ".fts"}:
+        pixels = read_fits(Path(file).read_bytes())
+    else:
+        import cv2  # noqa: PLC0415 - when a map is used
+
+        pixels = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None or np.ndim(pixels) != 2 or not np.issubdtype(np.asarray(pixels).dtype, np.number):
+        raise ValueError("it is not an image of one channel in PNG, TIFF, FITS or NPY")
+    found = np.ascontiguousarray(pixels, dtype=np.float32)
+    if not np.isfinite(found).all():
+        raise ValueError("it has pixels that are not finite")
+    found.setflags(write=False)
+    return found
+
+
+def read_fits(content: bytes) -> Float:
+    """Return the image of the first header unit of a FITS file, in physical values.
+
+    Parameters
+    ----------
+    content : bytes
+
+    Returns
+    -------
+    (height, width) float64
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, or no image of one channel.
+
+    Notes
+    -----
+    FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
+    """
+    if not content.startswith(b"SIMPLE  ="):
+        raise ValueError("it is no FITS file")
+    cards: dict[str, str] = {}
+    end = 0
+    for end in range(_CARD_BYTES, len(content), _CARD_BYTES):
+        card = content[end - _CARD_BYTES : end].decode("ascii", "replace")
+        if card.startswith("END "):
+            break
+        if card[8:10] == "= ":
+            cards[card[:8].strip()] = card[10:].split("/")[0].strip()
+    dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
+    if dtype is None or cards.get("NAXIS") != "2":
+        raise ValueError("its first unit is not an image of one channel")
+    shape = int(cards["NAXIS2"]), int(cards["NAXIS1"])
+    begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
+    if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
+        raise ValueError("it is cut off")
+    stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
+    return np.asarray(stored * float(cards.get("BSCALE", "1")) + float(cards.get("BZERO", "0")), dtype=np.float64)

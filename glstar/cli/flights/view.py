@@ -1,0 +1,298 @@
+"""``glstar view``: the flight-replay viewer.
+
+The fit of clock and mount that the window offers: what ``glstar compare --fit-time-offset --fit-mount`` does.
+
+The residuals that the window shows beside a real image: what ``glstar compare`` measures in it.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from glstar.cli.flightoptions import Flight, FlightFlags, flights_of, with_flight_flags
+from glstar.cli.flights.windowoptions import (
+    Headless,
+    Screenshot,
+    Show,
+    Size,
+    Stats,
+    calibrate_photo,
+    layout_of,
+    memory_of,
+    overlays_of,
+    require_window_libraries,
+    size_of,
+    surface_of,
+    write_stats,
+)
+from glstar.errors import ImagesError
+
+if TYPE_CHECKING:
+    from glstar.compare import Alignment, FlightComparison
+    from glstar.viewer.loop import Viewer
+    from glstar.viewer.picture.fitting import FitRequest, FitResult, ResidualRequest, TrailResiduals
+
+
+# A mount with a larger standard error is not determined, deg.
+_LARGEST_ERROR_DEG = 1.0
+_BY_HAND = "set clock or mount by hand first"
+
+
+def fit_images(request: "FitRequest", on_step: Callable[[int, int], None]) -> "FitResult":
+    """Fit clock and mount to real images; see `glstar.viewer.picture.fitting.FitImages`.
+
+    Parameters
+    ----------
+    request : FitRequest
+    on_step : callable
+        Called with the number of images done, and of all.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    ImagesError
+        If the images determine neither the clock nor the mount.
+    ConfigError
+        If images are stacked.
+    """
+    from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415
+    from glstar.viewer.picture.fitting import FitResult  # noqa: PLC0415 - OpenCV
+
+    with GLRenderer.headless() as renderer:
+        job = FlightComparison(
+            request.simulator,
+            renderer,
+            request.images,
+            request.exposure,
+            reference=request.reference,
+            own_length=request.own_length,
+        )
+        fitted = _aligned(job, request, on_step)
+        comparison = job.run(fitted, on_step=on_step)
+    centroid = comparison.summary["centroid"]
+    return FitResult(
+        clock_change_s=-fitted.delay_s if fitted.fitted_time else None,
+        clock_std_s=fitted.delay_std_s if fitted.fitted_time else None,
+        mount_keys=fitted.mount_keys if fitted.fitted_mount else {},
+        turn_rad=tuple(fitted.turn_rad.tolist()),
+        turn_std_rad=tuple(fitted.turn_std_rad.tolist()),
+        images=len(comparison.images),
+        of=len(request.images),
+        stars=fitted.stars,
+        centroid_mean_px=centroid["mean_px"],
+        centroid_median_px=centroid["median_px"],
+        notes=fitted.notes,
+    )
+
+
+def _aligned(job: "FlightComparison", request: "FitRequest", on_step: Callable[[int, int], None]) -> "Alignment":
+    """Return the fit; raise if the images determine nothing."""
+    folder = request.images[0].path.parent
+    fitted = job.align(fit_time=request.fits_time, fit_mount=request.fits_mount, on_step=on_step)
+    if fitted is None:
+        raise ImagesError(folder, f"no image shows the trails that the flight predicts; {_BY_HAND}")
+    error_deg = float(np.rad2deg(fitted.turn_std_rad.max())) if fitted.fitted_mount else 0.0
+    if not error_deg <= _LARGEST_ERROR_DEG:
+        found = f"{fitted.stars} stars in {fitted.images} images"
+        message = f"{found} determine the mount only to {error_deg:.1f} deg: other stars, by chance; {_BY_HAND}"
+        raise ImagesError(folder, message)
+    if not (fitted.fitted_time or fitted.fitted_mount):
+        raise ImagesError(folder, "; ".join(fitted.notes) or "the images determine neither the clock nor the mount")
+    return fitted
+
+
+def measure_image(request: "ResidualRequest") -> "TrailResiduals":
+    """Measure the trails of a real image; see `glstar.viewer.picture.fitting.MeasureImage`.
+
+    Parameters
+    ----------
+    request : ResidualRequest
+
+    Returns
+    -------
+    TrailResiduals
+
+    Raises
+    ------
+    ImagesError
+        If no trail is found.
+    ConfigError
+        If images are stacked.
+    """
+    from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415
+    from glstar.viewer.picture.fitting import TrailResiduals  # noqa: PLC0415 - OpenCV
+
+    flight = replace(request.simulator.flight, time_offset_s=request.ahead_s)
+    with GLRenderer.headless() as renderer:
+        comparison = FlightComparison(
+            request.simulator.with_flight(flight),
+            renderer,
+            [request.image],
+            request.exposure,
+            reference=request.reference,
+            own_length=request.own_length,
+        ).run()
+    pairs, [image] = comparison.pairs, comparison.images
+    shift_px = np.array([[pair.shift_x_px, pair.shift_y_px] for pair in pairs])
+    simulated_px = np.array([[pair.x_px, pair.y_px] for pair in pairs])
+    figures = _figures(comparison.summary)
+    return TrailResiduals(simulated_px - shift_px, shift_px, image.predicted, figures)
+
+
+def _figures(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Return the paper's measures: what, and its value, simulated minus real."""
+    peak, pixel, centroid, own, shift, trail = (
+        summary[key] for key in ("peak", "brightest_pixel", "centroid", "centroid_in_own_region", "shift", "trail")
+    )
+    rows = [
+        ("centroid distance", _mean_and_median(centroid)),
+        ("of it noise", f"{centroid['noise_px']:.3f} px"),
+        ("each in its own region", _mean_and_median(own)),
+        ("a straight line there", f"mean {own['baseline_mean_px']:.3f}, median {own['baseline_median_px']:.3f} px"),
+        ("shift", f"{shift['x_px']:+.3f}, {shift['y_px']:+.3f} px in the mean"),
+    ]
+    for label, measured in (("peak intensity", peak), ("brightest pixel", pixel)):
+        if measured["pairs"]:
+            rows.append(
+                (
+                    label,
+                    f"{measured['mean_error_dn']:+.1f} DN, absolute {measured['mean_absolute_percentage_error']:.1f} %,"
+                    f" {measured['magnitude_error']:.2f} mag",
+                )
+            )
+    if summary["saturated_pairs"]:
+        rows.append(("saturated, not in these", f"{summary['saturated_pairs']}"))
+    if trail["pairs"]:
+        rows += [
+            (
+                "length",
+                f"{trail['length_difference_px']['mean']:+.2f} px, {trail['length_difference_percent']['mean']:+.1f} %",
+            ),
+            ("direction", f"{trail['direction_difference_deg']['mean']:+.2f}\N{DEGREE SIGN}"),
+        ]
+    return tuple(rows)
+
+
+def _mean_and_median(measured: dict[str, float]) -> str:
+    return f"mean {measured['mean_px']:.3f}, median {measured['median_px']:.3f} px"
+
+
+At = Annotated[float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")]
+Sliding = Annotated[bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")]
+Processed = Annotated[bool, typer.Option("--processed", help="Show the image that [output] makes of the raw one.")]
+Images = Annotated[Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)]
+Play = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
+Answers = Annotated[
+    Path | None,
+    typer.Option(help="Answers of a navigator to draw (CSV or JSON lines); needs --answers-to.", show_default=False),
+]
+AnswersTo = Annotated[
+    Path | None,
+    typer.Option(help="The export of this flight that --answers are for, with its truth.", show_default=False),
+]
+
+
+@with_flight_flags()
+def view(
+    flight: Flight = None,
+    *,
+    flags: FlightFlags,
+    at: At = None,
+    sliding: Sliding = False,
+    show: Show = None,
+    processed: Processed = False,
+    images: Images = None,
+    answers: Answers = None,
+    answers_to: AnswersTo = None,
+    size: Size = None,
+    screenshot: Screenshot = None,
+    play: Play = None,
+    stats: Stats = None,
+    leave: Annotated[bool, typer.Option("--exit", help="Exit afterwards.")] = False,
+    headless: Headless = False,
+) -> None:
+    """Replay a flight in a window, as the camera would have recorded it.
+
+    F1 lists the keys. A log, settings (.toml) or a folder of real images can be dropped onto the window.
+
+    Try: glstar view flight.BIN
+    """
+    settings = flags.settings()
+    scripted = screenshot is not None or play is not None
+    _refuse_idle(headless=headless, scripted=scripted)
+    _refuse_lone_options(answers, answers_to, stats, play)
+    require_window_libraries()
+    from glstar.cli.flights.placedanswers import placed_answers  # noqa: PLC0415
+    from glstar.viewer.flight.playhead import Mode  # noqa: PLC0415
+    from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
+
+    overlays, asks = overlays_of(show), not (scripted or leave)
+    memory = memory_of("viewer") if asks and not headless else None
+    surface = surface_of(size_of(size, memory), headless=headless)
+    try:
+        layout = None if headless or scripted else layout_of("viewer")
+        with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
+            _enable_measurements(viewer)
+            viewer.session.shows_processed = processed
+            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
+            is_scripted = script != Script(asks=True)
+            if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
+                viewer.open(flights_of(settings, None if flight is None else [flight])[0])
+            if answers is not None and answers_to is not None:
+                viewer.session.navigator.answers = placed_answers(answers, answers_to)
+            if images is not None:
+                viewer.session.comparison.open(images)
+            report = viewer.play(script) if is_scripted else {}
+            if stats is not None:
+                write_stats(stats, report)
+            _say_if_raw(viewer)
+            if not (leave or headless):
+                viewer.run()
+            if memory is not None:
+                memory.size = surface.window_size
+    finally:
+        surface.close()
+
+
+def _enable_measurements(viewer: "Viewer") -> None:
+    """Give the window the functions of ``glstar compare`` and ``glstar calibrate``."""
+    viewer.session.comparison.fit_images = fit_images
+    viewer.session.comparison.residuals.measure = measure_image
+    viewer.interface.calibration.calibrate = calibrate_photo
+
+
+def _say_if_raw(viewer: "Viewer") -> None:
+    """Say why a processed image was asked for and is not shown."""
+    from glstar.viewer.picture.simulated import why_not_processed  # noqa: PLC0415
+
+    session = viewer.session
+    if session.shows_processed and session.scene is not None and (reason := why_not_processed(session.scene)):
+        typer.echo(f"note: the image shown is raw: {reason}", err=True)
+
+
+def _refuse_idle(*, headless: bool, scripted: bool) -> None:
+    """Refuse to run without a window and without a script."""
+    if headless and not scripted:
+        raise typer.BadParameter(
+            "without a window there is nothing to do but --screenshot or --play", param_hint="--headless"
+        )
+
+
+def _refuse_lone_options(answers: Path | None, answers_to: Path | None, stats: Path | None, play: float | None) -> None:
+    """Refuse answers without their frames, frames without answers, and statistics of nothing."""
+    if stats is not None and play is None:
+        raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
+    if (answers is None) != (answers_to is None):
+        raise typer.BadParameter(
+            "--answers FILE and --answers-to EXPORT belong together: an answer names a frame of an export",
+            param_hint="--answers" if answers_to is None else "--answers-to",
+        )

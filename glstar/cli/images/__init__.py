@@ -1,0 +1,1 @@
+"""Commands that write images and their truth, convert them, compare them with real ones, and score answers to them."""

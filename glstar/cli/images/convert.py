@@ -1,0 +1,131 @@
+"""``glstar convert``: an export in the formats of other tools."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import with_verbosity
+from glstar.errors import ConfigError, ExportError
+
+_BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".srt": "srt"}
+_LEAST_SNR = 5.0
+_SHARD_FRAMES = 1000
+
+
+@with_verbosity
+def convert(
+    export: Annotated[Path, typer.Argument(help="The directory of an export.", show_default=False)],
+    output: Annotated[
+        str,
+        typer.Option(
+            "-o",
+            "--output",
+            help="A new file or directory, by the format; webdataset also to a URL of an object store (s3://...).",
+            show_default=False,
+        ),
+    ],
+    to: Annotated[
+        Literal["mcap", "ros2", "csv", "srt", "png", "jpeg", "coco", "yolo", "webdataset"] | None,
+        typer.Option(
+            help="MCAP file or directory of a ROS 2 bag (Image, CameraInfo, Imu, NavSatFix, TF), the truth as CSV"
+            " tables or as subtitles of the video (SubRip), images with EXIF (UTC, exposure, position), labels of"
+            " trails as COCO or YOLO, or tar files for"
+            " WebDataset.",
+            show_default="by the suffix of the output: .mcap, .csv or .srt",
+        ),
+    ] = None,
+    min_snr: Annotated[
+        float, typer.Option(help="Smallest signal-to-noise ratio of a star with a label (coco, yolo).", min=0.0)
+    ] = _LEAST_SNR,
+    shard_frames: Annotated[int, typer.Option(help="Frames of a tar file (webdataset).", min=1)] = _SHARD_FRAMES,
+    video_fps: Annotated[
+        float, typer.Option(help="Frame rate of the video that subtitles belong to, 1/s (srt).", min=0.1, max=240)
+    ] = 10.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+) -> None:
+    """Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, its frames to images with EXIF, or for learning.
+
+    Try: glstar convert frames -o frames.mcap
+    """
+    kind = to or _BY_SUFFIX.get(Path(output).suffix.lower())
+    if kind == "parquet":
+        raise ConfigError("glstar export --parquet writes the truth as Parquet tables into the export")
+    if kind is None:
+        kinds = "mcap, ros2, csv, srt, png, jpeg, coco, yolo or webdataset"
+        raise ConfigError(f"{output}: say with --to whether {kinds} is meant")
+    if not export.is_dir():
+        raise ExportError(export, "is no directory of an export")
+    if "://" in output and kind != "webdataset":
+        raise ConfigError(f"{output}: only --to webdataset writes to an object store")
+    if kind in {"coco", "yolo", "webdataset"}:
+        written = _written_to_learn(export, output, kind, min_snr, shard_frames)
+    elif kind == "srt":
+        written = _subtitles(export, Path(output), video_fps)
+    else:
+        written = tuple(map(str, _written(export, Path(output), kind)))
+    if as_json:
+        typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
+    else:
+        for path in written:
+            typer.echo(f"{kind}: {path}")
+
+
+def _written_to_learn(export: Path, output: str, kind: str, min_snr: float, shard_frames: int) -> tuple[str, ...]:
+    """Write labels or tar files; return what was written."""
+    from glstar.export.truth.splits import ConvertedSet  # noqa: PLC0415 - OpenCV, only when needed
+
+    with progress_bar("frames") as on_step:
+        source = ConvertedSet(export, on_step)
+        if kind == "coco":
+            from glstar.export.convert.labels import write_coco  # noqa: PLC0415
+
+            if Path(output).suffix.lower() != ".json":
+                raise ConfigError(f"{output}: a file of COCO is named .json")
+            return tuple(map(str, write_coco(source, Path(output), least_snr=min_snr)))
+        if kind == "yolo":
+            from glstar.export.convert.labels import write_yolo  # noqa: PLC0415
+
+            write_yolo(source, Path(output), least_snr=min_snr)
+            return (output,)
+        from glstar.export.convert.shards import write_shards  # noqa: PLC0415
+        from glstar.export.run.store import opened_target  # noqa: PLC0415
+
+        with opened_target(output) as target:
+            names = write_shards(source, target, shard_frames=shard_frames)
+        return tuple(f"{output.rstrip('/')}/{name}" for split in names.values() for name in split)
+
+
+def _subtitles(export: Path, output: Path, frames_per_s: float) -> tuple[str, ...]:
+    from glstar.export.convert.text import write_subtitles  # noqa: PLC0415 - only when needed
+
+    if output.suffix.lower() != ".srt":
+        raise ConfigError(f"{output}: a file of subtitles is named .srt")
+    write_subtitles(export, output, frames_per_s=frames_per_s)
+    return (str(output),)
+
+
+def _written(export: Path, output: Path, kind: str) -> tuple[Path, ...]:
+    """Write the output; return its files or directory."""
+    if kind == "csv":
+        from glstar.export.convert.text import write_csv  # noqa: PLC0415 - OpenCV, only when needed
+
+        return write_csv(export, output)
+    if kind in {"png", "jpeg"}:
+        from glstar.export.imagefiles.exif import write_photographs  # noqa: PLC0415 - OpenCV, only when needed
+
+        write_photographs(export, output, kind)
+        return (output,)
+    if kind == "mcap" and output.suffix.lower() != ".mcap":
+        raise ConfigError(f"{output}: an MCAP file is named .mcap; --to ros2 writes the directory of a bag")
+    if kind == "ros2" and output.suffix.lower() == ".mcap":
+        raise ConfigError(f"{output}: --to ros2 writes a directory; leave out .mcap, or --to ros2")
+    try:
+        from glstar.export.convert.bags import write_bag  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise ConfigError("bags and MCAP files need the rosbags library: pip install rosbags") from None
+    with progress_bar("frames") as on_step:
+        write_bag(export, output, on_step)
+    return (output,)

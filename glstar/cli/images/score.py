@@ -1,0 +1,181 @@
+"""``glstar score``: a navigator's answers against the truth of an export."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from glstar.score.frames import Limits
+from glstar.score.scoring import DETECTABLE_SNR, Score
+from glstar.score.summary import RunSpread, Spread, Summary
+from glstar.sky.place.apparent import ARCSEC_RAD
+from glstar.system.files import write_atomically
+
+# Orbits that are printed one by one; score.json has all.
+_MOST_ORBITS = 12
+
+
+def score(
+    export: Annotated[Path, typer.Argument(metavar="SET", help="The directory of an export, with its truth.")],
+    answers: Annotated[Path, typer.Argument(help="Answers: CSV with a header, or JSON lines, one for each frame.")],
+    *,
+    json_output: Annotated[bool, typer.Option("--json", help="Print the whole score as JSON.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write score.json and score.png into this directory.", show_default=False),
+    ] = None,
+    false_deg: Annotated[float, typer.Option(help="Largest error of the optical axis of a solved frame, deg.")] = 1.0,
+    false_km: Annotated[float, typer.Option(help="Largest error of the position of a solved frame, km.")] = 200.0,
+    tolerance_px: Annotated[
+        float, typer.Option(help="Largest position error of a correctly identified star, px.")
+    ] = 3.0,
+    detectable_snr: Annotated[
+        float, typer.Option(help="Smallest signal-to-noise ratio of a detectable star.")
+    ] = DETECTABLE_SNR,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(help="Print all ranges of a setting that the sweep drew at random.", show_default=False),
+    ] = None,
+) -> None:
+    """Score a navigator's answers: attitude, position, identified stars and run time against the truth.
+
+    Try: glstar score frames answers.csv -o score
+    """
+    from glstar.score.scoring import score as scored  # noqa: PLC0415 - the name of the command
+
+    chosen = frozenset(by or ())
+    limits = Limits(float(np.deg2rad(false_deg)), false_km, tolerance_px)
+    found = scored(export, answers, limits=limits, least_snr=detectable_snr)
+    if unknown := sorted(chosen - {name for name, _ in found.bins}):
+        names = ", ".join(name for name, _ in found.bins) or "none"
+        raise typer.BadParameter(f"{unknown[0]} is no bin of these frames; there are {names}", param_hint="--by")
+    text = json.dumps(found.json, indent=1) + "\n"
+    if output is not None:
+        from glstar.score.plot import draw_score  # noqa: PLC0415 - matplotlib
+
+        output.mkdir(parents=True, exist_ok=True)
+        write_atomically(output / "score.json", text.encode())
+        draw_score(found, output / "score.png")
+    if json_output:
+        typer.echo(text, nl=False)
+        return
+    console = Console(width=None if Console().is_terminal else 120)
+    _print(found, console, chosen)
+    if output is not None:
+        typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
+
+
+def _print(found: Score, console: Console, by: frozenset[str]) -> None:
+    whole = found.summary
+    console.print(
+        f"{whole.frames} frames: {whole.solved} solved, {whole.refused} refused, {whole.false} false", highlight=False
+    )
+    table = Table("error of solved frames", "median", "rms", "90 %", "frames", box=None)
+    rows = (
+        ("boresight, arcsec", _arcsec(whole.boresight_rad)),
+        ("  of a plain rotation fit (floor)", _arcsec(whole.boresight_floor_rad)),
+        ("  above that floor", _arcsec(whole.boresight_above_floor_rad)),
+        ("roll, arcsec", _arcsec(whole.roll_rad)),
+        ("position, km", whole.position_km),
+        ("position, nautical miles", whole.position_nautical_miles),
+        ("centroids, px (rms of a frame)", whole.centroid_px),
+        ("run time, s", whole.run_time_s),
+    )
+    for label, spread in rows:
+        if spread is not None:
+            table.add_row(label, *_numbers(spread))
+    console.print(table)
+    if whole.precision is not None:
+        recall = "" if whole.recall is None else f", recall {whole.recall:.1%} of the detectable ones"
+        console.print(f"stars identified: precision {whole.precision:.1%}{recall}", highlight=False)
+    if whole.with_ellipse:
+        console.print(
+            f"error ellipses: {whole.in_ellipse} of {whole.with_ellipse} contain the truth"
+            f" (stated {whole.stated_confidence:.0%})",
+            highlight=False,
+        )
+    if whole.lost_rate is not None:
+        console.print(
+            f"frames with two or more right and no wrong stars {whole.lost_rate:.1%} (LOST),"
+            f" score of right minus twice wrong {whole.kelvins:.3f} (Kelvins)",
+            highlight=False,
+        )
+    if found.spread is not None:
+        _print_runs(found.spread, console)
+    for number, orbit in enumerate(found.orbits[:_MOST_ORBITS], 1):
+        circle = (
+            "" if orbit.circle_km is None else f", centre of a {orbit.radius_km:.2f} km circle {orbit.circle_km:.2f} km"
+        )
+        console.print(
+            f"orbit {number}: {orbit.frames} positions, mean {orbit.mean_km:.2f} km off,"
+            f" weighted by heading {orbit.weighted_mean_km:.2f} km{circle}",
+            highlight=False,
+        )
+    drawn = found.drawn - by
+    for name, groups in found.bins:
+        if name not in drawn:
+            _print_bins(name, groups, console)
+    _print_drawn([(name, groups) for name, groups in found.bins if name in drawn], console)
+
+
+def _print_runs(spread: RunSpread, console: Console) -> None:
+    table = Table(f"spread over {spread.runs} runs", "median", "rms", "90 %", "count", box=None)
+    rows = (
+        ("solved fraction", spread.solved_fraction),
+        ("median boresight, arcsec", _arcsec(spread.boresight_rad)),
+        ("median roll, arcsec", _arcsec(spread.roll_rad)),
+        ("median position, km", spread.position_km),
+        ("mean of an orbit, km", spread.orbit_mean_km),
+        ("mean weighted by heading, km", spread.orbit_weighted_km),
+        ("centre of the circle, km", spread.orbit_circle_km),
+    )
+    for label, one in rows:
+        if one is not None:
+            table.add_row(label, *_numbers(one))
+    console.print(table)
+
+
+def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Console) -> None:
+    table = Table(name, "frames", "solved", "refused", "false", "boresight, arcsec", "position, km", box=None)
+    for label, one in groups:
+        medians = [_median(_arcsec(one.boresight_rad)), _median(one.position_km)]
+        table.add_row(label, *(str(count) for count in (one.frames, one.solved, one.refused, one.false)), *medians)
+    console.print(table)
+
+
+def _print_drawn(bins: list[tuple[str, tuple[tuple[str, Summary], ...]]], console: Console) -> None:
+    """Print the lowest and the highest range of each setting that was drawn at random, a line for each setting."""
+    if not bins:
+        return
+    table = Table(
+        "drawn at random (--by prints all ranges)",
+        "lowest",
+        "solved",
+        "arcsec",
+        "highest",
+        "solved",
+        "arcsec",
+        box=None,
+    )
+    for name, groups in bins:
+        cells = []
+        for label, one in (groups[0], groups[-1]):
+            cells += [label, f"{one.solved} of {one.frames}", _median(_arcsec(one.boresight_rad))]
+        table.add_row(name, *cells)
+    console.print(table)
+
+
+def _arcsec(spread: Spread | None) -> Spread | None:
+    return None if spread is None else spread.scaled(1 / ARCSEC_RAD)
+
+
+def _median(spread: Spread | None) -> str:
+    return "" if spread is None else f"{spread.median:.3g}"
+
+
+def _numbers(spread: Spread) -> tuple[str, str, str, str]:
+    return f"{spread.median:.3g}", f"{spread.rms:.3g}", f"{spread.p90:.3g}", str(spread.count)

@@ -1,0 +1,1 @@
+"""Commands on this machine and glstar itself: its speed, libraries, catalogues, settings and manual."""

@@ -1,0 +1,423 @@
+"""Comparison of real images with the images that a flight predicts."""
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.camera.sensor.sensor import Sensor
+from glstar.compare.alignment import Alignment, fit_alignment
+from glstar.compare.coarsealignment import likely_readout, likely_start
+from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, chance, rejection
+from glstar.compare.detection import SubtractedImage, subtract_background
+from glstar.compare.pairs import Pairing, measure, pair_trails
+from glstar.compare.prediction import Trails, predicted_trails
+from glstar.errors import ConfigError, ImagesError
+from glstar.export.frame import frame_seed
+from glstar.images import RealImage, TimeReference, exposure_of, read_grey
+from glstar.render.scene.scene import Renderer
+from glstar.render.simulator import Simulator
+from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
+
+Float = NDArray[np.float64]
+OnStep = Callable[[int, int], None]
+
+# Memory for background-subtracted images between the iterations of a fit, bytes.
+_CACHE_BYTES: Final = 600 * 2**20
+# Largest number of images in a fit, evenly chosen: its error falls with the square root, its time grows in proportion.
+_MAX_FITTED: Final = 48
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How stars are searched for.
+
+    Attributes
+    ----------
+    angle_rad : float
+        The largest error of the camera's direction, rad.
+    time_s : float
+        The largest error of the camera's clock if its offset is fitted, s.
+    least_signal : float
+        Smallest signal-to-noise ratio of a whole trail.
+    most_stars : int
+        Largest number of stars per image, those of the highest signal-to-noise ratio.
+    """
+
+    angle_rad: float = float(np.deg2rad(1.5))
+    time_s: float = 1.0
+    least_signal: float = 10.0
+    most_stars: int = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Searched:
+    """The last search in an image: its parameters, the motion of the camera by it, and the number of trails found."""
+
+    mount: Mount
+    delay_s: float
+    readout_s: float
+    motion: Float
+    found: int
+
+
+class FlightComparison:
+    """Compares real images with simulated images of a flight.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    renderer : Renderer
+    images : sequence of RealImage
+    exposure : Exposure
+        Exposure time of images that do not state one, and the rate of sub-exposures; its start is ignored.
+    reference : TimeReference
+        The instant of the exposure that an image's time refers to, if the time source does not state it.
+    own_length : bool
+        Whether an exposure time in the image's metadata overrides that of `exposure`.
+    search : Search
+    problems : sequence of str
+        Files that could not be used, as ``name: reason``.
+    seed : int
+        The seed of the simulated noise.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        renderer: Renderer,
+        images: Sequence[RealImage],
+        exposure: Exposure,
+        *,
+        reference: TimeReference = TimeReference.START,
+        own_length: bool = True,
+        search: Search | None = None,
+        problems: Sequence[str] = (),
+        seed: int = 0,
+    ) -> None:
+        self._simulator, self._renderer = simulator, renderer
+        self._search = search or Search()
+        self._seed = seed
+        self._sensor: Sensor | None = None
+        self._subtracted: OrderedDict[Path, SubtractedImage] = OrderedDict()
+        # The last search in each image.
+        self._searches: dict[int, _Searched] = {}
+        self._rejected = [RejectedImage(*_named(problem), kind="without a time or no image") for problem in problems]
+        self._exposures: list[tuple[RealImage, Exposure]] = []
+        self._reference = reference
+        self._given_readout_s = exposure.readout_s
+        self._stack = exposure
+        for image in images:
+            # Star paths are sampled at equal time steps, as for sub-exposures.
+            even = replace(exposure, trail="sprites")
+            ahead_s = simulator.flight.time_offset_s
+            shutter = exposure_of(image.time, even, reference=reference, ahead_s=ahead_s, own_length=own_length)
+            reason = self._uncovered(shutter)
+            if reason is None:
+                self._exposures.append((image, shutter))
+            else:
+                self._rejected.append(RejectedImage(image.path.name, reason[1], reason[0]))
+        self._folder = images[0].path.parent if images else Path()
+        self._time_sources = _count_sources(images)
+
+    def run(self, alignment: Alignment | None = None, *, on_step: OnStep | None = None) -> Comparison:
+        """Compare all images.
+
+        Parameters
+        ----------
+        alignment : Alignment, optional
+            The result of `align`, to be applied.
+        on_step : callable
+            Called with the number of images done, and of all.
+
+        Returns
+        -------
+        Comparison
+
+        Raises
+        ------
+        ImagesError
+            If no star of any image could be paired.
+        """
+        report = on_step or (lambda *_: None)
+        mount = self._simulator.mount if alignment is None else alignment.mount
+        delay_s = 0.0 if alignment is None else alignment.delay_s
+        readout_s = self._given_readout_s if alignment is None else alignment.readout_s
+        collected = Collector()
+        collected.left_out.extend(self._rejected)
+        for number, (image, _) in enumerate(self._exposures):
+            try:
+                sky = self._subtracted_image(image)
+            except ImagesError as error:
+                collected.reject(image.path.name, _kind_of(error), str(error).removeprefix(f"{image.path}: "))
+                report(number + 1, len(self._exposures))
+                continue
+            pairing = self._find_trails(number, mount, delay_s, readout_s)
+            if pairing is None:
+                collected.reject(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
+            elif (reason := rejection(pairing, sky) or chance(pairing)) is not None:
+                collected.reject(image.path.name, *reason)
+            else:
+                trails = pairing.trails
+                found = ComparedImage(
+                    image.path.name,
+                    self._exposure_at(number, delay_s, readout_s).start_utc_s,
+                    len(trails),
+                    len(pairing.found_indices),
+                    pairing.astray,
+                    trails.blended,
+                    trails.cut_off,
+                    tuple(float(x) for x in pairing.motion),
+                )
+                collected.add(found, measure(image.path.name, sky, pairing))
+            report(number + 1, len(self._exposures))
+        return collected.result(alignment, self._time_sources, self._folder)
+
+    def align(
+        self, *, fit_time: bool, fit_mount: bool, fit_readout: bool = False, on_step: OnStep | None = None
+    ) -> Alignment | None:
+        """Fit the clock offset, the mount, the readout time, or several of them to the trails of up to 48 images.
+
+        Parameters
+        ----------
+        fit_time, fit_mount, fit_readout : bool
+            The parameters to fit.
+        on_step : callable
+            Called with the number of images done, and the largest possible number.
+
+        Returns
+        -------
+        Alignment or None
+            None if no image shows its trails.
+        """
+        if fit_readout and self._stack.frames > 1:
+            raise ConfigError(
+                f"is {self._stack.frames}, and the readout time is fitted to single exposures; set exposure.frames = 1",
+                key="exposure.frames",
+            )
+        good = []
+        for number in (
+            np.unique(np.linspace(0, len(self._exposures) - 1, _MAX_FITTED).astype(int)) if self._exposures else ()
+        ):
+            try:
+                self._subtracted_image(self._exposures[number][0])
+            except ImagesError:
+                continue
+            good.append(int(number))
+        if not good:
+            return None
+        simulator = self._simulator_for()
+        camera = simulator.camera
+        start = self._start(good, fit_time=fit_time, fit_readout=fit_readout)
+
+        def find_trails(which: int, mount: Mount, delay_s: float, readout_s: float) -> Pairing | None:
+            pairing = self._find_trails(good[which], mount, delay_s, readout_s)
+            if (
+                pairing is None
+                or rejection(pairing, self._subtracted_image(self._exposures[good[which]][0])) is not None
+            ):
+                return None
+            return pairing
+
+        return fit_alignment(
+            find_trails,
+            len(good),
+            simulator.mount,
+            fit_time=fit_time,
+            fit_mount=fit_mount,
+            fit_readout=fit_readout,
+            readout_s=self._given_readout_s,
+            focal_px=(camera.fx_px + camera.fy_px) / 2,
+            start=(start[0] if fit_mount else np.zeros(3), *start[1:]),
+            on_step=on_step,
+        )
+
+    def _start(self, good: Sequence[int], *, fit_time: bool, fit_readout: bool) -> tuple[Float, float, float]:
+        """Return start values: a rotation of the camera, rad, a delay, s, and a readout time, s."""
+        simulator, search_px, given_s = self._simulator_for(), self._search_px(), self._given_readout_s
+        images = [(self._exposures[number][1], self._subtracted_image(self._exposures[number][0])) for number in good]
+        search_s = self._search.time_s if fit_time else 0.0
+        turn_rad, delay_s = likely_start(images, simulator, search_px=search_px, search_s=search_s)
+        if not fit_readout:
+            return turn_rad, delay_s, given_s
+
+        def compensated_s(readout_s: float) -> float:
+            # Another readout time of an unknown clock leaves the middle of the middle row where it is.
+            return delay_s + fit_time * (0.5 - before) * (given_s - abs(readout_s))
+
+        before = float(np.mean([self._fraction_before(number) for number in good]))
+        turn_rad, readout_s = likely_readout(
+            images,
+            simulator,
+            search_px=search_px,
+            given_s=given_s,
+            exposure_at=lambda k, value_s: self._exposure_at(good[k], compensated_s(value_s), value_s),
+        )
+        return turn_rad, compensated_s(readout_s), readout_s
+
+    def _fraction_before(self, number: int) -> float:
+        """Return the fraction of an image's exposure that lies before its time."""
+        return self._exposures[number][0].time.fraction_before(self._reference)
+
+    def _exposure_at(self, number: int, delay_s: float, readout_s: float) -> Exposure:
+        """Return the exposure of one image, delayed, with a readout time; negative for the opposite direction."""
+        exposure = self._exposures[number][1].with_readout_s(readout_s)
+        early_s = self._fraction_before(number) * (exposure.readout_s - self._given_readout_s)
+        return replace(exposure, start_utc_s=exposure.start_utc_s + delay_s - early_s)
+
+    def _find_trails(self, number: int, mount: Mount, delay_s: float, readout_s: float) -> Pairing | None:
+        """Find the trails of one image with a mount, a delay and a readout time; None outside of the flight."""
+        image, _ = self._exposures[number]
+        shutter = self._exposure_at(number, delay_s, readout_s)
+        if self._uncovered(shutter) is not None:
+            return None
+        sky = self._subtracted_image(image)
+        scene = replace(self._simulator_for(), mount=mount).scene(shutter)
+        frame = self._renderer.render(scene, seed=frame_seed(self._seed, number), light=True)
+        trails = predicted_trails(
+            scene,
+            frame,
+            noise_dn=sky.usual_noise_dn,
+            least_signal=self._search.least_signal,
+            most=self._search.most_stars,
+        )
+        trails = replace(trails, jacobian=_by_signed_readout(trails.jacobian, self._fraction_before(number), readout_s))
+        parameters = mount, delay_s, readout_s
+        pairing = self._find_nearby(number, sky, trails, *parameters)
+        if pairing is None:
+            pairing = pair_trails(sky, trails, search_px=self._search_px())
+        self._searches[number] = _Searched(*parameters, pairing.motion, len(pairing.found_indices))
+        return pairing
+
+    def _find_nearby(
+        self, number: int, sky: SubtractedImage, trails: Trails, mount: Mount, delay_s: float, readout_s: float
+    ) -> Pairing | None:
+        """Find trails near the positions that the last search implies; None if fewer are found than by that search."""
+        if number not in self._searches:
+            return None
+        last = self._searches[number]
+        turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ last.mount.C_camera_body.T))
+        motion = [*(last.motion - turn_rad), last.delay_s - delay_s, last.readout_s - readout_s]
+        expected_px = trails.jacobian[:, :2, :5] @ np.array(motion)
+        pairing = pair_trails(sky, trails, search_px=self._search_px(), expected_px=expected_px)
+        return pairing if len(pairing.found_indices) >= max(1, 0.8 * last.found) else None
+
+    def _search_px(self) -> float:
+        camera = self._simulator.camera
+        radius_px = max(camera.fx_px, camera.fy_px) * np.tan(self._search.angle_rad)
+        return float(np.clip(radius_px, 4.0, 0.4 * min(camera.width_px, camera.height_px)))
+
+    def _uncovered(self, shutter: Exposure) -> tuple[str, str] | None:
+        """Return why the flight does not cover an exposure (kind, reason); None if it does."""
+        attitude = self._simulator.flight.attitude
+        if shutter.start_utc_s < attitude.first_s:
+            return "beyond the flight", f"begins {_span(attitude.first_s - shutter.start_utc_s)} before the flight"
+        if shutter.stop_utc_s > attitude.last_s:
+            return "beyond the flight", f"ends {_span(shutter.stop_utc_s - attitude.last_s)} after the flight"
+        gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
+        if gap is not None:
+            return "in a gap of the log", f"its exposure meets {gap.reason} of the log, {gap.duration_s:.3f} s long"
+        return None
+
+    def _simulator_for(self) -> Simulator:
+        return self._simulator if self._sensor is None else replace(self._simulator, sensor=self._sensor)
+
+    def _subtracted_image(self, image: RealImage) -> SubtractedImage:
+        """Return a real image without its background; all must have the bit depth of the first."""
+        there = self._subtracted.get(image.path)
+        if there is not None:
+            self._subtracted.move_to_end(image.path)
+            return there
+        pixels = read_grey(image.path)
+        camera = self._simulator.camera
+        if pixels.shape != (camera.height_px, camera.width_px):
+            height, width = pixels.shape
+            raise ImagesError(
+                image.path,
+                f"is {width} x {height} px and the camera {camera.width_px} x {camera.height_px} px; choose the camera"
+                " that took it",
+            )
+        sensor = _sensor_of(pixels, self._simulator.sensor, image.path, self._stack)
+        if self._sensor is not None and sensor.bit_depth != self._sensor.bit_depth:
+            raise ImagesError(
+                image.path,
+                f"has {pixels.dtype.itemsize * 8} bits, and earlier images have another depth; compare them separately",
+            )
+        self._sensor = sensor
+        saturation_dn = _saturation_dn(pixels, sensor, self._stack)
+        sky = subtract_background(pixels, saturation_dn=saturation_dn)
+        self._subtracted[image.path] = sky
+        while (
+            len(self._subtracted) > 1
+            and sum(9 * each.above_dn.size for each in self._subtracted.values()) > _CACHE_BYTES
+        ):
+            self._subtracted.popitem(last=False)
+        return sky
+
+
+def _by_signed_readout(jacobian: Float, before: float, readout_s: float) -> Float:
+    """Return the Jacobian of trails whose readout time is longer at the same time of the image, not the same start.
+
+    `before` is the fraction of the exposure before that time; a negative readout time has its rows open in the opposite
+    direction.
+    """
+    signed = jacobian.copy()
+    signed[..., 4] -= before * jacobian[..., 3]
+    if readout_s < 0:
+        signed[..., 4] *= -1
+    return signed
+
+
+def _saturation_dn(pixels: NDArray[Any], sensor: Sensor, exposure: Exposure) -> float:
+    """Return the digital number from which a pixel of an image may be saturated.
+
+    In a stacked image that of one saturated short exposure and the sky of the others.
+    """
+    if exposure.frames == 1:
+        return sensor.saturation_dn
+    whole_dn = float(exposure.full_scale_dn(sensor.saturation_dn))
+    return whole_dn / exposure.frames + float(np.median(pixels)) * (1 - 1 / exposure.frames)
+
+
+def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path, exposure: Exposure) -> Sensor:
+    """Return the sensor with the bit depth of a real image; that of a stacked image is the given one."""
+    if exposure.frames > 1:
+        largest_dn = exposure.full_scale_dn(sensor.saturation_dn)
+        if int(pixels.max()) > largest_dn:
+            raise ImagesError(
+                path,
+                f"has {int(pixels.max())} DN, and the {exposure.stack} of {exposure.frames} exposures of"
+                f" {sensor.bit_depth} bits at most {largest_dn} DN; correct exposure.frames, exposure.stack or"
+                " sensor.bit_depth",
+            )
+        return sensor
+    if pixels.dtype == np.uint8 and sensor.bit_depth > 8:
+        raise ImagesError(path, f"has 8 bits and the sensor of the config {sensor.bit_depth}; calibrate this camera")
+    if pixels.dtype == np.uint16 and sensor.bit_depth <= 8:
+        return sensor.with_bit_depth(16)
+    return sensor
+
+
+def _kind_of(error: ImagesError) -> str:
+    words = str(error)
+    return "of another size" if " px and the camera " in words else "of another depth" if " bits" in words else "broken"
+
+
+def _named(problem: str) -> tuple[str, str]:
+    file, _, reason = problem.partition(": ")
+    return (file, reason) if reason else ("", problem)
+
+
+def _count_sources(images: Sequence[RealImage]) -> str:
+    counts = Counter(image.time.source for image in images)
+    return ", ".join(f"{count} by {source}" for source, count in counts.most_common())
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.3f} s" if seconds < 3600 else f"{seconds / 3600:.1f} h"

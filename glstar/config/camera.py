@@ -1,0 +1,284 @@
+"""The section of the config for exposure times.
+
+``[lens]``: the checks of its vignetting that concern several keys, or a file.
+
+``[output]``: the tone curve, which may be a list of points or a file.
+"""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, field_validator
+
+from glstar.camera.exposure import MAX_FRAMES, Exposure, Readout, Stack, Trail
+from glstar.camera.model import Camera
+from glstar.camera.sensor.pixelpattern import read_map
+from glstar.camera.sensor.tonecurve import checked_points, curve_text, is_curve_text, parse_curve, read_curve
+from glstar.config.section import Section
+from glstar.sky.place.timescale import CLOCK_GRAIN_S
+
+_EXPOSURE = Exposure(start_utc_s=0.0, duration_s=1.0)
+
+# Limit of the number of exposures, because an interval may be extremely short: float64 holds all integers up to this.
+_MOST_EXPOSURES = 2.0**53
+
+
+class ExposureSection(Section):
+    """``[exposure]``: exposure times, and how trails are drawn.
+
+    Attributes
+    ----------
+    duration_s : float
+        Exposure time, s.
+    at : {"camera"} or None
+        When exposures begin: when the log says that the camera was triggered; None for a regular interval.
+    at_delay_s : float
+        Time from a trigger of the camera to the opening of its shutter, s.
+    interval_s : float
+        Time from the start of one exposure to the start of the next, s.
+    rate_hz : float
+        The minimum number of sub-exposures per second, for "sprites".
+    trail : {"auto", "analytic", "sprites"}
+        How trails are drawn: see `Exposure`.
+    path_tolerance_px : float
+        Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
+    faintest_dn : float
+        Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
+    readout_s : float
+        Readout time of a rolling shutter, s; 0 for a global shutter.
+    readout : {"down", "up", "left", "right"}
+        Direction in which the rolling shutter proceeds.
+    frames : int
+        Number of short exposures that are stacked into each image.
+    gap_s : float
+        Time from the end of one short exposure to the start of the next, s.
+    stack : {"sum", "mean"}
+        Whether short exposures are added or averaged.
+    """
+
+    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
+    at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
+    at_delay_s: float = Field(default=0.0, allow_inf_nan=False, description="a number of seconds")
+    interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
+    rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
+    trail: Trail = _EXPOSURE.trail
+    path_tolerance_px: float = Field(default=_EXPOSURE.path_tolerance_px, ge=0, description="a number of px, 0 or more")
+    faintest_dn: float = Field(default=_EXPOSURE.faintest_dn, ge=0, description="a number of DN, 0 or more")
+    readout_s: float = Field(default=_EXPOSURE.readout_s, ge=0, description="a number of seconds, 0 or more")
+    readout: Readout = _EXPOSURE.readout
+    frames: int = Field(
+        default=_EXPOSURE.frames, ge=1, le=MAX_FRAMES, description=f"a whole number from 1 to {MAX_FRAMES}"
+    )
+    gap_s: float = Field(default=_EXPOSURE.gap_s, ge=0, description="a number of seconds, 0 or more")
+    stack: Stack = _EXPOSURE.stack
+
+    @field_validator("trail", mode="before")
+    @classmethod
+    def _analytic_was_swept(cls, given: object) -> object:
+        """Accept "swept", the name of "analytic" up to glstar 0.1."""
+        return "analytic" if given == "swept" else given
+
+    def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
+        """Return one exposure of the sequence that a camera records on a flight.
+
+        Parameters
+        ----------
+        number : int
+            Number of the exposure, from 0.
+        first_utc_s : float
+            The flight's first attitude, UTC seconds since 1970.
+        start_s : float
+            Start of the first exposure, s after the first attitude.
+
+        Returns
+        -------
+        Exposure
+        """
+        return self.starting_at(first_utc_s + (start_s + number * self.interval_s))
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first opening to the last closing: of all rows and all short exposures, s."""
+        return self.starting_at(0.0).span_s
+
+    @property
+    def signal_factor(self) -> int:
+        """The signal of an image over that of one short exposure: see `Exposure.signal_factor`."""
+        return self.starting_at(0.0).signal_factor
+
+    def starting_at(self, start_utc_s: float, duration_s: float | None = None) -> Exposure:
+        """Return an exposure with the section's settings.
+
+        Parameters
+        ----------
+        start_utc_s : float
+            When the shutter opens, UTC seconds since 1970.
+        duration_s : float, optional
+            Another exposure time, s.
+
+        Returns
+        -------
+        Exposure
+        """
+        duration_s = self.duration_s if duration_s is None else duration_s
+        return Exposure(
+            start_utc_s,
+            duration_s,
+            self.rate_hz,
+            self.trail,
+            self.readout_s,
+            self.readout,
+            path_tolerance_px=self.path_tolerance_px,
+            faintest_dn=self.faintest_dn,
+            frames=self.frames,
+            gap_s=self.gap_s,
+            stack=self.stack,
+        )
+
+    def count_within(self, length_s: float) -> int:
+        """Return the number of exposures of the sequence that end within a time span.
+
+        Parameters
+        ----------
+        length_s : float
+            Time from the start of the first exposure to the end of the last, s.
+
+        Returns
+        -------
+        int
+            0 if none fits.
+        """
+        return int(exposures_within(length_s, self.span_s, self.interval_s))
+
+
+def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
+    """Return the number of exposures of a sequence that end within a time span.
+
+    Parameters
+    ----------
+    length_s : (...) array_like
+        Time from the start of the first exposure to the end of the last, s.
+    span_s, interval_s : (...) array_like
+        Time from the start of an exposure to its end (of a rolling shutter, until the last row closes), and from the
+        start of one exposure to the start of the next, s.
+
+    Returns
+    -------
+    (...) int64
+        0 where none fits.
+    """
+    # A tolerance of half the resolution of the clock, so that the last exposure may end with the track.
+    length, span, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, span_s, interval_s))
+    remaining_s = length - span + CLOCK_GRAIN_S / 2
+    with np.errstate(over="ignore"):
+        counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
+    return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)
+
+
+def checked_lens(values: dict[str, Any], camera: Camera, folder: Path, faults: list[tuple[str, str]]) -> dict[str, Any]:
+    """Return the values of ``[lens]`` with the absolute path of its flat field.
+
+    Parameters
+    ----------
+    values : dict of str to object
+        The section, each key checked on its own.
+    camera : Camera
+        The flat field must have its size.
+    folder : Path
+        The folder that the path is relative to.
+    faults : list of (key, message)
+        Errors are appended.
+
+    Returns
+    -------
+    dict of str to object
+    """
+    file = values["vignetting_file"]
+    if values["vignetting"] != "flat":
+        if file:
+            faults.append(("lens.vignetting_file", 'needs vignetting = "flat"'))
+        return values
+    if not file:
+        faults.append(("lens.vignetting_file", 'is missing from vignetting = "flat"'))
+        return values
+    path = str((folder / file).absolute())
+    try:
+        height_px, width_px = read_map(path).shape
+    except (OSError, ValueError) as error:
+        faults.append(("lens.vignetting_file", f"cannot be used: {path}: {error}"))
+        return values
+    if (width_px, height_px) != (camera.width_px, camera.height_px):
+        size = f"{width_px} x {height_px} px and the camera {camera.width_px} x {camera.height_px}"
+        faults.append(("lens.vignetting_file", f"{path} has {size}"))
+    return {**values, "vignetting_file": path}
+
+
+def checked_output(values: dict[str, Any], folder: Path, faults: list[tuple[str, str]]) -> dict[str, Any]:
+    """Return the values of ``[output]`` with the points of the tone curve as text.
+
+    Parameters
+    ----------
+    values : dict of str to object
+        The section, each key checked on its own.
+    folder : Path
+        The folder that the path of a curve is relative to.
+    faults : list of (key, message)
+        Errors are appended.
+
+    Returns
+    -------
+    dict of str to object
+    """
+    given = values["tone_curve"]
+    if not given:
+        return {**values, "tone_curve": ""}
+    if values["gamma"] != "linear":
+        faults.append(("output.tone_curve", "is a tone curve, and so is gamma; leave one out"))
+        return values
+    try:
+        if not isinstance(given, str):
+            points = checked_points(given)
+        else:
+            points = parse_curve(given) if is_curve_text(given) else read_curve((folder / given).absolute())
+    except ValueError as error:
+        faults.append(("output.tone_curve", str(error)))
+        return values
+    return {**values, "tone_curve": curve_text(points)}
+
+
+class CameraSection(Section):
+    """``[camera]``: a file, a preset, or numbers; `reading.camera_of` checks that only one of them is given."""
+
+    width_px: int | None = Field(default=None, ge=1, le=65535, description="a whole number of pixels, from 1 to 65535")
+    height_px: int | None = Field(default=None, ge=1, le=65535, description="a whole number of pixels, from 1 to 65535")
+    fx_px: float | None = Field(
+        default=None, gt=0, description="a positive number of pixels (focal length / pixel pitch)"
+    )
+    fy_px: float | None = Field(
+        default=None, gt=0, description="a positive number of pixels (focal length / pixel pitch)"
+    )
+    cx_px: float | None = Field(default=None, description="a number of pixels from the centre of the leftmost one")
+    cy_px: float | None = Field(default=None, description="a number of pixels from the centre of the topmost one")
+    skew_px: float | None = Field(default=None, description="a number of pixels")
+    lens: Literal["none", "plumb_bob", "rational", "fisheye"] = "none"
+    distortion: list[float] | None = Field(
+        default=None, max_length=14, description="a list of numbers, OpenCV's distortion coefficients in its order"
+    )
+    file: str | None = Field(default=None, min_length=1, description="the path of a calibration file, in quotes")
+    camera: str | None = Field(
+        default=None, min_length=1, description="the name of a camera in a file of several, in quotes"
+    )
+    preset: str | None = Field(
+        default=None, min_length=1, description="the name of a camera or of a sensor's mode, in quotes"
+    )
+    lens_mm: float | None = Field(default=None, gt=0, description="a positive number of millimetres")
+    f_number: float | None = Field(default=None, gt=0, description="a positive number")
+
+
+def camera_numbers(camera: Camera) -> dict[str, Any]:
+    """Return the keys of ``[camera]``."""
+    numbers = {f.name: getattr(camera, f.name) for f in fields(Camera) if f.name != "lens"}
+    return numbers if camera.lens is None else numbers | camera.lens.keys

@@ -1,0 +1,1 @@
+"""A complete export in the formats of other tools."""

@@ -1,0 +1,180 @@
+"""An export as a ROS 2 bag or an MCAP file: images, camera, orientation, position and transforms.
+
+=====================  ==============================  ================================================================
+topic                  message                         content
+=====================  ==============================  ================================================================
+/camera/image_raw      sensor_msgs/Image               the frame, mono8 or mono16
+/camera/camera_info    sensor_msgs/CameraInfo          its intrinsics
+/imu/data              sensor_msgs/Imu                 the true attitude, from forward, left, up to east, north, up
+/fix                   sensor_msgs/NavSatFix           the position
+/tf, /tf_static        tf2_msgs/TFMessage              map (east, north, up) to base_link, base_link to camera_optical
+/glstar/truth          std_msgs/String                 the line of ``truth.jsonl``, JSON
+=====================  ==============================  ================================================================
+
+Stamps are UTC of the middle of the exposure, at which attitude and star positions are given.
+"""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from glstar.errors import ExportError
+from glstar.export.directory import explain_disk_errors
+from glstar.export.imagefiles.formats import decode
+from glstar.export.truth.lines import count_frames_of_truth, read_truth
+from glstar.rotation import conjugate, multiply, quaternion_from_matrix
+from glstar.sky.place.timescale import parse_utc
+
+Float = NDArray[np.float64]
+Step = Callable[[int, int], object]
+
+_WORLD, _BODY, _CAMERA = "map", "base_link", "camera_optical"
+# Rotations from north, east, down to east, north, up, and from forward, right, down to forward, left, up.
+_HALF: Final = float(np.sqrt(0.5))
+_Q_ENU_NED: Final = np.array([0.0, _HALF, _HALF, 0.0])
+_Q_FLU_FRD: Final = np.array([0.0, 1.0, 0.0, 0.0])
+# Distortion models of ROS, by the lenses of glstar, and their number of coefficients.
+_LENSES: Final = {
+    "none": ("plumb_bob", 5),
+    "plumb_bob": ("plumb_bob", 5),
+    "rational": ("rational_polynomial", 8),
+    "fisheye": ("equidistant", 4),
+}
+_UNKNOWN: Final = np.array([-1.0, *[0.0] * 8])
+
+
+def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all: None) -> None:
+    """Write the frames of an export and their truth as a ROS 2 bag.
+
+    Parameters
+    ----------
+    directory : Path
+        The export.
+    output : Path
+        A new ``.mcap`` file, or otherwise the directory of a new ROS 2 bag, with SQLite storage.
+    on_step : callable, optional
+        Called with the number of frames written and of all frames.
+
+    Raises
+    ------
+    ExportError
+        If the output exists, a frame is missing, or the bag cannot be written.
+    """
+    if output.exists():
+        raise ExportError(output, "exists already; name another file, or remove it")
+    count = count_frames_of_truth(directory)
+    with explain_disk_errors(output):
+        folder = Path(tempfile.mkdtemp(prefix=f".{output.name}-", dir=output.absolute().parent))
+        try:
+            is_mcap = output.suffix.lower() == ".mcap"
+            plugin = StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
+            bag = folder / output.stem
+            with Writer(bag, version=9, storage_plugin=plugin) as writer:
+                messages = _Messages(writer)
+                for number, line in enumerate(read_truth(directory)):
+                    messages.write(line, _pixels(directory, line))
+                    on_step(number + 1, count)
+            (next(bag.glob("*.mcap")) if is_mcap else bag).replace(output)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _pixels(directory: Path, line: dict[str, Any]) -> NDArray[Any]:
+    path = directory / line["file"]
+    try:
+        return decode(path.read_bytes(), path.suffix)
+    except (OSError, ValueError) as error:
+        raise ExportError(path, f"cannot be read ({error}); run glstar export again to complete the set") from error
+
+
+class _Messages:
+    """Makes the messages of frames and writes them."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer, self._store = writer, get_typestore(Stores.ROS2_HUMBLE)
+        self._connections: dict[str, Any] = {}
+        self._has_static = False
+
+    def write(self, line: dict[str, Any], pixels: NDArray[Any]) -> None:
+        stamp_ns = round(parse_utc(line["utc_mid"]) * 1e6) * 1000
+        optical = self._header(stamp_ns, _CAMERA)
+        pixels = np.ascontiguousarray(pixels)
+        encoding = "mono8" if pixels.dtype.itemsize == 1 else "mono16"
+        self._put("/camera/image_raw", "sensor_msgs/msg/Image", stamp_ns,
+            header=optical, height=pixels.shape[0], width=pixels.shape[1], encoding=encoding, is_bigendian=0,
+            step=pixels.shape[1] * pixels.dtype.itemsize, data=pixels.reshape(-1).view(np.uint8),
+        )  # fmt: skip
+        self._put("/camera/camera_info", "sensor_msgs/msg/CameraInfo", stamp_ns, header=optical, **self._camera(line))
+        q_flu_enu = multiply(multiply(_Q_FLU_FRD, np.array(line["q_body_ned"])), conjugate(_Q_ENU_NED))
+        q_enu_flu = conjugate(q_flu_enu)
+        zero = self._vector(0.0, 0.0, 0.0)
+        self._put("/imu/data", "sensor_msgs/msg/Imu", stamp_ns, header=self._header(stamp_ns, _BODY),
+            orientation=self._quaternion(q_enu_flu), orientation_covariance=np.zeros(9), angular_velocity=zero,
+            angular_velocity_covariance=_UNKNOWN, linear_acceleration=zero, linear_acceleration_covariance=_UNKNOWN,
+        )  # fmt: skip
+        site = line["site"]
+        self._put("/fix", "sensor_msgs/msg/NavSatFix", stamp_ns, header=self._header(stamp_ns, _BODY),
+            status=self._make("sensor_msgs/msg/NavSatStatus", status=0, service=1), latitude=site["latitude_deg"],
+            longitude=site["longitude_deg"], altitude=site["height_m"], position_covariance=np.zeros(9),
+            position_covariance_type=0,
+        )  # fmt: skip
+        self._transform("/tf", stamp_ns, _WORLD, _BODY, q_enu_flu)
+        if not self._has_static:
+            q_camera_body = quaternion_from_matrix(np.array(line["C_camera_body"]))
+            self._transform("/tf_static", stamp_ns, _BODY, _CAMERA, multiply(_Q_FLU_FRD, conjugate(q_camera_body)))
+            self._has_static = True
+        self._put("/glstar/truth", "std_msgs/msg/String", stamp_ns, data=json.dumps(line))
+
+    def _camera(self, line: dict[str, Any]) -> dict[str, Any]:
+        camera = line["camera"]
+        model, count = _LENSES[camera["lens"]]
+        K = np.array(camera["K"], dtype=np.float64)
+        distortion = np.zeros(max(count, len(camera["distortion"])))
+        distortion[: len(camera["distortion"])] = camera["distortion"]
+        region = self._make(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        return {
+            "height": camera["height_px"], "width": camera["width_px"], "distortion_model": model, "d": distortion,
+            "k": K.reshape(-1), "r": np.eye(3).reshape(-1), "p": np.column_stack([K, np.zeros(3)]).reshape(-1),
+            "binning_x": 0, "binning_y": 0, "roi": region,
+        }  # fmt: skip
+
+    def _transform(self, topic: str, stamp_ns: int, parent: str, child: str, q_parent_child: Float) -> None:
+        rotation = self._quaternion(q_parent_child)
+        moved = self._make("geometry_msgs/msg/Transform", translation=self._vector(0.0, 0.0, 0.0), rotation=rotation)
+        stamped = self._make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self._header(stamp_ns, parent),
+            child_frame_id=child,
+            transform=moved,
+        )
+        self._put(topic, "tf2_msgs/msg/TFMessage", stamp_ns, transforms=[stamped])
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        return self._store.types[kind](**fields)
+
+    def _header(self, stamp_ns: int, frame_id: str) -> Any:
+        stamp = self._make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+
+    def _vector(self, x: float, y: float, z: float) -> Any:
+        return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def _quaternion(self, q: Float) -> Any:
+        w, x, y, z = q.tolist()
+        return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _put(self, topic: str, kind: str, stamp_ns: int, **fields: Any) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+        message = self._store.serialize_cdr(self._make(kind, **fields), kind)
+        self._writer.write(self._connections[topic], stamp_ns, message)

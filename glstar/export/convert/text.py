@@ -1,0 +1,167 @@
+"""The truth of an export as CSV tables: one row per frame, and one row per star, body or satellite and frame.
+
+Subtitles of a video: time, attitude and stars of each frame, as a SubRip file beside it.
+"""
+
+import csv
+from collections.abc import Iterator
+from itertools import chain
+from math import asin, degrees
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from glstar.errors import ExportError
+from glstar.export.directory import explain_disk_errors
+from glstar.export.truth.lines import read_truth
+from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
+from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
+from glstar.system.files import publish, temporary_path
+
+# Names of the parts of lists, by their key; other lists are numbered.
+_PARTS: Final = {"q_body_ned": ("qw", "qx", "qy", "qz"), "start": ("start_x_px", "start_y_px")} | {
+    "end": ("end_x_px", "end_y_px"),
+}
+
+
+# Lists of a frame that are tables of their own; the last two are written if there is any.
+_LISTS: Final = ("stars", "bodies", "satellites")
+
+
+def write_csv(directory: Path, output: Path) -> tuple[Path, ...]:
+    """Write the truth of an export as CSV.
+
+    Parameters
+    ----------
+    directory : Path
+        The export.
+    output : Path
+        ``NAME.csv`` for the frames; the stars are written to ``NAME-stars.csv``, and if there are any, bodies to
+        ``NAME-bodies.csv`` and satellites to ``NAME-satellites.csv``.
+
+    Returns
+    -------
+    tuple of Path
+
+    Raises
+    ------
+    ExportError
+        If the truth cannot be read, or a table cannot be written.
+    """
+    with explain_disk_errors(output):
+        columns = _columns(directory)
+        paths = {key: output.with_name(f"{output.stem}-{key}{output.suffix}") for key in columns} | {"frames": output}
+        if there := next((path for path in paths.values() if path.exists()), None):
+            raise ExportError(there, "exists already; name another file, or remove it")
+        temporary = {key: temporary_path(path) for key, path in paths.items()}
+        try:
+            for key, path in temporary.items():
+                _write(path, columns[key], chain.from_iterable(_rows(line, key) for line in read_truth(directory)))
+            for key, path in paths.items():
+                publish(temporary[key], path)
+        finally:
+            for unnamed in temporary.values():
+                unnamed.unlink(missing_ok=True)
+    return tuple(paths.values())
+
+
+def _columns(directory: Path) -> dict[str, list[str]]:
+    """Return the columns of each table, in the order in which the frames of a data set bring them up."""
+    columns = {key: dict[str, None]() for key in ("frames", *_LISTS)}
+    for line in read_truth(directory):
+        for key, there in columns.items():
+            for row in _rows(line, key):
+                there.update(dict.fromkeys(row))
+    return {key: list(there) for key, there in columns.items() if there or key == "stars"}
+
+
+def _write(path: Path, columns: list[str], rows: Iterator[dict[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _rows(line: dict[str, Any], key: str) -> Iterator[dict[str, Any]]:
+    """Yield the row of a frame, or those of one of its lists."""
+    if key == "frames":
+        yield _flat(line)
+        return
+    for one in line.get(key, ()):
+        yield {"frame": line["frame"], "file": line["file"], "utc_mid": line["utc_mid"], **_flat(one)}
+
+
+def _flat(record: dict[str, Any]) -> dict[str, Any]:
+    """Return a record without nested objects; lists of objects and the segments of stacks are left out."""
+    flat: dict[str, Any] = {}
+    for key, value in record.items():
+        if isinstance(value, dict):
+            flat |= _flat(value)
+        elif key == "segments":
+            continue  # as many as there are short exposures, each of two positions
+        elif not isinstance(value, list):
+            flat[key] = value
+        elif not any(isinstance(item, dict) for item in value):
+            items = list(chain.from_iterable(value)) if value and isinstance(value[0], list) else value
+            names = _PARTS.get(key, ())
+            flat |= dict(zip(names or [f"{key}_{k}" for k in range(len(items))], items, strict=False))
+    return flat
+
+
+def write_subtitles(export: Path, output: Path, *, frames_per_s: float) -> None:
+    """Write the subtitles of the video that ``glstar export --video`` makes of the same frames.
+
+    Parameters
+    ----------
+    export : Path
+        The directory of an export.
+    output : Path
+        The SubRip file; players show it with a video of the same name.
+    frames_per_s : float
+        Frame rate of the video, 1/s.
+
+    Raises
+    ------
+    ExportError
+        If the directory has no truth, or the file cannot be written.
+    """
+    with explain_disk_errors(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        temporary = temporary_path(output)
+        try:
+            is_empty = True
+            with temporary.open("wb") as file:
+                for number, truth in enumerate(read_truth(export)):
+                    file.write(("\n" * (number > 0) + _entry(number, truth, frames_per_s)).encode())
+                    is_empty = False
+            if is_empty:
+                raise ExportError(export, "has no frames")
+            publish(temporary, output)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def _entry(number: int, truth: dict[str, Any], frames_per_s: float) -> str:
+    """Return the entry of one frame, which is shown as long as the frame."""
+    roll, pitch, yaw = (degrees(float(angle)) for angle in euler_from_quaternion(truth["q_body_ned"]))
+    C_camera_ned = np.array(truth["C_camera_body"]) @ matrix_from_quaternion(np.array(truth["q_body_ned"]))
+    azimuth, _ = np.rad2deg(ned_to_azimuth_altitude_rad(C_camera_ned[2]))
+    altitude = degrees(asin(min(max(truth["up_camera"][2], -1.0), 1.0)))
+    site = truth["site"]
+    lines = (
+        str(number + 1),
+        f"{_time(number / frames_per_s)} --> {_time((number + 1) / frames_per_s)}",
+        f"{truth['file']}  {truth['utc_mid']}  {truth['duration_s']:g} s  {len(truth['stars'])} stars",
+        f"axis: azimuth {azimuth:.2f} deg, altitude {altitude:.2f} deg"
+        f"  aircraft: roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw % 360:.2f} deg",
+        f"{site['latitude_deg']:.6f}, {site['longitude_deg']:.6f}, {site['height_m']:.0f} m",
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _time(seconds: float) -> str:
+    """Return a time as SubRip writes it: ``00:01:02,345``."""
+    milliseconds = round(seconds * 1000)
+    minutes, rest = divmod(milliseconds, 60_000)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}:{rest // 1000:02d},{rest % 1000:03d}"

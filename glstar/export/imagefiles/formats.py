@@ -1,0 +1,461 @@
+"""Image files and videos: encoding, decoding, and the detection of damaged files.
+
+Videos that are written frame by frame: complete under their name, or absent.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Sequence
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Literal, Self
+
+import cv2
+import numpy as np
+import tifffile
+from zlib_ng import zlib_ng
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.photofile import MAX_SAMPLE_VALUE, as_digital_numbers, stated_shift_bits
+from glstar.camera.sensor.sensor import Sensor
+from glstar.errors import ConfigError, ExportError
+from glstar.export.directory import explain_disk_errors
+from glstar.export.imagefiles.fits import FITS_START, damage_of_fits, decode_fits
+from glstar.export.imagefiles.processing import CameraProcessing, encode_colour_png, encode_jpeg, to_8_bits
+from glstar.system.files import TEMPORARY, make_directory, publish
+from glstar.system.imagefiles import PNG_SIGNATURE, encode_png
+
+
+class VideoFile:
+    """An MPEG-4 video that is being written; a context manager, which discards the video unless `finish` was called.
+
+    Parameters
+    ----------
+    path : Path
+        Must end with .mp4.
+    width_px, height_px : int
+        Size of the pictures.  The codec needs even sides: of an odd side, the video omits the last row or column.
+    frames_per_s : float
+        Frame rate, 1/s.
+
+    Attributes
+    ----------
+    path : Path
+    count : int
+        Number of frames written.
+
+    Raises
+    ------
+    ExportError
+        If the video cannot be written.
+    """
+
+    def __init__(self, path: Path, width_px: int, height_px: int, frames_per_s: float) -> None:
+        if path.suffix.lower() != ".mp4":
+            raise ExportError(path, "is no name for a video; it must end with .mp4")
+        if min(width_px, height_px) < 2:
+            raise ExportError(path, f"would have pictures of {width_px} x {height_px} px, and a video needs 2 x 2")
+        self.path, self.count = path, 0
+        self._size = width_px - width_px % 2, height_px - height_px % 2
+        self._temporary = path.with_name(f"{TEMPORARY}{path.name}")
+        self._writer: Any = None
+        with explain_disk_errors(path):
+            make_directory(path.parent)
+            # Create the file exclusively: the codec would follow a link of this name, and it reports no reason when it
+            # cannot write.
+            self._temporary.unlink(missing_ok=True)
+            self._temporary.open("xb").close()
+        codec = cv2.VideoWriter.fourcc(*"mp4v")
+        self._writer = cv2.VideoWriter(str(self._temporary), codec, frames_per_s, self._size, isColor=True)
+        if not self._writer.isOpened():
+            self.discard()
+            raise ExportError(path, f"cannot be encoded: OpenCV has no MPEG-4 encoder for {frames_per_s:g} frames/s")
+
+    def write(self, picture: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
+        """Add a frame.
+
+        Parameters
+        ----------
+        picture : (height, width) or (height, width, 3) uint8
+            Grey, or blue, green, red.
+        """
+        width_px, height_px = self._size
+        cut = np.ascontiguousarray(picture[:height_px, :width_px])
+        self._writer.write(cut if cut.ndim == 3 else cv2.cvtColor(cut, cv2.COLOR_GRAY2BGR))
+        self.count += 1
+
+    def finish(self) -> None:
+        """Complete the video and give the file its name.
+
+        Raises
+        ------
+        ExportError
+            If it cannot be read back with all its frames.
+        """
+        self._writer.release()
+        try:
+            if _count_frames(self._temporary) != self.count or not self.count:
+                raise ExportError(self.path, "could not be written completely; is the disk full?")
+            with explain_disk_errors(self.path):
+                publish(self._temporary, self.path)
+        finally:
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove what has been written, unless it is complete."""
+        if self._writer is not None:
+            self._writer.release()
+        self._temporary.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.discard()
+
+
+def _count_frames(path: Path) -> int:
+    """Return the number of frames of a video that can be read back; the encoder reports no errors."""
+    reader = cv2.VideoCapture(str(path))
+    try:
+        count = 0
+        while reader.grab():
+            count += 1
+        return count
+    finally:
+        reader.release()
+
+
+ImageFormat = Literal["png", "png16", "tiff", "fits", "jpeg"]
+
+_PNG_END: Final = b"\0\0\0\0IEND\xae\x42\x60\x82"
+_JPEG_START: Final = b"\xff\xd8"
+_JPEG_END: Final = b"\xff\xd9"
+# Bytes read to find the header and directory of a TIFF written by tifffile.
+_TIFF_START: Final = 1024
+# Position of the colour type in a PNG, and its value for red, green and blue.
+_PNG_COLOUR_TYPE, _PNG_RGB = 25, 2
+# The last bytes of a TIFF with EXIF, which lies after its pixels.
+EXIF_END: Final = b"glstar EXIF\0"
+_EXIF_IFD: Final = 0x8769
+_TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
+SUFFIX: Final[dict[ImageFormat, str]] = {
+    "png": ".png",
+    "png16": ".png",
+    "tiff": ".tiff",
+    "fits": ".fits",
+    "jpeg": ".jpg",
+}
+
+
+def encode(
+    pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_quality: int = 93, shift_bits: int = 0
+) -> bytes:
+    """Return an image as the bytes of its file.
+
+    Parameters
+    ----------
+    pixels : (height, width) or (height, width, 3) uint8 or uint16
+        Digital numbers; red, green and blue of a colour image.
+    image_format : {"png", "png16", "tiff", "jpeg"}
+        8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.  FITS needs a scene: `glstar.export.imagefiles.fits`.
+    jpeg_quality : int
+        1 to 100.
+    shift_bits : int
+        By how many bits the numbers are shifted up in a file of 16 bits, which states it; `decode` undoes it.
+
+    Returns
+    -------
+    bytes
+    """
+    if image_format == "jpeg":
+        return encode_jpeg(pixels, jpeg_quality)
+    if image_format == "tiff":
+        return tiff(pixels.astype(np.uint16, copy=False), shift_bits=shift_bits)
+    if pixels.ndim == 3:
+        return encode_colour_png(pixels)
+    if shift_bits:
+        return encode_png(pixels.astype(np.uint16) << shift_bits, significant_bits=16 - shift_bits)
+    pixel_type = np.uint16 if image_format == "png16" else np.uint8
+    return encode_png(pixels.astype(pixel_type, copy=False))
+
+
+def fit_format(image_format: ImageFormat | None, sensor: Sensor, *, summed: int = 1) -> tuple[ImageFormat, Sensor]:
+    """Return an image format for the sensor, and the sensor with the bit depth of that format.
+
+    Parameters
+    ----------
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
+        None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
+    sensor : Sensor
+    summed : int
+        Number of short exposures whose sum is written: `Exposure.signal_factor`.
+
+    Returns
+    -------
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
+    sensor : Sensor
+        A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.  The sensor of a sum
+        keeps its bits.
+
+    Raises
+    ------
+    ConfigError
+        If the sensor, or the sum, has more bits than the format.
+    """
+    if summed > 1:
+        return _fit_sum(image_format, sensor, summed), sensor
+    if CameraProcessing.of(sensor).is_active:  # which makes 8 or 16 bits of any number
+        return image_format or "png", sensor
+    if image_format is None:
+        return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
+    if image_format in {"png", "jpeg"} and sensor.bit_depth > 8:
+        raise ConfigError(
+            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit {image_format.upper()}; use --format png16,"
+            ' tiff or fits, or [output] process = "isp"',
+            key="sensor.bit_depth",
+        )
+    if image_format not in {"png", "jpeg"} and sensor.bit_depth <= 8:
+        return image_format, sensor.with_bit_depth(16)
+    return image_format, sensor
+
+
+def _fit_sum(image_format: ImageFormat | None, sensor: Sensor, summed: int) -> ImageFormat:
+    """Return the format of sums of short exposures; raise if they do not fit."""
+    if CameraProcessing.of(sensor).is_active:
+        raise ConfigError(
+            'adds raw images, which [output] process cannot develop afterwards; use exposure.stack = "mean"',
+            key="exposure.stack",
+        )
+    Exposure(0.0, 1.0, frames=summed).full_scale_dn(sensor.saturation_dn)  # raises if it does not fit into 16 bits
+    if image_format in {"png", "jpeg"}:
+        raise ConfigError(
+            f"adds {summed} exposures, which do not fit into 8-bit {image_format.upper()}; use --format png16, tiff or"
+            ' fits, or exposure.stack = "mean"',
+            key="exposure.stack",
+        )
+    return image_format or "png16"
+
+
+def tiff(
+    pixels: np.ndarray[Any, Any],
+    *,
+    date_time: str | None = None,
+    tags: Sequence[tuple[int, int]] = (),
+    shift_bits: int = 0,
+) -> bytes:
+    """Return an array as an uncompressed TIFF.  Without a date equal pixels give equal bytes.
+
+    Parameters
+    ----------
+    pixels : (height, width) or (height, width, 3) uint16 or float32
+    date_time : str, optional
+        "2024:03:10 11:00:00".
+    tags : sequence of (int, int)
+        Further tags, each with a number of 32 bits.
+    shift_bits : int
+        By how many bits uint16 is shifted up; the tag MaxSampleValue states it.
+
+    Returns
+    -------
+    bytes
+    """
+    target = BytesIO()
+    photometric = "rgb" if pixels.ndim == 3 else "minisblack"
+    more = [(tag, "I", 1, number, True) for tag, number in tags]
+    if shift_bits:
+        pixels = pixels << shift_bits
+        more.append((MAX_SAMPLE_VALUE, "H", 1, (0xFFFF >> shift_bits) << shift_bits, True))
+    tifffile.imwrite(
+        target, pixels, photometric=photometric, metadata=None, software="glstar", datetime=date_time, extratags=more
+    )
+    return target.getvalue()
+
+
+def find_damage(path: Path) -> str:
+    """Return a message on the damage of an image file, judged by its size, beginning and end without decoding it.
+
+    Parameters
+    ----------
+    path : Path
+        A PNG, TIFF or FITS file that glstar wrote, with the suffix of its format.
+
+    Returns
+    -------
+    str
+        Such damage as a power failure or a full disk leaves; empty if none is found.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    with path.open("rb", buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+        start = file.read(FITS_START if path.suffix == SUFFIX["fits"] else _TIFF_START)
+        file.seek(-min(size, len(_PNG_END)), os.SEEK_END)
+        return _damage(path.suffix, size, start, file.read())
+
+
+def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
+    if not size:
+        return "is empty (0 bytes)"
+    if not any(start):
+        return "begins with zeros"
+    if suffix in {SUFFIX["tiff"], SUFFIX["fits"]}:
+        return _damage_of_tiff(start, size, end) if suffix == SUFFIX["tiff"] else damage_of_fits(start, size)
+    signature, ending = (_JPEG_START, _JPEG_END) if suffix == SUFFIX["jpeg"] else (PNG_SIGNATURE, _PNG_END)
+    kind = "JPEG" if suffix == SUFFIX["jpeg"] else "PNG"
+    if not start.startswith(signature):
+        return f"does not begin as a {kind}"
+    last = "IEND" if kind == "PNG" else "EOI"
+    return "" if end.endswith(ending) else f"is cut short or damaged: no {last} at the end of its {size} bytes"
+
+
+def _damage_of_tiff(start: bytes, size: int, file_end: bytes) -> str:
+    """Return a message on the damage of a little-endian TIFF with one strip, whose directory precedes its pixels."""
+    if not start.startswith(b"II*\0"):
+        return "does not begin as a TIFF"
+    values: dict[int, int] = {}
+    with suppress(struct.error):
+        (directory,) = struct.unpack_from("<I", start, 4)
+        (entries,) = struct.unpack_from("<H", start, directory)
+        for entry in range(entries):
+            tag, kind, _, value = struct.unpack_from("<HHII", start, directory + 2 + 12 * entry)
+            values[tag] = value & 0xFFFF if kind == _TIFF_SHORT else value
+    if not values.keys() >= {_STRIP_OFFSETS, _STRIP_BYTE_COUNTS}:
+        return "has a damaged TIFF directory"
+    end = values[_STRIP_OFFSETS] + values[_STRIP_BYTE_COUNTS]
+    if size < end:
+        return f"is cut short: {size} of {end} bytes"
+    return "is cut short or damaged: no end of its EXIF" if _EXIF_IFD in values and file_end != EXIF_END else ""
+
+
+def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
+    """Decode an image that glstar wrote, and verify all its checksums.
+
+    Parameters
+    ----------
+    content : bytes
+        The image file.
+    suffix : {".png", ".tiff", ".fits", ".jpg"}
+        Suffix of the file name.
+
+    Returns
+    -------
+    (height, width) or (height, width, 3) uint8, uint16 or float32
+
+    Raises
+    ------
+    ValueError
+        If it is damaged; the message continues "FILE: ".
+
+    Notes
+    -----
+    Numbers that ``[output] align`` has shifted up are shifted back.
+    """
+    if damage := _damage(suffix, len(content), content[:FITS_START], content[-len(_PNG_END) :]):
+        raise ValueError(damage)
+    if suffix == SUFFIX["fits"]:
+        return decode_fits(content)
+    if suffix == SUFFIX["jpeg"] or (suffix == SUFFIX["png"] and content[_PNG_COLOUR_TYPE] == _PNG_RGB):
+        return _decode_by_opencv(content)
+    if suffix == ".tiff":
+        try:
+            pixels = np.asarray(tifffile.imread(BytesIO(content)))
+        except Exception as error:  # tifffile may raise anything for damaged bytes
+            raise ValueError(f"cannot be decoded ({error})") from error
+    else:
+        pixels = _decode_png(content)
+    return as_digital_numbers(pixels, stated_shift_bits(content))
+
+
+def _decode_by_opencv(content: bytes) -> np.ndarray[Any, Any]:
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ValueError("cannot be decoded")
+    return np.asarray(pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB))
+
+
+def _decode_png(content: bytes) -> np.ndarray[Any, Any]:
+    at, deflated = len(PNG_SIGNATURE), b""
+    width_px = height_px = bits = 0
+    while at < len(content):
+        length = int.from_bytes(content[at : at + 4])
+        kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
+        if content[at + 8 + length : at + 12 + length] != struct.pack(">I", zlib_ng.crc32(data, zlib_ng.crc32(kind))):
+            raise ValueError(f"is damaged: a wrong checksum in its chunk at byte {at}")
+        if kind == b"IHDR":
+            width_px, height_px, bits = struct.unpack_from(">IIB", data)
+        deflated += data if kind == b"IDAT" else b""
+        at += 12 + length
+    rows = np.frombuffer(_inflated(deflated), np.uint8)
+    if bits not in {8, 16} or rows.size != height_px * (1 + width_px * bits // 8):
+        raise ValueError("is no PNG of glstar")
+    rows = rows.reshape(height_px, -1)
+    if rows[:, 0].any():
+        raise ValueError("is no PNG of glstar: its rows are filtered")
+    pixels = np.ascontiguousarray(rows[:, 1:])
+    return pixels.view(">u2").astype(np.uint16) if bits == 16 else pixels
+
+
+def _inflated(deflated: bytes) -> bytes:
+    try:
+        return bytes(zlib.decompress(deflated))
+    except zlib.error as error:
+        raise ValueError(f"cannot be decoded ({error})") from error
+
+
+def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
+    """Write images as an MPEG-4 video, atomically.
+
+    Parameters
+    ----------
+    images : list of Path
+        Image files of one size, in order.
+    path : Path
+        Name of the video; must end with .mp4.
+    frames_per_s : float
+        Frame rate, 1/s.
+    saturation_dn : int
+        Digital number that is shown as white.
+
+    Raises
+    ------
+    ExportError
+        If the video cannot be written.
+    """
+    if not images:
+        raise ExportError(path, "no frame was drawn, and a video needs one")
+    first = _eight_bits(images[0], saturation_dn)
+    with VideoFile(path, first.shape[1], first.shape[0], frames_per_s) as video:
+        for image in images:
+            grey = _eight_bits(image, saturation_dn)
+            if grey.shape != first.shape:
+                raise ExportError(
+                    image,
+                    f"is {grey.shape[1]} x {grey.shape[0]} px and {images[0].name} {first.shape[1]} x {first.shape[0]}"
+                    " px, and a video has frames of one size; leave out --video, or keep the camera's size out of the"
+                    " sweep",
+                )
+            video.write(grey)
+        video.finish()
+
+
+def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    # Not cv2.imread: on Windows it opens no path with letters outside the code page.
+    content = path.read_bytes()
+    pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ExportError(path, "is no image that can be read back for the video")
+    pixels = as_digital_numbers(pixels, stated_shift_bits(content))
+    full_scale = int(np.iinfo(pixels.dtype).max)
+    if pixels.ndim == 3:  # processed, to the full scale of its type
+        pixels, saturation_dn = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), full_scale
+    saturation_dn = min(saturation_dn, full_scale)
+    return to_8_bits(pixels, saturation_dn)

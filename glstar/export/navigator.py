@@ -1,0 +1,477 @@
+"""What a navigator is handed of each frame: its image, clock, estimated attitude, nominal mount and lens.
+
+``nav.jsonl``: what a navigator knows of each frame; and the directory that holds nothing else.
+
+``nav.jsonl`` of a live export whose sky is a simulator's truth: what the autopilot estimates.
+"""
+
+import os
+import shutil
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Final, Self
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
+from glstar.config import Config
+from glstar.errors import ConfigError, ExportError
+from glstar.export.directory import OURS, SPLITS, explain_disk_errors
+from glstar.export.frame import FrameTask
+from glstar.export.imagefiles.fits import without_truth
+from glstar.export.imagefiles.formats import SUFFIX
+from glstar.export.run.export import Export
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.flight.navigator import AttitudeErrors, EstimatedAttitude
+from glstar.link import Estimate
+from glstar.render.truth.frame import camera_keys
+from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_from_quaternion
+from glstar.sky.place.timescale import format_utc
+from glstar.system.files import publish, temporary_path, write_atomically
+
+Float = NDArray[np.float64]
+
+NAV_SCHEMA: Final = "glstar-nav-1"
+_INSTANTS: Final = ("start", "middle", "end")
+_UP_NED: Final = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Navigator:
+    """What the aircraft knows on one flight.
+
+    Attributes
+    ----------
+    attitude : EstimatedAttitude
+    clock_offset_s : float
+        The clock that stamps the frames minus UTC, s.
+    camera : Camera
+    C_camera_body : (3, 3) float64
+        The nominal mount.
+    position : PositionTrack or None
+        None where GPS is denied.
+    gimbal : (AttitudeTrack, AttitudeTrack) or None
+        The attitudes of a gimbal's platform and of the aircraft, whose difference the gimbal states; None without one.
+    """
+
+    attitude: EstimatedAttitude
+    clock_offset_s: float
+    camera: Camera
+    C_camera_body: Float
+    position: PositionTrack | None
+    gimbal: tuple[AttitudeTrack, AttitudeTrack] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        config: Config,
+        flight: Flight,
+        *,
+        estimate: AttitudeTrack | None = None,
+        stream: int = 0,
+        until_utc_s: float | None = None,
+    ) -> Self:
+        """Return the navigator of ``[navigator]``.
+
+        Parameters
+        ----------
+        config : Config
+        flight : Flight
+        estimate : AttitudeTrack, optional
+            The attitude of another message of the log; by default the flight's.
+        stream : int
+            Index of the flight in a data set: another realisation of the random errors.
+        until_utc_s : float, optional
+            Until when errors are drawn, UTC seconds since 1970; by default the end of the flight.
+
+        Returns
+        -------
+        Navigator
+        """
+        section = config.navigator
+        rng = np.random.default_rng([section.seed, stream])
+        last_utc_s = flight.attitude.last_s if until_utc_s is None else until_utc_s
+        errors = section.errors.drawn(flight.attitude.first_s, last_utc_s, rng)
+        return cls(
+            EstimatedAttitude(
+                flight.aircraft_attitude if estimate is None else estimate, errors, is_held=estimate is None
+            ),
+            flight.time_offset_s + section.clock_offset_s,
+            config.camera(),
+            config.mount().C_camera_body,
+            flight.position if section.gps == "known" else None,
+            None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
+        )
+
+    def record(self, exposure: Exposure, *, number: int, file: str) -> dict[str, Any]:
+        """Return the record of one frame, ready for JSON.
+
+        Parameters
+        ----------
+        exposure : Exposure
+            When the camera really exposed.
+        number : int
+            The frame's number.
+        file : str
+            Its image.
+
+        Returns
+        -------
+        dict
+            ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure),
+            ``duration_s, readout_s, readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure),
+            ``up_camera`` (at the same instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is
+            denied).  The estimated attitude is that of the time on the frame's stamp, which the clock's error moves;
+            ``q_body_ned``, ``rates_rad_per_s`` and ``up_camera`` are None where the estimate has a gap then.
+            With a gimbal, all attitudes are those of its platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the
+            aircraft to the platform, by the gimbal's joints) and ``q_aircraft_ned`` at the same instants.
+        """
+        true_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
+        stamped_s = true_s + self.clock_offset_s
+        q_body_ned = self.attitude.at(stamped_s)
+        is_known = self.attitude.is_known(float(stamped_s[0]), float(stamped_s[2]))
+        gimbal: dict[str, Any] = {}
+        if self.gimbal is not None:
+            turned, q_aircraft_ned = self._turned(stamped_s), q_body_ned
+            q_body_ned = multiply(turned, q_aircraft_ned)
+            aircraft = _at_instants(q_aircraft_ned) if is_known else None
+            gimbal = {"gimbal": {"q_gimbal_aircraft": _at_instants(turned), "q_aircraft_ned": aircraft}}
+        up_camera = matrix_from_quaternion(q_body_ned) @ _UP_NED @ self.C_camera_body.T
+        rates = turn_from_quaternion(multiply(q_body_ned[2], conjugate(q_body_ned[0]))) / exposure.span_s
+        return {
+            "schema": NAV_SCHEMA,
+            "frame": number,
+            "file": file,
+            "utc": {name: format_utc(utc_s) for name, utc_s in _at_instants(stamped_s).items()},
+            "duration_s": exposure.duration_s,
+            "readout_s": exposure.readout_s,
+            "readout": exposure.readout,
+            "q_body_ned": _at_instants(q_body_ned) if is_known else None,
+            "rates_rad_per_s": rates.tolist() if is_known else None,
+            "up_camera": _at_instants(up_camera) if is_known else None,
+            "C_camera_body": self.C_camera_body.tolist(),
+            "camera": camera_keys(self.camera),
+            "position": self._position(float(true_s[1])),
+            **gimbal,
+        }
+
+    def _turned(self, utc_s: Float) -> Float:
+        """Return the rotations from the aircraft to the platform of the gimbal, (n, 4), by its joints."""
+        assert self.gimbal is not None
+        platform, aircraft = self.gimbal
+        inside_s = np.clip(utc_s, platform.first_s, platform.last_s)
+        return multiply(platform.at(inside_s), conjugate(aircraft.at(inside_s)))
+
+    def _position(self, utc_s: float) -> dict[str, float] | None:
+        if self.position is None:
+            return None
+        site = self.position.at(utc_s)
+        return {
+            "latitude_deg": float(np.rad2deg(site.latitude_rad)),
+            "longitude_deg": float(np.rad2deg(site.longitude_rad)),
+            "height_m": site.height_m,
+        }
+
+
+def _at_instants(values: Float) -> dict[str, Any]:
+    """Return the values at start, middle and end of an exposure, by name."""
+    return dict(zip(_INSTANTS, values.tolist(), strict=True))
+
+
+NAV: Final = "nav.jsonl"
+
+
+def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrack | None]:
+    """Return the attitudes that the aircraft of each log estimated, where ``[navigator]`` names their message.
+
+    Parameters
+    ----------
+    config : Config
+    flight_paths : sequence of Path
+
+    Returns
+    -------
+    list of AttitudeTrack or None
+        None where the estimate is the true attitude with errors.
+
+    Raises
+    ------
+    ConfigError
+        If the time of the flight is given, so that two messages have no common clock.
+    LogFormatError
+        If a log has no such message.
+    """
+    if config.navigator.attitude == "model":
+        return [None] * len(flight_paths)
+    if config.flight.utc_start is not None:
+        raise ConfigError(
+            'takes the attitude of a log with UTC of its own; leave out flight.utc_start, or use "model"',
+            key="navigator.attitude",
+        )
+    other = config.override(**{"flight.attitude": config.navigator.attitude})
+    return [other.open_flight(path).aircraft_attitude for path in flight_paths]
+
+
+def remove_nav(directory: Path) -> None:
+    """Remove ``nav.jsonl`` before frames are drawn, so that it never lacks frames.
+
+    Parameters
+    ----------
+    directory : Path
+    """
+    with suppress(FileNotFoundError, NotADirectoryError):
+        (directory / NAV).unlink()
+
+
+def write_nav(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> Path:
+    """Write ``nav.jsonl`` beside the truth of a complete export, atomically.
+
+    Parameters
+    ----------
+    job : Export
+    config : Config
+    attitudes : sequence of AttitudeTrack or None
+        From `estimates`.
+
+    Returns
+    -------
+    Path
+    """
+    path = job.directory / NAV
+    temporary = temporary_path(path)
+    with explain_disk_errors(job.directory):
+        try:
+            with temporary.open("wb") as file:
+                records = NavRecords(job.task, config, attitudes)
+                for number in job.numbers.tolist():
+                    file.write(orjson.dumps(records.of(number), option=orjson.OPT_APPEND_NEWLINE))
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        publish(temporary, path)
+    return path
+
+
+class NavRecords:
+    """The records of the frames of an export, in any order; fastest in theirs.
+
+    Parameters
+    ----------
+    task : FrameTask
+    config : Config
+    attitudes : sequence of AttitudeTrack or None
+        From `estimates`.
+    """
+
+    def __init__(self, task: FrameTask, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> None:
+        self._task, self._config, self._attitudes = task, config, attitudes
+        self._current: tuple[int, Navigator] | None = None
+
+    def of(self, number: int) -> dict[str, Any]:
+        """Return the record of a frame.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        dict
+            As of `Navigator.record`.
+        """
+        task = self._task
+        shot = task.frames.shot(number)
+        if self._current is None or shot.stream != self._current[0]:
+            estimate = self._attitudes[shot.flight]
+            if estimate is not None:
+                estimate = estimate.shifted(shot.shift_s)
+            own = self._config.at(shot.settings)
+            navigator = Navigator.of(own, shot.simulator.flight, estimate=estimate, stream=shot.stream)
+            self._current = shot.stream, navigator
+        file = task.image_path(number).relative_to(task.directory).as_posix()
+        return self._current[1].record(shot.exposure, number=number, file=file)
+
+
+def publish_blind(job: Export, output: Path) -> None:
+    """Fill a directory with the images and ``nav.jsonl`` of a complete export, and nothing else of it.
+
+    Parameters
+    ----------
+    job : Export
+        Its directory has the truth.
+    output : Path
+        For the navigator.  Images are hard links where the file system has them, else copies; FITS images are copies
+        without their truth.
+
+    Raises
+    ------
+    ExportError
+        If the directory holds files of another export.
+    """
+    images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
+    refuse_other_files(output, {image.name for image in images})
+    with explain_disk_errors(output), (job.directory / NAV).open("rb") as records:
+        for name in (*images, Path(NAV)):
+            target = output / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if name.suffix == SUFFIX["fits"]:
+                content = (job.directory / name).read_bytes()
+                write_atomically(target, without_truth(content, orjson.loads(records.readline())["utc"]))
+            else:
+                _hand_over(job.directory / name, target)
+
+
+def _hand_over(source: Path, target: Path) -> None:
+    """Put a file in a second directory."""
+    fresh = temporary_path(target)
+    try:
+        os.link(source, fresh)
+    except OSError:
+        shutil.copyfile(source, fresh)
+    fresh.replace(target)
+
+
+def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
+    """Refuse a directory for a navigator that holds more than its images, ``nav.jsonl`` and the lists of splits.
+
+    Parameters
+    ----------
+    output : Path
+    names : set of str, optional
+        Names that may be there; without it, any image.
+
+    Raises
+    ------
+    ExportError
+        If it holds other files of an export.
+    """
+    if not output.is_dir():
+        return
+    for entry in sorted(path.name for path in output.rglob("*") if path.is_file()):
+        is_image = entry.startswith("frame_") and entry.count(".") == 1  # no mask, no noiseless image
+        is_known = is_image if names is None else entry in names
+        allowed = is_known or entry in {NAV, *(f"{split}.txt" for split in SPLITS)}
+        if OURS.fullmatch(entry) and not allowed:
+            raise ExportError(output, f"holds {entry} of another export; choose another directory for the blind set")
+
+
+# Duration for which errors of the estimate are drawn if the export has no end, s; later the last error is held.
+_ERRORS_S: Final = 4 * 3600.0
+
+
+class LiveNavigator:
+    """Writes what the autopilot of a link knows of each frame.
+
+    Lines are appended to ``nav.jsonl.partial`` as frames happen; at the end the file becomes ``nav.jsonl``.
+
+    Parameters
+    ----------
+    config : Config
+    directory : Path or None
+        Of the export; None if records are not written.
+    duration_s : float, optional
+        Duration of the export, s.
+
+    Raises
+    ------
+    ConfigError
+        If ``[navigator]`` names a message of a log.
+    """
+
+    def __init__(self, config: Config, directory: Path | None, duration_s: float | None = None) -> None:
+        self._section = config.navigator
+        if self._section.attitude != "model":
+            raise ConfigError(
+                f"names {self._section.attitude}, a message of a log; a link's estimate is the autopilot's ATTITUDE or"
+                " ATTITUDE_QUATERNION: leave the key out",
+                key="navigator.attitude",
+            )
+        self._camera, self._C_camera_body = config.camera(), config.mount().C_camera_body
+        self._time_offset_s = config.flight.time_offset_s
+        self._directory = directory
+        self._errors_s = _ERRORS_S if duration_s is None else duration_s
+        self._errors: AttitudeErrors | None = None
+        self._file: BinaryIO | None = None
+
+    def record(
+        self, estimate: Estimate, exposure: Exposure, *, number: int, file: str, flight: Flight
+    ) -> dict[str, Any]:
+        """Return the record of a frame.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            It covers the exposure.
+        exposure : Exposure
+        number : int
+            The frame's number.
+        file : str
+            Its image, relative to the directory.
+        flight : Flight
+            The flight that the frame shows.
+
+        Returns
+        -------
+        dict
+            As of `Navigator.record`.
+        """
+        track = estimate.attitude
+        if self._errors is None:
+            rng = np.random.default_rng([self._section.seed, 0])
+            first_s = exposure.start_utc_s
+            self._errors = self._section.errors.drawn(first_s, first_s + self._errors_s, rng)
+        navigator = Navigator(
+            EstimatedAttitude(track, self._errors),
+            self._time_offset_s + self._section.clock_offset_s,
+            self._camera,
+            self._C_camera_body,
+            estimate.position if self._section.gps == "known" else None,
+            None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
+        )
+        return navigator.record(exposure, number=number, file=file)
+
+    def write(self, record: dict[str, Any]) -> None:
+        """Append a record to the file.
+
+        Parameters
+        ----------
+        record : dict
+            From `record`.
+        """
+        if self._file is None:
+            self._file = self._partial.open("wb")
+        self._file.write(orjson.dumps(record, option=orjson.OPT_APPEND_NEWLINE))
+        self._file.flush()
+
+    @property
+    def _partial(self) -> Path:
+        assert self._directory is not None
+        return self._directory / f"{NAV}.partial"
+
+    def close(self) -> None:
+        """Close the file without completing it."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def finish(self, numbers: NDArray[np.int64]) -> None:
+        """Complete ``nav.jsonl``: one line for each frame that is in the truth.
+
+        Parameters
+        ----------
+        numbers : (n,) int64
+            The frames.
+        """
+        self.close()
+        lines = []
+        with suppress(FileNotFoundError):
+            lines = self._partial.read_bytes().splitlines(keepends=True)
+        written = set(numbers.tolist())
+        kept = [line for line in lines if line.endswith(b"\n") and orjson.loads(line)["frame"] in written]
+        self._partial.write_bytes(b"".join(kept))
+        publish(self._partial, self._partial.with_name(NAV))

@@ -1,0 +1,498 @@
+"""``manifest.json``: everything that decides the frames of a directory.
+
+Fingerprint of a process: everything besides the task that decides the bytes of its frames.
+
+Processes that share an export must have the same fingerprint.
+"""
+
+import errno
+import hashlib
+import json
+import os
+import platform
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+import glstar
+from glstar import __version__
+from glstar.camera.sensor.sensor import Sensor
+from glstar.config import FLIGHT_FLAGS, Config
+from glstar.errors import ExportError
+from glstar.export.directory import OURS, SUMMARIES, TABLES, create, refuse_link
+from glstar.export.imagefiles.masks import masks_of
+from glstar.export.imagefiles.processing import CameraProcessing
+from glstar.export.plan.dataset import HASH_DIGITS, DataSetFrames, file_hash
+from glstar.export.plan.frames import ExportOptions, Plan
+from glstar.flight import Flight
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.place.timescale import described_earth_orientation, format_utc
+from glstar.system.files import flush_directory, flush_handle, temporary_path, write_atomically
+from glstar.system.resources import asset, shader_paths
+from glstar.system.userinput import read_bytes
+from glstar.telemetry import is_flight_description
+
+# Version 2: the lines of truth are of schema 2.
+SCHEMA: Final = "glstar-manifest-2"
+NAME: Final = "manifest.json"
+
+# Keys that may change when an export is extended by more frames.
+_EXTENT: Final = {"frames", "skipped", "command"}
+# Largest manifest that is read: ten million skipped frames of 100 bytes each.
+_LARGEST_BYTES: Final = 2**30
+# Longest value in a message, characters.
+_LONGEST: Final = 200
+# Errors of file systems without hard links.
+_WITHOUT_HARD_LINKS: Final = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK}
+_ELSEWHERE: Final = "choose another directory, or start over with --force"
+
+
+@dataclass(frozen=True, slots=True)
+class OmittedLog:
+    """A log that is left out of a data set.
+
+    Attributes
+    ----------
+    path : Path
+    reason : str
+        Why it cannot be exported.
+    """
+
+    path: Path
+    reason: str
+
+
+def describe(
+    config: Config, flight_path: Path, flight: Flight, sensor: Sensor, options: ExportOptions, plan: Plan
+) -> dict[str, Any]:
+    """Return the manifest of an export of one flight, without the renderer.
+
+    Parameters
+    ----------
+    config : Config
+    flight_path : Path
+        The log of the flight.
+    flight : Flight
+    sensor : Sensor
+        As used, which may have more bits than the config's.
+    options : ExportOptions
+        With the image format resolved.
+    plan : Plan
+
+    Returns
+    -------
+    dict
+        Ready to be written as JSON.  It has no directory, date or host, so that equal frames have equal manifests.
+    """
+    return {
+        "command": _command(config, (flight_path,), options),
+        "flight": _described(flight_path, flight),
+        "catalogue": _catalogue(config.sky.catalogue),
+        "frames": len(plan.frames),
+        **_alignment(config, sensor),
+        "skipped": [asdict(frame) for frame in plan.skipped],
+        **_earth_orientation(config, flight),
+        **_common(config, sensor, options),
+    }
+
+
+def describe_data_set(
+    flight_paths: Sequence[Path],
+    frames: DataSetFrames,
+    sensor: Sensor,
+    options: ExportOptions,
+    omitted_logs: Sequence[OmittedLog] = (),
+) -> dict[str, Any]:
+    """Return the manifest of a data set, without the renderer.
+
+    Parameters
+    ----------
+    flight_paths : sequence of Path
+        The logs of the flights.
+    frames : DataSetFrames
+    sensor : Sensor
+        As used, unless the sweep varies it.
+    options : ExportOptions
+        With the image format resolved.
+    omitted_logs : sequence of OmittedLog
+        Requested logs that cannot be exported.
+
+    Returns
+    -------
+    dict
+        As for `describe`.  The number of frames per sample is a setting here, because all frame numbers depend on it.
+    """
+    omitted = [{"name": log.path.name, "reason": log.reason} for log in omitted_logs]
+    return {
+        "command": _command(frames.config, flight_paths, options),
+        "flights": [_described(*pair) for pair in zip(flight_paths, frames.flights, strict=True)],
+        **({"left_out": omitted} if omitted else {}),
+        "sweep": frames.config.sweep.as_json(),
+        **_files(frames),
+        "samples": frames.samples,
+        "stop_s": options.stop_s,
+        "frames_a_sample": options.frames,
+        "catalogues": [_catalogue(name) for name in frames.catalogues],
+        "frames": len(frames.numbers),
+        "skipped": [asdict(frame) for frame in frames.skipped],
+        **_earth_orientation(frames.config, frames.flights[0]),
+        **_common(frames.config, sensor, options),
+    }
+
+
+def _alignment(config: Config, sensor: Sensor) -> dict[str, Any]:
+    """Return by how many bits the numbers of images are shifted up in their files, if they are."""
+    full_scale_dn = sensor.saturation_dn * config.exposure.signal_factor
+    shift = CameraProcessing.of(sensor).shift_bits(full_scale_dn)
+    return {"shift_bits": shift} if shift else {}
+
+
+def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "glstar": __version__,
+        "config": config.resolved(),
+        "sensor": sensor.keys,
+        **described_brightness(config),
+        "start_s": options.start_s,
+        "format": options.image_format,
+        "light": options.noiseless,
+        **({"masks": list(masks_of(config, masks=True))} if options.masks else {}),
+        **({"exif": True} if options.exif else {}),
+        "seed": options.seed,
+    }
+
+
+def _files(frames: DataSetFrames) -> dict[str, Any]:
+    """Return the hashes of files that a sweep reads; values from the config's own files are in the config."""
+    if not any(
+        axis.key in {"camera.file", "sensor.file", "sensor.star_brightness"} for axis in frames.config.sweep.axes
+    ):
+        return {}
+    return {"files": [{"name": path.name, "sha256": digest} for path, digest in frames.file_hashes]}
+
+
+def _earth_orientation(config: Config, flight: Flight) -> dict[str, Any]:
+    return described_earth_orientation(flight.attitude.first_s) if config.sky.dut1_s is None else {}
+
+
+def _described(path: Path, flight: Flight) -> dict[str, Any]:
+    return {
+        "name": flight.name,
+        "sha256": _attitude_sha256(flight) if is_flight_description(str(path)) or path.is_dir() else _sha256(path),
+        "first_utc": format_utc(flight.attitude.first_s),
+        "last_utc": format_utc(flight.attitude.last_s),
+        "attitude": flight.attitude_source,
+        "position": flight.position_source,
+        "utc": flight.utc_source,
+        "gaps": dict(Counter(gap.reason for gap in flight.attitude.gaps)),
+        **({"clocks": [asdict(clock) for clock in flight.clocks]} if flight.clocks else {}),
+        **({"notes": list(flight.notes)} if flight.notes else {}),
+    }
+
+
+def _catalogue(name: str) -> dict[str, str]:
+    return {"name": name, "sha256": StarCatalogue.open(name).sha256}
+
+
+def described_brightness(config: Config) -> dict[str, Any]:
+    """Return the manifest's entry on measured star brightness; empty if the config has none.
+
+    Parameters
+    ----------
+    config : Config
+
+    Returns
+    -------
+    dict
+    """
+    table = config.star_brightness()
+    if table is None:
+        return {}
+    return {"star_brightness": {"name": str(table.path), "sha256": table.sha256, "stars": len(table)}}
+
+
+def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
+    """Refuse a directory that holds frames of other settings.
+
+    Parameters
+    ----------
+    directory : Path
+    manifest : dict
+        The manifest that is about to be written there.
+
+    Raises
+    ------
+    ExportError
+        If its manifest differs in more than the number of frames, or there are frames without a manifest.
+    """
+    path = directory / NAME
+    # Another process may write its manifest, and then frames, between the two checks.
+    if not _exists(path) and any(OURS.fullmatch(entry.name) for entry in directory.iterdir()) and not _exists(path):
+        raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
+    if _exists(path):
+        _refuse_other(directory, _read(path), manifest)
+
+
+def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, Any]) -> None:
+    if there.get("schema") != manifest["schema"]:
+        raise ExportError(
+            directory,
+            f"holds frames whose truth is of another format: its manifest says {there.get('schema')!s:.{_LONGEST}}, and"
+            f" this glstar continues and verifies {manifest['schema']} only; {_ELSEWHERE}",
+        )
+    differing = _differences(there, manifest, ignore=_EXTENT)
+    if differing:
+        raise ExportError(directory, f"holds frames made otherwise ({'; '.join(differing)}); {_ELSEWHERE}")
+    if there["frames"] > manifest["frames"]:
+        raise ExportError(
+            directory,
+            f"holds {there['frames']} frames of this export and {manifest['frames']} were asked for; {_ELSEWHERE}",
+        )
+
+
+def claim(directory: Path, manifest: dict[str, Any]) -> bool:
+    """Write the manifest, unless another run has written it already.
+
+    If several runs begin at the same time, one creates the manifest.  The others find it and continue only if theirs is
+    the same.
+
+    Parameters
+    ----------
+    directory : Path
+        Locked by the caller, exclusively or shared.
+    manifest : dict
+
+    Returns
+    -------
+    bool
+        Whether Parquet tables were removed because the export has more frames now.
+
+    Raises
+    ------
+    ExportError
+        If the frames there have other settings.
+    """
+    path = directory / NAME
+    if _created(path, to_json(manifest)):
+        return False
+    there = _read(path)
+    _refuse_other(directory, there, manifest)
+    if there == manifest:
+        return False
+    # Remove them before the manifest is written, so that they never have fewer frames than it says.
+    removed = [name for name in SUMMARIES if os.path.lexists(directory / name)]
+    for name in removed:
+        (directory / name).unlink(missing_ok=True)
+    write_manifest(directory, manifest)
+    return not set(TABLES).isdisjoint(removed)
+
+
+def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:
+    """Return whether the manifest of a directory equals this one, including the number of frames.
+
+    Parameters
+    ----------
+    directory : Path
+    manifest : dict
+
+    Returns
+    -------
+    bool
+    """
+    path = directory / NAME
+    return _exists(path) and _read(path) == manifest
+
+
+def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
+    """Write the manifest, replacing an existing one.
+
+    Parameters
+    ----------
+    directory : Path
+    manifest : dict
+    """
+    write_atomically(directory / NAME, to_json(manifest))
+
+
+def to_json(manifest: dict[str, Any]) -> bytes:
+    """Return a manifest as the content of its file.
+
+    Parameters
+    ----------
+    manifest : dict
+
+    Returns
+    -------
+    bytes
+    """
+    return (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def _created(path: Path, content: bytes) -> bool:
+    """Create a file atomically; return False if it exists already."""
+    fresh = temporary_path(path)
+    write_atomically(fresh, content)
+    try:
+        os.link(fresh, path)  # fails if the name exists, on network disks too
+    except FileExistsError:
+        return False
+    except OSError as error:
+        if error.errno not in _WITHOUT_HARD_LINKS:
+            raise
+        return _created_in_place(path, content)
+    finally:
+        fresh.unlink(missing_ok=True)
+    flush_directory(path.parent)
+    return True
+
+
+def _created_in_place(path: Path, content: bytes) -> bool:
+    """Create a file on a file system without hard links (FAT, some network disks); return False if it exists."""
+    try:
+        with create(path) as file:
+            file.write(content)
+            file.flush()
+            flush_handle(file.fileno())
+    except FileExistsError:
+        return False
+    flush_directory(path.parent)
+    return True
+
+
+def _exists(path: Path) -> bool:
+    return os.path.lexists(path)
+
+
+def _command(config: Config, flight_paths: Sequence[Path], options: ExportOptions) -> str:
+    """Return the command line of an export, without the directory."""
+    arguments: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
+    if config.file is not None:
+        arguments += ["--config", config.file.name]
+    arguments += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
+    given = tuple((flag, getattr(config.flight, key)) for key, flag in FLIGHT_FLAGS.items())
+    for flag, value in (*given, ("--start", options.start_s), ("--stop", options.stop_s), ("--frames", options.frames)):
+        arguments += [] if value is None else [flag, value]
+    arguments += ["--format", options.image_format, "--seed", options.seed]
+    arguments += ["--light"] if options.noiseless else []
+    arguments += ["--masks"] if options.masks else []
+    arguments += ["--exif"] if options.exif else []
+    return shlex.join(str(argument) for argument in arguments)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    refuse_link(path)
+    try:
+        manifest = json.loads(read_bytes(path, _LARGEST_BYTES))
+    except (ValueError, RecursionError):  # RecursionError: nested too deep for a manifest
+        manifest = None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
+        raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)
+    return manifest
+
+
+def _differences(there: Any, wanted: Any, ignore: set[str], at: str = "") -> list[str]:
+    """Return messages on the first few differences of two manifests."""
+    if isinstance(there, dict) and isinstance(wanted, dict):
+        found: list[str] = []
+        for key in sorted((there.keys() | wanted.keys()) - ignore):
+            dotted = f"{at}.{key}" if at else key
+            found += _differences(there.get(key), wanted.get(key), set(), dotted)
+        return [*found[:3], "..."] if len(found) > 4 else found
+    return [] if there == wanted else [f"{at} was {_short(there)}, is {_short(wanted)}"]
+
+
+def _short(value: object) -> str:
+    try:
+        text = str(value)
+    except RecursionError:
+        return "nested too deep to print"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def _attitude_sha256(flight: Flight) -> str:
+    """Return the SHA-256 of a flight's attitudes: what identifies one that no file holds."""
+    return hashlib.sha256(flight.attitude.utc_s.tobytes() + flight.attitude.q_body_ned.tobytes()).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+# Libraries that compute pixels, lines of truth or the bytes of files.
+_LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
+
+
+def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
+    """Return everything besides the task that decides the bytes of this process's frames.
+
+    Parameters
+    ----------
+    driver : str
+        OpenGL driver.
+    files : iterable of Path
+        Files that are read while frames are drawn.
+
+    Returns
+    -------
+    dict of str to str
+        Versions and hashes by name, the most informative difference first.
+    """
+    return {
+        "glstar": glstar.__version__,
+        "OpenGL": driver,
+        "machine": platform.machine(),
+        **{name: _version(name) for name in _LIBRARIES},
+        "star catalogue": file_hash(asset("bsc5.sqlite")),
+        "star colours": file_hash(asset("bsc5-colours.npz")),
+        "glstar's code": _hash_of_code(),
+        **{str(path): file_hash(path) for path in files},
+    }
+
+
+def differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
+    """Return the differences of two fingerprints.
+
+    Parameters
+    ----------
+    expected, found : mapping of str to str
+        From `fingerprint`.
+
+    Returns
+    -------
+    str
+        Such as "glstar 0.2.0, not 0.3.0"; empty if they are equal.
+    """
+    keys = dict.fromkeys((*expected, *found))
+    return "; ".join(
+        f"{key} {found.get(key, 'unknown')}, not {expected.get(key, 'unknown')}"
+        for key in keys
+        if found.get(key) != expected.get(key)
+    )
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "missing"
+
+
+@cache
+def _hash_of_code() -> str:
+    """Return the hash of glstar's modules and shaders."""
+    package = Path(glstar.__file__).parent
+    modules = {path.relative_to(package).as_posix(): path for path in package.rglob("*.py")}
+    shaders = {f"shaders/{path.name}": path for path in shader_paths()}
+    digest = hashlib.sha256()
+    for name, path in sorted((modules | shaders).items()):
+        content = path.read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:HASH_DIGITS]

@@ -1,0 +1,316 @@
+"""Where frames go while they are drawn, besides files: other processes, a browser, a video device.
+
+Frames as an MJPEG stream over HTTP, for browsers and for programs that read a network camera.
+
+``cv2.VideoCapture("http://127.0.0.1:8090")`` reads the stream of ``glstar live LINK --latest-frame
+http://127.0.0.1:8090``; ``/frame.jpg`` is the latest frame alone.  Each part of the stream has its UTC by the camera's
+clock, in seconds since 1970, in the header ``X-Timestamp``.
+
+Frames on a virtual video device, for programs that read a camera by its number or path.
+
+On Linux the device belongs to the kernel module v4l2loopback, on Windows and macOS to OBS.
+"""
+
+import re
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Condition, Thread
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
+
+import cv2
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.camera.sensor.sensor import Sensor
+from glstar.errors import ConfigError
+from glstar.export.imagefiles.processing import CameraProcessing, encode_jpeg, shown_as_8_bits
+from glstar.export.publish.latest import LatestFrameWriter
+from glstar.export.publish.stream import STREAM, FrameStream
+from glstar.sky.place.timescale import parse_utc
+from glstar.system.installation import install_command
+
+HTTP: Final = "http://"
+_ADDRESS: Final = re.compile(r"http://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
+_LOOPBACK: Final = "127.0.0.1"
+_BOUNDARY: Final = "glstar-frame"
+# Interval at which the thread of a waiting client checks if the server has ended, s.
+_POLL_INTERVAL_S: Final = 0.25
+
+
+class MjpegServer:
+    """Serves frames as they are drawn; a context manager.
+
+    A client that is slower than the frames misses some.
+
+    Parameters
+    ----------
+    where : str
+        ``http://HOST:PORT``, or ``http://PORT`` on this computer only.
+    sensor : Sensor
+        Of the frames: ``[output]`` processes them, otherwise its saturation is white.
+    summed : int
+        Number of short exposures whose sum a frame is.
+
+    Raises
+    ------
+    ConfigError
+        If the address is not valid or in use.
+    """
+
+    def __init__(self, where: str, sensor: Sensor, *, summed: int = 1) -> None:
+        self._sensor, self._summed, self._quality = sensor, summed, CameraProcessing.of(sensor).jpeg_quality
+        self._latest = _Latest()
+        host, port = _address(where)
+        try:
+            self._server = _Server((host, port), self._latest)
+        except OSError as error:
+            raise ConfigError(f"{where} cannot be opened ({error.strerror})") from error
+        self._thread = Thread(target=self._server.serve_forever, name="glstar-mjpeg", daemon=True)
+        self._thread.start()
+
+    def write(self, pixels: NDArray[Any], truth: bytes, _nav: dict[str, Any]) -> None:
+        """Send a frame to all clients.
+
+        Parameters
+        ----------
+        pixels : (height, width) uint8 or uint16
+        truth : bytes
+            The line of ``truth.jsonl``, for its UTC.
+        """
+        start_s = parse_utc(orjson.loads(truth)["camera_utc_start"])
+        self._latest.set(
+            encode_jpeg(shown_as_8_bits(pixels, self._sensor, summed=self._summed), self._quality), start_s
+        )
+
+    def close(self) -> None:
+        """End all streams; a second call does nothing."""
+        self._latest.end()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Latest:
+    """The latest JPEG, for which any number of threads can wait."""
+
+    def __init__(self) -> None:
+        self._changed = Condition()
+        self._number, self._jpeg, self._utc_s = 0, b"", 0.0
+        self.has_ended = False
+
+    def set(self, jpeg: bytes, utc_s: float) -> None:
+        with self._changed:
+            self._number, self._jpeg, self._utc_s = self._number + 1, jpeg, utc_s
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        with self._changed:
+            self.has_ended = True
+            self._changed.notify_all()
+
+    def after(self, number: int) -> tuple[int, bytes, float] | None:
+        """Return the number, content and UTC of a frame later than a number; None after a while without one."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.has_ended or self._number > number, _POLL_INTERVAL_S)
+            return (self._number, self._jpeg, self._utc_s) if self._number > number else None
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], latest: _Latest) -> None:
+        self.latest = latest
+        super().__init__(address, _Client)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print nothing: a client that goes away is no error."""
+
+
+class _Client(BaseHTTPRequestHandler):
+    server: _Server
+
+    def do_GET(self) -> None:
+        """Answer a client."""
+        if self.path == "/frame.jpg":
+            self._send_one()
+        elif self.path == "/":
+            self._send_stream()
+        else:
+            self.send_error(HTTPStatus.NOT_FOUND, "the stream is /, the latest frame /frame.jpg")
+
+    def _send_one(self) -> None:
+        found = None
+        while found is None and not self.server.latest.has_ended:
+            found = self.server.latest.after(0)
+        if found is not None:
+            self.send_response(HTTPStatus.OK)
+            self._send_jpeg(*found[1:])
+
+    def _send_stream(self) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+        self.end_headers()
+        number = 0
+        while not self.server.latest.has_ended:
+            found = self.server.latest.after(number)
+            if found is not None:
+                number = found[0]
+                self.wfile.write(f"--{_BOUNDARY}\r\n".encode())
+                self._send_jpeg(*found[1:])
+                self.wfile.write(b"\r\n")
+
+    def _send_jpeg(self, jpeg: bytes, utc_s: float) -> None:
+        self.send_header("Content-Type", "image/jpeg")
+        self.send_header("Content-Length", str(len(jpeg)))
+        self.send_header("X-Timestamp", f"{utc_s:.6f}")
+        self.end_headers()
+        self.wfile.write(jpeg)
+
+    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the name in the standard library
+        """Print nothing."""
+
+
+def _address(where: str) -> tuple[str, int]:
+    found = _ADDRESS.fullmatch(where)
+    if found is None or not 0 < int(found[2]) < 65536:
+        raise ConfigError(f"{where} is no address; write http://HOST:PORT, or http://PORT for this computer")
+    return (found[1] or _LOOPBACK).strip("[]"), int(found[2])
+
+
+VIDEO: Final = "video:"
+
+
+class VideoDevice:
+    """Shows frames on a virtual video device; a context manager.
+
+    Parameters
+    ----------
+    where : str
+        ``video:`` for the first device, ``video:/dev/video10`` for a device on Linux.
+    camera : Camera
+    sensor : Sensor
+        Of the frames: ``[output]`` processes them, otherwise its saturation is white.
+    frames_per_s : float
+        What the device says of its rate, 1/s.
+    summed : int
+        Number of short exposures whose sum a frame is.
+
+    Raises
+    ------
+    ConfigError
+        If pyvirtualcam is not installed, or there is no such device.
+    """
+
+    def __init__(self, where: str, camera: Camera, sensor: Sensor, *, frames_per_s: float, summed: int = 1) -> None:
+        library, device = _library(), where.removeprefix(VIDEO) or None
+        self._sensor, self._summed = sensor, summed
+        try:
+            self._device = library.Camera(camera.width_px, camera.height_px, frames_per_s, device=device)
+        except RuntimeError as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(
+                f"{where} cannot be opened ({reason}); on Linux, make a device: sudo modprobe v4l2loopback"
+            ) from error
+
+    def write(self, pixels: NDArray[Any], _truth: bytes, _nav: dict[str, Any]) -> None:
+        """Show a frame.
+
+        Parameters
+        ----------
+        pixels : (height, width) uint8 or uint16
+        """
+        shown = shown_as_8_bits(pixels, self._sensor, summed=self._summed)
+        self._device.send(np.ascontiguousarray(shown if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB)))
+
+    def close(self) -> None:
+        """Give the device back; a second call does nothing."""
+        self._device.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _library() -> Any:
+    try:
+        import pyvirtualcam  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ConfigError(f"video: needs pyvirtualcam: {install_command('video')}") from error
+    return pyvirtualcam
+
+
+class FrameOutput(Protocol):
+    """Receives each frame as soon as it is drawn."""
+
+    def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
+        """Pass a frame on.
+
+        Parameters
+        ----------
+        pixels : (height, width) uint8 or uint16
+            Raw digital numbers.
+        truth : bytes
+            The line of ``truth.jsonl``.
+        nav : dict
+            What the aircraft knows: the line of ``nav.jsonl``; empty if the output does not need it.
+        """
+        ...
+
+    def close(self) -> None:
+        """End the output; a second call does nothing."""
+        ...
+
+
+def open_frame_output(
+    where: str, camera: Camera, sensor: Sensor, *, interval_s: float, summed: int = 1, with_truth: bool = False
+) -> FrameOutput:
+    """Open an output of frames.
+
+    Parameters
+    ----------
+    where : str
+        ``shm:NAME``, a file, ``zmq://HOST:PORT``, ``http://HOST:PORT`` or ``video:DEVICE``.
+    camera : Camera
+    sensor : Sensor
+        Of the frames.
+    interval_s : float
+        Time between frames, s.
+    summed : int
+        Number of short exposures whose sum a frame is.
+    with_truth : bool
+        Whether ``zmq://`` sends the truth, too.
+
+    Returns
+    -------
+    FrameOutput
+
+    Raises
+    ------
+    ConfigError
+        If the name is not valid, the address is in use, or a library or device is missing.
+    ExportError
+        If another process writes to a name.
+    """
+    if where.startswith(STREAM):
+        return FrameStream(where, with_truth=with_truth)
+    if where.startswith(HTTP):
+        return MjpegServer(where, sensor, summed=summed)
+    if where.startswith(VIDEO):
+        return VideoDevice(where, camera, sensor, frames_per_s=1 / interval_s, summed=summed)
+    return LatestFrameWriter(where, camera.width_px * camera.height_px)

@@ -1,0 +1,199 @@
+"""Frames for other processes as ZeroMQ messages, and the sockets of a navigator's answers.
+
+A navigator runs beside ``glstar live LINK --latest-frame zmq://127.0.0.1:5556`` and subscribes to that address.  Each
+message has two parts: a header in JSON and the pixels, row by row from the top, little-endian.
+
+===============  =======================================================================================
+key of a header  holds
+===============  =======================================================================================
+schema           ``"glstar-frame-1"``
+frame            number of the frame
+utc              UTC of the start, the middle and the end of the exposure, by the clock of the navigator
+shape, dtype     height and width; ``"uint8"`` or ``"uint16"``
+nav              what the aircraft knows, a line of ``nav.jsonl``
+sent_unix_s      when it was sent, by the computer's clock, seconds since 1970
+truth            the line of ``truth.jsonl``; only with ``--with-truth``
+===============  =======================================================================================
+
+A subscriber that is slower than the frames misses some.
+"""
+
+import re
+import time
+from types import ModuleType, TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError
+from glstar.system.installation import install_command
+
+FRAME_SCHEMA: Final = "glstar-frame-1"
+STREAM: Final = "zmq://"
+_ADDRESS: Final = re.compile(r"zmq://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
+_LOOPBACK: Final = "127.0.0.1"
+# Frames that wait for a slow subscriber before further ones are dropped.
+_WAITING: Final = 2
+# Time to send what waits when a socket is closed, ms.
+_LINGER_MS: Final = 1000
+
+
+class FrameStream:
+    """Publishes frames; a context manager.
+
+    Parameters
+    ----------
+    where : str
+        ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only.
+    with_truth : bool
+        Whether the header has the truth.
+
+    Raises
+    ------
+    ConfigError
+        If the address is not valid or in use, or pyzmq is not installed.
+    """
+
+    def __init__(self, where: str, *, with_truth: bool = False) -> None:
+        zmq = _library()
+        self._with_truth = with_truth
+        self._socket = _bound(where, zmq.PUB, "--latest-frame")
+        self._socket.setsockopt(zmq.SNDHWM, _WAITING)
+
+    def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
+        """Send a frame to all who are subscribed.
+
+        Parameters
+        ----------
+        pixels : (height, width) uint8 or uint16
+        truth : bytes
+            The line of ``truth.jsonl``.
+        nav : dict
+            The record of the navigator.
+        """
+        header = {
+            "schema": FRAME_SCHEMA,
+            "frame": nav["frame"],
+            "utc": nav["utc"],
+            "shape": list(pixels.shape),
+            "dtype": pixels.dtype.name,
+            "nav": nav,
+            "sent_unix_s": time.time(),
+        }
+        if self._with_truth:
+            header["truth"] = orjson.Fragment(truth.rstrip())
+        content = np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<")).tobytes()
+        self._socket.send_multipart([orjson.dumps(header), content])
+
+    def close(self) -> None:
+        """Send what waits, for a second at most, and close the socket."""
+        self._socket.close(linger=_LINGER_MS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class AnswerReceiver:
+    """Receives the answers of navigators as JSON lines; used from one thread.
+
+    Parameters
+    ----------
+    where : str
+        ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only.
+
+    Raises
+    ------
+    ConfigError
+        If the address is not valid or in use, or pyzmq is not installed.
+    """
+
+    def __init__(self, where: str) -> None:
+        self._socket = _bound(where, _library().PULL, "--answers")
+
+    def lines(self, timeout_s: float) -> list[str]:
+        """Return the lines of the next message; none if nothing arrives.
+
+        Parameters
+        ----------
+        timeout_s : float
+            How long to wait, s.
+
+        Returns
+        -------
+        list of str
+        """
+        if not self._socket.poll(round(timeout_s * 1e3)):
+            return []
+        return bytes(self._socket.recv()).decode("utf-8", errors="replace").splitlines()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close(linger=0)
+
+
+def send_answers(where: str, lines: list[str], timeout_s: float) -> None:
+    """Send answers to ``glstar live --answers zmq://...``.
+
+    Parameters
+    ----------
+    where : str
+        ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer.
+    lines : list of str
+        JSON lines, as `glstar.score` reads them.
+    timeout_s : float
+        How long to wait for the receiver, s.
+
+    Raises
+    ------
+    ConfigError
+        If the address is not valid, nobody receives there, or pyzmq is not installed.
+    """
+    zmq, address = _library(), _address(where, "answer")
+    socket = zmq.Context.instance().socket(zmq.PUSH)
+    try:
+        # Only to a receiver that is there: an answer must not wait for one and arrive too late.
+        socket.setsockopt(zmq.IMMEDIATE, 1)
+        socket.connect(address)
+        for line in lines:
+            if not socket.poll(round(timeout_s * 1e3), zmq.POLLOUT):
+                raise ConfigError(
+                    f"nobody receives answers at {where}; start glstar live ... --inject --answers {where}"
+                )
+            socket.send(line.encode())
+    finally:
+        socket.close(linger=_LINGER_MS)
+
+
+def _bound(where: str, kind: int, option: str) -> Any:
+    """Return a socket that is bound to an address."""
+    zmq, address = _library(), _address(where, option)
+    socket = zmq.Context.instance().socket(kind)
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        socket.close(linger=0)
+        raise ConfigError(f"{option} {where} cannot be opened: {error}") from error
+    return socket
+
+
+def _address(where: str, option: str) -> str:
+    """Return the address that ZeroMQ takes."""
+    found = _ADDRESS.fullmatch(where)
+    if found is None or not 0 < int(found[2]) < 65536:
+        raise ConfigError(f"{option} {where} is no address; write zmq://HOST:PORT, or zmq://PORT for this computer")
+    return f"tcp://{found[1] or _LOOPBACK}:{found[2]}"
+
+
+def _library() -> ModuleType:
+    try:
+        import zmq  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ConfigError(f"zmq:// needs pyzmq: {install_command('stream')}") from error
+    return zmq

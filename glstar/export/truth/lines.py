@@ -1,0 +1,357 @@
+"""Writing ``truth.jsonl``: one line per frame, complete or not at all.
+
+The ground truth of an export, read back.
+"""
+
+import os
+import re
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from secrets import token_hex
+from typing import IO, Any, Final
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from glstar.errors import ExportError
+from glstar.export.directory import create, open_to_append
+from glstar.render.truth.frame import KEYS, SCHEMA, as_current_schema
+from glstar.system.files import flush, flush_directory, publish, temporary_path
+
+Numbers = NDArray[np.int64]
+
+# The beginning of a line: its schema and frame number.
+_LINE: Final = re.compile(rb'\{"schema":"' + SCHEMA.encode() + rb'","frame":(\d{1,18}),')
+_BLOCK_BYTES: Final = 1 << 22
+
+
+class TruthFile:
+    """The truth of a directory of frames.
+
+    Lines are appended to ``truth.jsonl.partial``.  If several processes draw, each appends to a part of its own,
+    ``truth.jsonl.LABEL-HEX.partial``.  When every frame has its line, the file is renamed to ``truth.jsonl``, after the
+    parts have been joined.  An incomplete line of a killed run is cut off; if a frame was drawn twice, one of its two
+    equal lines is kept.
+
+    Parameters
+    ----------
+    directory : Path
+        The directory of the export.
+    shard_label : str
+        `Shard.label`: only parts of this shard are read and written.  All parts if it is empty.
+
+    Attributes
+    ----------
+    shard_label : str
+    """
+
+    def __init__(self, directory: Path, shard_label: str = "") -> None:
+        self._directory, self.shard_label = directory, shard_label
+        self._final = directory / "truth.jsonl"
+        self._partial = directory / "truth.jsonl.partial"
+        self._reset()
+
+    def _reset(self) -> None:
+        # Files that lines were found in.  None is the main file, truth.jsonl or truth.jsonl.partial.
+        self._sources: list[Path | None] = [None]
+        # Four numbers per line: frame, index of the source, offset and length, bytes.  Compact, for millions of lines.
+        self._lines = array("q")
+        self._end = 0  # end of the last complete line of the main file, bytes
+        self._appended = 0  # index of the source that `append` writes to
+
+    @property
+    def numbers(self) -> Numbers:
+        """Frames that have a line, increasing."""
+        return np.unique(self._table[:, 0])
+
+    @property
+    def _table(self) -> Numbers:
+        # A copy: an array cannot grow while NumPy has a view of it.
+        return np.array(self._lines, dtype=np.int64).reshape(-1, 4)
+
+    def read(self) -> None:
+        """Index the valid lines on the disk; `finish` omits all others."""
+        self._reset()
+        self._end = self._read(self._main(), 0, _is_valid)
+        self._index_new_parts(_is_valid)
+
+    def read_new_parts(self) -> None:
+        """Index the lines in parts that other processes have written since `read`.
+
+        `read` parses each line, because a power failure may have damaged the file.  Lines written by this run are
+        complete if they end with a newline, so they are not parsed: that would delay the end of the export.
+        """
+        self._index_new_parts(_is_terminated)
+
+    def _index_new_parts(self, is_valid: Callable[[bytes], bool]) -> None:
+        for part in self._parts():
+            if part not in self._sources:
+                self._sources.append(part)
+                self._read(part, len(self._sources) - 1, is_valid)
+
+    def _read(self, path: Path, source: int, is_valid: Callable[[bytes], bool]) -> int:
+        """Index the valid lines of a file; return the offset after its last complete line."""
+        offset = 0
+        with suppress(FileNotFoundError), path.open("rb") as truth:
+            for line in truth:
+                if not line.endswith(b"\n"):
+                    break
+                match = _LINE.match(line)
+                if match and is_valid(line):
+                    self._lines.extend((int(match[1]), source, offset, len(line)))
+                offset += len(line)
+        return offset
+
+    def _main(self) -> Path:
+        return self._final if self._final.exists() else self._partial
+
+    def _parts(self) -> list[Path]:
+        return sorted(self._directory.glob(f"truth.jsonl.{self.shard_label or '*'}-*.partial"))
+
+    @contextmanager
+    def open_for_append(self, *, as_part: bool = False) -> Iterator[IO[bytes]]:
+        """Open the truth after its last complete line, or a new part.
+
+        Parameters
+        ----------
+        as_part : bool
+            Whether to write a new part, because other processes write at the same time.  A shard always does.
+
+        Yields
+        ------
+        binary file
+            For `append`.
+        """
+        if as_part or self.shard_label:
+            part = self._directory / f"truth.jsonl.{self.shard_label or 'part'}-{token_hex(6)}.partial"
+            self._appended = len(self._sources)
+            self._sources.append(part)
+            with part.open("xb") as truth:
+                yield truth
+            return
+        self.unpublish()
+        self._appended = 0
+        with open_to_append(self._partial) as truth:
+            truth.truncate(self._end)
+            truth.seek(0, os.SEEK_END)
+            yield truth
+
+    def unpublish(self) -> None:
+        """Rename ``truth.jsonl`` to its partial name, because lines will be added."""
+        with suppress(FileNotFoundError):
+            self._final.replace(self._partial)
+
+    def append(self, truth: IO[bytes], number: int, line: bytes) -> None:
+        """Write a frame's line.
+
+        Parameters
+        ----------
+        truth : binary file
+            From `open_for_append`.
+        number : int
+            Frame number.
+        line : bytes
+            One line of JSON with its newline.
+        """
+        self._lines.extend((number, self._appended, truth.tell(), len(line)))
+        truth.write(line)
+        truth.flush()
+
+    def line(self, number: int) -> bytes | None:
+        """Return the line of a frame, as indexed by `read`.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        bytes or None
+            None if it has no valid line.
+        """
+        found = self._found.get(number)
+        if found is None:
+            return None
+        source, offset, length = found
+        with (self._sources[source] or self._main()).open("rb") as truth:
+            truth.seek(offset)
+            return truth.read(length)
+
+    @cached_property
+    def _found(self) -> dict[int, tuple[int, int, int]]:
+        """Source, offset and length of the last line of each frame."""
+        return {number: (source, offset, length) for number, source, offset, length in self._table.tolist()}
+
+    def is_finished(self, numbers: Numbers) -> bool:
+        """Return whether ``truth.jsonl`` has one line for each frame, in order, and nothing else.
+
+        Parameters
+        ----------
+        numbers : (n,) int64
+            All frames, increasing.
+
+        Returns
+        -------
+        bool
+        """
+        lines = self._table
+        return self._final.exists() and np.array_equal(lines[:, 0], numbers) and self._in_order(lines)
+
+    def finish(self, numbers: Numbers) -> None:
+        """Write ``truth.jsonl`` with the lines in the order of the frames, and remove the partial files.
+
+        Parameters
+        ----------
+        numbers : (n,) int64
+            All frames, increasing; each must have a line.
+        """
+        lines = self._table
+        # The last line of each frame: a stable sort keeps the order in which lines were indexed.
+        lines = lines[np.argsort(lines[:, 0], kind="stable")]
+        lines = lines[np.append(np.diff(lines[:, 0]) != 0, True)] if len(lines) else lines
+        lines = lines[np.isin(lines[:, 0], numbers)]
+        if len(lines) != len(numbers):
+            raise KeyError(f"{len(numbers) - len(lines)} frames have no line of truth")
+        if not self._in_order(lines):
+            self._join(lines)
+        elif not self._final.exists():
+            open_to_append(self._partial).close()  # creates the file of an export without frames
+            flush([self._partial])
+            self._partial.replace(self._final)
+            flush_directory(self._directory)
+        # truth.jsonl is durable, so its parts can be removed.
+        parts = [self._partial, *self._directory.glob("truth.jsonl.*-*.partial")]
+        for part in parts:
+            part.unlink(missing_ok=True)
+        flush_directory(self._directory)
+
+    def _in_order(self, lines: Numbers) -> bool:
+        """Return whether the main file consists of exactly these lines, in this order."""
+        main = self._main()
+        size = main.stat().st_size if main.exists() else 0
+        follow = np.append(0, np.cumsum(lines[:, 3]))
+        return bool((lines[:, 1] == 0).all() and (lines[:, 2] == follow[:-1]).all() and follow[-1] == size)
+
+    def _join(self, lines: Numbers) -> None:
+        joined = temporary_path(self._final)
+        # Consecutive lines of one file are copied in one block.
+        follows = (lines[1:, 1] == lines[:-1, 1]) & (lines[1:, 2] == lines[:-1, 2] + lines[:-1, 3])
+        starts = np.append(0, np.flatnonzero(~follows) + 1)
+        lengths = np.add.reduceat(lines[:, 3], starts)
+        try:
+            with create(joined) as truth:
+                for (_, source, offset, _), length in zip(lines[starts].tolist(), lengths.tolist(), strict=True):
+                    with (self._sources[source] or self._main()).open("rb") as part:
+                        part.seek(offset)
+                        _copy(part, truth, length)
+        except BaseException:
+            joined.unlink(missing_ok=True)
+            raise
+        publish(joined, self._final)
+
+
+def _is_terminated(line: bytes) -> bool:
+    return line.endswith(b"}\n")
+
+
+def _is_valid(line: bytes) -> bool:
+    """Return whether a line is a JSON object with every key: a fragment of a line may be valid JSON too."""
+    try:
+        found = orjson.loads(line)
+    except ValueError:
+        return False
+    return isinstance(found, dict) and found.keys() >= set(KEYS)
+
+
+def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:
+    while length:
+        block = source.read(min(length, _BLOCK_BYTES))
+        if not block:
+            raise EOFError(f"{source.name} has been truncated")
+        target.write(block)
+        length -= len(block)
+
+
+_COUNTED_BLOCK_BYTES = 1 << 20
+
+
+def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the frames of an export's ground truth, in the order of the file.
+
+    Parameters
+    ----------
+    path : path-like
+        The directory of an export, or its ``truth.jsonl``.
+    split : {"train", "validation", "test"}, optional
+        Yield the frames of one split only, as ``glstar export --split flight`` has listed them beside the truth.
+
+    Yields
+    ------
+    dict
+        One line, as ``glstar manual truth`` describes it.  A line of schema 1 gets ``star_id`` in each star and an
+        empty ``catalogue``; the other keys that schema 1 lacks are missing.
+
+    Raises
+    ------
+    ExportError
+        If a file cannot be read, or a line is not a frame of glstar's truth.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file /= "truth.jsonl"
+    wanted = None if split is None else _listed(file.with_name(f"{split}.txt"))
+    try:
+        lines = file.open("rb")
+    except OSError as error:
+        raise ExportError(file, f"cannot be read ({error.strerror})") from error
+    with lines:
+        for number, line in enumerate(lines, start=1):
+            frame = _frame(file, number, line)
+            if wanted is None or frame["file"] in wanted:
+                yield frame
+
+
+def _listed(path: Path) -> set[str]:
+    """Return the images of a split."""
+    try:
+        return set(path.read_text(encoding="utf-8").splitlines())
+    except (OSError, ValueError) as error:
+        message = "is no list of a split; glstar export --split flight writes train.txt, validation.txt and test.txt"
+        raise ExportError(path, message) from error
+
+
+def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
+    """Return one line as a dictionary."""
+    try:
+        return as_current_schema(orjson.loads(line))
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise ExportError(file, f"line {number} is not a frame of a truth file of glstar") from error
+
+
+def count_frames_of_truth(directory: Path) -> int:
+    """Return the number of frames of an export, without parsing its truth.
+
+    Parameters
+    ----------
+    directory : Path
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ExportError
+        If the truth cannot be read.
+    """
+    file = directory / "truth.jsonl"
+    try:
+        with file.open("rb") as truth:
+            return sum(block.count(b"\n") for block in iter(lambda: truth.read(_COUNTED_BLOCK_BYTES), b""))
+    except OSError as error:
+        raise ExportError(file, f"cannot be read ({error.strerror})") from error

@@ -1,0 +1,1 @@
+"""The passes of the renderer: each draws from textures to a target."""

@@ -1,0 +1,467 @@
+"""A star field on the GPU, as vertices of the sub-exposure pass.
+
+Star fields on the GPU, as textures from which the passes of analytic trails read stars by number.
+
+The texture of what cloud transmits of each star during each part of an exposure.
+
+What `projection.glsl` reads: uniforms, and a texture of orientations with five texels of four float32 per time.
+
+When the pixels of a target open under a rolling shutter, as `readout.glsl` reads it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
+from glstar.render.motion.pointing import Pointing
+from glstar.render.opengl.program import set_used_uniforms
+from glstar.render.readout.openings import PixelOpenings
+from glstar.render.scene.culling import DrawList
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.photometry import brightness_ratio
+
+# Star fields that stay uploaded: the stars, which stay for a flight, and the bodies of a scene; and satellites.
+_MOST_FIELDS, _MOST_SINGLE_STARS = 2, 8
+
+
+def superseded_field(uploaded: Sequence[StarField], stars: StarField) -> int | None:
+    """Return which of the uploaded fields makes place for another.
+
+    Parameters
+    ----------
+    uploaded : sequence of StarField
+        The one drawn longest ago first.
+    stars : StarField
+        The other one.
+
+    Returns
+    -------
+    int or None
+        Its index; None if none has to.
+    """
+    alike = [number for number, field in enumerate(uploaded) if (len(field) == 1) == (len(stars) == 1)]
+    most = _MOST_SINGLE_STARS if len(stars) == 1 else _MOST_FIELDS
+    return alike[0] if len(alike) == most else None
+
+
+def packed_stars(stars: StarField, *, multiple: int = 1) -> NDArray[np.float32]:
+    """Return directions and brightness of stars, as the shaders read them.
+
+    Parameters
+    ----------
+    stars : StarField
+    multiple : int
+        The number of rows is rounded up to a multiple of this, and at least this.
+
+    Returns
+    -------
+    (rows, 4) float32
+        Geocentric apparent unit vector, and 10^(-0.4 V); zeros after the last star.
+    """
+    rows = max(-(-len(stars) // multiple), 1) * multiple
+    packed = np.zeros((rows, 4), np.float32)
+    packed[: len(stars), :3] = stars.direction_eq
+    packed[: len(stars), 3] = brightness_ratio(stars.camera_mag)
+    return packed
+
+
+class StarBuffers:
+    """The vertex buffers of one star field, and the indices of those stars that the next image shows.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    stars : StarField
+    """
+
+    def __init__(self, context: moderngl.Context, stars: StarField) -> None:
+        self.stars = stars
+        self._context = context
+        self._stars = context.buffer(packed_stars(stars))
+        # Truncation radius, px, transmission of the air, and number among the stars that are drawn.
+        self._of_scene = np.ones((len(stars), 3), np.float32)
+        self._of_scene_buffer = context.buffer(self._of_scene, dynamic=True)
+        self._index = context.buffer(reserve=4 * len(stars), dynamic=True)
+        # Colours in the cells of a mosaic.
+        self._tints: moderngl.Buffer | None = None
+        self._vertices: dict[moderngl.Program, moderngl.VertexArray] = {}
+
+    def choose(self, draw_list: DrawList, tints: NDArray[np.float32] | None = None) -> None:
+        """Upload which stars the next image shows, how far each is drawn, and the colours of all in a mosaic."""
+        self._of_scene[draw_list.index, 0] = draw_list.truncation_radius_px
+        self._of_scene[draw_list.index, 1] = draw_list.transmission
+        self._of_scene[draw_list.index, 2] = np.arange(len(draw_list))
+        self._of_scene_buffer.write(self._of_scene)
+        self._index.write(np.ascontiguousarray(draw_list.index))
+        if tints is not None:
+            if self._tints is None:
+                self._tints = self._context.buffer(reserve=tints.nbytes, dynamic=True)
+            self._tints.write(tints)
+
+    def vertices(self, program: moderngl.Program) -> moderngl.VertexArray:
+        """Return the chosen stars as the vertices of a program."""
+        if program not in self._vertices:
+            content: list[tuple[Any, ...]] = [
+                (self._stars, "3f 1f", "direction_eq", "brightness"),
+                (self._of_scene_buffer, "1f 1f 1f", "truncation_radius_px", "transmission", "passage_column"),
+            ]
+            if self._tints is not None and "tints_of_star" in program:
+                content.append((self._tints, "4f", "tints_of_star"))
+            self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self._index)
+        return self._vertices[program]
+
+    def release(self) -> None:
+        """Release the buffers."""
+        for vertices in self._vertices.values():
+            vertices.release()
+        self._vertices.clear()
+        for buffer in (self._index, self._of_scene_buffer, self._stars, self._tints):
+            if buffer is not None:
+                buffer.release()
+
+
+# Columns of the texture of all stars.
+STARS_PER_ROW: Final = 1024
+
+
+class StarTextures:
+    """The textures of those star fields that were drawn last.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._uploaded: list[tuple[StarField, moderngl.Texture]] = []
+
+    def of(self, stars: StarField) -> moderngl.Texture:
+        """Return the texture of a field: directions and brightness in rows of `STARS_PER_ROW`.
+
+        Parameters
+        ----------
+        stars : StarField
+
+        Returns
+        -------
+        moderngl.Texture
+            Until two other fields have been asked for.
+        """
+        known = [number for number, (field, _) in enumerate(self._uploaded) if field is stars]
+        if known:
+            self._uploaded.append(self._uploaded.pop(known[0]))
+            return self._uploaded[-1][1]
+        if (oldest := superseded_field([field for field, _ in self._uploaded], stars)) is not None:
+            self._uploaded.pop(oldest)[1].release()
+        packed = packed_stars(stars, multiple=STARS_PER_ROW)
+        texture = self._context.texture((STARS_PER_ROW, len(packed) // STARS_PER_ROW), 4, packed, dtype="f4")
+        texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        self._uploaded.append((stars, texture))
+        return texture
+
+    def release(self) -> None:
+        """Release the textures."""
+        while self._uploaded:
+            self._uploaded.pop()[1].release()
+
+
+# Columns of a list of numbers that is folded into a texture.
+PASSAGE_COLUMNS: Final = 1024
+
+
+class PassageTexture:
+    """A texture of one float32 per texel that grows with its content.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self.texture = self._made((1, 1))
+        self.write_table(np.ones((1, 1), np.float32))
+
+    def write_table(self, table: NDArray[np.float32]) -> None:
+        """Make the texture exactly this table, (rows, columns)."""
+        size = table.shape[1], table.shape[0]
+        if size != self.texture.size:
+            self.texture.release()
+            self.texture = self._made(size)
+        self.texture.write(np.ascontiguousarray(table, dtype=np.float32))
+
+    def write(self, values: NDArray[np.float32]) -> None:
+        """Fold the rows of a table, one after the other, into `PASSAGE_COLUMNS` columns; nothing of an empty one."""
+        if not values.size:
+            return
+        rows = -(-values.size // PASSAGE_COLUMNS)
+        folded = np.zeros(rows * PASSAGE_COLUMNS, np.float32)
+        folded[: values.size] = values.ravel()
+        self.write_table(folded.reshape(rows, PASSAGE_COLUMNS))
+
+    def _made(self, size: tuple[int, int]) -> moderngl.Texture:
+        texture = self._context.texture(size, 1, dtype="f4")
+        texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        return texture
+
+    def release(self) -> None:
+        """Release the texture."""
+        self.texture.release()
+
+
+# The three rows of C_camera_eq, the zenith and the observer's velocity, each in the first three components of a texel.
+TEXELS_PER_TIME: Final = 5
+
+
+def pointing_texels(pointing: Pointing, *, multiple: int = 1) -> NDArray[np.float32]:
+    """Return a pointing packed into texels.
+
+    Parameters
+    ----------
+    pointing : Pointing
+        At n times.
+    multiple : int
+        The number of rows is rounded up to a multiple of this; rows of zeros are behind the camera.
+
+    Returns
+    -------
+    (rows, 5, 4) float32
+        The fourth components are 0 and free for other data.
+    """
+    n = len(pointing)
+    texels = np.zeros((-(-n // multiple) * multiple, TEXELS_PER_TIME, 4), np.float32)
+    texels[:n, :3, :3] = pointing.C_camera_eq
+    texels[:n, 3, :3] = pointing.zenith_eq
+    texels[:n, 4, :3] = pointing.velocity_eq
+    return texels
+
+
+def projection_uniforms(camera: Camera, pointing: Pointing, guard_band_px: int) -> dict[str, Any]:
+    """Return the uniforms of `projection.glsl` that do not depend on time.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole.
+    pointing : Pointing
+    guard_band_px : int
+        Width of the target's border around the image.
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "refraction_scale": pointing.refraction_scale,
+        "focal_px": (camera.fx_px, camera.fy_px),
+        "principal_px": (camera.cx_px, camera.cy_px),
+        "skew_px": camera.skew_px,
+        "guard_band_px": guard_band_px,
+    }
+
+
+Float = NDArray[np.float64]
+
+# Texture unit of the opening times behind a lens, above those of all other textures.
+_TEXTURE_UNIT: Final = 7
+# Distance between opening times behind a lens, px of the target: the distortion is smooth, and between them they are
+# interpolated linearly.
+_STEP_PX: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadoutClock:
+    """When the pixels of a target open.
+
+    Attributes
+    ----------
+    rows : int
+        The constant ROWS of the shaders: 0 for a global shutter, 1 for a pinhole, 2 behind a lens.
+    span : float
+        Time from the first opening to the last closing, in exposure times: 1 for a global shutter.
+    opening : tuple of float
+        Of ROWS 1: coefficients of x, y (coordinates of gl_FragCoord) and 1, fractions of the span.
+    per_px : float
+        Of a rolling shutter: bound of the change of the opening time per pixel of the target, a fraction of the span.
+    texture : moderngl.Texture or None
+        Of ROWS 2: the opening times.
+    times : (rows, columns) float64 or None
+        The same.
+    resampling_px2 : float
+        Behind a lens: variance that resampling will add to what is drawn, px^2 of the target.
+    """
+
+    rows: int = 0
+    span: float = 1.0
+    opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    per_px: float = 0.0
+    texture: moderngl.Texture | None = None
+    times: Float | None = None
+    resampling_px2: float = 0.0
+
+    def openings(self, guard_band_px: int, sigma_px: float) -> PixelOpenings | None:
+        """Return when the pixels of the image open that the target is drawn for.
+
+        Parameters
+        ----------
+        guard_band_px : int
+            Width of the target's border around that image.
+        sigma_px : float
+            Standard deviation of the stars that are drawn, px of the target.
+
+        Returns
+        -------
+        PixelOpenings or None
+            None for a global shutter.
+        """
+        if not self.rows:
+            return None
+        reach = 1 + self.resampling_px2 / sigma_px**2
+        return PixelOpenings(1 / self.span, self.per_px, reach, lambda xy_px: self._at(xy_px + (guard_band_px + 0.5)))
+
+    def _at(self, position_px: Float) -> Float:
+        """Return the opening times at positions as of gl_FragCoord, (n,): opening_at of readout.glsl."""
+        if self.times is None:
+            return np.asarray(position_px @ self.opening[:2] + self.opening[2])
+        last = np.array(self.times.shape)[::-1] - 1
+        at = np.nan_to_num(position_px / _STEP_PX).clip(0, last)
+        column, row = np.minimum(at.astype(np.intp), last - 1).T
+        right, down = at[:, 0] - column, at[:, 1] - row
+        upper, lower = (
+            (1 - right) * self.times[row + k, column] + right * self.times[row + k, column + 1] for k in (0, 1)
+        )
+        return np.asarray((1 - down) * upper + down * lower)
+
+    def bind(self, program: moderngl.Program, sigma_px: float) -> None:
+        """Set those uniforms of readout.glsl that a program has, and use the texture.
+
+        Parameters
+        ----------
+        program : moderngl.Program
+        sigma_px : float
+            Standard deviation of the stars that it draws, px of the target.
+        """
+        if not self.rows:
+            return
+        uniforms: dict[str, float | tuple[float, ...]] = {"open_time": 1 / self.span}
+        if self.texture is None:
+            uniforms["opening"] = self.opening
+        else:
+            self.texture.use(_TEXTURE_UNIT)
+            uniforms |= {"openings": _TEXTURE_UNIT, "texel_per_px": 1 / _STEP_PX, "openings_size": self.texture.size}
+            uniforms |= {"opening_per_px": self.per_px, "resampling": self.resampling_px2 / sigma_px**2}
+        set_used_uniforms(program, **uniforms)
+
+
+GLOBAL_SHUTTER: Final = ReadoutClock()
+
+
+def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> ReadoutClock:
+    """Return when the pixels of a pinhole's target open.
+
+    Parameters
+    ----------
+    exposure : Exposure
+    camera : Camera
+    guard_band_px : int
+        Width of the target's border around the image.
+
+    Returns
+    -------
+    ReadoutClock
+    """
+    if exposure.readout_s == 0:
+        return GLOBAL_SHUTTER
+    per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
+    first_s -= (per_column_s + per_row_s) * (guard_band_px + 0.5)
+    opening = tuple(value_s / exposure.span_s for value_s in (per_column_s, per_row_s, first_s))
+    assert len(opening) == 3
+    per_px = float(np.hypot(opening[0], opening[1]))
+    return ReadoutClock(1, exposure.span_s / exposure.duration_s, opening, per_px)
+
+
+class LensOpenings:
+    """Opening times behind a lens: those of the distorted rows, over the target of the undistorted signal.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    camera : Camera
+        With a lens.
+    """
+
+    def __init__(self, context: moderngl.Context, camera: Camera) -> None:
+        self._context = context
+        self._camera = camera
+        self._key: tuple[object, ...] | None = None
+        self._clock = GLOBAL_SHUTTER
+
+    def clock(self, exposure: Exposure, undistorted: Camera, guard_band_px: int, resampling_px2: float) -> ReadoutClock:
+        """Return when the pixels of the undistorted target open.
+
+        Parameters
+        ----------
+        exposure : Exposure
+        undistorted : Camera
+            The pinhole that draws the target.
+        guard_band_px : int
+            Width of the target's border around the pinhole's image.
+        resampling_px2 : float
+            Variance that resampling adds to the undistorted signal, px^2 of its target.
+
+        Returns
+        -------
+        ReadoutClock
+            Valid until the next call.
+        """
+        if exposure.readout_s == 0:
+            return ReadoutClock(resampling_px2=resampling_px2)
+        key = undistorted, guard_band_px, exposure.duration_s, exposure.readout_s, exposure.readout
+        if self._key != key:
+            self.release()
+            self._clock = self._made(exposure, undistorted, guard_band_px)
+            self._key = key
+        return replace(self._clock, resampling_px2=resampling_px2)
+
+    def _made(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
+        camera = self._camera
+        size_px = (side + 2 * guard_band_px for side in (undistorted.width_px, undistorted.height_px))
+        columns, rows = (np.arange(-(-side // _STEP_PX) + 1) * _STEP_PX for side in size_px)
+        # The coordinates of gl_FragCoord.
+        grid = np.stack(np.meshgrid(columns, rows), axis=-1) - (guard_band_px + 0.5)
+        distorted = camera.project(self._within_limit(undistorted.unproject(grid)))
+        per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
+        opening = (distorted @ [per_column_s, per_row_s] + first_s) / exposure.span_s
+        texture = self._context.texture(
+            (len(columns), len(rows)), 1, np.ascontiguousarray(opening.astype(np.float32)), dtype="f4"
+        )
+        texture.filter = moderngl.LINEAR, moderngl.LINEAR
+        texture.repeat_x = texture.repeat_y = False
+        gradient = np.hypot(*(np.abs(np.diff(opening, axis=axis)).max() for axis in (0, 1))) / _STEP_PX
+        return ReadoutClock(
+            2,
+            exposure.span_s / exposure.duration_s,
+            per_px=float(gradient),
+            texture=texture,
+            times=opening,
+        )
+
+    def _within_limit(self, rays: Float) -> Float:
+        """Return directions (x, y, 1), those beyond the limit of the lens replaced by the nearest within it."""
+        assert self._camera.lens is not None
+        radius = np.hypot(rays[..., 0], rays[..., 1])
+        scale = np.minimum(1.0, 0.999 * self._camera.lens.limit / np.maximum(radius, 1e-9))
+        return np.concatenate([rays[..., :2] * scale[..., np.newaxis], rays[..., 2:]], axis=-1)
+
+    def release(self) -> None:
+        """Release the texture."""
+        if self._clock.texture is not None:
+            self._clock.texture.release()
+        self._clock, self._key = GLOBAL_SHUTTER, None

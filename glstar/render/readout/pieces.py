@@ -1,0 +1,325 @@
+"""Analytic trails in short pieces, each a Gaussian with the mean and the covariance of the star's motion during it.
+
+Where attitude is rough, the segments of `segmentation` are many and short, and most of the time goes into drawing their
+borders.  Pieces are as long as the point spread function allows, whatever the motion within them.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.camera.sensor.pointspread import TRUNCATION_DN
+from glstar.render.motion.trailmodels import AnalyticSegments, CameraPath, TrailPieces
+from glstar.render.readout.openings import EndPieces, PixelOpenings, end_pieces, open_pieces, open_spans
+from glstar.render.scene.bodies import BODIES
+from glstar.render.scene.occlusion import NEVER, rise_and_set
+from glstar.render.scene.scene import Scene
+from glstar.render.scene.starcomponents import drawn_peak_dn
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PieceLimits:
+    """How long pieces may be.
+
+    Attributes
+    ----------
+    length_sigma : float
+        Length of the path of a star during a piece, in standard deviations of the star as the pixels record it.
+        Gaussians at equal distances h along a line, each with the variance h^2 / 12 of its piece, add up to a line
+        with a ripple of 2 exp(-2 pi^2 (1 + h^2 / 12) / h^2): 0.01 % at 1.55.
+    skewness_error : float
+        Largest error of the flux due to the third moments of the motion during a piece, relative to its height.
+    kurtosis_error : float
+        Largest error due to the fourth cumulants.  It is at least that of a uniform motion over `length_sigma`, 0.42 %:
+        where a star moves on, neighbouring pieces make up for it; where it turns back, they do not.
+    halvings : int
+        How often a piece may be halved for these.
+    """
+
+    length_sigma: float = 1.55
+    skewness_error: float = 2e-3
+    kurtosis_error: float = 4.7e-3
+    halvings: int = 6
+
+    @property
+    def widening(self) -> float:
+        """How much wider a piece may be than a star at rest.
+
+        The variance of a position on a path of length l is at most l^2 / 4: of a star that is half of the time at
+        either end.
+        """
+        return float(np.sqrt(1 + self.length_sigma**2 / 4))
+
+    def reach_px(self, radius_px: Float, sigma_px: float) -> Float:
+        """Return how far from any position during a piece a star is drawn, (k,) px: parameters as of `sprite_px`."""
+        return np.asarray(radius_px * self.widening + self.length_sigma * sigma_px + SNAPPING_PX)
+
+    def sprite_px(self, radius_px: Float, sigma_px: float) -> Float:
+        """Return the largest side of the sprites of stars, px.
+
+        Parameters
+        ----------
+        radius_px : (k,) float64
+            Truncation radii.
+        sigma_px : float
+            Standard deviation of a star as the pixels record it, px.
+
+        Returns
+        -------
+        (k,) float64
+        """
+        path_px = PIECES_PER_SPRITE * self.length_sigma * sigma_px
+        return np.asarray(2 * radius_px * self.widening + path_px + 2 * SNAPPING_PX)
+
+
+@dataclass(frozen=True, slots=True)
+class PieceCosts:
+    """Where pieces cost less than segments, measured on Mesa llvmpipe with exposures of real flights.
+
+    Attributes
+    ----------
+    min_segments : int
+        The fewest segments.
+    pieces_per_segment : float
+        The most pieces per segment: twenty cost as much as one of the longest.
+    min_faint_sprites : float
+        Sprites that cost as much as pieces of another length, and their draw call.
+    """
+
+    min_segments: int = 6
+    pieces_per_segment: float = 18.0
+    min_faint_sprites: float = 1500.0
+
+
+PIECE_LIMITS: Final = PieceLimits()
+# Of stars whose trails are faint everywhere: a ripple of 1.3 %, third moments of 1 % and fourth cumulants of 1.8 % stay
+# below `TRUNCATION_DN`, as does the light that is left out around a star.
+FAINT_LIMITS: Final = PieceLimits(length_sigma=2.4, skewness_error=0.01, kurtosis_error=0.018)
+FAINT_PEAK_DN: Final = 40 * TRUNCATION_DN
+PIECE_COSTS: Final = PieceCosts()
+# Under a rolling shutter, the fewest pieces: one that is recorded in part is divided where segments end.
+FEWEST_PIECES: Final = 16
+# Pieces that one point sprite draws.
+PIECES_PER_SPRITE: Final = 4
+# Rasterizers snap points to a grid: rasterization.glsl.
+SNAPPING_PX: Final = 0.125
+# Segments whose transmission of cloud differs by more than this share no piece.
+_PASSAGE_STEP: Final = 0.02
+_NONE: Final = np.zeros(0, np.intp)
+
+
+class ScenePart(NamedTuple):
+    """Stars that are drawn in pieces of the same lengths.
+
+    Attributes
+    ----------
+    scene : Scene
+        With these stars.
+    pieces : TrailPieces
+    drawn : (2, k) intp or None
+        Under a rolling shutter, the first piece of each star that is recorded in full, and the one after the last; None
+        for all.
+    ends : EndPieces or None
+        Under a rolling shutter, the pieces of the same stars that are recorded in part.
+    """
+
+    scene: Scene
+    pieces: TrailPieces
+    drawn: NDArray[np.intp] | None = None
+    ends: EndPieces | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DividedScene:
+    """A scene whose stars are drawn in pieces, but for some.
+
+    Attributes
+    ----------
+    parts : tuple of ScenePart
+        The stars that are drawn in pieces: all of them, or bright and faint ones.
+    rest : Scene
+        Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
+        whose sprites would be larger than the driver draws.
+    """
+
+    parts: tuple[ScenePart, ...]
+    rest: Scene
+
+
+def in_pieces(
+    scene: Scene,
+    trails: AnalyticSegments,
+    costs: PieceCosts = PIECE_COSTS,
+    *,
+    largest_point_px: float = np.inf,
+    openings: PixelOpenings | None = None,
+) -> DividedScene | None:
+    """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
+
+    Parameters
+    ----------
+    scene : Scene
+    trails : AnalyticSegments
+        The scene's.
+    costs : PieceCosts, optional
+    largest_point_px : float, optional
+        The largest point sprite of the driver, px.
+    openings : PixelOpenings, optional
+        Of a rolling shutter.
+
+    Returns
+    -------
+    DividedScene or None
+        None too for stars so narrow that the area of a pixel is integrated over.
+    """
+    sensor, drawn = scene.sensor, scene.draw_list
+    if sensor.needs_erf or len(trails) < costs.min_segments:
+        return None
+    rises, sets = rise_and_set(trails, scene.stars.direction_eq[drawn.index]).T
+    is_up, is_faint = (rises == 0.0) & (sets == NEVER), _are_faint(scene)
+    path, parts, is_rest = CameraPath(trails, scene.camera), [], np.ones(len(drawn), np.bool_)
+    for of_part, limits in _classes(
+        trails.longest_trail_px(scene.camera), is_up, is_faint, sensor.effective_sigma_px, costs
+    ):
+        fits = limits.sprite_px(drawn.truncation_radius_px, sensor.effective_sigma_px) <= largest_point_px
+        fewest = 1 if openings is None else FEWEST_PIECES
+        part = _part(scene, path, of_part & fits, limits, costs, fewest)
+        if part is None:
+            return None
+        stars = np.flatnonzero(of_part & fits)
+        if openings is not None:
+            passage = None if drawn.passage is None else drawn.passage[stars]
+            recorded = _recorded(part, path, passage, limits, openings)
+            if recorded is None:
+                return None
+            part, is_recorded = recorded
+            stars = stars[is_recorded]
+        parts.append(part)
+        is_rest[stars] = False
+    return DividedScene(tuple(parts), replace(scene, draw_list=drawn[is_rest]))
+
+
+def _classes(
+    trail_px: float, is_up: NDArray[np.bool_], is_faint: NDArray[np.bool_], sigma_px: float, costs: PieceCosts
+) -> list[tuple[NDArray[np.bool_], PieceLimits]]:
+    """Return which stars are drawn in pieces of which lengths; faint ones as others where few sprites are saved."""
+    saved_per_px = (1 / PIECE_LIMITS.length_sigma - 1 / FAINT_LIMITS.length_sigma) / (sigma_px * PIECES_PER_SPRITE)
+    if np.count_nonzero(is_up & is_faint) * trail_px * saved_per_px < costs.min_faint_sprites:
+        return [(is_up, PIECE_LIMITS)]
+    classes = [(is_up & ~is_faint, PIECE_LIMITS), (is_up & is_faint, FAINT_LIMITS)]
+    return [one for one in classes if one[0].any()]
+
+
+def _are_faint(scene: Scene) -> NDArray[np.bool_]:
+    """Return whose trails are below `FAINT_PEAK_DN` everywhere, (k,); of the sources of a disc, which add up, none."""
+    drawn = scene.draw_list
+    if scene.stars.catalogue == BODIES:
+        return np.zeros(len(drawn), np.bool_)
+    peak_dn = scene.sensor.max_trail_peak_dn(drawn_peak_dn(scene), drawn.min_trail_px)
+    return np.asarray(peak_dn < FAINT_PEAK_DN)
+
+
+def _part(
+    scene: Scene, path: CameraPath, stars: NDArray[np.bool_], limits: PieceLimits, costs: PieceCosts, fewest: int
+) -> ScenePart | None:
+    """Return some stars in pieces; None where segments cost less."""
+    drawn, sigma_px = scene.draw_list[stars], scene.sensor.effective_sigma_px
+    most, divided_at = costs.pieces_per_segment * len(path), _unlike_segments(drawn.passage)
+    pieces = _divided(path, sigma_px, limits, most, divided_at, fewest)
+    if pieces is None:
+        return None
+    if drawn.passage is not None:
+        drawn = replace(drawn, passage=(drawn.passage @ pieces.of_segments).astype(np.float32))
+    return ScenePart(replace(scene, draw_list=drawn), pieces)
+
+
+def _recorded(
+    part: ScenePart,
+    path: CameraPath,
+    passage: NDArray[np.float32] | None,
+    limits: PieceLimits,
+    openings: PixelOpenings,
+) -> tuple[ScenePart, NDArray[np.bool_]] | None:
+    """Return the stars of a part of which pieces are recorded in full, with those recorded in part, and which they are.
+
+    `passage` is by segment.  None where stars may be as fast as a rolling shutter.
+    """
+    scene, pieces, sigma_px = part.scene, part.pieces, part.scene.sensor.effective_sigma_px
+    reach_px = openings.reach * limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
+    spans = open_spans(scene, reach_px, openings)
+    if spans is None:
+        return None
+    recorded = open_pieces(spans, path.times(pieces.bounds))
+    some = recorded.last > recorded.first
+    recorded, drawn = recorded.of(some), scene.draw_list[some]
+    ends = end_pieces(
+        path, pieces.bounds, np.arange(len(drawn)), recorded, passage if passage is None else passage[some]
+    )
+    full = np.stack([recorded.first, recorded.last])
+    return ScenePart(replace(scene, draw_list=drawn), pieces, full, ends), some
+
+
+def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:
+    """Return the segments that cloud dims otherwise than the segment before."""
+    if passage is None or not len(passage):
+        return np.zeros(0, np.intp)
+    return 1 + np.flatnonzero(np.abs(np.diff(passage, axis=1)).max(axis=0) > _PASSAGE_STEP)
+
+
+def trail_pieces(
+    trails: AnalyticSegments,
+    camera: Camera,
+    sigma_px: float,
+    limits: PieceLimits = PIECE_LIMITS,
+    *,
+    most: float = np.inf,
+    divided_at: NDArray[np.intp] = _NONE,
+) -> TrailPieces | None:
+    """Return the pieces of the trails of an exposure.
+
+    Parameters
+    ----------
+    trails : AnalyticSegments
+    camera : Camera
+        Behind a lens trails are drawn in the undistorted image plane.
+    sigma_px : float
+        Standard deviation of a star there as the pixels record it, px.
+    limits : PieceLimits, optional
+    most : float
+        The most pieces.
+    divided_at : (k,) intp
+        Segments before which pieces end.
+
+    Returns
+    -------
+    TrailPieces or None
+        None if there are more than `most`.
+    """
+    return _divided(CameraPath(trails, camera), sigma_px, limits, most, divided_at)
+
+
+def _divided(
+    path: CameraPath,
+    sigma_px: float,
+    limits: PieceLimits,
+    most: float,
+    divided_at: NDArray[np.intp],
+    fewest: int = 1,
+) -> TrailPieces | None:
+    """Return the pieces of a path, at least some: see `trail_pieces`."""
+    bounds = np.union1d(path.bounds_of_equal_lengths(limits.length_sigma * sigma_px, fewest), divided_at)
+    for _ in range(limits.halvings):
+        if len(bounds) - 1 > most:
+            return None
+        moments = path.moments(bounds)
+        skewness, kurtosis = path.errors(moments, sigma_px)
+        uneven = np.flatnonzero((skewness > limits.skewness_error) | (kurtosis > limits.kurtosis_error))
+        if not uneven.size:
+            break
+        bounds = np.insert(bounds, uneven + 1, (bounds[uneven] + bounds[uneven + 1]) / 2)
+    return path.pieces(moments)

@@ -1,0 +1,308 @@
+"""Stars in the band of a camera, and in the colours of its mosaic.
+
+A scene as a sum of scenes whose stars are plain Gaussians: how stars with wings are drawn.
+"""
+
+from dataclasses import replace
+from math import hypot
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.sensor.colourband import Channel, ColourBand
+from glstar.camera.sensor.pointspread import FAINTEST_COMPONENT_DN, PsfComponent
+from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
+from glstar.render.scene.culling import DrawList
+from glstar.render.scene.scene import Scene
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.photometry import USUAL_BV, brightness_ratio, magnitude_difference, star_colours
+
+_CHANNELS: Final[tuple[Channel, ...]] = ("r", "g", "b")
+_ALL: Final = slice(None)
+# The first of `channel_scenes`.
+FIRST_CHANNEL: Final = _CHANNELS[0]
+
+
+def colours_used(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
+    """Return the colours that stars are drawn with.
+
+    Parameters
+    ----------
+    stars : StarField
+    some : slice or (n,) int
+        Which of them.
+
+    Returns
+    -------
+    (n,) float64
+        B - V; 0.65 where it is unknown.
+    """
+    return np.nan_to_num(star_colours(stars, some), nan=USUAL_BV)
+
+
+# The field of a flight is uploaded once, so each of its scenes has the same object; it lives as long as the field of V
+# magnitudes that it was made of.
+_IN_BANDS: WeakKeyDictionary[StarField, dict[tuple[ColourBand, Channel | None], StarField]] = WeakKeyDictionary()
+
+
+def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None) -> StarField:
+    """Return stars with their magnitudes in the band of a camera.
+
+    Parameters
+    ----------
+    stars : StarField
+        With V magnitudes, or measured ones, which already are those of the camera's band.  Of a table of some stars,
+        the others have the magnitudes of the band.
+    colour : ColourBand
+    channel : {"r", "g", "b"} or None
+        A channel of the mosaic: with the brightness in its pixels, for a zero point of the mean of all pixels.
+
+    Returns
+    -------
+    StarField
+        The same object for the same arguments.
+    """
+    if colour.is_v or (channel is None and stars.measured_mag is not None and stars.is_measured is None):
+        return stars
+    made = _IN_BANDS.setdefault(stars, {})
+    if (colour, channel) not in made:
+        made[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel), is_measured=None)
+    return made[colour, channel]
+
+
+def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -> NDArray[np.float64]:
+    bv = colours_used(stars)
+    if channel is None:
+        of_band = stars.vmag + colour.magnitude_minus_v(bv)
+        return of_band if stars.is_measured is None else np.where(stars.is_measured, stars.camera_mag, of_band)
+    tint = colour.magnitude_minus_v(bv, channel) - colour.magnitude_minus_v(bv)
+    return stars.camera_mag + tint + magnitude_difference(colour.photons(channel))
+
+
+_TINTS: WeakKeyDictionary[StarField, dict[ColourBand, NDArray[np.float64]]] = WeakKeyDictionary()
+
+
+def _tints(stars: StarField, colour: ColourBand) -> NDArray[np.float64]:
+    """Return the flux of stars in the pixels of each channel over that in the mean of the mosaic's cells, (n, 3)."""
+    made = _TINTS.setdefault(stars, {})
+    if colour not in made:
+        magnitudes = np.stack([_magnitudes(stars, colour, channel) for channel in _CHANNELS], axis=-1)
+        made[colour] = brightness_ratio(magnitudes - stars.camera_mag[:, np.newaxis])
+    return made[colour]
+
+
+def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
+    """Return the flux of all stars in the pixels of a mosaic over that in the mean of its cells.
+
+    Parameters
+    ----------
+    scene : Scene
+    guard_band_px : int
+        Width of the target's border around the image.
+
+    Returns
+    -------
+    (n, 4) float32 or None
+        In pixels (even column, even row), (odd, even), (even, odd), (odd, odd) of the target; None without a mosaic.
+    """
+    colour = scene.sensor.colour
+    if colour.mosaic == "none":
+        return None
+    cells = [colour.channel_at(column - guard_band_px, row - guard_band_px) for row in (0, 1) for column in (0, 1)]
+    tints = _tints(scene.stars, colour)
+    through_air = _transmission_ratio(scene)
+    if through_air is not None:
+        tints = tints.copy()
+        tints[scene.draw_list.index] *= through_air
+    return np.ascontiguousarray(tints[:, [_CHANNELS.index(channel) for channel in cells]], dtype=np.float32)
+
+
+def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
+    """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    (k,) float64
+        In the mean of all light without a mosaic.
+    """
+    draw_list, sensor = scene.draw_list, scene.sensor
+    peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
+    if sensor.colour.mosaic == "none":
+        return peak_dn
+    tints, through_air = _tints(scene.stars, sensor.colour)[draw_list.index], _transmission_ratio(scene)
+    return np.asarray(peak_dn * (tints if through_air is None else tints * through_air).max(axis=1))
+
+
+def _extinction_over_mean(scene: Scene) -> dict[Channel, float] | None:
+    """Return the extinction in each channel over that in the mean of the mosaic's cells; None if all have the same."""
+    air, colour, height_m = scene.extinction, scene.sensor.colour, scene.site.height_m
+    if air is None or not air.by_channel or colour.mosaic == "none":
+        return None
+    mean_mag = air.zenith_mag(height_m)
+    if mean_mag == 0:
+        return None
+    return {one: air.at_wavelength(colour.wavelength_nm(one)).zenith_mag(height_m) / mean_mag for one in _CHANNELS}
+
+
+def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
+    """Return the air's transmission in each channel over that in the mean, of the drawn stars, (k, 3)."""
+    over_mean, extinction_mag = _extinction_over_mean(scene), scene.draw_list.extinction_mag
+    if over_mean is None or extinction_mag is None:
+        return None
+    more = np.array([over_mean[channel] - 1 for channel in _CHANNELS])
+    return brightness_ratio(extinction_mag[:, np.newaxis] * more)
+
+
+def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
+    """Return the scene as the pixels of each colour of a mosaic see it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose sensor has a mosaic.
+
+    Returns
+    -------
+    dict of str to Scene
+        By channel; their sensors have no mosaic.
+    """
+    over_mean = _extinction_over_mean(scene)
+    return {
+        channel: _of_channel(scene, channel, 1.0 if over_mean is None else over_mean[channel]) for channel in _CHANNELS
+    }
+
+
+def _of_channel(scene: Scene, channel: Channel, over_mean: float) -> Scene:
+    """Return the scene in one channel, whose extinction is that of the mean times a factor."""
+    colour, draw_list = scene.sensor.colour, _dimmed(scene.draw_list, over_mean)
+    stars = in_band(scene.stars, colour, channel)
+    peak_dn = scene.sensor.peak_dn(draw_list.observed_mag(stars), scene.exposure.duration_s)
+    analytic = isinstance(scene.trails, AnalyticSegments)
+    radius_px = scene.sensor.truncation_radius_px(peak_dn, draw_list.min_trail_px, renormalized=analytic)
+    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
+    bodies = scene.bodies
+    if bodies is not None:
+        dimmed = _dimmed(bodies.draw_list, over_mean)
+        bodies = replace(bodies, stars=in_band(bodies.stars, colour, channel), draw_list=dimmed)
+    effects = {key: value for key, value in scene.sensor.effects.items() if key != "sensor.mosaic"}
+    return replace(
+        scene,
+        stars=stars,
+        sensor=replace(scene.sensor, effects=effects),
+        draw_list=replace(draw_list, truncation_radius_px=radius_px),
+        bodies=bodies,
+        satellites=tuple(_of_channel(one, channel, over_mean) for one in scene.satellites),
+    )
+
+
+def _dimmed(draw_list: DrawList, over_mean: float) -> DrawList:
+    """Return a list with the extinction multiplied by a factor."""
+    if draw_list.extinction_mag is None or over_mean == 1:
+        return draw_list
+    return replace(draw_list, extinction_mag=draw_list.extinction_mag * over_mean)
+
+
+# Stars whose widths differ by less than this are drawn together: with the mean of their range, 1 % from each.
+_WIDTH_STEP: Final = 0.02
+
+
+def psf_scale(
+    scene: Scene, direction_eq: NDArray[np.float64], bv: NDArray[np.float64] | float = USUAL_BV
+) -> NDArray[np.float64]:
+    """Return the widths of stars over ``psf_sigma_px``, where they are in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (k, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+    bv : (k,) float64 or float
+        Colours B - V.
+
+    Returns
+    -------
+    (k,) float64
+        As drawn: in steps of 2 %.
+    """
+    psf, camera = scene.sensor.point_spread, scene.camera
+    if not psf.varies:
+        return np.ones(len(direction_eq))
+    centre_px = np.array([camera.cx_px, camera.cy_px])
+    xy_px = camera.project(scene.shutter[1:2].to_camera(direction_eq, below_horizon=True))[0]
+    half_diagonal_px = hypot(camera.width_px, camera.height_px) / 2
+    offset = (xy_px - centre_px) / half_diagonal_px
+    # A star that is behind the camera then, or far outside the image, touches it near a corner.
+    offset[np.isnan(offset).any(axis=1)] = 1.0
+    offset /= np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1.0)
+    scale = psf.scale_at(offset, bv)
+    steps = np.floor(np.log(scale) / np.log1p(_WIDTH_STEP))
+    return np.asarray((1 + _WIDTH_STEP) ** (steps + 0.5))
+
+
+def gaussian_scenes(scene: Scene) -> list[Scene]:
+    """Return scenes that add up to a scene, each with one circular Gaussian per star.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    list of Scene
+        The scene itself if its stars are plain Gaussians, and those of its bodies and satellites.  An offset of a
+        Gaussian is an offset of the principal point.
+    """
+    bodies = scene.body_scene
+    others = [*([] if bodies is None else [bodies]), *scene.satellites]
+    return [one for part in (scene, *others) for one in _split(part)]
+
+
+def _split(scene: Scene) -> list[Scene]:
+    """Return scenes that add up to the stars of a scene."""
+    psf = scene.sensor.point_spread
+    if psf.is_gaussian:
+        return [scene if scene.sensor.colour.mosaic == "none" else _with_radii(scene)]
+    scales = psf_scale(scene, scene.stars.direction_eq[scene.visible], colours_used(scene.stars, scene.visible))
+    made = []
+    for scale in np.unique(scales).tolist():
+        stars = scene.with_visible(scales == scale)
+        for component in psf.components(scene.sensor.psf_sigma_px, scale=scale):
+            one = _of_component(stars, component)
+            if len(one.draw_list):
+                made.append(one)
+    return made
+
+
+def _with_radii(scene: Scene) -> Scene:
+    """Return a scene of plain Gaussians, each drawn as far as its brightest colour of the mosaic demands."""
+    draw_list, sensor = scene.draw_list, scene.sensor
+    analytic = isinstance(scene.trails, AnalyticSegments)
+    radius_px = sensor.truncation_radius_px(drawn_peak_dn(scene), draw_list.min_trail_px, renormalized=analytic)
+    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
+    return replace(scene, draw_list=replace(draw_list, truncation_radius_px=radius_px))
+
+
+def _of_component(scene: Scene, component: PsfComponent) -> Scene:
+    sensor, camera, draw_list = scene.sensor.of_component(component), scene.camera, scene.draw_list
+    peak_dn = drawn_peak_dn(replace(scene, sensor=sensor))
+    trail_px = draw_list.min_trail_px
+    kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= FAINTEST_COMPONENT_DN
+    analytic = isinstance(scene.trails, AnalyticSegments)
+    radius_px = sensor.component_radius_px(peak_dn[kept], trail_px[kept], renormalized=analytic)
+    dx_px, dy_px = component.offset_px
+    if dx_px or dy_px:
+        camera = replace(camera, cx_px=camera.cx_px + dx_px, cy_px=camera.cy_px + dy_px)
+    stars = replace(draw_list[kept], truncation_radius_px=scene.camera.max_magnification * radius_px)
+    trails = scene.trails
+    if isinstance(trails, SubExposures):
+        trails = trails.for_sigma(scene.camera, sensor.effective_sigma_px)
+        group = len(scene.trails) // len(trails)
+        if stars.passage is not None and group > 1:
+            stars = replace(stars, passage=stars.passage_of_groups(group))
+    return replace(scene, sensor=sensor, camera=camera, draw_list=stars, trails=trails, bodies=None)

@@ -1,0 +1,220 @@
+"""Statistics of star trails over an exposure: how long each touches the image, where, and whether it saturates."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.render.motion.starpaths import ConicPaths, SampledPaths
+from glstar.render.readout.rows import RecordedPart, RecordedTimes, RowTimeSearch, recorded_parts, recorded_rows
+from glstar.render.scene.scene import Scene
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
+
+# Side of the cells in which saturated pixels are counted, px.
+_CELL_PX: Final = 32
+
+
+class TrailStatistics:
+    """Statistics of each visible star over the exposure, accumulated over blocks of times.
+
+    Attributes
+    ----------
+    touching, on_image : (k,) float64
+        Fractions of the exposure in which a star's flux and its centre lie on the image.
+    sum_xy : (2, k) float64
+        Integral of its position over the former.
+    saturated : (k,) bool
+        Whether one of the `pixels` under its centre is saturated (or True, if they are bool); False without pixels.
+    recorded : RecordedTimes or None
+        When a rolling shutter records each star; None for a global shutter.
+    """
+
+    def __init__(self, scene: Scene, pixels: Pixels | None = None, rows: RowTimeSearch | None = None) -> None:
+        count = len(scene.visible)
+        self.touching = np.zeros(count)
+        self.on_image = np.zeros(count)
+        self.sum_xy = np.zeros((2, count))
+        self.saturated = np.zeros(count, dtype=np.bool_)
+        self._nodes_px: list[Float] = []
+        saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
+        self.recorded = recorded_rows(scene, scene.visible, rows)
+        if self.recorded is not None:
+            self._add_recorded(scene, self.recorded, saturation)
+            return
+        for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
+            if isinstance(paths, ConicPaths):
+                self._nodes_px.append(paths.nodes_px)
+            bounds = paths.bounds_px
+            always, never = _constant(scene, bounds)
+            self.touching += paths.time_fraction.sum() * always
+            self.on_image += paths.time_fraction.sum() * always
+            self.sum_xy += np.where(always, paths.weighted_sum_px, 0.0)
+            self._add_samples(scene, paths, np.flatnonzero(~(always | never)))
+            if saturation is not None:
+                near = saturation.near(bounds)
+                for xy, _ in paths.samples(near):
+                    self.saturated[near] |= saturation.crossed_by(xy, scene.camera.contains(xy))
+
+    def _add_recorded(self, scene: Scene, times: RecordedTimes, saturation: "_SaturationMap | None") -> None:
+        """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
+        directions = scene.stars.direction_eq[scene.visible]
+        recorded = np.zeros(len(directions))
+        for part in recorded_parts(scene, directions, times):
+            recorded += part.recorded
+            stars, bounds = np.arange(len(directions)), part.paths.bounds_px
+            if isinstance(part.paths, ConicPaths):
+                if not scene.shorts:
+                    self._nodes_px.append(part.paths.nodes_px)
+                always, never = _constant(scene, bounds)
+                self._add_constant(part, always)
+                stars = np.flatnonzero(~(always | never))
+            self._add_recorded_samples(scene, part, stars)
+            if saturation is not None:
+                self._saturate(scene, part, saturation, saturation.near(bounds))
+        recorded = np.maximum(recorded, 1e-12)
+        self.touching /= recorded
+        self.on_image /= recorded
+        self.sum_xy /= recorded
+
+    def _add_constant(self, part: RecordedPart, stars: Mask) -> None:
+        """Add the paths of stars that are on the image all the time."""
+        assert isinstance(part.paths, ConicPaths)
+        integral_px = part.paths.integral_between(part.opens, part.closes)
+        self.touching += np.where(stars, part.recorded, 0.0)
+        self.on_image += np.where(stars, part.recorded, 0.0)
+        self.sum_xy += np.where(stars, part.scale * integral_px, 0.0)
+
+    def _add_recorded_samples(self, scene: Scene, part: RecordedPart, stars: NDArray[np.intp]) -> None:
+        """Add the sampled paths of some stars."""
+        radius_px = scene.listed.truncation_radius_px[stars]
+        for xy, _, weight in part.samples(stars):
+            touching, on_image = _parts_inside(scene.camera.distance_outside_px(xy), radius_px)
+            self.on_image[stars] += np.einsum("nm,nm->m", weight, on_image)
+            light = weight * touching
+            self.touching[stars] += light.sum(axis=0)
+            for axis, sums in enumerate(self.sum_xy):
+                sums[stars] += np.where(light > 0, light * xy[..., axis], 0.0).sum(axis=0)
+
+    def _saturate(
+        self, scene: Scene, part: RecordedPart, saturation: "_SaturationMap", stars: NDArray[np.intp]
+    ) -> None:
+        """Find which of some stars cross a saturated pixel while they are recorded."""
+        for xy, _, weight in part.samples(stars):
+            is_recorded = (weight > 0) & (scene.camera.distance_outside_px(xy) < 0)
+            self.saturated[stars] |= saturation.crossed_by(xy, is_recorded)
+
+    def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
+        """Add the sampled paths of stars that are on the image for a part of the time."""
+        radius_px = scene.listed.truncation_radius_px[stars]
+        is_at_rest = isinstance(paths, SampledPaths) and paths.is_at_rest
+        for xy, time_fraction in paths.samples(stars):
+            outside_px = scene.camera.distance_outside_px(xy)
+            touching, on_image = _parts_inside(outside_px, radius_px, is_at_rest=is_at_rest)
+            self.touching[stars] += time_fraction @ touching
+            self.on_image[stars] += time_fraction @ on_image
+            for axis, sums in enumerate(self.sum_xy):
+                sums[stars] += time_fraction @ np.where(touching > 0, touching * xy[..., axis], 0.0)
+
+    def chosen_nodes_px(self, stars: NDArray[np.intp]) -> Float | None:
+        """Return the `ConicPaths.nodes_px` of some stars over the whole exposure; None where paths are sampled."""
+        if not self._nodes_px:
+            return None
+        *pieces, last = (nodes.take(stars, axis=2) for nodes in self._nodes_px)
+        return np.concatenate([*(nodes[:, :-1] for nodes in pieces), last], axis=1) if pieces else last
+
+    @property
+    def centroid(self) -> Float:
+        """Mean position of each star while it touches the image, (k, 2) px; NaN if it never does."""
+        touching = np.where(self.touching > 0, self.touching, np.nan)
+        return (self.sum_xy / touching).T
+
+
+def _parts_inside(
+    outside_px: Float, radius_px: Float, *, is_at_rest: bool = False
+) -> tuple[Float | Mask, Float | Mask]:
+    """Return the parts of samples of paths, 0 to 1, that are within a radius of the image, and on it.
+
+    Parameters
+    ----------
+    outside_px : (n, m) float64
+        `Camera.distance_outside_px` of n consecutive samples; NaN where a star is not visible.
+    radius_px : (m,) float64
+    is_at_rest : bool
+        `SampledPaths.is_at_rest`.
+
+    Returns
+    -------
+    within, on_image : (n, m) float64 or bool
+
+    Notes
+    -----
+    A sample represents the path from halfway to the one before to halfway to the next, unless the star is at rest.
+    """
+    if is_at_rest or len(outside_px) == 1:
+        return outside_px < radius_px, outside_px < 0
+    # Beside a sample that is not visible, all of it or nothing.
+    step_px = np.maximum(np.nan_to_num(np.abs(np.gradient(outside_px, axis=0))), 1e-9)
+    inside = (np.clip(0.5 - (outside_px - border_px) / step_px, 0.0, 1.0) for border_px in (radius_px, 0.0))
+    hidden = np.isnan(outside_px)
+    within, on_image = (np.where(hidden, 0.0, part) for part in inside)
+    return within, on_image
+
+
+def _constant(scene: Scene, bounds_px: Float) -> tuple[Mask, Mask]:
+    """Return which stars are on the image all the time, and which never touch it: most are one or the other."""
+    never = _misses(scene.camera, bounds_px, scene.listed.truncation_radius_px)
+    return np.asarray(scene.camera.contains(bounds_px).all(axis=0)), never
+
+
+def _misses(camera: Camera, bounds_px: Float, radius_px: Float) -> Mask:
+    """Return which of m stars do not touch the image, given `SampledPaths.bounds_px` and truncation radii."""
+    low, high = bounds_px
+    size_px = np.array([camera.width_px, camera.height_px])
+    farthest_px = np.maximum(low - (size_px - 0.5), -0.5 - high).max(axis=1)
+    return np.asarray(farthest_px > radius_px)
+
+
+class _SaturationMap:
+    """Where an image is saturated, to find the stars whose centres cross a saturated pixel."""
+
+    def __init__(self, pixels: Pixels, saturation_dn: int) -> None:
+        saturation_dn = 1 if pixels.dtype == np.bool_ else saturation_dn
+        self._pixels, self._saturation_dn = pixels, saturation_dn
+        # Most rows have no saturated pixel.
+        rows = np.flatnonzero(pixels.max(axis=1) >= saturation_dn)
+        row_index, columns = np.divmod(np.flatnonzero(pixels[rows] >= saturation_dn), pixels.shape[1])
+        cells = np.zeros([side // _CELL_PX + 2 for side in pixels.shape], dtype=np.intp)
+        cells[rows[row_index] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
+        # Summed-area table: the number of cells with saturated pixels above and to the left of each.
+        self._area_sum = cells.cumsum(axis=0).cumsum(axis=1)
+
+    def near(self, bounds_px: Float) -> NDArray[np.intp]:
+        """Return which of m stars have saturated pixels in their bounds, (2, m, 2) px: `SampledPaths.bounds_px`."""
+        low, high = np.rint(bounds_px)
+        last = np.array(self._pixels.shape[::-1]) - 1
+        # A path that is NaN for some time may extend anywhere.
+        left, top = np.minimum(np.fmax(low, 0), last).astype(np.intp).T // _CELL_PX
+        right, bottom = np.maximum(np.fmin(high, last), 0).astype(np.intp).T // _CELL_PX + 1
+        area_sum = self._area_sum
+        return np.flatnonzero(
+            area_sum[bottom, right] - area_sum[top, right] - area_sum[bottom, left] + area_sum[top, left]
+        )
+
+    def crossed_by(self, xy: Float, on_image: Mask) -> Mask:
+        """Return which of m stars cross a saturated pixel, (m,).
+
+        Parameters
+        ----------
+        xy : (n, m, 2) float64
+            Positions (x, y) at n times, px.
+        on_image : (n, m) bool
+            Which of them lie on the image.
+        """
+        column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.intp) for axis in (0, 1))
+        row *= self._pixels.shape[1]
+        row += column
+        return np.asarray(((self._pixels.ravel().take(row) >= self._saturation_dn) & on_image).any(axis=0))

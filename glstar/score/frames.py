@@ -1,0 +1,438 @@
+"""The truth of one frame for scoring: attitudes at three instants, stars and site.
+
+The score of one frame: the errors of an answer against the truth.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cache
+from math import hypot
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from glstar.camera.distortion import Lens
+from glstar.camera.model import AttitudeError, Camera
+from glstar.errors import AnswersError
+from glstar.export.truth.lines import read_truth
+from glstar.rotation import euler_from_quaternion, fitted_rotation
+from glstar.score.answers import Answer, ObservedStars
+from glstar.sky.catalogue.reading import StarCatalogue
+from glstar.sky.place.apparent import direction, proper_motion
+from glstar.sky.place.site import Site, surface_offset_km
+from glstar.sky.place.timescale import parse_utc
+
+Float = NDArray[np.float64]
+
+# Keys of a frame's truth that describe the light and the cloud under which it was taken.
+CONDITIONS: Final = (
+    *("cloud_transmission", "moon_altitude_deg", "moon_illuminated_fraction", "moon_separation_deg"),
+    *("sun_altitude_deg", "sky_mag_arcsec2"),
+)
+
+_TRUTH: Final = "truth.jsonl"
+_MANIFEST: Final = "manifest.json"
+_J2000_UTC_S: Final = 946728000.0
+_JULIAN_YEAR_S: Final = 365.25 * 86400.0
+# Equivalent noise area of a Gaussian point spread function: 4 pi sigma^2; of a trail: 2 sqrt(pi) sigma for each pixel
+# of length.
+_WIDTH_PER_SIGMA: Final = 2 * np.sqrt(np.pi)
+# A rotation needs this many stars.
+_LEAST_STARS: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTruth:
+    """The truth of one frame.
+
+    Attributes
+    ----------
+    frame : int
+    file : str
+    utc_mid_s : float
+    duration_s : float
+    latitude_rad, longitude_rad, height_m : float
+    yaw_rad : float
+        Heading of the aircraft, mid-exposure, rad from north through east.
+    C_camera_icrs : (3, 3) float64
+        Mid-exposure.
+    camera : Camera
+    catalogue : str
+    star_id : (n,) int64
+    flux_dn : (n,) float64
+    xy_px : dict of str to (n, 2) float64
+        Positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if unknown.
+    is_detectable : (n,) bool
+        Stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
+    run : (str, int)
+        Name of the flight and number of the sample, in a data set: frames of one run follow each other.
+    settings : mapping
+        Settings of the sample of a sweep, by dotted key.
+    conditions : mapping of str to float
+        Those of `CONDITIONS` that the truth has, as far as they are simulated.
+    """
+
+    frame: int
+    file: str
+    utc_mid_s: float
+    duration_s: float
+    latitude_rad: float
+    longitude_rad: float
+    height_m: float
+    yaw_rad: float
+    C_camera_icrs: Float
+    camera: Camera
+    catalogue: str
+    star_id: NDArray[np.int64]
+    flux_dn: Float
+    xy_px: dict[str, Float]
+    is_detectable: NDArray[np.bool_]
+    run: tuple[str, int] = ("", 0)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def trail_length_px(self) -> float:
+        """Median length of the detectable stars' trails from start to end, px; 0 without stars."""
+        length = np.linalg.norm(self.xy_px["end"] - self.xy_px["start"], axis=1)[self.is_detectable]
+        return float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
+
+    def attitude(self, instant: str) -> Float | None:
+        """Return the rotation from ICRS to the camera at an instant of the exposure.
+
+        Parameters
+        ----------
+        instant : {"start", "middle", "end"}
+
+        Returns
+        -------
+        (3, 3) float64 or None
+            None at start and end of a frame with fewer than three stars.
+
+        Notes
+        -----
+        The truth has the attitude of mid-exposure. The attitudes at start and end follow from the rotation of the
+        stars' directions in the camera, in which refraction and aberration cancel except for their change.
+        """
+        if instant == "middle":
+            return self.C_camera_icrs
+        here, middle = self.directions(instant), self.directions("middle")
+        both = np.isfinite(here).all(axis=1) & np.isfinite(middle).all(axis=1)
+        if both.sum() < _LEAST_STARS:
+            return None
+        turned: Float = fitted_rotation(middle[both], here[both]) @ self.C_camera_icrs
+        return turned
+
+    def plain_fit(self, instant: str) -> Float | None:
+        """Return the rotation that fits catalogue directions to the true pixels, without refraction or aberration.
+
+        Parameters
+        ----------
+        instant : {"start", "middle", "end"}
+
+        Returns
+        -------
+        (3, 3) float64 or None
+            None if fewer than three detectable stars are on the image.
+        """
+        seen = self.directions(instant)
+        used = self.is_detectable & np.isfinite(seen).all(axis=1)
+        if used.sum() < _LEAST_STARS or not self.catalogue:
+            return None
+        return fitted_rotation(self._catalogue_directions()[used], seen[used])
+
+    def directions(self, instant: str) -> Float:
+        """Return the unit vectors in the camera frame of the stars' pixel positions, (n, 3)."""
+        return self.camera.unit_vectors(self.xy_px[instant])
+
+    def _catalogue_directions(self) -> Float:
+        """Return ICRS unit vectors of the stars with proper motion to the frame's epoch, (n, 3)."""
+        stars = _opened(self.catalogue).by_id(self.star_id.tolist())
+        years = (self.utc_mid_s - _J2000_UTC_S) / _JULIAN_YEAR_S
+        places = proper_motion(
+            stars.ra_rad, stars.dec_rad, stars.pm_ra_cosdec_rad_per_yr, stars.pm_dec_rad_per_yr, years
+        )
+        order = {number: k for k, number in enumerate(stars.star_id.tolist())}
+        ordered: Float = direction(*places)[[order[number] for number in self.star_id.tolist()]]
+        return ordered
+
+
+@cache
+def _opened(catalogue: str) -> Any:
+    return StarCatalogue.open(catalogue)
+
+
+def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
+    """Read the truth of an export.
+
+    Parameters
+    ----------
+    directory : Path
+        With ``truth.jsonl`` and ``manifest.json``, or the truth file itself.
+    least_snr : float
+        Signal-to-noise ratio from which a star is detectable: its flux over the noise of the sky under its trail.
+
+    Returns
+    -------
+    list of FrameTruth
+
+    Raises
+    ------
+    AnswersError
+        If there is no truth, or the manifest does not describe the sensor.
+    ExportError
+        If a line of the truth cannot be read.
+    """
+    truth = directory / _TRUTH if directory.is_dir() else directory
+    if not truth.is_file():
+        raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
+    sigma_px, noise_dn = _sensor(truth.parent / _MANIFEST)
+    frames = [_frame_truth(line, sigma_px, noise_dn, least_snr) for line in read_truth(truth)]
+    if not frames:
+        raise AnswersError(truth, "holds no frames")
+    return frames
+
+
+def _sensor(manifest: Path) -> tuple[float, float]:
+    """Return the point spread function's sigma, px, and the sky's noise, DN, of an export."""
+    try:
+        config = orjson.loads(manifest.read_bytes())
+        sensor = config.get("sensor") or config["config"]["sensor"]
+        # In electrons the noise depends on the exposure: each line of truth has it.
+        noise_dn = float("nan") if sensor.get("noise") == "electrons" else float(sensor["sky_std_dn"])
+        return float(sensor["psf_sigma_px"]), noise_dn
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise AnswersError(manifest, f"does not state the sensor's sigma and noise ({error})") from error
+
+
+def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, least_snr: float) -> FrameTruth:
+    stars = line["stars"]
+    xy_px = {
+        "middle": _positions([(star["x_px"], star["y_px"]) for star in stars]),
+        "centroid": _positions([(star["centroid_x_px"], star["centroid_y_px"]) for star in stars]),
+        "start": _positions([star["start"] or (None, None) for star in stars]),
+        "end": _positions([star["end"] or (None, None) for star in stars]),
+    }
+    flux_dn = np.array([star["flux_dn"] for star in stars], dtype=np.float64)
+    length_px = np.nan_to_num(np.linalg.norm(xy_px["end"] - xy_px["start"], axis=1))
+    width_px = _WIDTH_PER_SIGMA * sigma_px
+    if "sensor" in line:
+        of_frame = line["sensor"]
+        electrons_e2 = of_frame["sky_e"] + of_frame["dark_e"] + of_frame["read_noise_e"] ** 2
+        noise_dn = of_frame["dn_per_e"] * float(np.sqrt(electrons_e2))
+    snr = flux_dn / (noise_dn * np.sqrt(width_px * (length_px + width_px)))
+    in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
+    _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])
+    site = line["site"]
+    return FrameTruth(
+        line["frame"],
+        line["file"],
+        parse_utc(line["utc_mid"]),
+        line["duration_s"],
+        float(np.deg2rad(site["latitude_deg"])),
+        float(np.deg2rad(site["longitude_deg"])),
+        site["height_m"],
+        float(yaw_rad),
+        np.array(line["C_camera_icrs"], dtype=np.float64),
+        _camera(line["camera"]),
+        line["catalogue"],
+        np.array([star["star_id"] for star in stars], dtype=np.int64),
+        flux_dn,
+        xy_px,
+        (snr >= least_snr) & (in_frame >= 0.5),
+        (line.get("flight", ""), line.get("sample", 0)),
+        line.get("settings", {}),
+        {key: float(line[key]) for key in CONDITIONS if line.get(key) is not None},
+    )
+
+
+def _positions(pairs: list[tuple[float | None, float | None]]) -> Float:
+    return np.array(pairs, dtype=np.float64).reshape(-1, 2)
+
+
+def _camera(keys: Mapping[str, Any]) -> Camera:
+    K = np.array(keys["K"], dtype=np.float64)
+    lens = keys.get("lens", "none")
+    return Camera(
+        keys["width_px"],
+        keys["height_px"],
+        fx_px=K[0, 0],
+        fy_px=K[1, 1],
+        cx_px=K[0, 2],
+        cy_px=K[1, 2],
+        skew_px=K[0, 1],
+        lens=None if lens == "none" else Lens(lens, tuple(keys["distortion"])),
+    )
+
+
+_Float = NDArray[np.float64]
+
+
+class Outcome(StrEnum):
+    """The outcome of a frame.
+
+    ``SOLVED``: answered, within the limits; ``FALSE``: answered, with larger errors; ``REFUSED``: refused by the
+    navigator, or without an answer in the file.
+    """
+
+    SOLVED = "solved"
+    REFUSED = "refused"
+    FALSE = "false"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits beyond which an answer is false.
+
+    Attributes
+    ----------
+    boresight_rad : float
+        Error of the optical axis, rad.
+    position_km : float
+    star_px : float
+        Distance within which an observed star is the true one, px.
+    """
+
+    boresight_rad: float = float(np.deg2rad(1.0))
+    position_km: float = 200.0
+    star_px: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class PositionError:
+    """The error of a position.
+
+    Attributes
+    ----------
+    north_km, east_km : float
+    in_ellipse : bool or None
+        Whether the stated error ellipse contains the truth; None without an ellipse.
+    """
+
+    north_km: float
+    east_km: float
+    in_ellipse: bool | None
+
+    @property
+    def distance_km(self) -> float:
+        """Distance along the surface, km."""
+        return hypot(self.north_km, self.east_km)
+
+
+@dataclass(frozen=True, slots=True)
+class StarScore:
+    """The score of identified and measured stars.
+
+    Attributes
+    ----------
+    identified, correct : int
+        Stars with an identifier, and those with a correct identifier and position.
+    detectable, found : int
+        Detectable stars of the truth, and those of them that were identified correctly.
+    centroid_rms_px : float or None
+        RMS position error of the correct stars, px.
+    """
+
+    identified: int
+    correct: int
+    detectable: int
+    found: int
+    centroid_rms_px: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameScore:
+    """The score of one frame.
+
+    Attributes
+    ----------
+    truth : FrameTruth
+    answer : Answer or None
+    outcome : Outcome
+    attitude : AttitudeError or None
+    floor : AttitudeError or None
+        Error of a rotation fit to the true pixels, which is the error of a solver that ignores refraction and
+        aberration.
+    above_floor : AttitudeError or None
+        Error of the answer against that fit.
+    position : PositionError or None
+    stars : StarScore or None
+    """
+
+    truth: FrameTruth
+    answer: Answer | None
+    outcome: Outcome
+    attitude: AttitudeError | None = None
+    floor: AttitudeError | None = None
+    above_floor: AttitudeError | None = None
+    position: PositionError | None = None
+    stars: StarScore | None = None
+
+
+def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> FrameScore:
+    """Return the score of an answer to one frame.
+
+    Parameters
+    ----------
+    truth : FrameTruth
+    answer : Answer or None
+        None without an answer.
+    limits : Limits
+
+    Returns
+    -------
+    FrameScore
+    """
+    if answer is None or not answer.solved:
+        return FrameScore(truth, answer, Outcome.REFUSED)
+    attitude = floor = above_floor = None
+    if answer.C_camera_icrs is not None and (true := truth.attitude(answer.instant)) is not None:
+        attitude = AttitudeError.between(true, answer.C_camera_icrs)
+        if (plain := truth.plain_fit(answer.instant)) is not None:
+            floor = AttitudeError.between(true, plain)
+            above_floor = AttitudeError.between(plain, answer.C_camera_icrs)
+    position = _position_error(truth, answer)
+    stars = None if answer.stars is None else _star_score(truth, answer.stars, limits.star_px)
+    wrong = (
+        (attitude is not None and attitude.boresight_rad > limits.boresight_rad)
+        or (position is not None and position.distance_km > limits.position_km)
+        or (attitude is None and position is None and stars is not None and stars.correct * 2 < stars.identified)
+    )
+    outcome = Outcome.FALSE if wrong else Outcome.SOLVED
+    return FrameScore(truth, answer, outcome, attitude, floor, above_floor, position, stars)
+
+
+def _position_error(truth: FrameTruth, answer: Answer) -> PositionError | None:
+    """Return the error of a position."""
+    if answer.latitude_rad is None or answer.longitude_rad is None:
+        return None
+    true_site = Site(truth.latitude_rad, truth.longitude_rad)
+    north, east = surface_offset_km(true_site, answer.latitude_rad, answer.longitude_rad)
+    inside = None if answer.ellipse is None else answer.ellipse.contains(north, east)
+    return PositionError(north, east, inside)
+
+
+def _star_score(truth: FrameTruth, observed: ObservedStars, star_px: float) -> StarScore:
+    index = {number: k for k, number in enumerate(truth.star_id.tolist())}
+    true_px = truth.xy_px[observed.at]
+    squared, found = [], set()
+    for xy, number in zip(observed.xy_px, observed.star_id.tolist(), strict=True):
+        k = index.get(number)
+        if k is None:
+            continue
+        distance_px = float(np.hypot(*(xy - true_px[k])))
+        if distance_px <= star_px:
+            squared.append(distance_px**2)
+            found.add(k)
+    detectable = np.flatnonzero(truth.is_detectable)
+    return StarScore(
+        identified=int((observed.star_id >= 0).sum()),
+        correct=len(squared),
+        detectable=detectable.size,
+        found=len(found & set(detectable.tolist())),
+        centroid_rms_px=float(np.sqrt(np.mean(squared))) if squared else None,
+    )

@@ -1,0 +1,1 @@
+"""What the air does to light: refraction, extinction, scintillation, sky brightness, twilight, clouds."""

@@ -1,0 +1,280 @@
+"""Extinction: how much light the air above an aircraft absorbs and scatters, by altitude and height.
+
+Green 1992 (International Comet Quarterly 14, 55) after Hayes & Latham 1975 has three
+parts: scattering by the air (Rayleigh), by aerosol, and absorption by ozone above all aircraft.  His are those of
+510 nm, which the eye sees best at night; each part has its own law of wavelength.
+
+Scintillation: the brightness of stars seen through turbulent air by a small lens, as a log-normal process.
+"""
+
+from dataclasses import dataclass, replace
+from math import exp, expm1, tanh
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float = NDArray[np.float64]
+
+# Height in which the pressure falls to 1/e, m, and the pressure at sea level, hPa: Green 1992.
+_PRESSURE_SCALE_M: Final = 7996.0
+_SEA_LEVEL_HPA: Final = 1013.25
+
+# Wavelength of Green's parts, nm.
+EYE_NM: Final = 510.0
+# Power of the aerosol's extinction over the wavelength: Hayes & Latham 1975.
+_AEROSOL_POWER: Final = -1.3
+# Absorption of ozone's Chappuis band by wavelength, 1e-21 cm^2 at 243 K: Serdyuchenko et al. 2014 (Atmospheric
+# Measurement Techniques 7, 625), rounded to 5 %, which is 0.002 mag.
+_OZONE_NM: Final = (420.0, 440.0, 460.0, 480.0, 500.0, 510.0, 525.0, 550.0, 575.0, 600.0, 625.0, 650.0, 700.0)
+_OZONE: Final = (0.03, 0.13, 0.36, 0.72, 1.24, 1.60, 2.20, 3.40, 4.75, 5.12, 4.05, 2.60, 0.95)
+
+
+@dataclass(frozen=True, slots=True)
+class Extinction:
+    """Extinction by the air above an observer.
+
+    Attributes
+    ----------
+    rayleigh_mag : float
+        Of the air at sea level, per air mass, mag: 0.1451 at 510 nm, the eye's night vision, by Green; 0.105
+        at 550 nm.
+    aerosol_mag : float
+        Of the aerosol at sea level, per air mass, mag: 0.05 in very clear air, 0.120 usual, 0.3 in haze.
+    aerosol_scale_m : float
+        Height in which the aerosol falls to 1/e, m.
+    ozone_mag : float
+        Of the ozone, per air mass, mag.
+    pressure_hpa : float or None
+        Pressure at the observer, which the air's part is proportional to; None for that of the standard atmosphere at
+        the observer's height.
+    wavelength_nm : float
+        Of the three parts.
+    by_channel : bool
+        Whether the channels of a mosaic have the extinction of their own wavelengths.
+    """
+
+    rayleigh_mag: float = 0.1451
+    aerosol_mag: float = 0.120
+    aerosol_scale_m: float = 1500.0
+    ozone_mag: float = 0.016
+    pressure_hpa: float | None = None
+    wavelength_nm: float = EYE_NM
+    by_channel: bool = False
+
+    def at_wavelength(self, wavelength_nm: float) -> "Extinction":
+        """Return the extinction at another wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            From 420 to 700 nm.
+
+        Returns
+        -------
+        Extinction
+
+        Notes
+        -----
+        Scattering by the air: Bodhaine et al. 1999 (Journal of Atmospheric and Oceanic Technology 16, 1854), eq. (30).
+        Aerosol: wavelength^-1.3.  Ozone: Serdyuchenko et al. 2014.
+        """
+        new, old = wavelength_nm, self.wavelength_nm
+        ozone = np.interp([new, old], _OZONE_NM, _OZONE)
+        return replace(
+            self,
+            rayleigh_mag=self.rayleigh_mag * _rayleigh_optical_depth(new) / _rayleigh_optical_depth(old),
+            aerosol_mag=self.aerosol_mag * (new / old) ** _AEROSOL_POWER,
+            ozone_mag=self.ozone_mag * float(ozone[0] / ozone[1]),
+            wavelength_nm=new,
+        )
+
+    def rayleigh_at_mag(self, height_m: float) -> float:
+        """Return the part of the air per air mass at a height, mag.
+
+        Parameters
+        ----------
+        height_m : float
+            Height above sea level, m.
+
+        Returns
+        -------
+        float
+        """
+        if self.pressure_hpa is not None:
+            return self.rayleigh_mag * self.pressure_hpa / _SEA_LEVEL_HPA
+        return self.rayleigh_mag * exp(-height_m / _PRESSURE_SCALE_M)
+
+    def aerosol_at_mag(self, height_m: float) -> float:
+        """Return the part of the aerosol per air mass at a height, mag.
+
+        Parameters
+        ----------
+        height_m : float
+            Height above sea level, m.
+
+        Returns
+        -------
+        float
+        """
+        return self.aerosol_mag * exp(-height_m / self.aerosol_scale_m)
+
+    def zenith_mag(self, height_m: float) -> float:
+        """Return the extinction per air mass, which is that of the zenith, mag.
+
+        Parameters
+        ----------
+        height_m : float
+            Height above sea level, m.
+
+        Returns
+        -------
+        float
+
+        Notes
+        -----
+        Green 1992, eqs (2) to (4).
+        """
+        return self.rayleigh_at_mag(height_m) + self.aerosol_at_mag(height_m) + self.ozone_mag
+
+
+def _rayleigh_optical_depth(wavelength_nm: float) -> float:
+    """Return the optical depth of the air above the sea: Bodhaine et al. 1999, eq. (30)."""
+    squared = (wavelength_nm / 1000) ** 2
+    numerator = 1.0455996 - 341.29061 / squared - 0.90230850 * squared
+    return 0.0021520 * numerator / (1 + 0.0027059889 / squared - 85.968563 * squared)
+
+
+def air_mass(sine_apparent_altitude: ArrayLike) -> Float:
+    """Return the air mass: the air along a line of sight over that towards the zenith.
+
+    Parameters
+    ----------
+    sine_apparent_altitude : (...) array_like
+        Sine of the altitude with refraction.  Below the horizontal, the horizontal's air mass (40) is returned.
+
+    Returns
+    -------
+    (...) float64
+
+    Notes
+    -----
+    Rozenberg 1966, as in Green 1992: X = 1 / (s + 0.025 exp(-11 s)).
+    """
+    s = np.maximum(np.asarray(sine_apparent_altitude, dtype=np.float64), 0.0)
+    return np.asarray(1 / (s + 0.025 * np.exp(-11 * s)))
+
+
+# Relative standard deviation at the zenith at sea level through lenses below 5 cm, at once: Dravins and others 1997,
+# PASP 109, 173.
+SMALL_LENS_RMS: Final = 0.38
+# Of the air mass, for such lenses; 1.5 to 1.75 is for large telescopes (the same).
+_AIR_MASS_POWER: Final = 0.92
+# Height in which it falls to 1/e, m: Young 1967.
+_SCALE_HEIGHT_M: Final = 8000.0
+# Time in which the brightness is correlated, s: half a second averages 0.38 to 0.048, as measured.
+_CORRELATION_S: Final = 0.004
+# Multipliers of the hash splitmix64.
+_GOLDEN, _MIX_1, _MIX_2 = (np.uint64(number) for number in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+
+
+@dataclass(frozen=True, slots=True)
+class Scintillation:
+    """Scintillation over a site.
+
+    Attributes
+    ----------
+    zenith_rms : float
+        Relative standard deviation of the brightness of a star at the zenith at sea level, at once.
+    seed : int
+        Another number, other variations.
+    """
+
+    zenith_rms: float
+    seed: int = 0
+
+    def rms(self, sine_apparent_altitude: ArrayLike, height_m: float) -> Float:
+        """Return the relative standard deviation of the brightness of stars at once.
+
+        Parameters
+        ----------
+        sine_apparent_altitude : (...) array_like
+            Sines of altitudes with refraction.
+        height_m : float
+            Of the observer.
+
+        Returns
+        -------
+        (...) float64
+        """
+        at_zenith = self.zenith_rms * exp(-max(height_m, 0.0) / _SCALE_HEIGHT_M)
+        return np.asarray(at_zenith * air_mass(sine_apparent_altitude) ** _AIR_MASS_POWER)
+
+    def mean_factors(self, rms: Float, star_id: NDArray[np.int32], utc_s: float, duration_s: float) -> Float:
+        """Return the mean relative brightness of stars over an exposure.
+
+        Parameters
+        ----------
+        rms : (m,) float64
+            Of each star, see `rms`.
+        star_id : (m,) int
+        utc_s : float
+            Start of the exposure.
+        duration_s : float
+
+        Returns
+        -------
+        (m,) float64
+            Log-normal, with the mean 1.
+        """
+        steps = duration_s / _CORRELATION_S
+        # The variance of the mean of a process with exponential correlation.
+        part = 2 * (steps + expm1(-steps)) / (steps * steps)
+        return np.asarray(_log_normal(rms * part**0.5, self._normal(star_id, utc_s, 1))[0])
+
+    def factors(self, rms: Float, star_id: NDArray[np.int32], utc_s: float, duration_s: float, times: int) -> Float:
+        """Return the relative brightness of stars at some times of an exposure.
+
+        Parameters
+        ----------
+        rms, star_id, utc_s, duration_s
+            As for `mean_factors`.
+        times : int
+            Number of equidistant times from the start to the end, n.
+
+        Returns
+        -------
+        (n, m) float64
+            A process with exponential correlation.  For longer steps than that it is averaged, so that the mean
+            over the exposure has the right variance.
+        """
+        steps = duration_s / (times - 1) / _CORRELATION_S
+        kept = exp(-steps)
+        normal = self._normal(star_id, utc_s, times)
+        for k in range(1, times):
+            normal[k] = kept * normal[k - 1] + (1 - kept * kept) ** 0.5 * normal[k]
+        return _log_normal(rms * (2 / steps * tanh(steps / 2)) ** 0.5, normal)
+
+    def _normal(self, star_id: NDArray[np.int32], utc_s: float, times: int) -> Float:
+        """Return numbers of a unit normal distribution, (times, m), which depend on star, exposure and seed only."""
+        frame = np.uint64(round(utc_s * 1e6) & (2**64 - 1))
+        of_seed = _hashed(np.array([self.seed], np.uint64) + _hashed(np.array([frame])))
+        of_star = _hashed(np.asarray(star_id, np.int64).astype(np.uint64) ^ of_seed)
+        k = np.arange(2 * times, dtype=np.uint64)[:, np.newaxis]
+        uniform = (_hashed(of_star + k * _GOLDEN) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+        radius = np.sqrt(-2 * np.log(1 - uniform[:times]))
+        return np.asarray(radius * np.cos(2 * np.pi * uniform[times:]))
+
+
+def _log_normal(rms: Float, normal: Float) -> Float:
+    """Return log-normal numbers of mean 1 and some standard deviations, given unit normal ones."""
+    variance = np.log1p(rms * rms)
+    return np.asarray(np.exp(np.sqrt(variance) * normal - variance / 2))
+
+
+def _hashed(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return the hash splitmix64 of numbers, modulo 2**64."""
+    z = numbers + _GOLDEN
+    z = (z ^ (z >> np.uint64(30))) * _MIX_1
+    z = (z ^ (z >> np.uint64(27))) * _MIX_2
+    return np.asarray(z ^ (z >> np.uint64(31)))

@@ -1,0 +1,160 @@
+"""TODO glstar.sky.air.refraction."""
+
+from math import sin
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glstar.sky.place.horizon import Float
+from glstar.sky.place.site import STANDARD_PRESSURE_HPA
+
+# Eq. (25) is a fit for higher altitudes, rad: below, it decreases again, and it is singular at -5.11 deg.
+LOWEST_ALTITUDE_RAD: Final = np.deg2rad(-1.0)
+# Margin of a cone in unrefracted directions, rad: refraction is at most 0.7 deg, and aberration 0.01 deg.
+MAX_REFRACTION_RAD: Final = np.deg2rad(1.0)
+
+# Meeus's constant, ', which makes the refraction at the zenith zero; eq. (25) gives -0.116" there.
+_ZENITH_ARCMIN = 0.0019279
+
+_ARCMIN_RAD = np.pi / 10800
+
+
+def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:
+    """Return the refraction of air divided by that of standard air.
+
+    Parameters
+    ----------
+    pressure_hpa : float
+        Pressure at the observer, hPa.
+    temperature_c : float
+        Temperature at the observer, degrees Celsius.
+
+    Returns
+    -------
+    float
+        1 at 1010 hPa and 10 degrees.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (28).
+    """
+    return pressure_hpa / STANDARD_PRESSURE_HPA * 283 / (273 + temperature_c)
+
+
+def refraction_rad(altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
+    """Return the refraction of a true altitude: the apparent altitude minus the true altitude.
+
+    Parameters
+    ----------
+    altitude_rad : (...) array_like
+        True altitude, rad.  Below -1 deg, the refraction of -1 deg is returned.
+    scale : float
+        The result of `refraction_scale` for the air.
+
+    Returns
+    -------
+    (...) float64
+        rad.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (25); Meeus, eq. (16.4).  Departs from eq. (25): 0.0019279' are added, which makes the
+    refraction at the zenith zero; and the formula is used down to -1 deg only, because it is singular at -5.11 deg and
+    would raise stars from below the horizon.
+    """
+    altitude_deg = np.rad2deg(np.maximum(np.asarray(altitude_rad, dtype=np.float64), LOWEST_ALTITUDE_RAD))
+    arcmin = 1.02 / np.tan(np.deg2rad(altitude_deg + 10.3 / (altitude_deg + 5.11))) + _ZENITH_ARCMIN
+    return scale * arcmin * _ARCMIN_RAD
+
+
+def bennett_refraction_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
+    """Return Bennett's refraction of an apparent altitude, for correcting observations.
+
+    Parameters
+    ----------
+    apparent_altitude_rad : (...) array_like
+        Apparent altitude, rad; at least 0.
+    scale : float
+        The result of `refraction_scale` for the air.
+
+    Returns
+    -------
+    (...) float64
+        rad.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (27).  It inverts eq. (25) as printed within 3.7", and `refraction_rad` within 3.8";
+    `true_altitude_rad` is the exact inverse.
+    """
+    altitude_deg = np.rad2deg(np.asarray(apparent_altitude_rad, dtype=np.float64))
+    return scale * _ARCMIN_RAD / np.tan(np.deg2rad(altitude_deg + 7.31 / (altitude_deg + 4.4)))
+
+
+def true_altitude_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
+    """Return the true altitude of an apparent altitude: the exact inverse of `refraction_rad`.
+
+    Parameters
+    ----------
+    apparent_altitude_rad : (...) array_like
+        Apparent altitude, rad.
+    scale : float
+        The result of `refraction_scale` for the air.
+
+    Returns
+    -------
+    (...) float64
+        rad.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (26) solved for its altitude.
+    """
+    apparent = np.asarray(apparent_altitude_rad, dtype=np.float64)
+    true = apparent
+    # Fixed-point iteration: each step reduces the error by a factor below 0.4, even in the densest air at the horizon.
+    for _ in range(40):
+        true = apparent - refraction_rad(true, scale)
+    return true
+
+
+def refraction_displacement(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
+    """Return the multiple of the zenith vector that refraction adds to the unit vector of a star.
+
+    A rotation of a unit vector u towards the zenith by the refraction R gives the direction of u + q zenith, with
+    q = sin R / cos(h + R).
+
+    Parameters
+    ----------
+    sine_altitude : (...) array_like
+        Sine of the true altitude: u . zenith.  Below sin(-1 deg), the value at sin(-1 deg) is returned.
+    scale : float
+        The result of `refraction_scale` for the air; 0 for no refraction.
+
+    Returns
+    -------
+    (...) float64
+        q, dimensionless.
+
+    Notes
+    -----
+    A rational fit to Teague & Chahl, eqs (25), (26), to 0.002" down to -1 deg; `star.vert` has the same.
+    """
+    s = np.maximum(np.asarray(sine_altitude, dtype=np.float64), sin(LOWEST_ALTITUDE_RAD))
+    # Horner's rule in place: 8.431267579e-3 + s (9.001200823e-2 - 5.085505610e-2 s), and so on.
+    above = _horner(s, -5.085505610e-2, 9.001200823e-2, 8.431267579e-3)
+    above /= _horner(s, -171.7474067, 303.4601537, 27.89442102, 1.0)
+    above *= scale
+    return above
+
+
+def _horner(s: Float, *coefficients: float) -> Float:
+    """Return the value of a polynomial; coefficients from the highest power down."""
+    first, second, *others = coefficients
+    value = s * first
+    value += second
+    for coefficient in others:
+        value *= s
+        value += coefficient
+    return value

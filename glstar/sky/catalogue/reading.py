@@ -1,0 +1,519 @@
+"""Star catalogues: mean places at J2000, proper motions, parallaxes and magnitudes of stars.
+
+A catalogue is one SQLite file with indices for searches by magnitude and by direction::
+
+    catalogue = StarCatalogue.open("bsc5")                    # or "hipparcos", or a file
+    catalogue.brighter_than(6.5)                              # a StarCatalogue of 8404 stars
+    catalogue.within(direction, radius_rad, vmag=6.5)         # those within a cone
+    catalogue.by_id([2491, 2326])                             # Sirius and Canopus
+
+`CatalogueFile` is a catalogue on disk; `StarCatalogue` holds the stars of a query as arrays in memory.  The file is
+opened for each query and closed after it, so any thread may query it and nothing has to be closed.
+`glstar.sky.catalogue.bright` writes catalogue files.
+
+Names of star catalogues, where their files are, and how their stars are numbered.
+"""
+
+import hashlib
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from platformdirs import user_data_path
+
+from glstar.errors import CatalogueError
+from glstar.system.resources import asset
+
+NAMES = ("bsc5", "hipparcos", "tycho2", "gaia")
+ALL_NAMES = f"{', '.join(NAMES[:-1])} or {NAMES[-1]}"
+# The prefix of a star's number in each catalogue, as SIMBAD writes it: HR 2491, HIP 32349, TYC 1-8-1.
+PREFIXES = {"bsc5": "HR", "hipparcos": "HIP", "tycho2": "TYC", "gaia": "Gaia row"}
+# A Tycho number, TYC a-b-c, as one number below 2^31: a * 200000 + b * 10 + c; b is at most 12121, c at most 3.
+_TYC_FIRST, _TYC_SECOND = 200_000, 10
+
+
+def star_label(catalogue: str, star_id: int) -> str:
+    """Return a star's designation by its number.
+
+    Parameters
+    ----------
+    catalogue : str
+        ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown.
+    star_id : int
+        The star's number in that catalogue.
+
+    Returns
+    -------
+    str
+        Such as ``"HR 2491"``; ``"star 2491"`` if the catalogue is unknown.
+    """
+    if catalogue == "tycho2":
+        first, rest = divmod(int(star_id), _TYC_FIRST)
+        return f"TYC {first}-{rest // _TYC_SECOND}-{rest % _TYC_SECOND}"
+    return f"{PREFIXES.get(catalogue, 'star')} {star_id}"
+
+
+def tycho_number(text: str) -> int:
+    """Return the number of a Tycho star in a catalogue file.
+
+    Parameters
+    ----------
+    text : str
+        ``"a b c"`` or ``"a-b-c"``, the three numbers of TYC.
+
+    Returns
+    -------
+    int
+        a * 200000 + b * 10 + c.
+    """
+    first, second, third = map(int, text.replace("-", " ").split())
+    return first * _TYC_FIRST + second * _TYC_SECOND + third
+
+
+def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """Return the path of a catalogue, whether or not the file exists.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        ``"bsc5"``: bundled with glstar; ``"hipparcos"``, ``"tycho2"``, ``"gaia"``: in the user's data directory, or in
+        the directory of the environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
+
+    Returns
+    -------
+    pathlib.Path
+    """
+    if name_or_path == "bsc5":
+        return asset("bsc5.sqlite")
+    if name_or_path in NAMES:
+        moved = os.environ.get("GLSTAR_DATA_DIR")
+        return (Path(moved) if moved else user_data_path("glstar", appauthor=False)) / f"{name_or_path}.sqlite"
+    return Path(name_or_path)
+
+
+Float = NDArray[np.float64]
+
+# The header of a catalogue file has "glst" in ASCII as its application ID, and the version of the tables as its user
+# version: 1 without parallaxes and radial velocities, 2 with them.
+APPLICATION_ID = 0x676C7374
+SCHEMAS = (1, 2)
+
+# Margin of the box around a cone, rad (0.2 mas), so that rounding excludes no star; the cone itself is exact.
+_MARGIN_RAD = 1e-9
+
+# Number of rows that are held as Python objects at once.
+_ROWS_AT_ONCE = 100_000
+
+# Number of stars per query: SQLite limits the parameters of a statement to 999 in older versions.
+_NUMBERS_AT_ONCE = 500
+
+_COLUMNS = """
+    SELECT number, name, designation, ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, vmag, bv,
+"""
+# The last columns of a row, by the version of the tables.
+_DISTANCES = {1: "0.0, 0.0 FROM star ", 2: "parallax_rad, radial_velocity_m_per_s FROM star "}
+_BOX = "WHERE ra_rad BETWEEN ? AND ? AND dec_rad BETWEEN ? AND ? AND vmag <= ?"
+_BRIGHTER_THAN = "INDEXED BY star_vmag WHERE vmag <= ? ORDER BY vmag, number"
+_WITHIN_BY_RA = "INDEXED BY star_ra_dec_vmag " + _BOX
+_WITHIN_BY_DEC = "INDEXED BY star_dec_ra_vmag " + _BOX
+_BY_NUMBER = "WHERE number IN ({})"
+
+
+class _Row(NamedTuple):
+    """One star, in the order of `_COLUMNS`."""
+
+    number: int
+    name: str
+    designation: str
+    ra_rad: float
+    dec_rad: float
+    pm_ra_cosdec_rad_per_yr: float
+    pm_dec_rad_per_yr: float
+    vmag: float
+    bv: float | None
+    parallax_rad: float
+    radial_velocity_m_per_s: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarCatalogue:
+    """Stars of a catalogue, the brightest first; stars of equal magnitude are sorted by number.
+
+    Attributes
+    ----------
+    catalogue : str
+        The catalogue that numbers the stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown.
+    star_id : (n,) int32
+        The stars' numbers in that catalogue: HR for ``bsc5``, HIP for ``hipparcos``.
+    name : tuple of str, n long
+        The star's proper name (Sirius), else its designation (α² CVn, 61 Cyg), else ``""``.
+    ra_rad, dec_rad : (n,) float64
+        Mean right ascension in [0, 2 pi) and declination, equinox and epoch J2000, rad.
+    pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) float64
+        Proper motion, rad per Julian year; the one in right ascension includes cos(dec).
+    vmag : (n,) float64
+        Johnson V magnitude.
+    bv : (n,) float64
+        Johnson B - V, mag; NaN where the catalogue has none.
+    parallax_rad : (n,) float64
+        Parallax, rad; 0 where the catalogue has none.
+    radial_velocity_m_per_s : (n,) float64
+        Radial velocity, m/s, away from the Sun positive; 0 where the catalogue has none.
+    """
+
+    catalogue: str
+    star_id: NDArray[np.int32]
+    name: tuple[str, ...]
+    ra_rad: Float
+    dec_rad: Float
+    pm_ra_cosdec_rad_per_yr: Float
+    pm_dec_rad_per_yr: Float
+    vmag: Float
+    bv: Float
+    parallax_rad: Float = field(default_factory=lambda: np.empty(0))
+    radial_velocity_m_per_s: Float = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        for name in ("parallax_rad", "radial_velocity_m_per_s"):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.zeros(len(self.name)))
+        arrays = (self.star_id, self.ra_rad, self.dec_rad, self.pm_ra_cosdec_rad_per_yr, self.pm_dec_rad_per_yr)
+        for array in (*arrays, self.vmag, self.bv, self.parallax_rad, self.radial_velocity_m_per_s):
+            if array.shape != (len(self.name),):
+                raise ValueError(f"a catalogue of {len(self.name)} names cannot have a column of shape {array.shape}")
+            array.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    def brightest(self, vmag: float) -> "StarCatalogue":
+        """Return the stars up to a magnitude limit.
+
+        Parameters
+        ----------
+        vmag : float
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+        """
+        n = int(np.searchsorted(self.vmag, vmag, side="right"))
+        columns = {column.name: getattr(self, column.name)[:n] for column in fields(self) if column.name != "catalogue"}
+        return StarCatalogue(self.catalogue, **columns)
+
+    @property
+    def direction(self) -> Float:
+        """Unit vectors of equinox and epoch J2000, (n, 3) float64; axes: the equinox, 6 h, the north pole."""
+        return _direction(self.ra_rad, self.dec_rad)
+
+    @staticmethod
+    def open(name_or_path: str | os.PathLike[str]) -> "CatalogueFile":
+        """Open and check a catalogue file.
+
+        Parameters
+        ----------
+        name_or_path : str or path
+            ``"bsc5"``, ``"hipparcos"``, or the path of a file written by `glstar.sky.catalogue.bright`.
+
+        Returns
+        -------
+        CatalogueFile
+
+        Raises
+        ------
+        CatalogueError
+            If the file does not exist or is not a glstar catalogue.
+        """
+        path = catalogue_path(name_or_path)
+        schema = _checked_schema(path, name_or_path)
+        with _reading(path) as connection:
+            provenance = dict(connection.execute("SELECT key, value FROM provenance ORDER BY rowid"))
+            facts = connection.execute(
+                "SELECT count(*), min(number), max(number), min(vmag), max(vmag) FROM star"
+            ).fetchone()
+        if facts[0] == 0:
+            raise CatalogueError(
+                path, "is a glstar catalogue without a star; build it again with `glstar catalogue build`"
+            )
+        return CatalogueFile(path, MappingProxyType(provenance), *(*facts, schema))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CatalogueFile:
+    """A star catalogue on disk, opened by `StarCatalogue.open`.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        The SQLite file.
+    provenance : mapping of str to str
+        The source of the stars and how they were processed.
+    count : int
+        The number of stars.
+    first_number, last_number : int
+        The lowest and the highest number (HR or HIP).
+    brightest_vmag, faintest_vmag : float
+        The range of V magnitudes.
+    schema : int
+        The version of its tables: 1 without parallaxes and radial velocities, 2 with them.
+    """
+
+    path: Path
+    provenance: Mapping[str, str]
+    count: int
+    first_number: int
+    last_number: int
+    brightest_vmag: float
+    faintest_vmag: float
+    schema: int
+
+    @property
+    def numbering(self) -> str:
+        """The prefix of its star numbers: ``"HR"`` or ``"HIP"``."""
+        return self.provenance.get("numbering", "number")
+
+    @property
+    def catalogue(self) -> str:
+        """The catalogue that numbers the stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown."""
+        return next((name for name, prefix in PREFIXES.items() if prefix == self.numbering), "")
+
+    @property
+    def note(self) -> str:
+        """A message about a limitation of the file; empty if there is none."""
+        if self.catalogue == "hipparcos" and self.schema == 1:
+            return (
+                f"{self.path}: this Hipparcos file of an earlier glstar has no parallaxes, which move the nearest stars"
+                " by up to 0.8 arcsec; build it again with `glstar catalogue build hipparcos --force`"
+            )
+        return ""
+
+    @property
+    def sha256(self) -> str:
+        """The SHA-256 of the file, in hexadecimal."""
+        try:
+            with self.path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise CatalogueError(self.path, f"cannot be read: {error.strerror}") from error
+
+    def brighter_than(self, vmag: float) -> StarCatalogue:
+        """Return the stars up to a magnitude limit.
+
+        Parameters
+        ----------
+        vmag : float
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+        """
+        with _reading(self.path) as connection:
+            return _many_stars(self.catalogue, _query(connection, _BRIGHTER_THAN, (float(vmag),)))
+
+    def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
+        """Return the stars within a cone, by their mean places at J2000.
+
+        Parameters
+        ----------
+        direction : (3,) array_like
+            The cone's axis, equinox J2000, of any length: a row of `StarCatalogue.direction`.
+        radius_rad : float
+            The largest angle from the axis, inclusive, rad.
+        vmag : float, optional
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+
+        Raises
+        ------
+        ValueError
+            If the axis is not a vector of finite length above 0, or the radius is negative or NaN.
+        """
+        axis = np.asarray(direction, dtype=np.float64)
+        length = float(np.linalg.norm(axis))
+        if axis.shape != (3,) or not np.isfinite(length) or length == 0:
+            raise ValueError(f"a cone's axis is a vector of three numbers with a length, not {direction!r}")
+        if not radius_rad >= 0:
+            raise ValueError(f"a cone has a radius of 0 rad or more, not {radius_rad}")
+        axis = axis / length
+
+        rows: list[_Row] = []
+        with _reading(self.path) as connection:
+            for box in _boxes(axis, radius_rad):
+                rows += map(_Row._make, _query(connection, _within(*box), (*box, float(vmag))))
+        directions = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
+        # The arc cosine of the dot product would lose arcseconds at small angles.
+        angle_rad = np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=-1), directions @ axis)
+        inside = (row for row, angle in zip(rows, angle_rad, strict=True) if angle <= radius_rad)
+        return _stars(self.catalogue, inside)
+
+    def by_id(self, star_ids: Iterable[int]) -> StarCatalogue:
+        """Return the stars with given numbers, the brightest first, each once.
+
+        Parameters
+        ----------
+        star_ids : iterable of int
+            Numbers in this catalogue: HR or HIP.
+
+        Returns
+        -------
+        StarCatalogue
+
+        Raises
+        ------
+        CatalogueError
+            If the catalogue lacks one of the numbers.
+        """
+        numbers = sorted({int(star_id) for star_id in star_ids})
+        rows: list[_Row] = []
+        with _reading(self.path) as connection:
+            for start in range(0, len(numbers), _NUMBERS_AT_ONCE):
+                some = numbers[start : start + _NUMBERS_AT_ONCE]
+                rows += map(_Row._make, _query(connection, _BY_NUMBER.format(",".join("?" * len(some))), some))
+        missing = sorted(set(numbers) - {row.number for row in rows})
+        if missing:
+            raise CatalogueError(self.path, self._lacks(missing))
+        return _stars(self.catalogue, rows)
+
+    def _lacks(self, missing: list[int]) -> str:
+        """Return a message about numbers that the catalogue lacks."""
+        shown = ", ".join(map(str, missing[:5])) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        message = (
+            f"the catalogue has no {self.numbering} {shown};"
+            f" it holds {self.numbering} {self.first_number} to {self.last_number}"
+        )
+        left_out = self.last_number - self.first_number + 1 - self.count
+        if left_out and any(self.first_number <= number <= self.last_number for number in missing):
+            message += f", {left_out} in between left out"
+        return message
+
+
+def _checked_schema(path: Path, asked: str | os.PathLike[str]) -> int:
+    """Return the version of a catalogue file's tables; raise CatalogueError if it is no glstar catalogue."""
+    if path.is_dir():
+        raise CatalogueError(path, f"is a directory; name a catalogue file, {ALL_NAMES}")
+    if path.exists() and not path.is_file():
+        raise CatalogueError(path, f"is no regular file; name a catalogue file, {ALL_NAMES}")
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError as error:
+        if asked in NAMES and asked != "bsc5":
+            raise CatalogueError(path, f"does not exist yet; run `glstar catalogue build {asked}`") from error
+        if asked == "bsc5":
+            raise CatalogueError(
+                path, "is missing from this installation; run `glstar catalogue build bsc5`"
+            ) from error
+        raise CatalogueError(path, f"does not exist; name a catalogue file, {ALL_NAMES}") from error
+    except (OSError, ValueError) as error:
+        raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if not header:
+        raise CatalogueError(path, "is empty; build it again with `glstar catalogue build`")
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        raise CatalogueError(path, "is no SQLite file; name one that `glstar catalogue build` wrote")
+    # The user version and the application ID are at bytes 60 and 68 of an SQLite file, big-endian.
+    schema, application_id = int.from_bytes(header[60:64]), int.from_bytes(header[68:72])
+    if application_id != APPLICATION_ID:
+        raise CatalogueError(
+            path, "is a SQLite file but no glstar catalogue; name one that `glstar catalogue build` wrote"
+        )
+    if schema not in SCHEMAS:
+        raise CatalogueError(
+            path,
+            f"has tables of version {schema} and this glstar reads versions {SCHEMAS[0]} and {SCHEMAS[1]};"
+            " build it again with `glstar catalogue build`",
+        )
+    return schema
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Yield a read-only connection and close it; raise CatalogueError if SQLite finds the file damaged."""
+    try:
+        # `immutable`: without lock and journal files, so that the disk may be read-only.
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+            yield connection
+    except sqlite3.Error as error:
+        raise CatalogueError(path, f"is damaged ({error}); build it again with `glstar catalogue build`") from error
+
+
+def _query(connection: sqlite3.Connection, condition: str, values: Sequence[float]) -> sqlite3.Cursor:
+    """Return the rows of the stars that meet a condition, from tables of any known version."""
+    [schema] = connection.execute("PRAGMA user_version").fetchone()
+    return connection.execute(_statement(condition, schema), values)
+
+
+def _statement(condition: str, schema: int) -> str:
+    """Return the SQL statement that selects the stars that meet a condition."""
+    return f"{_COLUMNS}{_DISTANCES[schema]}{condition}"
+
+
+def _boxes(axis: Float, radius_rad: float) -> list[tuple[float, float, float, float]]:
+    """Return boxes (lowest ra, highest ra, lowest dec, highest dec; rad) that cover a cone: two if it crosses 0 h."""
+    radius = min(radius_rad + _MARGIN_RAD, np.pi)
+    ra, dec = float(np.arctan2(axis[1], axis[0])) % (2 * np.pi), float(np.arctan2(axis[2], np.hypot(*axis[:2])))
+    south, north = max(dec - radius, -np.pi / 2), min(dec + radius, np.pi / 2)
+    if south == -np.pi / 2 or north == np.pi / 2:
+        # A cone around a pole covers all right ascensions.
+        return [(0.0, 2 * np.pi, south, north)]
+    # Half width of the cone in right ascension, from a right-angled spherical triangle.
+    half = float(np.arcsin(min(np.sin(radius) / np.cos(dec), 1.0))) + _MARGIN_RAD
+    west, east = ra - half, ra + half
+    if west < 0:
+        return [(west + 2 * np.pi, 2 * np.pi, south, north), (0.0, east, south, north)]
+    if east >= 2 * np.pi:
+        return [(west, 2 * np.pi, south, north), (0.0, east - 2 * np.pi, south, north)]
+    return [(west, east, south, north)]
+
+
+def _within(west: float, east: float, south: float, north: float) -> str:
+    """Return the condition for a box (rad), with the index of its band in ra or dec that covers less of the sky."""
+    lune, zone = (east - west) / (2 * np.pi), (np.sin(north) - np.sin(south)) / 2
+    return _WITHIN_BY_RA if lune < zone else _WITHIN_BY_DEC
+
+
+def _stars(catalogue: str, rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
+    """Return rows of `_COLUMNS` as arrays, the brightest first, then by number."""
+    ordered = sorted(map(_Row._make, rows), key=lambda row: (row.vmag, row.number))
+    columns = _Row(*zip(*ordered, strict=True)) if ordered else _Row(*[()] * len(_Row._fields))  # type: ignore[arg-type]
+    names = tuple(name or designation for name, designation in zip(columns.name, columns.designation, strict=True))
+    numbers = (np.array(column, dtype=np.float64) for column in columns[3:])
+    ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = numbers
+    star_id = np.array(columns.number, dtype=np.int32)
+    return StarCatalogue(catalogue, star_id, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
+
+
+def _many_stars(catalogue: str, cursor: sqlite3.Cursor) -> StarCatalogue:
+    """Return rows that are sorted already, as arrays, in chunks: millions of rows as tuples would take gigabytes."""
+    cursor.row_factory = None
+    parts = []
+    while rows := cursor.fetchmany(_ROWS_AT_ONCE):
+        parts.append(_stars(catalogue, rows))
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return _stars(catalogue, ())
+    names = tuple(name for part in parts for name in part.name)
+    columns = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(StarCatalogue)
+        if column.name not in {"catalogue", "name"}
+    }
+    return StarCatalogue(catalogue, name=names, **columns)
+
+
+def _direction(ra_rad: Float, dec_rad: Float) -> Float:
+    """Return unit vectors, (n, 3)."""
+    cos_dec = np.cos(dec_rad)
+    return np.stack([cos_dec * np.cos(ra_rad), cos_dec * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)

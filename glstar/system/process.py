@@ -1,0 +1,142 @@
+"""Handling of Ctrl-C: one line and exit status 130 at any time, without a traceback.
+
+Memory of the C library: what a process frees stays with it, because the next frame needs as much again.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any, Final
+
+# Exit status of a command that was ended by SIGINT: 128 + 2, as in shells.
+EXIT_INTERRUPTED: Final = 130
+
+
+@contextmanager
+def exit_on_interrupt() -> Iterator[None]:
+    """Let Ctrl-C end the process at once, for the time in which libraries are imported and nothing is written.
+
+    Libraries may turn a KeyboardInterrupt during their import into a traceback or an ImportError, or suppress it.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, _stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def defer_interrupts() -> Iterator[None]:
+    """Delay KeyboardInterrupt until the end of the context.
+
+    Blocking the signal is not enough: the system delivers SIGINT to any thread that does not block it, such as those of
+    OpenBLAS, and Python then raises KeyboardInterrupt in the main thread.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received = []
+    before = signal.signal(signal.SIGINT, lambda *_: received.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if received and before not in {signal.SIG_IGN, None}:
+        raise KeyboardInterrupt
+
+
+def _stop(*_: Any) -> None:
+    os.write(2, b"glstar: stopped\n")
+    os._exit(EXIT_INTERRUPTED)
+
+
+def is_interrupt(error: BaseException | None) -> bool:
+    """Return whether an exception is a KeyboardInterrupt or was raised while one was handled.
+
+    Parameters
+    ----------
+    error : exception or None
+
+    Returns
+    -------
+    bool
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+# Parameters of glibc's `mallopt`, from malloc.h.
+_M_ARENA_MAX: Final = -8
+_M_TRIM_THRESHOLD: Final = -1
+_M_MMAP_THRESHOLD: Final = -3
+# Free memory at the end of the heap that is returned to the system, bytes.  The primitives of one fast exposure take
+# up to 40 MB of Mesa llvmpipe's memory, which is freed after each: pages that are returned cost 12 to 20 % of drawing.
+_KEPT_BYTES: Final = 64 << 20
+# The largest that glibc accepts, bytes: setting either parameter stops it from raising this one as it does otherwise.
+_MAPPED_BYTES: Final = 32 << 20
+# Heaps of the process.  glibc gives each thread one of its own, and each would keep that much: threads that read logs,
+# sample curves and write videos added 80 MB to a window in ten minutes.
+_HEAPS: Final = 1
+# Set by a user who has chosen another value.
+_CHOSEN: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
+
+
+@cache
+def keep_freed_memory() -> bool:
+    """Let the C library keep up to 64 MiB of freed memory for this process instead of returning it to the system.
+
+    Returns
+    -------
+    bool
+        Whether it does: only glibc, and not where the environment chooses otherwise.
+    """
+    if any(name in os.environ for name in _CHOSEN):
+        return False
+    return _set((_M_MMAP_THRESHOLD, _MAPPED_BYTES), (_M_TRIM_THRESHOLD, _KEPT_BYTES))
+
+
+@cache
+def share_one_heap() -> bool:
+    """Let threads that begin from now on share one heap, so that what is kept is a limit of the process.
+
+    Returns
+    -------
+    bool
+        Whether they do: only with glibc, and not where the environment chooses otherwise.
+    """
+    if any(name in os.environ for name in ("MALLOC_ARENA_MAX", "GLIBC_TUNABLES")):
+        return False
+    return _set((_M_ARENA_MAX, _HEAPS))
+
+
+def return_freed_memory() -> None:
+    """Return the C library's freed memory to the system, except for 64 MiB at the end of the heap.
+
+    Without this only free memory at the end of the heap is ever returned: one small block that stays in use holds
+    everything that was freed below it.
+    """
+    malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if malloc_trim is not None:  # musl has none
+        malloc_trim.argtypes = [ctypes.c_size_t]
+        malloc_trim(_KEPT_BYTES)
+
+
+def _set(*parameters: tuple[int, int]) -> bool:
+    """Set parameters of glibc's heap; return whether it took them all."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt is None:  # musl has none
+        return False
+    mallopt.restype, mallopt.argtypes = ctypes.c_int, [ctypes.c_int, ctypes.c_int]
+    return all(bool(mallopt(*each)) for each in parameters)

@@ -1,0 +1,396 @@
+"""Attitude estimates in a DataFlash log, and the EKF lane in use.
+
+The attitude estimator in use, and its difference from the one that is read.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.rotation import conjugate, euler_from_quaternion, multiply, quaternion_from_euler
+from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
+from glstar.telemetry.source import UNIT_TOLERANCE, AttitudeSamples, valid_times
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+
+# Quaternions of EKF3 and of EKF2.
+OF_LANES = ("XKQ", "NKQ")
+# Messages with the attitude of an EKF: quaternions, Euler angles, and the attitude in use.
+_OF_AN_EKF = re.compile(r"[XN]KQ[1-3]?|[XN]KF1|EKF1|ATT")
+# A lane with a smaller fraction of the samples of another is a damaged number; all lanes are logged equally often.
+_RARE = 0.01
+
+# A yaw reset is a jump to the yaw of compass or GPS.  Copters and quadplanes log it as an event, in the same loop; all
+# vehicles log a text of the EKF at the same time: "EKF3 IMU0 MAG0 in-flight yaw alignment complete", "EKF2 IMU1 ground
+# mag anomaly, yaw re-aligned", "EKF3 IMU0 yaw aligned to GPS velocity", "EKF3 IMU0 emergency yaw reset".  Other texts
+# of the EKF ("is using GPS", "origin set") do not change the attitude.
+_YAW_RESET_EVENT = 62
+_YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete|reset)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeEstimate:
+    """The attitude in one message.
+
+    Attributes
+    ----------
+    name : str
+        The message.
+    clock_s : (n,) float64
+        Times since boot, s.
+    q_body_ned : (n, 4) float64
+        Quaternions (w, x, y, z), NED to body.
+    lane : (n,) int64
+        EKF lane of each sample; 0 if the message has none.
+    unaligned_s : float
+        Time until the EKF was aligned, s; its samples are dropped.
+    """
+
+    name: str
+    clock_s: Float
+    q_body_ned: Float
+    lane: Integer
+    _breaks: "_Breaks"
+    unaligned_s: float = 0.0
+
+    @classmethod
+    def of(cls, log: Records, name: str) -> Self | None:
+        """Return the valid samples of a message; None if there are none."""
+        # Until 2020 each lane had a message of its own: XKQ1 was lane 0, XKQ2 lane 1.
+        lane_of: dict[str, int | None] = {}
+        if name in log:
+            own_number = re.fullmatch(r"[XN]KQ([1-3])", name)
+            lane_of[name] = int(own_number[1]) - 1 if own_number else None
+        elif name in OF_LANES:
+            lane_of = {f"{name}{lane + 1}": lane for lane in range(3)}
+        parts = [part for spelling, lane in lane_of.items() if (part := cls._read(log, spelling, lane)) is not None]
+        if not parts:
+            return None
+        clock_s, q, lanes = (np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True))
+        unaligned_s = min(part[3] for part in parts)
+        return cls(name, clock_s, q, lanes, _Breaks.of(log, name), unaligned_s) if clock_s.size else None
+
+    @staticmethod
+    def usual_length(log: Records, name: str) -> float | None:
+        """Return the median norm of the quaternions of a message; None if it has none."""
+        if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is None or not quaternion[0].size:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(np.median(np.linalg.norm(np.stack(quaternion[1], axis=-1), axis=-1)))
+
+    @staticmethod
+    def _read(log: Records, name: str, lane: int | None) -> tuple[Float, Float, Integer, float] | None:
+        if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is not None:
+            clock_s, components = quaternion
+            q = conjugate(np.stack(components, axis=-1))
+        elif (angles := stamped(log, name, "Roll", "Pitch", "Yaw")) is not None:
+            clock_s, angles_deg = angles
+            q = quaternion_from_euler(*np.deg2rad(angles_deg))
+        else:
+            return None
+        lanes = numbered(log, name, "C") if lane is None else np.full(clock_s.size, lane)
+
+        valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
+        found, count = np.unique(lanes, return_counts=True)
+        valid &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        unaligned_s: list[float] = []
+        for one in found:
+            mine = np.flatnonzero(lanes == one)
+            valid[mine[~valid_times(clock_s[mine])]] = False
+            if name[:3] in OF_LANES:
+                # An EKF logs (1, 0, 0, 0) until it is aligned.
+                aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
+                before = mine[: np.argmax(aligned) if aligned.any() else None]
+                unaligned_s.append(float(np.ptp(clock_s[before][valid[before]])) if valid[before].any() else 0.0)
+                valid[before] = False
+        return clock_s[valid], q[valid], lanes[valid], min(unaligned_s, default=0.0)
+
+    @property
+    def lanes(self) -> list[int]:
+        """The lanes, sorted."""
+        return [int(lane) for lane in np.unique(self.lane)]
+
+    @property
+    def has_lanes(self) -> bool:
+        """Whether the lane is part of the name: always for quaternions of an EKF."""
+        return self.name[:3] in OF_LANES or len(self.lanes) > 1
+
+    def called(self, lane: int) -> str:
+        """Return the name of a lane, a value of ``attitude=``."""
+        return f"{self.name}[{lane}]" if self.has_lanes else self.name
+
+    def only(self, lane: int, why: str = "") -> AttitudeSamples:
+        """Return all samples of one lane."""
+        return self._samples(self.lane == lane, (f"{self.name} lane {lane}" if self.has_lanes else self.name) + why)
+
+    def primary(self, log: Records) -> AttitudeSamples:
+        """Return the samples of the lane in use at each time."""
+        if len(self.lanes) == 1:
+            return self.only(self.lanes[0])
+        primary_message = f"{self.name[:2]}F4"
+        primary = stamped(log, primary_message, "PI")
+        if primary is not None and primary[0].size:
+            order = np.argsort(primary[0], kind="stable")
+            since_s, lane = primary[0][order], primary[1][0][order]
+            flew = self.lane == lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
+            if np.count_nonzero(flew) >= 2:
+                lanes = [int(lane) for lane in np.unique(self.lane[flew])]
+                return self._samples(flew, f"{self.name} lane {_and(lanes)} by {primary_message}.PI")
+        return self._closest_to_att(log)
+
+    def _closest_to_att(self, log: Records) -> AttitudeSamples:
+        """Return the lane that agrees best with ATT, which is always of the lane in use."""
+        att = AttitudeEstimate.of(log, "ATT")
+        if att is None:  # nothing distinguishes them
+            return self.only(self.lanes[0], f", the lowest of {_and(self.lanes)}")
+
+        def deviation_deg(lane: int) -> float:
+            mine = self.lane == lane
+            near = nearest(att.clock_s, self.clock_s[mine])
+            turn = multiply(self.q_body_ned[mine], conjugate(att.q_body_ned[near]))
+            angle_rad = 2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0]))
+            # Rounded as ATT is: of lanes that agree equally well, the first is used.
+            return round(float(np.rad2deg(np.median(angle_rad))), 2)
+
+        return self.only(min(self.lanes, key=deviation_deg), ", nearest to ATT")
+
+    def summary(self) -> str:
+        """Return the names of the lanes and their rate, for messages."""
+        lanes = self.lanes
+        clock_s = np.unique(self.clock_s[self.lane == lanes[0]])
+        rate = f" {1 / np.median(np.diff(clock_s)):.1f} Hz" if clock_s.size > 1 else " once"
+        return " and ".join(map(self.called, lanes)) + rate
+
+    def _samples(self, which: NDArray[np.bool_], source: str) -> AttitudeSamples:
+        clock_s, lane = self.clock_s[which], self.lane[which]
+        segment, reason = self._breaks.segments(clock_s, lane)
+        return AttitudeSamples(clock_s, self.q_body_ned[which], segment, source, reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Breaks:
+    """Times at which an estimate jumps: resets of the EKF's yaw, and switches to another lane.
+
+    A switch happens between a record at `before_s` and the next one at `switched_s`.
+    """
+
+    resets_s: Float
+    before_s: Float
+    switched_s: Float
+
+    @classmethod
+    def of(cls, log: Records, name: str) -> Self:
+        nothing = np.empty(0)
+        if not _OF_AN_EKF.fullmatch(name):
+            return cls(nothing, nothing, nothing)
+        # Messages of an EKF have the lane in each record; ATT is of the lane in use.
+        return cls(_resets_s(log), *(_switches_s(log) if name == "ATT" else (nothing, nothing)))
+
+    def segments(self, clock_s: Float, lane: Integer) -> tuple[Integer, str]:
+        """Return the number of the contiguous segment of each sample, and why a new segment begins."""
+        lanes, of_lane = np.unique(lane, return_inverse=True)
+        resets = np.searchsorted(self.resets_s, clock_s, side="right")
+        switches = np.searchsorted(self.switched_s, clock_s, side="right")
+        segment = (resets * (self.switched_s.size + 1) + switches) * lanes.size + of_lane.reshape(-1)
+        if self.switched_s.size:
+            # ATT may jump anywhere between the two records: each sample there is a segment of its own.
+            following = switches.clip(max=self.switched_s.size - 1)
+            unsure = (switches <= following) & (clock_s > self.before_s[following])
+            segment[unsure] = -1 - np.arange(np.count_nonzero(unsure))
+        names = []
+        if lanes.size > 1 or self.switched_s.size:
+            names.append("a switch of the EKF lane")
+        if np.unique(resets).size > 1:
+            names.append("a reset of the EKF's yaw")
+        return segment.astype(np.int64), " or ".join(names) or "a switch of the EKF lane"
+
+
+def _resets_s(log: Records) -> Float:
+    """Return the times of yaw resets by events and texts, s since boot, sorted."""
+    found = [np.empty(0)]
+    if (events := stamped(log, "EV", "Id")) is not None:
+        found.append(events[0][events[1][0] == _YAW_RESET_EVENT])
+    if (texts := stamped(log, "MSG")) is not None:
+        is_reset = [_YAW_RESET_TEXT.search(text) is not None for text in log.texts("MSG", "Message")]
+        if len(is_reset) == texts[0].size:
+            found.append(texts[0][is_reset])
+    return np.sort(np.concatenate(found))
+
+
+def _switches_s(log: Records) -> tuple[Float, Float]:
+    """Return the times between which ATT switched to another lane or EKF, s since boot, sorted."""
+    names = [f"{ekf}F4" for ekf in ("XK", "NK") if f"{ekf}F4" in log]
+    in_use = stamped(log, "ATT", "AEKF")
+    if in_use is not None and in_use[0].size and np.median(in_use[1][0]) == 2:
+        names.reverse()
+    before, since = [np.empty(0)], [np.empty(0)]
+    for records in (in_use, stamped(log, names[0], "PI") if names else None):
+        if records is not None:
+            order = np.argsort(records[0], kind="stable")
+            clock_s, number = records[0][order], records[1][0][order]
+            switched = np.flatnonzero(np.diff(number))
+            before.append(clock_s[switched])
+            since.append(clock_s[switched + 1])
+    before_s, since_s = np.concatenate(before), np.concatenate(since)
+    order = np.argsort(since_s, kind="stable")
+    return before_s[order], since_s[order]
+
+
+def estimates(log: Records) -> Iterator[AttitudeEstimate]:
+    """Yield all attitude estimates of the log, sorted by name."""
+    for name in sorted({name[:3] if re.fullmatch(r"[XN]KQ[1-3]", name) else name for name in log.names}):
+        if (estimate := AttitudeEstimate.of(log, name)) is not None:
+            yield estimate
+
+
+def _and(lanes: list[int]) -> str:
+    return " and ".join(str(lane) for lane in lanes)
+
+
+# The estimator of ATT, by ATT.AEKF.
+_NAMES: Final = {0: "DCM", 2: "EKF2", 3: "EKF3", 10: "the simulator's", 11: "an external AHRS"}
+_MESSAGES: Final = {2: ("NKQ", "XKQ", "ATT"), 3: ("XKQ", "NKQ", "ATT")}
+_UNKNOWN = ("XKQ", "NKQ", "ATT")
+_NO_EKF = ("ATT", "XKQ", "NKQ")
+
+# Differences between two estimates from this on are reported, deg: 1 deg is 68 px at f = 3871 px.
+_REPORTED_DEG: Final = 1.0
+# Attitudes are compared if they were logged within this time, s.
+_TOGETHER_S: Final = 0.05
+# For differences in a part of the flight only, s: at 200 deg/s an aircraft turns by a degree in 5 ms.
+_AT_ONCE_S: Final = 0.002
+# Those are reported from this number of samples and from this fraction of them on.
+_FEWEST: Final = 20
+_RARELY: Final = 0.01
+# A shorter loss of samples is not reported, s.
+_REPORTED_S: Final = 1.0
+
+
+def preferred_messages(log: Records) -> tuple[str, ...]:
+    """Return the messages with attitude, those of the estimator in use first.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    tuple of str
+        ``("XKQ", "NKQ", "ATT")`` if the log does not contain the estimator in use.
+    """
+    numbers = _active(log)[1]
+    if not numbers.size:
+        return _UNKNOWN
+    found, count = np.unique(numbers, return_counts=True)
+    return _MESSAGES.get(int(found[count.argmax()]), _NO_EKF)
+
+
+def active_estimator(log: Records) -> str | None:
+    """Return the estimator in use, by ATT.AEKF.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    str or None
+        ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"`` for several; None if the log does not contain it.
+    """
+    numbers = _active(log)[1]
+    if not numbers.size:
+        return None
+    found, count = np.unique(numbers, return_counts=True)
+    if found.size == 1:
+        return _NAMES[int(found[0])]
+    order = np.argsort(-count, kind="stable")
+    return ", ".join(f"{_NAMES[int(found[k])]} {100 * count[k] / numbers.size:.1f} %" for k in order)
+
+
+def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
+    """Return remarks on an attitude: its difference from the estimator in use, and dropped samples.
+
+    Parameters
+    ----------
+    log : Records
+    taken : AttitudeEstimate
+        The estimate that is read.
+    samples : AttitudeSamples
+        Its samples.
+
+    Returns
+    -------
+    tuple of str
+    """
+    return (*_difference(log, taken, samples), *_losses(log, taken, samples))
+
+
+def _active(log: Records) -> tuple[Float, Float]:
+    """Return the times of ATT, s since boot, and the number of its estimator."""
+    if (records := stamped(log, "ATT", "AEKF")) is None:
+        return np.empty(0), np.empty(0)
+    known = np.isin(records[1][0], list(_NAMES))
+    return records[0][known], records[1][0][known]
+
+
+def _difference(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
+    """Return the difference between ATT and the quaternions of an EKF, if one of them is read."""
+    ekf, att = (samples, None) if taken.name[:3] in ("XKQ", "NKQ") else (None, samples)
+    if att is None:
+        estimate = AttitudeEstimate.of(log, "ATT")
+        att = None if estimate is None else estimate.primary(log)
+    elif taken.name == "ATT":
+        other = next((one for name in ("XKQ", "NKQ") if (one := AttitudeEstimate.of(log, name)) is not None), None)
+        ekf = None if other is None else other.primary(log)
+    if ekf is None or att is None or not ekf.clock_s.size or not att.clock_s.size:
+        return ()
+    near = nearest(att.clock_s, ekf.clock_s)
+    together = np.abs(att.clock_s[near] - ekf.clock_s) < _TOGETHER_S
+    if not together.any():
+        return ()
+    q_ekf, q_att = ekf.q_body_ned[together], att.q_body_ned[near][together]
+    turn = multiply(q_ekf, conjugate(q_att))
+    angle_deg = np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0])))
+    name = taken.name if taken.name != "ATT" else ekf.source.split(" ")[0]
+    flew = active_estimator(log)
+    flown = "; the log does not say which one flew" if flew is None else f"; by ATT.AEKF {flew} flew"
+    choice = f"{'ATT' if samples is att else name} is taken, --attitude {'ATT' if samples is ekf else name}"
+    if np.median(angle_deg) <= _REPORTED_DEG:
+        at_once_deg = angle_deg[np.abs(att.clock_s[near] - ekf.clock_s)[together] < _AT_ONCE_S]
+        far = at_once_deg > _REPORTED_DEG
+        if at_once_deg.size < _FEWEST or np.mean(far) < _RARELY:
+            return ()
+        fraction = f"for {100 * np.mean(far):.1f} % of the time {name} is more than {_REPORTED_DEG:.0f} deg from ATT"
+        return (f"{fraction}, {at_once_deg.max():.1f} deg at most{flown}; {choice} takes the other",)
+    yaw_deg = np.rad2deg(euler_from_quaternion(q_ekf)[2] - euler_from_quaternion(q_att)[2])
+    yaw_deg = (yaw_deg + 180) % 360 - 180
+    return (
+        f"{name} is {np.median(angle_deg):.1f} deg from ATT in the median ({np.median(np.abs(yaw_deg)):.1f} deg in yaw)"
+        f"{flown}; {choice} takes the other",
+    )
+
+
+def _losses(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
+    """Return remarks on dropped samples, and on the message that covers more."""
+    notes = []
+    is_late = taken.unaligned_s >= _REPORTED_S
+    att = AttitudeEstimate.of(log, "ATT") if is_late and taken.name != "ATT" else None
+    better = f"; --attitude ATT covers {np.ptp(att.clock_s):.1f} s" if att is not None and att.clock_s.size else ""
+    if is_late:
+        notes.append(
+            f"the first {taken.unaligned_s:.1f} s of {taken.name} are left out, before its EKF was aligned:"
+            f" {np.ptp(samples.clock_s):.1f} s remain{better}"
+        )
+    if taken.name == "ATT":
+        notes += [
+            f"{name} is left out because its quaternions have length {length:.3g}, not 1; ATT is used"
+            for name in ("XKQ", "NKQ")
+            if (length := AttitudeEstimate.usual_length(log, name)) is not None
+            and AttitudeEstimate.of(log, name) is None
+        ]
+    return tuple(notes)

@@ -1,0 +1,1 @@
+"""MAVLink telemetry logs: packets, the clock of the autopilot, readers of logs and of mavlogdump's CSV."""

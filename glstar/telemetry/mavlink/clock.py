@@ -1,0 +1,184 @@
+"""The clock of an autopilot in a telemetry log: its boots, and UTC for each of them."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.telemetry.boots import find_boots, within
+from glstar.telemetry.mavlink.packets import (
+    AT,
+    EULER,
+    FIELDS_FROM,
+    HIL_STATE,
+    QUATERNION,
+    STAMP,
+    Packets,
+    Sender,
+    system_time_utc_s,
+)
+from glstar.telemetry.source import Boot, spikes
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+
+# Messages with the time since boot, besides HIL_STATE_QUATERNION.
+_TIMED: Final = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")
+# A larger step back of the time since boot is a reboot, s; packets overtake each other by less.
+_REBOOT_S = 5.0
+# A single time that differs by more from its neighbours is damaged, s.
+_BOOT_SPIKE_S = 1.0
+# Boots recorded within this time have the same error of the recorder's clock, s; joined recordings have longer pauses.
+_SAME_RECORDING_S = 3600.0
+NO_UTC = "no SYSTEM_TIME during this boot, and no other boot was recorded within an hour of it"
+# time_boot_ms has 32 bits: 49.7 days.  Some autopilots count the microseconds of an IMU with 32 bits: 71.6 minutes.
+_WRAP_S = 2**32 / 1000
+_WRAP_OF_US_MS = 2**32 / 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleClock:
+    """The clock of one autopilot, continued from its first boot through all others."""
+
+    boots: tuple[Boot, ...]
+    # For each packet with a time since boot, in the order of the file: its position in the file, the time, the number
+    # of its boot (0: none) and how often the time has wrapped around.
+    at: Float
+    boot_s: Float
+    boot: Integer
+    wraps: Integer
+    # For each boot by its number, the start of its clock relative to that of the first boot, s; index 0 is no boot.
+    later_s: Float
+    # For each boot, the recorder's clock minus the time since boot, s.
+    arrived_s: Float
+    # For each boot, whether its UTC is known; True for all if it is unknown for all.
+    is_known: NDArray[np.bool_]
+    # For each boot, where its UTC comes from if not from the autopilot in that boot; else empty.
+    utc_sources: tuple[str, ...]
+
+    @classmethod
+    def of(cls, packets: Packets, sender: Sender) -> "VehicleClock":
+        """Return the clock of a sender with attitude."""
+        names = (HIL_STATE,) if packets.timestamps_are_utc(sender) else (*_TIMED, *packets.attitude_messages(sender))
+        heads = np.concatenate([packets.rows(name, sender)[:, : FIELDS_FROM + 1] for name in dict.fromkeys(names)])
+        heads = heads[np.argsort(heads[:, AT], kind="stable")]
+        kept = heads[~spikes(heads[:, FIELDS_FROM] / 1e3, _BOOT_SPIKE_S)]
+        heads = kept if len(kept) else heads
+        boot_s, stamp_s = heads[:, FIELDS_FROM] / 1e3, heads[:, STAMP]
+        wraps = np.concatenate([[0], np.cumsum(np.diff(boot_s) < -_WRAP_S / 2)])
+        boot_s = boot_s + wraps * _WRAP_S
+        at = heads[:, AT].astype(np.int64)
+
+        times = clock_readings(packets, sender)
+        near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
+        read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
+        readings = times[:, AT].astype(np.int64), read_s, system_time_utc_s(times)
+        boots = find_boots(
+            [(at, boot_s)], readings, arrivals=(at, boot_s, stamp_s), back_s=_REBOOT_S, checked=packets.checked
+        )
+        numbers = range(1, len(boots) + 1)
+        boot = np.zeros(at.size, dtype=np.int64)
+        of_boot = np.zeros(len(times), dtype=np.int64)
+        for one in boots:
+            boot[within(at, one.spans)] = one.number
+            of_boot[within(readings[0], one.spans)] = one.number
+
+        arrived_s = np.array([np.median((stamp_s - boot_s)[boot == number]) for number in numbers])
+        utc_s = np.full(len(boots), np.nan)
+        found = np.unique(of_boot[of_boot > 0]) - 1
+        utc_s[found] = [np.median((readings[2] - read_s)[of_boot == number + 1]) for number in found]
+        sources = [""] * len(boots)
+        if len(boots) > 1 and np.isnan(utc_s).any():
+            _add_utc_on_arrival(utc_s, arrived_s, sources, boots, packets, sender)
+        is_known = np.isfinite(utc_s)
+        if is_known.any() and not is_known.all():
+            spans = [(stamp_s[boot == number].min(), stamp_s[boot == number].max()) for number in numbers]
+            _add_utc_by_recorder(utc_s, arrived_s, sources, spans)
+            unknown = np.isnan(utc_s)
+            boots = tuple(replace(one, doubt=NO_UTC) if unknown[one.number - 1] else one for one in boots)
+        is_known = np.isfinite(utc_s) if is_known.any() else np.ones_like(is_known)
+        # If no boot has UTC, the recorder's clock relates them.
+        utc_s = np.where(np.isfinite(utc_s), utc_s, arrived_s)
+        later_s = np.concatenate([[0.0], utc_s - utc_s[0]])
+        return cls(boots, heads[:, AT], boot_s, boot, wraps, later_s, arrived_s, is_known, tuple(sources))
+
+    def read(self, rows: Float) -> tuple[Float, Integer]:
+        """Return the clock of packets with a time since boot, s, and the number of the boot of each; 0 for none."""
+        near = np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)
+        boot = self.boot[near]
+        return rows[:, FIELDS_FROM] / 1e3 + self.wraps[near] * _WRAP_S + self.later_s[boot], boot
+
+    def of_boot(self, rows: Float, boot: int) -> tuple[Float, Float]:
+        """Return the packets of one boot, of those with a time since boot, and their clock, s."""
+        clock_s, number = self.read(rows)
+        return rows[number == boot], clock_s[number == boot]
+
+    def boot_of(self, rows: Float) -> Integer:
+        """Return the number of the boot of each packet; 0 for none."""
+        number: Integer = self.boot[np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)]
+        return number
+
+    def read_us(self, rows: Float) -> Float:
+        """Return the clock of packets with microseconds since boot, perhaps only their low 32 bits, s."""
+        near = np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)
+        boot_ms = self.boot_s[near] * 1e3
+        stamp_ms = rows[:, FIELDS_FROM] / 1e3
+        with np.errstate(invalid="ignore"):
+            stamp_ms = stamp_ms + np.round((boot_ms - stamp_ms) / _WRAP_OF_US_MS) * _WRAP_OF_US_MS
+        clock_s: Float = stamp_ms / 1e3 + self.later_s[self.boot[near]]
+        return clock_s
+
+    def on_arrival(self, rows: Float) -> Float:
+        """Return the clock at the arrival of packets of other senders, s."""
+        boot = np.maximum(self.boot_of(rows), 1)
+        arrived: Float = rows[:, STAMP] - self.arrived_s[boot - 1] + self.later_s[boot]
+        return arrived
+
+
+def _add_utc_on_arrival(
+    utc_s: Float, arrived_s: Float, sources: list[str], boots: tuple[Boot, ...], packets: Packets, sender: Sender
+) -> None:
+    """Fill in UTC minus time since boot, (n,) s, of boots in which only other senders know UTC; NaN is unknown."""
+    for other in other_clocks(packets, sender):
+        times = packets.times(other)
+        late_s = system_time_utc_s(times) - times[:, STAMP]
+        for boot in boots:
+            inside = within(times[:, AT].astype(np.int64), boot.spans)
+            if np.isnan(utc_s[boot.number - 1]) and inside.any():
+                utc_s[boot.number - 1] = np.median(late_s[inside]) + arrived_s[boot.number - 1]
+                sources[boot.number - 1] = readings_source(int(np.count_nonzero(inside)), packets.called(other))
+
+
+def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spans: list[tuple[float, float]]) -> None:
+    """Fill in UTC minus time since boot, (n,) s, of boots recorded within an hour of a boot whose UTC is known.
+
+    The recorder's clock has the same error in both, unless the file was joined from several recordings.
+    """
+    known = np.flatnonzero(np.isfinite(utc_s))
+    for boot in np.flatnonzero(np.isnan(utc_s)):
+        first_s, last_s = spans[boot]
+        gaps_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in known]
+        near = int(np.argmin(gaps_s))
+        if 0 <= gaps_s[near] <= _SAME_RECORDING_S:
+            utc_s[boot] = arrived_s[boot] + utc_s[known[near]] - arrived_s[known[near]]
+            sources[boot] = f"the recorder's clock and the UTC of boot {known[near] + 1}"
+
+
+def readings_source(count: int, sender: str = "") -> str:
+    """Return the UTC source for some packets of SYSTEM_TIME, of another sender if one is named."""
+    return f"SYSTEM_TIME of {sender}, on arrival, {count} readings" if sender else f"SYSTEM_TIME, {count} readings"
+
+
+def other_clocks(packets: Packets, sender: Sender) -> list[Sender]:
+    """Return the other senders of UTC, those of the autopilot's system first."""
+    others = [other for other in packets.senders("SYSTEM_TIME") if other != sender]
+    return sorted(others, key=lambda other: other[0] != sender[0])
+
+
+def clock_readings(packets: Packets, sender: Sender) -> Float:
+    """Return the readings of UTC of a sender: SYSTEM_TIME, or its attitude if that is timed by UTC."""
+    if not packets.timestamps_are_utc(sender):
+        return packets.times(sender)
+    rows = packets.rows(HIL_STATE, sender)
+    return np.column_stack([rows[:, : FIELDS_FROM + 1], rows[:, FIELDS_FROM] * 1e3])

@@ -1,0 +1,177 @@
+"""The CSV that pymavlink's ``mavlogdump.py --format csv`` writes of a telemetry log.
+
+::
+
+    mavlogdump.py --format csv --types ATTITUDE,GLOBAL_POSITION_INT,SYSTEM_TIME flight.tlog > flight.csv
+
+The first column, ``timestamp``, is the clock of the ground station that recorded the log, s since 1970; the others are
+named after message and field, ``ATTITUDE.roll``, and are empty in rows of other messages.  The table has no senders:
+rows of SYSTEM_TIME and HEARTBEAT that cannot be from the autopilot are assigned to another sender.
+"""
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, MESSAGES, SYSTEM, Packets, Sender, with_ms
+from glstar.telemetry.mavlink.tlog import TelemetryLogReader
+from glstar.telemetry.tables.files import Dump
+
+Float = NDArray[np.float64]
+
+_HEADER = re.compile(r"timestamp(?P<separator>[^\w.])[A-Z][A-Z0-9_]*\.\w+((?P=separator)|\s*$)")
+
+_AUTOPILOT: Sender = (1, 1)
+_OTHER: Sender = (0, 0)
+# MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
+_NO_AUTOPILOT = 8
+_ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
+_POSITION = "GLOBAL_POSITION_INT"
+# A time since boot that differs by more from that of the nearest attitude is from another clock, ms.
+_SAME_CLOCK_MS = 5000.0
+# More steps back of the time since boot than this are not reboots but the alternating clocks of two autopilots.
+_MOST_REBOOTS = 10
+# Largest fraction of packets that overtake others on a network.
+_OVERTAKING = 0.05
+# Two vehicles that send alternately: consecutive rows differ by more than this, and by this factor more than every
+# other row.
+_ALTERNATES_RAD = 0.02
+_ALTERNATES_DEG = 2e-4
+_TIMES_NEARER = 5.0
+# Fewer rows are not examined.
+_FEWEST = 20
+
+
+def is_mavlogdump(header: str) -> bool:
+    """Return whether a table was exported by mavlogdump from a telemetry log.
+
+    Parameters
+    ----------
+    header : str
+        First line of the table.
+
+    Returns
+    -------
+    bool
+    """
+    return _HEADER.match(header) is not None
+
+
+class MavlogdumpReader(TelemetryLogReader):
+    """The CSV of a telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
+
+    Parameters
+    ----------
+    path : path-like
+        The table.
+    attitude : str
+        ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``; see `TelemetryLogReader`.
+
+    Raises
+    ------
+    LogFormatError
+        If the file is not text, or holds several vehicles.
+    """
+
+    format = "CSV of a MAVLink telemetry log, by mavlogdump"
+
+    def _open(self) -> Packets:
+        return _Rows(self.name)
+
+
+class _Rows(Packets):
+    """The rows of a table as packets of one autopilot."""
+
+    checked = False
+
+    def __init__(self, path: str) -> None:
+        wanted = [f"{name}.{field}" for name, fields in MESSAGES.values() for field in fields]
+        self._dump = Dump(path, ("timestamp", *wanted), texts="STATUSTEXT.text")
+        self.count = self._dump.line.size
+        self.whole_bytes = int(self._dump.line[-1]) if self.count else 1
+        self.unread_bytes = 0
+        self._messages = {name: self._read(name, fields) for name, fields in MESSAGES.values() if fields}
+        self._attribute()
+        if (mixed := self._mixed()) is not None:
+            raise LogFormatError(
+                path,
+                f"has {mixed} of several vehicles, and no column with their systems; write one vehicle's with"
+                " mavlogdump.py --source-system 1, or give the .tlog itself and --sysid 1",
+                offset=self.whole_bytes,
+            )
+
+    def message(self, name: str) -> Float:
+        """Return the rows of one message, in the order of the file."""
+        return self._messages[name]
+
+    def texts(self, sender: Sender) -> list[str]:  # noqa: ARG002 - the table has no senders
+        """Return all status texts."""
+        return list(self._dump.texts)
+
+    def called(self, sender: Sender) -> str:  # noqa: ARG002 - the table has no senders
+        """Return the name of a sender, for messages."""
+        return "another sender"
+
+    def lack(self, name: str) -> str:
+        """Return which columns are missing, for messages."""
+        return f"no {name} in the table: write it again with mavlogdump --types ...,{name}"
+
+    def _read(self, name: str, fields: tuple[str, ...]) -> Float:
+        columns = [self._dump.columns.get(f"{name}.{field}") for field in fields]
+        stamp_s = self._dump.columns.get("timestamp")
+        found = [column for column in columns if column is not None]
+        if stamp_s is None or len(found) < len(fields):
+            return np.empty((0, FIELDS_FROM + len(fields)))
+        sender = (np.full(stamp_s.size, float(number)) for number in _AUTOPILOT)
+        rows = np.stack([self._dump.line, stamp_s, *sender, *found], axis=-1)
+        return with_ms(name, rows[np.isfinite(rows).all(axis=-1)])
+
+    def _attribute(self) -> None:
+        """Assign rows that cannot be from the autopilot to another sender."""
+        beats = self._messages["HEARTBEAT"]
+        beats[beats[:, FIELDS_FROM] == _NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _OTHER
+        attitude = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
+        attitude = attitude[np.argsort(attitude[:, 0], kind="stable")]
+        for name in ("SYSTEM_TIME", _POSITION) if len(attitude) else ():
+            rows = self._messages[name]
+            near = np.searchsorted(attitude[:, 0], rows[:, 0]).clip(max=len(attitude) - 1)
+            difference_ms = np.abs(rows[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
+            rows[difference_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _OTHER
+
+    def _mixed(self) -> str | None:
+        """Return the message that several vehicles sent; None if there is only one vehicle."""
+        attitudes = [self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES]
+        both = np.concatenate(attitudes)
+        both = both[np.argsort(both[:, 0], kind="stable")]
+        # The clocks of two vehicles alternate, and so do their attitudes.
+        if _goes_back(both[:, FIELDS_FROM], _SAME_CLOCK_MS):
+            return " and ".join(name for name in _ATTITUDES if len(self._messages[name]))
+        for name, decimals in ((_ATTITUDES[0], 1.0), (_ATTITUDES[1], 1.0), (_POSITION, 1e-7)):
+            rows = self._messages[name]
+            rows = rows[rows[:, SYSTEM] == _AUTOPILOT[0]]
+            values = rows[:, FIELDS_FROM + 1 : FIELDS_FROM + 5] * decimals
+            if name == _ATTITUDES[1]:
+                values = np.concatenate([np.cos(values), np.sin(values)], axis=-1)
+            least = _ALTERNATES_DEG if name == _POSITION else _ALTERNATES_RAD
+            if _goes_back(rows[:, FIELDS_FROM], 0.0) or _alternates(
+                values[:, :2] if name == _POSITION else values, least
+            ):
+                return name
+        return None
+
+
+def _goes_back(boot_ms: Float, by_ms: float) -> bool:
+    """Return whether a clock steps back too often for reboots and packets that overtake each other."""
+    back = np.count_nonzero(np.diff(boot_ms) < -by_ms)
+    return bool(back > _MOST_REBOOTS and back > _OVERTAKING * boot_ms.size)
+
+
+def _alternates(values: Float, least: float) -> bool:
+    """Return whether consecutive rows differ much more than every other row."""
+    if len(values) < _FEWEST:
+        return False
+    next_one = np.linalg.norm(np.diff(values, axis=0), axis=-1)[:-1]
+    after_that = np.linalg.norm(values[2:] - values[:-2], axis=-1)
+    return bool(np.median(next_one) > max(least, _TIMES_NEARER * np.median(after_that)))

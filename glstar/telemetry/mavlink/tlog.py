@@ -1,0 +1,560 @@
+"""MAVLink telemetry logs (``.tlog``).
+
+====================  ============================================  ================================================
+message               fields                                        used for
+====================  ============================================  ================================================
+HEARTBEAT             autopilot, type, custom_mode                  which senders are autopilots; flight modes
+ATTITUDE_QUATERNION   time_boot_ms, q1..q4, body to NED             attitude
+ATTITUDE              time_boot_ms, roll, pitch, yaw                attitude, if it is sent more than twice as often
+HIL_STATE_QUATERNION  time_usec, attitude_quaternion, body to NED,  a simulator's own attitude and position, if the
+                      lat, lon, alt                                 system sends neither of the above
+GLOBAL_POSITION_INT   time_boot_ms, lat, lon, alt                   position
+GPS_RAW_INT           fix_type, lat, lon, alt                       position, if GLOBAL_POSITION_INT has none
+SYSTEM_TIME           time_boot_ms, time_unix_usec                  UTC
+HIGHRES_IMU           time_usec, xgyro, ygyro, zgyro (rad/s)        gyro rates, from the most frequent message, if
+SCALED_IMU, 2, 3      time_boot_ms, xgyro, ygyro, zgyro (mrad/s)    that is as frequent as the attitude
+RAW_IMU               the same with time_usec                       the same, of ArduPilot; others have no unit
+CAMERA_FEEDBACK       time_usec                                     when the camera was triggered
+CAMERA_TRIGGER        time_usec                                     the same, if there is no CAMERA_FEEDBACK
+GIMBAL_DEVICE_...      time_boot_ms, flags, q (..._ATTITUDE_STATUS)  attitude of a gimbal
+MOUNT_ORIENTATION     time_boot_ms, roll, pitch, yaw (deg)          the same, if there is none of the above
+MOUNT_STATUS          pointing_a, _b, _c (0.01 deg), on arrival     the same, if there is none of the above
+AUTOPILOT_VERSION     flight_sw_version                             the firmware
+STATUSTEXT            text                                          the firmware, of ArduPilot; messages, on arrival
+====================  ============================================  ================================================
+
+The clock is the autopilot's time since boot.  The arrival times of packets are those of the ground station, whose clock
+may be wrong by seconds or years.  They relate packets without a common time since boot: those of an autopilot without
+UTC and of a ground station with UTC, or those of two boots of one autopilot.
+
+Streams of MAVLink packets without arrival times: Mission Planner's ``.rlog``, or what a serial port received.
+
+Such a file is a telemetry log without the arrival times.  They are made of the autopilot's time since boot, which is
+what glstar uses anyway; arrival times only relate the packets of several senders, and the boots of one autopilot.
+"""
+
+import os
+import re
+import struct
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+from glstar.flight import EventKind
+from glstar.rotation import conjugate, quaternion_from_euler
+from glstar.sky.place.timescale import format_utc
+from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, clock_readings, other_clocks, readings_source
+from glstar.telemetry.mavlink.packets import (
+    EULER,
+    FIELDS_FROM,
+    HIL_STATE,
+    QUATERNION,
+    SYSTEM,
+    LogPackets,
+    Packets,
+    Sender,
+    system_time_utc_s,
+)
+from glstar.telemetry.mavlink.vehicles import (
+    ARDUPILOT,
+    ardupilot_mode,
+    autopilot,
+    gimbal_of_packets,
+    px4_mode,
+    vehicle_kind,
+    version,
+)
+from glstar.telemetry.source import (
+    REBOOT,
+    UNIT_TOLERANCE,
+    YEAR_2010_S,
+    YEAR_2100_S,
+    AttitudeSamples,
+    Boot,
+    ClockSamples,
+    EventSamples,
+    LogFacts,
+    PositionSamples,
+    RateSamples,
+    Samples,
+    TelemetrySource,
+    TriggerSamples,
+    UnpackedSource,
+    chosen_boots,
+    no_position_samples,
+    position_samples,
+    suppressed_output,
+    valid_rates,
+    valid_times,
+)
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+
+# Messages with gyro rates, and their unit, rad/s.  Of equally frequent ones the first is used.
+_GYROS: Final = {"HIGHRES_IMU": 1.0, "SCALED_IMU": 1e-3, "RAW_IMU": 1e-3, "SCALED_IMU2": 1e-3, "SCALED_IMU3": 1e-3}
+# The status text with the firmware at start-up: "ArduSub V4.1.1 BETA5 (66c674c1)".
+_BANNER = re.compile(r"([A-Z]\w+) V(\d+\.\d+\S*.*)", re.ASCII)
+# MAV_COMP_ID_AUTOPILOT1.
+_FIRST_AUTOPILOT = 1
+
+# Messages of a triggered camera, the most exact one first.
+_TRIGGERS: Final = ("CAMERA_FEEDBACK", "CAMERA_TRIGGER")
+# A shorter loss of samples is not reported, s.
+_REPORTED_S = 1.0
+_FIX_3D = 3
+_SIMULATED = f"the attitude is a simulator's own state ({HIL_STATE}), not an estimate of an autopilot"
+
+
+class TelemetryLogReader(TelemetrySource):
+    """A telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
+
+    Of a truncated or damaged log, every complete packet is read.
+
+    Parameters
+    ----------
+    path : path-like
+        The log.
+    attitude : str
+        ``"auto"``: ATTITUDE_QUATERNION, or ATTITUDE if it is more than twice as frequent; a simulator's
+        HIL_STATE_QUATERNION if there is neither.  Or one of them by name.
+    sysid : int, optional
+        MAVLink system of the vehicle; by default the first autopilot with attitude.
+    boot : int, optional
+        Number of the boot, from 1, in a log of several; by default all.
+
+    Raises
+    ------
+    LogFormatError
+        If the file holds no packet with attitude.
+    """
+
+    format = "MAVLink telemetry log"
+    one_clock = True
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        attitude: str = "auto",
+        sysid: int | None = None,
+        boot: int | None = None,
+    ) -> None:
+        self.name = os.fspath(path)
+        self._attitude, self._sysid, self._boot = attitude, sysid, boot
+        self._packets = self._open()
+        self._read_clock: tuple[Sender, VehicleClock] | None = None
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield attitude, position and rates of each boot, a batch each, and the UTC of all boots.
+
+        Messages are decoded on demand: the first three batches of a single boot do not wait for the gyro rates.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude, not the requested one, or no such boot.
+        """
+        sender, others = self._vehicle()
+        clock = self._clock(sender)
+        boots = self.boots()
+        self._require_attitude(sender)
+        for boot in boots:
+            yield self._attitudes(sender, others, clock, boot.number)
+            yield replace(_positions(self._packets, sender, clock, boot.number), boot=boot.number)
+            if boot is boots[0]:
+                yield replace(self._utc(sender, clock, boots), boot=boot.number)
+        for boot in boots:
+            yield from _events(self._packets, sender, clock, boot.number)
+            yield from _rates(self._packets, sender, clock, boot.number)
+            yield from _triggers(self._packets, sender, clock, boot.number)
+            yield from gimbal_of_packets(self._packets, sender, clock, boot.number)
+
+    def boots(self) -> tuple[Boot, ...]:
+        """Return the boots of the autopilot in the log, or the requested one.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude, or no such boot.
+        """
+        return chosen_boots(self.name, self._clock(self._vehicle()[0]).boots, self._boot)
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
+        """Return the vehicle and its firmware.
+
+        Parameters
+        ----------
+        boots : collection of int
+            Numbers of the boots; by default all.
+
+        Returns
+        -------
+        LogFacts
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude.
+        """
+        sender, systems = self._vehicle()
+        vehicle = _vehicle_of(self._packets, sender)
+        choice = f", system {sender[0]} of {_and(systems)}" if len(systems) > 1 else ""
+        return LogFacts(
+            self.format,
+            f"{vehicle or 'vehicle'}{choice}" if vehicle or choice else None,
+            self._firmware(sender),
+            unread_bytes=self._packets.unread_bytes,
+        )
+
+    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+        """Yield the name and the samples of every attitude of the vehicle, boot by boot."""
+        sender, systems = self._vehicle()
+        clock = self._clock(sender)
+        for boot in self.boots():
+            for name in self._available(sender, clock, boot.number):
+                yield name, self._attitude_of(name, sender, systems, clock, boot.number)
+
+    def close(self) -> None:
+        """Do nothing: the file is only open while it is read."""
+
+    def _open(self) -> Packets:
+        return LogPackets(self.name)
+
+    def _clock(self, sender: Sender) -> VehicleClock:
+        if self._read_clock is None or self._read_clock[0] != sender:
+            self._read_clock = sender, VehicleClock.of(self._packets, sender)
+        return self._read_clock[1]
+
+    def _firmware(self, sender: Sender) -> str | None:
+        texts = self._packets.texts(sender)
+        if banners := [found for text in texts if (found := _BANNER.fullmatch("".join(filter(str.isprintable, text))))]:
+            return banners[-1][0]
+        numbers = self._packets.rows("AUTOPILOT_VERSION", sender)[:, FIELDS_FROM]
+        numbers = numbers[numbers > 0]
+        if not numbers.size:
+            return None
+        name = (_vehicle_of(self._packets, sender) or "").split(" ")[0]
+        return " ".join(filter(None, (name, version(int(numbers[-1])))))
+
+    def _vehicle(self) -> tuple[Sender, list[int]]:
+        """Return the sender whose flight is read, and the systems of all candidates."""
+        packets = self._packets
+        estimated = packets.senders(QUATERNION, EULER)
+        simulated = [
+            sender for sender in packets.senders(HIL_STATE) if sender[0] not in {system for system, _ in estimated}
+        ]
+        with_attitude = [*estimated, *simulated]
+        autopilots = [sender for sender in with_attitude if sender in packets.autopilots()]
+        # A log that was cut out of another may have no heartbeats: then any sender with attitude is a candidate.
+        candidates = autopilots or with_attitude
+        systems = list(dict.fromkeys(system for system, _ in candidates))
+        if not candidates:
+            raise self._error(f"the log has no attitude: no {QUATERNION} or {EULER} in {packets.count} packets")
+        if self._sysid is not None:
+            candidates = [sender for sender in candidates if sender[0] == self._sysid]
+            if not candidates:
+                found = f"system {_and(systems)}"
+                raise self._error(f"the log has no attitude of system {self._sysid} (sysid); it has that of {found}")
+        system = candidates[0][0]
+        components = [component for number, component in candidates if number == system]
+        return (system, _FIRST_AUTOPILOT if _FIRST_AUTOPILOT in components else components[0]), systems
+
+    def _available(self, sender: Sender, clock: VehicleClock, boot: int) -> list[str]:
+        """Return the messages with attitude of a sender in a boot, the preferred one first."""
+        names = self._packets.attitude_messages(sender)
+        rows = {name: self._packets.rows(name, sender) for name in names}
+        count = {name: np.count_nonzero(clock.read(some)[1] == boot) for name, some in rows.items()}
+        # Both are float32 and equally accurate: the frequency decides.
+        if count.get(EULER, 0) > 2 * count.get(QUATERNION, 0):
+            names = names[::-1]
+        return [name for name in names if count[name]]
+
+    def _utc(self, sender: Sender, clock: VehicleClock, boots: Sequence[Boot]) -> ClockSamples:
+        """Return the UTC of some boots; the source names what dates those without a reading of the autopilot."""
+        if self._boot is not None and not clock.is_known[self._boot - 1]:
+            return ClockSamples(np.empty(0), np.empty(0), NO_UTC)
+        utc = _utc(self._packets, sender, clock)
+        if len(boots) == 1:
+            return replace(utc, source=clock.utc_sources[boots[0].number - 1] or utc.source)
+        others = [(boot.number, source) for boot in boots if (source := clock.utc_sources[boot.number - 1])]
+        return replace(utc, source="; ".join([utc.source, *(f"boot {n}: {source}" for n, source in others)]))
+
+    def _require_attitude(self, sender: Sender) -> None:
+        """Raise an error if the requested attitude is not in the log."""
+        names = self._packets.attitude_messages(sender)
+        if self._attitude.strip().upper() not in ("AUTO", *names):
+            raise self._error(f"the log has no attitude {self._attitude!r}; it has {' and '.join(sorted(names))}")
+
+    def _attitudes(self, sender: Sender, systems: list[int], clock: VehicleClock, boot: int) -> AttitudeSamples:
+        available, requested = self._available(sender, clock, boot), self._attitude.strip().upper()
+        name = requested if requested != "AUTO" else available[0] if available else QUATERNION
+        return self._attitude_of(name, sender, systems, clock, boot)
+
+    def _attitude_of(
+        self, name: str, sender: Sender, systems: list[int], clock: VehicleClock, boot: int
+    ) -> AttitudeSamples:
+        rows, clock_s = clock.of_boot(self._packets.rows(name, sender), boot)
+        with np.errstate(over="ignore", invalid="ignore"):
+            fields = rows[:, FIELDS_FROM + 1 :]
+            q = quaternion_from_euler(*fields.T) if name == EULER else conjugate(fields[:, :4])
+            valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
+        valid &= valid_times(clock_s)
+        # An estimator sends (1, 0, 0, 0) until it is aligned.
+        aligned = (q != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
+        notes: tuple[str, ...] = (_SIMULATED,) if name == HIL_STATE else ()
+        if name == QUATERNION:
+            before = slice(None, int(np.argmax(aligned)) if aligned.any() else None)
+            notes = self._left_out(clock_s, before, sender, clock, boot)
+            valid[before] = False
+        choice = f" of system {sender[0]} (of {_and(systems)}; sysid chooses)" if len(systems) > 1 else ""
+        segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
+        return AttitudeSamples(clock_s[valid], q[valid], segment, f"{name}{choice}", REBOOT, boot, notes)
+
+    def _left_out(
+        self, clock_s: Float, before: slice, sender: Sender, clock: VehicleClock, boot: int
+    ) -> tuple[str, ...]:
+        """Return a remark that attitude before the alignment is left out, and which message covers more."""
+        left_out_s = float(np.ptp(clock_s[before])) if clock_s[before].size else 0.0
+        if left_out_s < _REPORTED_S:
+            return ()
+        euler_s = clock.of_boot(self._packets.rows(EULER, sender), boot)[1]
+        better = f"; --attitude {EULER} covers {np.ptp(euler_s):.1f} s" if euler_s.size else ""
+        remain_s = np.ptp(clock_s) - left_out_s
+        return (
+            f"the first {left_out_s:.1f} s of {QUATERNION} are left out, before its estimator was aligned:"
+            f" {remain_s:.1f} s remain{better}",
+        )
+
+    def _error(self, message: str) -> LogFormatError:
+        return LogFormatError(self.name, message, offset=self._packets.whole_bytes)
+
+
+def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[TriggerSamples]:
+    """Yield when the camera was triggered in a boot; CAMERA_FEEDBACK counts in UTC, or since boot without a GPS."""
+    for name in _TRIGGERS:
+        rows = packets.message(name)
+        rows = rows[(rows[:, SYSTEM] == sender[0]) & (clock.boot_of(rows) == boot)] if len(rows) else rows
+        if len(rows):
+            # A packet may arrive twice, and again on request.
+            _, first = np.unique(rows[:, FIELDS_FROM], return_index=True)
+            rows = rows[np.sort(first)]
+            time_s = rows[:, FIELDS_FROM] * 1e-6
+            is_utc = (time_s >= YEAR_2010_S) & (time_s < YEAR_2100_S)
+            clock_s = np.where(is_utc, np.nan, clock.read_us(rows))
+            yield TriggerSamples(clock_s, np.where(is_utc, time_s, np.nan), name, boot)
+            return
+
+
+def _events(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[EventSamples]:
+    """Yield flight modes and messages of a boot, timed by their arrival."""
+    modes = packets.custom_modes(sender)
+    modes = modes[clock.boot_of(modes) == boot] if len(modes) else modes
+    vehicle = _vehicle_of(packets, sender)
+    if len(modes) and vehicle is not None:
+        numbers = modes[:, FIELDS_FROM].astype(np.int64).tolist()
+        is_px4 = vehicle.startswith("PX4")
+        names = [px4_mode(number) if is_px4 else ardupilot_mode(vehicle, number) for number in numbers]
+        yield EventSamples.of(EventKind.MODE, clock.on_arrival(modes), names, boot)
+    rows, texts = packets.status_texts(sender)
+    if len(rows):
+        here = np.flatnonzero(clock.boot_of(rows) == boot)
+        yield EventSamples.of(EventKind.MESSAGE, clock.on_arrival(rows[here]), [texts[k] for k in here], boot)
+
+
+def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> PositionSamples:
+    """Return the positions of a sender in a boot, from the first message that has any."""
+    is_simulated = packets.attitude_messages(sender) == (HIL_STATE,)
+    rows: dict[str, Float] = {}
+    for name in ("GLOBAL_POSITION_INT", *((HIL_STATE,) if is_simulated else ())):
+        if name != HIL_STATE and packets.timestamps_are_utc(sender):
+            continue  # it is timed by another clock
+        rows[name], clock_s = clock.of_boot(packets.rows(name, sender), boot)
+        latitude, longitude, height_mm = rows[name][:, -3:].T
+        known = position_samples(clock_s, latitude / 1e7, longitude / 1e7, height_mm / 1e3, name)
+        if known.clock_s.size:
+            return known
+    # Autopilots time GPS_RAW_INT by UTC or by the time since boot: the arrival time, a second late at most, is used.
+    fixes = packets.rows("GPS_RAW_INT", sender)
+    fixes = fixes[clock.boot_of(fixes) == boot]
+    fixed = fixes[fixes[:, FIELDS_FROM] >= _FIX_3D]
+    latitude, longitude, height_mm = fixed[:, FIELDS_FROM + 1 :].T
+    known = position_samples(clock.on_arrival(fixed), latitude / 1e7, longitude / 1e7, height_mm / 1e3, "GPS_RAW_INT")
+    if known.clock_s.size:
+        return known
+    empty = [name for name, some in (*rows.items(), ("GPS_RAW_INT", fixes)) if len(some)]
+    return no_position_samples(
+        f"its {' and '.join(empty)} never had a position" if empty else packets.lack("GLOBAL_POSITION_INT")
+    )
+
+
+def _utc(packets: Packets, sender: Sender, clock: VehicleClock) -> ClockSamples:
+    """Return the UTC of the autopilot, else of another component of its system, else of any other system."""
+    times = clock_readings(packets, sender)
+    if len(times):
+        clock_s, boot = clock.read(times)
+        source = f"{HIL_STATE}, timed by UTC" if packets.timestamps_are_utc(sender) else readings_source(len(times))
+        return ClockSamples(clock_s[boot > 0], system_time_utc_s(times)[boot > 0], source)
+    for other in other_clocks(packets, sender):
+        if len(times := packets.times(other)):
+            source = readings_source(len(times), packets.called(other))
+            return ClockSamples(clock.on_arrival(times), system_time_utc_s(times), source)
+    lack = "no SYSTEM_TIME after 2010" if packets.senders("SYSTEM_TIME") else packets.lack("SYSTEM_TIME")
+    stamp_s = packets.first_stamp_s(sender)
+    recorder = f"; the recorder's own clock said {format_utc(stamp_s)}" if YEAR_2010_S <= stamp_s < YEAR_2100_S else ""
+    return ClockSamples(np.empty(0), np.empty(0), f"{lack}{recorder}")
+
+
+def _rates(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[RateSamples]:
+    """Yield the most frequent gyro rates; nothing if the attitude is more frequent, or timed by another clock."""
+    if packets.timestamps_are_utc(sender):
+        return
+    least = max([2, *(len(packets.rows(name, sender)) for name in packets.attitude_messages(sender))])
+    names = [name for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)]
+    # Packets are counted before they are decoded, so that only one message is.
+    often = [name for name in sorted(names, key=packets.amount, reverse=True) if packets.amount(name) >= least]
+    name = next((name for name in often if len(packets.rows(name, sender)) >= least), None)
+    if name is None:
+        return
+    rows = packets.rows(name, sender)
+    rows = rows[clock.boot_of(rows) == boot]
+    with np.errstate(invalid="ignore", over="ignore"):
+        rate = rows[:, FIELDS_FROM + 1 :] * _GYROS[name]
+    clock_s = clock.read(rows)[0] if name.startswith("SCALED") else clock.read_us(rows)
+    valid = valid_times(clock_s) & valid_rates(rate)
+    if np.count_nonzero(valid) > 1:
+        yield RateSamples(clock_s[valid], rate[valid], name, boot)
+
+
+def _is_ardupilot(packets: Packets, sender: Sender) -> bool:
+    return bool(np.any(packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM] == ARDUPILOT))
+
+
+def _vehicle_of(packets: Packets, sender: Sender) -> str | None:
+    """Return the name of an autopilot and its vehicle; None without a heartbeat."""
+    beats = packets.rows("HEARTBEAT", sender)
+    if not len(beats):
+        return None
+    return autopilot(int(np.median(beats[:, FIELDS_FROM])), vehicle_kind(beats[:, FIELDS_FROM + 1]))
+
+
+def _and(systems: list[int]) -> str:
+    return " and ".join(map(str, systems))
+
+
+_MAGIC = re.compile(rb"[\xfd\xfe]")
+_V2 = 0xFD
+_SIGNED = 0x01
+# Bytes of a packet besides its payload, by version, and those of a signature.
+_V1_BYTES, _V2_BYTES, _SIGNATURE_BYTES = 8, 12, 13
+# Number of consecutive packets that are not there by chance.
+_ROW: Final = 5
+# Start of the made arrival times until UTC is known.
+_START_S: Final = YEAR_2010_S + 86400.0
+_AUTOPILOT: Final = 1
+
+
+def is_mavlink_stream(head: bytes) -> bool:
+    """Return whether a file holds consecutive MAVLink packets without arrival times.
+
+    Parameters
+    ----------
+    head : bytes
+        The first bytes of the file, some thousands.
+
+    Returns
+    -------
+    bool
+    """
+    for magic in _MAGIC.finditer(head[:1024]):
+        at: int | None = magic.start()
+        for _ in range(_ROW):
+            at = None if at is None else _stop(head, at)
+        if at is not None:
+            return True
+    return False
+
+
+def stream_reader(
+    path: str, *, attitude: str = "auto", sysid: int | None = None, boot: int | None = None
+) -> UnpackedSource:
+    """Open a stream as a telemetry log.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    attitude, sysid, boot
+        As for `TelemetryLogReader`.
+
+    Returns
+    -------
+    UnpackedSource
+
+    Raises
+    ------
+    LogFormatError
+        If it holds no packet with attitude.
+    """
+    return UnpackedSource(
+        path, _with_arrival_times, lambda log: TelemetryLogReader(log, attitude=attitude, sysid=sysid, boot=boot)
+    )
+
+
+def _with_arrival_times(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
+    """Write the packets of a stream as a telemetry log into a temporary directory."""
+    content = Path(name).read_bytes()
+    folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
+    path = Path(folder.name) / f"{Path(name).stem}.tlog"
+    clock_s, boot_s, count = _START_S, None, 0
+    with path.open("wb") as file:
+        for packet, message in _packets(content):
+            count += 1
+            time_ms = getattr(message, "time_boot_ms", None)
+            if time_ms is not None and message.get_srcComponent() == _AUTOPILOT:
+                # A step back is a reboot, or a packet that overtook another.
+                clock_s += 0.0 if boot_s is None else max(time_ms / 1e3 - boot_s, 0.0)
+                boot_s = time_ms / 1e3
+            file.write(struct.pack(">Q", round(clock_s * 1e6)) + packet)
+    if not count:
+        folder.cleanup()
+        raise LogFormatError(name, "holds no valid MAVLink packet")
+    return folder, path
+
+
+def _packets(content: bytes) -> Iterator[tuple[bytes, Any]]:
+    """Yield the packets with correct checksums, and their messages."""
+    with suppressed_output():
+        from pymavlink.dialects.v20 import ardupilotmega  # noqa: PLC0415
+
+        link = ardupilotmega.MAVLink(None)
+    at = 0
+    while (magic := _MAGIC.search(content, at)) is not None:
+        at = magic.start()
+        stop = _stop(content, at)
+        if stop is not None:
+            packet = content[at:stop]
+            try:
+                yield packet, link.decode(bytearray(packet))
+            except (ardupilotmega.MAVError, struct.error):
+                stop = None
+        at = at + 1 if stop is None else stop
+
+
+def _stop(content: bytes, at: int) -> int | None:
+    """Return the end of the packet that begins at an offset; None if there is no packet."""
+    if at + _V1_BYTES > len(content) or content[at] not in b"\xfd\xfe":
+        return None
+    is_v2, flags = content[at] == _V2, content[at + 2]
+    if is_v2 and flags & ~_SIGNED:
+        return None
+    signature = _SIGNATURE_BYTES if is_v2 and flags & _SIGNED else 0
+    stop = at + content[at + 1] + (_V2_BYTES if is_v2 else _V1_BYTES) + signature
+    return stop if stop <= len(content) else None

@@ -1,0 +1,368 @@
+"""Names of vehicle types and autopilots by their MAVLink numbers, and of firmware versions.
+
+Names of flight modes by their numbers in ArduPilot and PX4.
+
+The attitude of a gimbal in MAVLink packets and PX4 topics.
+
+Roll and pitch are those of the platform against the horizon.  The yaw is against north or against the heading of the
+aircraft: the flags of GIMBAL_DEVICE_ATTITUDE_STATUS say which, in older senders by their yaw lock; MOUNT_ORIENTATION,
+MOUNT_STATUS and mount_orientation have the latter.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.rotation import conjugate, quaternion_from_euler
+from glstar.telemetry.mavlink.clock import VehicleClock
+from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, STAMP, SYSTEM, Packets, Sender
+from glstar.telemetry.source import UNIT_TOLERANCE, GimbalSamples, quaternion_lengths, valid_times
+
+# Autopilots, by MAV_AUTOPILOT.
+ARDUPILOT, PX4 = 3, 12
+_AUTOPILOTS: Final = {
+    ARDUPILOT: "ArduPilot",
+    PX4: "PX4",
+    4: "OpenPilot",
+    13: "SMACCMPilot",
+    14: "AutoQuad",
+    20: "ReflexPilot",
+}
+
+# Kinds of aircraft, by MAV_TYPE.
+_KINDS: Final = {
+    1: "fixed wing",
+    2: "quadrotor",
+    3: "coaxial helicopter",
+    4: "helicopter",
+    5: "antenna tracker",
+    7: "airship",
+    8: "balloon",
+    9: "rocket",
+    10: "rover",
+    11: "boat",
+    12: "submarine",
+    13: "hexarotor",
+    14: "octorotor",
+    15: "tricopter",
+    16: "flapping wing",
+    17: "kite",
+    19: "VTOL",
+    20: "VTOL",
+    21: "VTOL",
+    22: "VTOL",
+    23: "VTOL",
+    24: "VTOL",
+    25: "VTOL",
+    28: "parafoil",
+    29: "dodecarotor",
+    35: "decarotor",
+}
+# ArduPilot firmware by kind of vehicle.
+_ARDUPILOT_FIRMWARE: Final = {
+    "fixed wing": "ArduPlane",
+    "VTOL": "ArduPlane",
+    "antenna tracker": "AntennaTracker",
+    "airship": "Blimp",
+    "rover": "Rover",
+    "boat": "Rover",
+    "submarine": "ArduSub",
+    **dict.fromkeys(
+        (
+            "quadrotor",
+            "coaxial helicopter",
+            "helicopter",
+            "hexarotor",
+            "octorotor",
+            "tricopter",
+            "dodecarotor",
+            "decarotor",
+        ),
+        "ArduCopter",
+    ),
+}
+# Release stage by the last byte of a version.
+_STAGES: Final = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
+
+
+def vehicle_kind(mav_type: ArrayLike | None) -> str | None:
+    """Return the kind of vehicle in a log.
+
+    Parameters
+    ----------
+    mav_type : (n,) array_like, optional
+        All values of MAV_TYPE in the log.
+
+    Returns
+    -------
+    str or None
+        The most frequent kind; None if it has no name.
+    """
+    types = np.asarray([] if mav_type is None else mav_type, dtype=np.float64)
+    kinds, count = np.unique(types[np.isin(types, list(_KINDS))], return_counts=True)
+    return _KINDS[int(kinds[count.argmax()])] if kinds.size else None
+
+
+def autopilot(number: int, kind: str | None) -> str | None:
+    """Return the name of an autopilot and its vehicle.
+
+    Parameters
+    ----------
+    number : int
+        MAV_AUTOPILOT.
+    kind : str, optional
+        See `vehicle_kind`.
+
+    Returns
+    -------
+    str or None
+        ``"ArduPlane"``, ``"PX4 quadrotor"``.
+    """
+    if number == ARDUPILOT and kind in _ARDUPILOT_FIRMWARE:
+        return _ARDUPILOT_FIRMWARE[kind]
+    return " ".join(filter(None, (_AUTOPILOTS.get(number), kind))) or None
+
+
+def version(number: int) -> str:
+    """Return a firmware version of PX4 or ArduPilot as text.
+
+    Parameters
+    ----------
+    number : int
+        Major, minor, patch and stage, a byte each from the highest.
+
+    Returns
+    -------
+    str
+        ``"v1.11.2"``, ``"v1.14.0-beta"``; empty for 0.
+    """
+    major, minor, patch, stage = number.to_bytes(8, "big")[-4:]
+    if not number:
+        return ""
+    suffix = f"-{_STAGES[stage]}" if stage in _STAGES else ""
+    return f"v{major}.{minor}.{patch}{suffix}"
+
+
+# ArduPlane/mode.h, ArduCopter/mode.h, Rover/mode.h and ArduSub/mode.h of ArduPilot 4.6.
+_PLANE: Final = {
+    **dict(enumerate(("MANUAL", "CIRCLE", "STABILIZE", "TRAINING", "ACRO", "FBWA", "FBWB", "CRUISE", "AUTOTUNE"))),
+    **dict(enumerate(("AUTO", "RTL", "LOITER", "TAKEOFF", "AVOID_ADSB", "GUIDED", "INITIALISING"), 10)),
+    **dict(enumerate(("QSTABILIZE", "QHOVER", "QLOITER", "QLAND", "QRTL", "QAUTOTUNE", "QACRO", "THERMAL"), 17)),
+    **dict(enumerate(("LOITERALTQLAND", "AUTOLAND"), 25)),
+}
+_COPTER: Final = {
+    **dict(enumerate(("STABILIZE", "ACRO", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "POSITION"))),
+    **dict(enumerate(("LAND", "OF_LOITER", "DRIFT"), 9)),
+    **dict(enumerate(("SPORT", "FLIP", "AUTOTUNE", "POSHOLD", "BRAKE", "THROW", "AVOID_ADSB", "GUIDED_NOGPS"), 13)),
+    **dict(
+        enumerate(("SMART_RTL", "FLOWHOLD", "FOLLOW", "ZIGZAG", "SYSTEMID", "AUTOROTATE", "AUTO_RTL", "TURTLE"), 21)
+    ),
+    29: "RATE_ACRO",
+}
+_ROVER: Final = {
+    **dict(
+        enumerate(("MANUAL", "ACRO", "LEARNING", "STEERING", "HOLD", "LOITER", "FOLLOW", "SIMPLE", "DOCK", "CIRCLE"))
+    ),
+    **dict(enumerate(("AUTO", "RTL", "SMART_RTL"), 10)),
+    15: "GUIDED",
+    16: "INITIALISING",
+}
+_SUB: Final = {
+    **dict(enumerate(("STABILIZE", "ACRO", "ALT_HOLD", "AUTO", "GUIDED"))),
+    7: "CIRCLE",
+    9: "SURFACE",
+    16: "POSHOLD",
+    19: "MANUAL",
+}
+_ARDUPILOT: Final[Mapping[str, Mapping[int, str]]] = {
+    "ArduPlane": _PLANE,
+    "ArduCopter": _COPTER,
+    "Rover": _ROVER,
+    "ArduRover": _ROVER,
+    "ArduSub": _SUB,
+}
+# vehicle_status.nav_state of PX4: msg/VehicleStatus.msg.
+_NAVIGATION: Final = {
+    **dict(enumerate(("Manual", "Altitude", "Position", "Mission", "Hold", "Return"))),
+    10: "Acro",
+    12: "Descend",
+    13: "Termination",
+    14: "Offboard",
+    15: "Stabilized",
+    **dict(enumerate(("Takeoff", "Land", "Follow", "Precision land", "Orbit", "VTOL takeoff"), 17)),
+}
+# Main mode of PX4's custom_mode, and the sub-modes of AUTO: px4_custom_mode.h.
+_PX4_AUTO: Final = 4
+_PX4_MAIN: Final = dict(
+    enumerate(("Manual", "Altitude", "Position", "Auto", "Acro", "Offboard", "Stabilized", "Rattitude", "Simple"), 1)
+)
+_PX4_SUB: Final = dict(
+    enumerate(("Ready", "Takeoff", "Hold", "Mission", "Return", "Land", "Reserved", "Follow", "Precision land"), 1)
+)
+
+
+def ardupilot_mode(vehicle: str | None, number: int) -> str:
+    """Return the name of a mode of ArduPilot.
+
+    Parameters
+    ----------
+    vehicle : str or None
+        The firmware: ``"ArduPlane"``.
+    number : int
+
+    Returns
+    -------
+    str
+        ``"LOITER"``; ``"mode 42"`` if it has no name.
+    """
+    return _ARDUPILOT.get((vehicle or "").split(" ")[0], {}).get(number, f"mode {number}")
+
+
+def px4_mode(custom_mode: int) -> str:
+    """Return the name of a mode of PX4 by the field custom_mode of a heartbeat.
+
+    Parameters
+    ----------
+    custom_mode : int
+        The main mode in bits 16 to 23, the sub-mode in bits 24 to 31.
+
+    Returns
+    -------
+    str
+    """
+    main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+    if main == _PX4_AUTO and sub in _PX4_SUB:
+        return _PX4_SUB[sub]
+    return _PX4_MAIN.get(main, f"mode {main}")
+
+
+def px4_navigation_state(number: int) -> str:
+    """Return the name of a navigation state of PX4.
+
+    Parameters
+    ----------
+    number : int
+        ``nav_state`` of the topic vehicle_status.
+
+    Returns
+    -------
+    str
+    """
+    return _NAVIGATION.get(number, f"mode {number}")
+
+
+Float = NDArray[np.float64]
+
+GIMBAL_STATUS: Final = "GIMBAL_DEVICE_ATTITUDE_STATUS"
+# The best one first: of several, only the first is used.
+GIMBAL_MESSAGES: Final = (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS")
+# Bits of GIMBAL_DEVICE_FLAGS.
+_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
+
+
+def yaw_is_earth(flags: Float) -> NDArray[np.bool_]:
+    """Return whether the yaw of a gimbal is against north, by its flags.
+
+    Parameters
+    ----------
+    flags : (n,) float64
+        GIMBAL_DEVICE_FLAGS.
+
+    Returns
+    -------
+    (n,) bool
+        By YAW_IN_EARTH_FRAME or YAW_IN_VEHICLE_FRAME; with neither of them, by YAW_LOCK.
+    """
+    bits = flags.astype(np.int64)
+    locked = (bits & _YAW_LOCK > 0) & (bits & _YAW_IN_VEHICLE_FRAME == 0)
+    return np.asarray((bits & _YAW_IN_EARTH_FRAME > 0) | locked)
+
+
+def gimbal_of_packets(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[GimbalSamples]:
+    """Yield the attitude of the gimbal of a system in a boot, from the first message that has one.
+
+    Parameters
+    ----------
+    packets : Packets
+    sender : (int, int)
+        The autopilot: the gimbal belongs to its system, and has a time since boot of its own unless the autopilot
+        itself sends its attitude.
+    clock : VehicleClock
+    boot : int
+
+    Yields
+    ------
+    GimbalSamples
+    """
+    if packets.timestamps_are_utc(sender):
+        return
+    for name in GIMBAL_MESSAGES:
+        rows = packets.message(name)
+        rows = rows[rows[:, SYSTEM] == sender[0]] if len(rows) else rows
+        rows = rows[clock.boot_of(rows) == boot] if len(rows) else rows
+        if not len(rows):
+            continue
+        component = sender[1] if np.any(rows[:, COMPONENT] == sender[1]) else rows[0, COMPONENT]
+        rows = rows[rows[:, COMPONENT] == component]
+        values = rows[:, FIELDS_FROM:] if name == "MOUNT_STATUS" else rows[:, FIELDS_FROM + 1 :]
+        if name == "MOUNT_STATUS":
+            clock_s = clock.on_arrival(rows)
+        elif component == sender[1]:
+            clock_s = clock.read(rows)[0]
+        else:
+            clock_s = _on_own_clock(rows, clock)
+        samples = gimbal_samples(name, clock_s, values)
+        if samples.clock_s.size > 1:
+            yield GimbalSamples(samples.clock_s, samples.q_gimbal_reference, samples.is_earth, samples.source, boot)
+            return
+
+
+def _on_own_clock(rows: Float, clock: VehicleClock) -> Float:
+    """Return the autopilot's clock at packets of a gimbal with a clock of its own, s.
+
+    Packets arrive late and never early: the earliest arrival relates the two clocks.
+    """
+    own_s = rows[:, FIELDS_FROM] / 1e3
+    related: Float = own_s + np.min(clock.on_arrival(rows) - own_s)
+    assert related.shape == rows[:, STAMP].shape
+    return related
+
+
+def gimbal_samples(name: str, clock_s: Float, values: Float) -> GimbalSamples:
+    """Return the attitudes in the fields of MAVLink messages of a gimbal; invalid ones are left out.
+
+    Parameters
+    ----------
+    name : str
+        One of `GIMBAL_MESSAGES`.
+    clock_s : (n,) float64
+        Times of the messages, s.
+    values : (n, k) float64
+        The flags and the quaternion from the platform to the frame of reference of GIMBAL_DEVICE_ATTITUDE_STATUS; roll,
+        pitch and yaw of MOUNT_ORIENTATION, deg; or pitch, roll and yaw of MOUNT_STATUS, 0.01 deg.
+
+    Returns
+    -------
+    GimbalSamples
+    """
+    return status_samples(clock_s, values, name) if name == GIMBAL_STATUS else angle_samples(clock_s, values, name)
+
+
+def status_samples(clock_s: Float, values: Float, name: str) -> GimbalSamples:
+    """Return the valid samples of a gimbal's attitude, (n,) times s and (n, 5) yaw flag and quaternion."""
+    q = conjugate(values[:, 1:5])
+    valid = (np.abs(quaternion_lengths(q) - 1) < UNIT_TOLERANCE) & valid_times(clock_s)
+    return GimbalSamples(clock_s[valid], q[valid], yaw_is_earth(values[valid, 0]), name)
+
+
+def angle_samples(clock_s: Float, values: Float, name: str) -> GimbalSamples:
+    """Return samples from angles in deg, or in 0.01 deg as MOUNT_STATUS has them, pitch first."""
+    if name == "MOUNT_STATUS":
+        pitch, roll, yaw = np.deg2rad(values.T / 100)
+    else:
+        roll, pitch, yaw = np.deg2rad(values.T)
+    valid = np.isfinite(values).all(axis=-1) & valid_times(clock_s)
+    q = quaternion_from_euler(roll, pitch, yaw)[valid]
+    return GimbalSamples(clock_s[valid], q, np.zeros(len(q), dtype=np.bool_), name)

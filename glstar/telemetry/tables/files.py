@@ -1,0 +1,631 @@
+"""Tables of any program as columns: text with any separator, Apache Parquet, and Excel workbooks.
+
+Rows and columns of CSV files, for all readers of tables.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import chain, islice
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any, Final, Literal, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError, LogFormatError
+from glstar.sky.place.timescale import parse_utc
+
+Float = NDArray[np.float64]
+Cells = Sequence[Any] | NDArray[Any]
+
+_SEPARATORS: Final = ",;\t|"
+# Cells without a value.
+_EMPTY: Final = {"", "nan", "na", "n/a", "none", "null", "-"}
+# Longest header, bytes: blackbox and DJI tables have hundreds of columns.
+_HEADER_BYTES: Final = 65536
+# First bytes of an Excel workbook, and names of its first members.
+_ZIP: Final = b"PK\x03\x04"
+_OFFICE_MARKS: Final = (b"[Content_Types].xml", b"docProps/", b"xl/")
+_PARQUET: Final = b"PAR1"
+# A number that can only have a decimal comma: 1,024 may as well be a thousand.
+_DECIMAL_COMMA: Final = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
+# Date and time of day as DJI's programs write them: 10/16/2024 or 2024-10-16, and 2:23:51.84 PM.
+_TWELVE_HOURS: Final = re.compile(
+    r"((?P<american>\d{1,2}/\d{1,2}/\d{4})|(?P<iso>\d{4}[-/]\d{2}[-/]\d{2})) +(?P<hour>\d{1,2}):"
+    r"(?P<minutes>\d{2}:\d{2})(?P<fraction>([.,]\d+)?) *(?P<half>[AaPp])\.?[Mm]\.?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TableFile:
+    """The content of a table.
+
+    Attributes
+    ----------
+    name : str
+        The file, for messages.
+    kind : str
+        ``"CSV"``, ``"Parquet"`` or ``"Excel"``.
+    columns : dict of str to sequence
+        Cells by column: text of a CSV file, otherwise numbers, times or text.
+    lines : (n,) int64
+        Line, or row, of each cell, from 1.
+    """
+
+    name: str
+    kind: str
+    columns: dict[str, Cells]
+    lines: NDArray[np.int64]
+
+    def numbers(self, column: str) -> Float:
+        """Return a column of numbers; NaN for cells without a value.
+
+        Parameters
+        ----------
+        column : str
+            With a leading minus sign, the numbers change their sign, unless a column has that name.
+
+        Returns
+        -------
+        (n,) float64
+
+        Raises
+        ------
+        LogFormatError
+            If a cell is no number.
+        """
+        if column not in self.columns and column.startswith("-"):
+            return -self.numbers(column[1:])
+        cells = self.columns[column]
+        try:
+            numbers = np.array(cells, dtype=np.float64) if self.kind != "CSV" else np.array(list(map(float, cells)))
+        except (ValueError, TypeError):
+            point = "," if self.kind == "CSV" and _has_decimal_commas(cells) else "."
+            numbers = np.array([self._number(column, row, cell, point) for row, cell in enumerate(cells)])
+        numbers[~np.isfinite(numbers)] = np.nan
+        return numbers
+
+    def times(self, column: str, date: str | None = None) -> Float:
+        """Return a column of UTC, seconds since 1970; NaN for cells without a value.
+
+        Parameters
+        ----------
+        column : str
+            ISO 8601 (slashes may separate the date), a clock with AM or PM (with an ISO date, or month/day/year), or
+            times of Parquet and Excel.
+        date : str, optional
+            The column with the date, if it is not in `column`.
+
+        Returns
+        -------
+        (n,) float64
+
+        Raises
+        ------
+        LogFormatError
+            If a cell is no time.
+        """
+        days = self.columns[date] if date is not None else [""] * len(self.lines)
+        return np.array(
+            [self._time(column, row, day, cell) for row, (day, cell) in enumerate(self._pairs(days, column))]
+        )
+
+    def _pairs(self, days: Cells, column: str) -> "zip[tuple[Any, Any]]":
+        return zip(days, self.columns[column], strict=True)
+
+    def _number(self, column: str, row: int, cell: Any, point: str) -> float:
+        text = "" if cell is None else str(cell).strip()
+        if text.lower() in _EMPTY:
+            return np.nan
+        try:
+            return float(text.replace(point, "."))
+        except ValueError:
+            hint = "; write decimals with a point" if "," in text else ""
+            raise self.error(row, column, f"{text[:40]!r} is not a number{hint}") from None
+
+    def _time(self, column: str, row: int, day: Any, cell: Any) -> float:
+        if isinstance(cell, datetime):
+            return (cell if cell.tzinfo else cell.replace(tzinfo=UTC)).timestamp()
+        text = f"{'' if day is None else day} {'' if cell is None else cell}".strip()
+        if text.lower() in _EMPTY:
+            return np.nan
+        try:
+            return parse_utc(_on_24_hours(text).replace("/", "-").removesuffix(" UTC"))
+        except ConfigError:
+            expected = "an ISO 8601 time, such as 2024-03-10T11:00:00Z, or as 3/10/2024 11:00:00.5 AM"
+            raise self.error(row, column, f"{text[:40]!r} is not {expected}") from None
+
+    def error(self, row: int, column: str, message: str) -> LogFormatError:
+        """Return an error about a cell, with its line and column.
+
+        Parameters
+        ----------
+        row : int
+            Index of the row, from 0.
+        column : str
+        message : str
+
+        Returns
+        -------
+        LogFormatError
+        """
+        line = int(self.lines[row])
+        return LogFormatError(self.name, f"line {line}, column {column}: {message}", offset=line)
+
+
+def _has_decimal_commas(cells: Cells) -> bool:
+    """Return whether a column has decimal commas: 0,5 and 1,25 say so; where all are as 1,024 it may be thousands."""
+    texts = [str(cell).strip() for cell in cells]
+    return not any("." in text for text in texts) and any(_DECIMAL_COMMA.fullmatch(text) for text in texts)
+
+
+def _on_24_hours(text: str) -> str:
+    """Return a time with AM or PM as ISO 8601; any other text as it is."""
+    found = _TWELVE_HOURS.fullmatch(text)
+    if found is None or not 1 <= int(found["hour"]) <= 12:
+        return text
+    month, day, year = (int(number) for number in (found["american"] or "0/0/0").split("/"))
+    date = found["iso"] or f"{year:04d}-{month:02d}-{day:02d}"
+    hour = int(found["hour"]) % 12 + 12 * (found["half"].lower() == "p")
+    return f"{date} {hour:02d}:{found['minutes']}{found['fraction'].replace(',', '.')}"
+
+
+def is_parquet(head: bytes) -> bool:
+    """Return whether a file is an Apache Parquet table.
+
+    Parameters
+    ----------
+    head : bytes
+        Its first bytes.
+
+    Returns
+    -------
+    bool
+    """
+    return head.startswith(_PARQUET)
+
+
+def is_office_file(head: bytes) -> bool:
+    """Return whether a file is an Excel workbook, or another Office file.
+
+    Parameters
+    ----------
+    head : bytes
+        Its first bytes, some thousands.
+
+    Returns
+    -------
+    bool
+    """
+    return head.startswith(_ZIP) and any(mark in head for mark in _OFFICE_MARKS)
+
+
+def table_header(head: bytes) -> tuple[str, ...]:
+    """Return the header of a text table, from the first bytes of its file.
+
+    Parameters
+    ----------
+    head : bytes
+
+    Returns
+    -------
+    tuple of str
+        Empty if the bytes are not text.
+    """
+    if b"\0" in head:
+        return ()
+    lines = _lines(head.decode("utf-8-sig", errors="replace"))
+    first = next(iter(lines), (0, ""))[1]
+    return tuple(_cells(first, _separator(first)))
+
+
+def read_table(path: str, names: Sequence[str] = ()) -> TableFile:
+    """Return the columns of a table.
+
+    Parameters
+    ----------
+    path : str
+        A text table, a Parquet file, or an Excel workbook, of which the first sheet is read.
+    names : sequence of str
+        Names of the columns, if the file has no header.
+
+    Returns
+    -------
+    TableFile
+
+    Raises
+    ------
+    LogFormatError
+        If it cannot be read, or a row has another number of cells than the header.
+    """
+    with Path(path).open("rb") as file:
+        head = file.read(4096)
+    if is_parquet(head):
+        return _read_parquet(path)
+    if is_office_file(head):
+        return _read_excel(path)
+    return _read_text(path, names)
+
+
+def _lines(text: str) -> list[tuple[int, str]]:
+    """Return numbered lines with content, the header first: a comment is a header if the first row has numbers."""
+    found: list[tuple[int, str]] = []
+    comment: tuple[int, str] | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        stripped = line.strip()
+        if not stripped or stripped.lower().startswith("sep="):
+            continue
+        if stripped.startswith("#"):
+            comment = (number, stripped.lstrip("# ")) if not found else comment
+            continue
+        if not found and comment is not None and _is_header_of(comment[1], stripped):
+            found.append(comment)
+        found.append((number, stripped))
+    return found
+
+
+def _is_header_of(comment: str, row: str) -> bool:
+    names, cells = _cells(comment, _separator(comment)), _cells(row, _separator(row))
+    return len(names) == len(cells) > 1 and all(not _is_number(name) for name in names) and _is_number(cells[0])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _separator(line: str) -> str:
+    """Return the separator of a header: the most frequent one of , ; tab and |, otherwise white space."""
+    best = max(_SEPARATORS, key=line.count)
+    # X-Plane has commas in its names: _real,_time | pitch,__deg |
+    best = "|" if line.count("|") > 2 else best
+    return best if best in line else " "
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    return cells[:-1] if separator == "|" and cells and not cells[-1] else cells
+
+
+def _read_text(path: str, names: Sequence[str]) -> TableFile:
+    content = Path(path).read_bytes()
+    if b"\0" in content[:_HEADER_BYTES]:
+        raise LogFormatError(path, "is no table: it is not text", offset=0)
+    lines = _lines(content.decode("utf-8-sig", errors="replace"))
+    if not lines:
+        raise LogFormatError(path, "has only blank lines and comments", offset=0)
+    separator = _separator(lines[0][1])
+    header = _cells(lines[0][1], separator)
+    if names and all(_is_number(cell) for cell in header if cell):
+        header, rows = list(names), lines
+    else:
+        rows = lines[1:]
+    # A repeated header begins an appended table.
+    rows = [(number, line) for number, line in rows if line != lines[0][1] or header == list(names)]
+    cells = _split(path, rows, separator, len(header))
+    numbers = np.array([number for number, _ in rows[: len(cells)]], dtype=np.int64)
+    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
+    return TableFile(path, "CSV", dict(zip(header, columns, strict=True)), numbers)
+
+
+def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -> list[list[str]]:
+    """Return the cells of rows; an incomplete last row is dropped."""
+    if separator in " |":
+        cells = [_cells(line, separator) for _, line in rows]
+    else:
+        reader = csv.reader(io.StringIO("\n".join(line for _, line in rows)), delimiter=separator)
+        cells = [[cell.strip() for cell in row] for row in reader]
+        if len(cells) != len(rows):
+            raise LogFormatError(path, "a quoted field runs over the end of its line", offset=0)
+    for row, found in enumerate(cells):
+        # Some programs end each row with a separator.
+        while len(found) > width and not found[-1]:
+            found.pop()
+        if len(found) != width:
+            if row == len(cells) - 1 and len(found) < width:
+                return cells[:row]
+            line = rows[row][0]
+            raise LogFormatError(path, f"line {line}: {len(found)} fields, where the header names {width}", offset=line)
+    return cells
+
+
+def _read_parquet(path: str) -> TableFile:
+    try:
+        from pyarrow import parquet  # noqa: PLC0415 - an extra, 170 MB
+    except ImportError:
+        raise LogFormatError(path, "is an Apache Parquet table, which needs pyarrow: pip install pyarrow") from None
+    try:
+        table = parquet.read_table(path)
+    except Exception as error:  # pyarrow raises its own and several standard exceptions
+        raise LogFormatError(path, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from error
+    columns = {name: _parquet_column(table.column(name)) for name in table.column_names}
+    return TableFile(path, "Parquet", columns, np.arange(1, table.num_rows + 1))
+
+
+def _parquet_column(column: Any) -> Cells:
+    """Return the cells of a column: an array of numbers, or a list with None for nothing."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    if pa.types.is_timestamp(column.type):
+        # pandas reads nanoseconds, which datetime has not.
+        unit_s = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        ticks = column.cast(pa.int64()).to_pylist()
+        return [None if tick is None else datetime.fromtimestamp(tick * unit_s, UTC) for tick in ticks]
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        numbers: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+        return numbers if column.null_count == 0 else numbers.astype(np.float64)
+    cells: list[Any] = column.to_pylist()
+    return cells
+
+
+def _read_excel(path: str) -> TableFile:
+    try:
+        import openpyxl  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise LogFormatError(path, "is an Excel workbook, which needs openpyxl: pip install openpyxl") from None
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheet = book.worksheets[0]
+        rows = [(number, row) for number, row in enumerate(sheet.iter_rows(values_only=True), start=1) if any(row)]
+        book.close()
+    except Exception as error:  # openpyxl raises many kinds of exceptions for damaged files
+        raise LogFormatError(path, f"cannot be read as an Excel workbook: {error}") from error
+    if not rows:
+        raise LogFormatError(path, "its first sheet is empty", offset=0)
+    header = ["" if cell is None else str(cell).strip() for cell in rows[0][1]]
+    cells = [row for _, row in islice(rows, 1, None)]
+    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
+    numbers = np.array([number for number, _ in rows[1:]], dtype=np.int64)
+    return TableFile(
+        path, "Excel", {name: column for name, column in zip(header, columns, strict=True) if name}, numbers
+    )
+
+
+# Number of rows that are held as text before they are converted: numbers need a tenth of the memory.
+ROWS_AT_ONCE = 1000
+# First characters of a number or a time.
+_NUMERIC = "0123456789+-."
+# An item of a column with lists.
+_LIST_ITEM = re.compile(r"(.+)\[(\d+)\]")
+# 1,5 in a table with another separator.
+_ANY_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+
+
+def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of all rows of a table, the header first.
+
+    Blank lines and comment lines, which begin with ``#``, are skipped.  If the first row has numbers, the comment line
+    before it is the header, as `numpy.savetxt` writes it.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+    delimiter : str, optional
+        Separator of cells; by default the one of comma, semicolon and tab that is most frequent in the header.
+    quoted : bool
+        Whether cells may be quoted.
+
+    Raises
+    ------
+    LogFormatError
+        If the file is not text, or not a table.
+    """
+    line = count = lines = 0
+    comment = ""
+
+    def texts(file: TextIO) -> Iterator[str]:
+        nonlocal line, lines, comment
+        for number, text in enumerate(file, start=1):
+            stripped = text.lstrip()
+            if not stripped or stripped[0] == "#":
+                comment = stripped.lstrip("# ") or comment if lines == 0 else ""
+                continue
+            if lines == 0 and stripped[0] in _NUMERIC and _header_of(comment, stripped):
+                line, lines = number - 1, lines + 1
+                yield comment
+            if quoted and lines > count:
+                raise LogFormatError(name, f"line {line}: a quoted field runs over its end", offset=line)
+            line, lines = number, lines + 1
+            yield text
+
+    quoting: Literal[0, 3] = csv.QUOTE_MINIMAL if quoted else csv.QUOTE_NONE
+    try:
+        with Path(name).open(encoding="utf-8-sig") as file:
+            source = texts(file)
+            header = next(source, "")
+            separator = delimiter or max(",;\t", key=header.count)
+            for cells in csv.reader(chain([header], source), delimiter=separator, quoting=quoting, strict=True):
+                count += 1
+                yield line, cells
+    except csv.Error as error:
+        raise LogFormatError(name, f"line {line}: {error}", offset=line) from error
+    except UnicodeDecodeError as error:
+        after = f" after line {line}" if line else ""
+        raise LogFormatError(name, f"is no text{after}: it is not UTF-8", offset=line) from error
+
+
+def _header_of(comment: str, row: str) -> bool:
+    """Return whether a comment is the header of a row: it has as many names as the row has cells."""
+    between = max(",;\t", key=comment.count)
+    names = [name.strip() for name in comment.split(between)]
+    return len(names) > 1 and len(names) == len(row.split(between)) and all(name[:1].isalpha() for name in names)
+
+
+class Dump:
+    """Columns of a CSV file that a program exported from a log.
+
+    Rows with another number of cells than the header are dropped.
+
+    Parameters
+    ----------
+    name : str
+        The file.  Its first column is ``timestamp``; the character after that word is the separator.
+    wanted : iterable of str, optional
+        Names of the columns to read, if they exist; by default all.  ``name[0]`` is the first item of the lists in a
+        column; mavlogdump writes a list as ``[1.0, 0.0]``, without quotes.
+    texts : str, optional
+        Name of a column that is kept as text.  Text is not quoted: if it is the last column, it may contain separators.
+
+    Attributes
+    ----------
+    header : tuple of str
+    line : (n,) float64
+        Line number of each row.
+    columns : dict of str to (n,) float64
+        NaN where a cell is empty or no finite number.
+    texts : tuple of str
+        Cells of the text column that are not empty.
+    heads : tuple of int
+        Lines at which the header is repeated, where another table was appended.
+    """
+
+    def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:
+        between = separator(name)
+        remaining = rows(name, delimiter=between, quoted=False)
+        header = next(remaining, (0, []))[1]
+        self.header = tuple(cell.strip() for cell in header)
+        sought = {one: self._index(one) for one in dict.fromkeys(wanted or self.header)}
+        indices = {one: index for one, index in sought.items() if index is not None}
+        text_at = self.header.index(texts) if texts in self.header else None
+        lines: list[Float] = []
+        parts: dict[str, list[Float]] = {one: [] for one in indices}
+        found: list[str] = []
+        heads: list[int] = []
+        last = len(header) - 1
+        if any(item is not None for _, item in indices.values()):
+            remaining = ((line, _with_lists(cells, len(header), between)) for line, cells in remaining)
+        if text_at == last:
+            remaining = ((line, _with_text(cells, last, between)) for line, cells in remaining)
+        while batch := list(islice(remaining, ROWS_AT_ONCE)):
+            heads += [line for line, cells in batch if cells == header]
+            complete = [(line, cells) for line, cells in batch if len(cells) == len(self.header) and cells != header]
+            lines.append(np.array([line for line, _ in complete], dtype=np.float64))
+            if between != "," and complete:
+                _refuse_decimal_commas(name, self.header, *complete[0])
+            for one, (index, item) in indices.items():
+                parts[one].append(_numbers([_item(cells[index], item) for _, cells in complete]))
+            if text_at is not None:
+                found += [cells[text_at] for _, cells in complete if cells[text_at]]
+        self.line = np.concatenate(lines) if lines else np.empty(0)
+        self.columns = {one: np.concatenate(part) if part else np.empty(0) for one, part in parts.items()}
+        self.texts, self.heads = tuple(found), tuple(heads)
+
+    def _index(self, name: str) -> tuple[int, int | None] | None:
+        """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
+        if name in self.header:
+            return self.header.index(name), None
+        found = _LIST_ITEM.fullmatch(name)
+        return (self.header.index(found[1]), int(found[2])) if found and found[1] in self.header else None
+
+    def only(self, which: NDArray[np.bool_]) -> "Dump":
+        """Return a subset of the rows; a text column with empty cells remains unchanged.
+
+        Parameters
+        ----------
+        which : (n,) bool
+
+        Returns
+        -------
+        Dump
+        """
+        some = copy(self)
+        some.line = self.line[which]
+        some.columns = {name: column[which] for name, column in self.columns.items()}
+        if len(self.texts) == self.line.size:
+            some.texts = tuple(self.texts[row] for row in np.flatnonzero(which))
+        return some
+
+
+def csv_header(head: bytes) -> str:
+    """Return the first line of a text file, without a leading ``#``.
+
+    Parameters
+    ----------
+    head : bytes
+        The first bytes of the file, some thousands.
+
+    Returns
+    -------
+    str
+        Empty if the bytes are not text.
+    """
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
+    return text.splitlines()[0].lstrip("# ") if text and b"\0" not in head else ""
+
+
+def separator(name: str) -> str:
+    """Return the separator of a `Dump`: the character after the name of its first column.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+
+    Returns
+    -------
+    str
+    """
+    with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
+        first = next((text for text in file if text.strip()), "").lstrip().lstrip("# ")
+    after = first.removeprefix("timestamp")[:1]
+    return after if after.strip() or after == "\t" else ","
+
+
+def _refuse_decimal_commas(name: str, header: tuple[str, ...], line: int, cells: list[str]) -> None:
+    """Raise an error if a number has a decimal comma."""
+    for column, cell in zip(header, cells, strict=True):
+        if _ANY_DECIMAL_COMMA.fullmatch(cell.strip()):
+            raise LogFormatError(
+                name, f"line {line}, column {column}: {cell.strip()!r} has a decimal comma; write decimals with a point"
+            )
+
+
+def _with_text(cells: list[str], last: int, between: str) -> list[str]:
+    """Return a row with the excess cells joined to the last one, a text with separators."""
+    return [*cells[:last], between.join(cells[last:])] if len(cells) > last else cells
+
+
+def _with_lists(cells: list[str], width: int, between: str) -> list[str]:
+    """Return a row that is wider than the header with the cells of a list, from ``[`` to ``]``, joined."""
+    while len(cells) > width:
+        start = next((k for k, cell in enumerate(cells) if cell.startswith("[") and not cell.endswith("]")), None)
+        stop = next((k for k, cell in enumerate(cells) if cell.endswith("]") and start is not None and k > start), None)
+        if start is None or stop is None:
+            break
+        cells = [*cells[:start], between.join(cells[start : stop + 1]), *cells[stop + 1 :]]
+    return cells
+
+
+def _item(cell: str, item: int | None) -> str:
+    """Return an item of a cell with a list, or the cell itself if the item is None; empty if the list is too short."""
+    if item is None:
+        return cell
+    items = cell.strip("[] ").split(",")
+    return items[item].strip() if item < len(items) else ""
+
+
+def _numbers(cells: Sequence[str]) -> Float:
+    try:
+        numbers = np.array(list(map(float, cells)))
+    except ValueError:
+        numbers = np.array([_number(cell) for cell in cells])
+    numbers[np.isinf(numbers)] = nan
+    return numbers
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell) if cell else nan
+    except ValueError:
+        return nan

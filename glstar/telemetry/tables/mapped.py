@@ -1,0 +1,624 @@
+"""Tables of other programs as telemetry sources, by a column map.
+
+Column maps: which columns of a table hold time, attitude, position and rates, in which units and frames.
+
+A map is one of the ready ones (``assets/columnmaps.toml``), a TOML file, or words such as
+``time=t_ms,time_unit=ms,time_epoch=start,roll=phi,pitch=theta,yaw=psi``.
+"""
+
+import os
+import re
+import tomllib
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
+from math import nan
+from os import PathLike
+from typing import Any, Final, Literal, Self, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError, LogFormatError
+from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
+from glstar.system.resources import asset
+from glstar.system.userinput import did_you_mean, nearest_word, read_text
+from glstar.telemetry.source import (
+    YEAR_2010_S,
+    YEAR_2100_S,
+    AttitudeSamples,
+    ClockSamples,
+    LogFacts,
+    RateSamples,
+    Samples,
+    TelemetrySource,
+    check_only_boot,
+    no_position_samples,
+    position_samples,
+    quaternion_lengths,
+    valid_rates,
+)
+from glstar.telemetry.tables.files import read_table
+
+# Size limit of a map, bytes.
+_LARGEST_BYTES: Final = 2**20
+_ASSET: Final = "columnmaps.toml"
+
+# Units of angles, rad.
+ANGLES_RAD: Final = {"deg": 0.017453292519943295, "rad": 1.0, "decideg": 0.0017453292519943296}
+
+Names = tuple[str, ...]
+World = Literal["NED", "ENU", "NWU"]
+Body = Literal["FRD", "FLU"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnMap:
+    """What the columns of a table mean.
+
+    Columns are tuples of alternative names, of which the first one in the table is used; a minus sign before a
+    name reverses the sign of its numbers.
+
+    Attributes
+    ----------
+    title : str
+        The format, for messages.
+    names : tuple of str
+        Names of the columns of a table without a header.
+    sign : tuple of str
+        Columns by which a table is recognised without ``--columns``.
+    time : tuple of str
+        Time of a row, in `time_unit` since `time_epoch`.
+    time_unit : {"s", "ms", "us", "ns"}
+    time_epoch : {"unix", "gps", "week", "start"}
+        1970 in UTC; 1980-01-06 in GPS time; the beginning of the GPS week in `gps_week`; any, such as boot.
+    gps_week : tuple of str
+        GPS week number, for the epoch "week".
+    utc : tuple of str
+        UTC of a row, ISO 8601; without `time` it is the time, beside it its readings of UTC.
+    utc_date : tuple of str
+        Its date, if it is in another column.
+    roll, pitch, yaw : tuple of str
+        Euler angles (yaw, then pitch, then roll) from world to body, in `angle_unit`.
+    angle_unit : {"deg", "rad", "decideg"}
+    quaternion : tuple of str
+        The four columns w, x, y, z.
+    quaternion_xyz : tuple of str
+        The columns x, y, z, if w >= 0 follows from the unit norm.
+    quaternion_scale : float
+        Number of units of a quaternion of norm 1.
+    rotates : {"body_to_world", "world_to_body"}
+        Components of vectors that the quaternion turns: body ones into world ones (ROS, PX4), or the opposite.
+    world : {"NED", "ENU", "NWU"}
+        Axes of the world: north, east, down; east, north, up; north, west, up.
+    body : {"FRD", "FLU"}
+        Axes of the body: forward, right, down; or forward, left, up.
+    latitude, longitude : tuple of str
+        WGS84, in `place_unit`.
+    place_unit : {"deg", "rad", "1e-7deg"}
+    height, height_ft : tuple of str
+        Height in m or in ft; the first one in the table is used.
+    roll_rate, pitch_rate, yaw_rate : tuple of str
+        Gyro rates about the axes of the body, in `rate_unit`.
+    rate_unit : {"deg", "rad"}
+        Per second.
+    note : str
+        A remark for the user.
+    """
+
+    title: str = "table"
+    names: Names = ()
+    sign: Names = ()
+    time: Names = ()
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    time_epoch: Literal["unix", "gps", "week", "start"] = "unix"
+    gps_week: Names = ()
+    utc: Names = ()
+    utc_date: Names = ()
+    roll: Names = ()
+    pitch: Names = ()
+    yaw: Names = ()
+    angle_unit: Literal["deg", "rad", "decideg"] = "deg"
+    quaternion: Names = ()
+    quaternion_xyz: Names = ()
+    quaternion_scale: float = 1.0
+    rotates: Literal["body_to_world", "world_to_body"] = "body_to_world"
+    world: World = "NED"
+    body: Body = "FRD"
+    latitude: Names = ()
+    longitude: Names = ()
+    place_unit: Literal["deg", "rad", "1e-7deg"] = "deg"
+    height: Names = ()
+    height_ft: Names = ()
+    roll_rate: Names = ()
+    pitch_rate: Names = ()
+    yaw_rate: Names = ()
+    rate_unit: Literal["deg", "rad"] = "deg"
+    note: str = ""
+
+    @classmethod
+    def of(cls, keys: Mapping[str, Any], source: str) -> Self:
+        """Return the map of a TOML table.
+
+        Parameters
+        ----------
+        keys : mapping of str to object
+            Keys by the names of the attributes; a single column may be a string.
+        source : str
+            Where they are from, for messages.
+
+        Returns
+        -------
+        ColumnMap
+
+        Raises
+        ------
+        ConfigError
+            If a key or a value is unknown, or keys belong together and one is missing.
+        """
+        hints = get_type_hints(cls)
+        known = [field.name for field in fields(cls)]
+        values: dict[str, Any] = {}
+        for key, value in keys.items():
+            if key not in hints:
+                raise ConfigError(f"{source}: {key!r} is no key of a column map{did_you_mean(key, known)}")
+            values[key] = _value(f"{source}: {key}", hints[key], value)
+        made = cls(**values)
+        if fault := made._fault():
+            raise ConfigError(f"{source}: {fault}")
+        return made
+
+    def _fault(self) -> str:
+        """Return which keys are missing; empty if the map is complete."""
+        angles, rates = (self.roll, self.pitch, self.yaw), (self.roll_rate, self.pitch_rate, self.yaw_rate)
+        faults = {
+            "a column map needs time or utc": not self.time and not self.utc,
+            'time_epoch = "week" and gps_week belong together': (self.time_epoch == "week") != bool(self.gps_week),
+            "roll, pitch and yaw belong together": any(angles) and not all(angles),
+            "attitude twice; give roll, pitch and yaw, or quaternion": any(angles)
+            + bool(self.quaternion)
+            + bool(self.quaternion_xyz)
+            > 1,
+            "quaternion must be the four columns w, x, y, z": len(self.quaternion) not in {0, 4},
+            "quaternion_xyz must be the three columns x, y, z": len(self.quaternion_xyz) not in {0, 3},
+            "latitude and longitude belong together": bool(self.latitude) != bool(self.longitude),
+            "roll_rate, pitch_rate and yaw_rate belong together": any(rates) and not all(rates),
+        }
+        return next((fault for fault, is_there in faults.items() if is_there), "")
+
+    def found(self, alternatives: Names, header: Collection[str]) -> str | None:
+        """Return the first of some alternative columns that a table has, perhaps with a minus sign; None without one.
+
+        Parameters
+        ----------
+        alternatives : tuple of str
+        header : collection of str
+            Columns of the table.
+
+        Returns
+        -------
+        str or None
+        """
+        return next((name for name in alternatives if name.removeprefix("-") in header or name in header), None)
+
+
+def _value(where: str, hint: Any, given: Any) -> Any:
+    """Return a value of a map, converted to its type."""
+    if hint is float:
+        try:
+            number = float(given)
+        except (TypeError, ValueError):
+            number = 0.0
+        if not 0 < number < 1e12:
+            raise ConfigError(f"{where} must be a positive number, not {given!r}")
+        return number
+    if hint is str:
+        return str(given)
+    if get_origin(hint) is Literal:
+        choices = get_args(hint)
+        if given not in choices:
+            raise ConfigError(f"{where} must be one of {', '.join(choices)}, not {given!r}")
+        return given
+    names = (given,) if isinstance(given, str) else given
+    if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) and name for name in names):
+        raise ConfigError(f"{where} must be the name of a column, or a list of names, not {given!r}")
+    return tuple(name.strip() for name in names)
+
+
+@cache
+def ready_maps() -> Mapping[str, ColumnMap]:
+    """Return the maps of ``assets/columnmaps.toml``, by name.
+
+    Returns
+    -------
+    mapping of str to ColumnMap
+    """
+    tables = tomllib.loads(asset(_ASSET).read_text(encoding="utf-8"))
+    return {name: ColumnMap.of(keys, f"{_ASSET}: {name}") for name, keys in tables.items()}
+
+
+def ready_map(header: Collection[str]) -> ColumnMap | None:
+    """Return the ready map of a table by its header.
+
+    Parameters
+    ----------
+    header : collection of str
+
+    Returns
+    -------
+    ColumnMap or None
+        None if the table is none of these.
+    """
+    return next((one for one in ready_maps().values() if set(one.sign) <= set(header)), None)
+
+
+def is_map_file(text: str) -> bool:
+    """Return whether the value of ``--columns`` is the name of a file.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    bool
+    """
+    return text.lower().endswith(".toml") and "=" not in text
+
+
+def column_map(text: str) -> ColumnMap:
+    """Return the map that ``--columns`` names.
+
+    Parameters
+    ----------
+    text : str
+        Name of a ready map, path of a TOML file, or words ``key=column``, joined by commas; ``a|b`` is a list.
+
+    Returns
+    -------
+    ColumnMap
+
+    Raises
+    ------
+    ConfigError
+        If there is no such map, or it is not valid.
+    """
+    if is_map_file(text):
+        try:
+            keys = tomllib.loads(read_text(text, _LARGEST_BYTES))
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"{text}: {error} (TOML)") from None
+        except ValueError as error:
+            raise ConfigError(f"{text}: {error}") from None
+        return ColumnMap.of(keys, text)
+    if "=" in text:
+        words = (word.partition("=") for word in re.split(r",(?=\w+=)", text))
+        return ColumnMap.of({key.strip(): _listed(value) for key, _, value in words}, "columns")
+    maps = ready_maps()
+    if text not in maps:
+        raise ConfigError(
+            f"columns: there is no column map {text!r}{did_you_mean(text, maps, or_else='')}; give one of"
+            f" {', '.join(maps)}, a .toml file, or key=column,key=column"
+        )
+    return maps[text]
+
+
+def _listed(value: str) -> str | list[str]:
+    return value.split("|") if "|" in value else value
+
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_UNITS_S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_PLACE_RAD: Final = {**ANGLES_RAD, "1e-7deg": ANGLES_RAD["deg"] * 1e-7}
+_FOOT_M: Final = 0.3048
+# Largest deviation of the norm of a quaternion from 1, for components with two decimals.
+_UNIT_TOLERANCE: Final = 0.02
+# Readings of UTC with whole seconds: each is early by up to a second.
+_WHOLE_S: Final = 1e-6
+
+# Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
+_HALF: Final = float(np.sqrt(0.5))
+Q_WORLD_NED: Final = {
+    "NED": np.array([1.0, 0.0, 0.0, 0.0]),
+    "ENU": np.array([0.0, _HALF, _HALF, 0.0]),
+    "NWU": np.array([0.0, 1.0, 0.0, 0.0]),
+}
+Q_FRD_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
+
+# glstar's own columns, for tables that are no CSV.
+GLSTAR_MAP: Final = ColumnMap(
+    title="table",
+    time=("utc_s",),
+    utc=("utc",),
+    roll=("roll_deg",),
+    pitch=("pitch_deg",),
+    yaw=("yaw_deg",),
+    latitude=("latitude_deg",),
+    longitude=("longitude_deg",),
+    height=("height_m",),
+    roll_rate=("roll_rate_deg_per_s",),
+    pitch_rate=("pitch_rate_deg_per_s",),
+    yaw_rate=("yaw_rate_deg_per_s",),
+)
+_GLSTAR_QUATERNION: Final = ColumnMap(
+    title="table",
+    time=("utc_s",),
+    utc=("utc",),
+    quaternion=("qw", "qx", "qy", "qz"),
+    rotates="world_to_body",
+    latitude=("latitude_deg",),
+    longitude=("longitude_deg",),
+    height=("height_m",),
+    roll_rate=("roll_rate_deg_per_s",),
+    pitch_rate=("pitch_rate_deg_per_s",),
+    yaw_rate=("yaw_rate_deg_per_s",),
+)
+
+
+def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
+    """Return q_body_ned of quaternions between other frames.
+
+    Parameters
+    ----------
+    q : (n, 4) float64
+        Unit quaternions (w, x, y, z).
+    world : {"NED", "ENU", "NWU"}
+    body : {"FRD", "FLU"}
+    rotates : {"body_to_world", "world_to_body"}
+        Which components of vectors `q` turns into which.
+
+    Returns
+    -------
+    (n, 4) float64
+        q_body_ned = q_frd_body q_body_world q_world_ned.
+    """
+    q_body_world = conjugate(q) if rotates == "body_to_world" else q
+    turned = multiply(q_body_world, Q_WORLD_NED[world])
+    return multiply(Q_FRD_FLU, turned) if body == "FLU" else turned
+
+
+class MappedTableReader(TelemetrySource):
+    """A table as a telemetry source; its clock is the time of its rows.
+
+    Parameters
+    ----------
+    path : path-like
+        A text table, a Parquet file or an Excel workbook.
+    attitude : str
+        Only ``"auto"``: a table has one attitude.
+    boot : int, optional
+        Only 1.
+    columns : ColumnMap, optional
+        What its columns mean; by default that of its header.
+
+    Raises
+    ------
+    LogFormatError
+        If the table lacks columns, with the names of similar ones.
+    """
+
+    one_clock = True
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        attitude: str = "auto",
+        boot: int | None = None,
+        columns: ColumnMap | None = None,
+    ) -> None:
+        self.name = os.fspath(path)
+        if attitude.lower() != "auto":
+            raise LogFormatError(self.name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
+        check_only_boot(self.name, boot)
+        self._table = read_table(self.name, () if columns is None else columns.names)
+        self._map = columns or self._map_of_header()
+        self._check()
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield attitude, position, UTC and, if the table has them, rates, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If a cell is invalid.
+        """
+        clock_s, source = self._clock_s, self._source
+        q, valid = self._q_body_ned()
+        valid &= np.isfinite(clock_s)
+        yield AttitudeSamples(
+            clock_s[valid], q[valid], np.zeros(np.count_nonzero(valid), dtype=np.int64), source, notes=self._notes()
+        )
+        yield self._positions()
+        yield self._utc()
+        if (rates := self._rates()) is not None:
+            yield rates
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
+        """Return the format."""
+        suffix = "" if self._table.kind == "CSV" else f" ({self._table.kind})"
+        return LogFacts(f"{self._map.title}{suffix}")
+
+    def close(self) -> None:
+        """Do nothing: the file was read at once."""
+
+    @property
+    def _source(self) -> str:
+        return self._map.title
+
+    def _map_of_header(self) -> ColumnMap:
+        header = set(self._table.columns)
+        own = _GLSTAR_QUATERNION if {"qw", "qx"} & header else GLSTAR_MAP
+        found = own if header & {"utc", "utc_s"} else ready_map(header)
+        if found is None:
+            some = ", ".join(list(self._table.columns)[:6])
+            raise LogFormatError(
+                self.name,
+                f"is a table with columns {some}, ...; say with --columns what they mean (glstar manual logs)",
+            )
+        return found
+
+    def _name(self, alternatives: tuple[str, ...]) -> str | None:
+        return self._map.found(alternatives, self._table.columns)
+
+    def _require(self, *groups: tuple[str, ...]) -> None:
+        for alternatives in groups:
+            if alternatives and self._name(alternatives) is None:
+                near = nearest_word(alternatives[0], self._table.columns, cutoff=0.5)
+                hint = "" if near is None else f" (is it named {near!r}?)"
+                raise LogFormatError(self.name, f"has no column {' or '.join(alternatives)}{hint}")
+
+    def _check(self) -> None:
+        """Raise an error if the table lacks columns of its map."""
+        wanted = self._map
+        if self._name(wanted.time) is None and self._name(wanted.utc) is None:
+            self._require(wanted.time or wanted.utc)
+        attitude = (
+            wanted.roll,
+            wanted.pitch,
+            wanted.yaw,
+            *((one,) for one in wanted.quaternion + wanted.quaternion_xyz),
+        )
+        if not any(attitude):
+            raise LogFormatError(self.name, "has no attitude by this column map; name roll, pitch, yaw or quaternion")
+        self._require(wanted.gps_week, *attitude)
+
+    @cached_property
+    def _clock_s(self) -> Float:
+        """Clock of each row, s; UTC unless the epoch is "start"."""
+        wanted, table = self._map, self._table
+        name = self._name(wanted.time)
+        if name is None:
+            return self._plausible(self._utc_column, self._name(wanted.utc))
+        time_s = table.numbers(name) * _UNITS_S[wanted.time_unit]
+        if wanted.time_epoch == "start":
+            odd = np.isfinite(time_s) & (np.abs(time_s) > YEAR_2100_S)
+            self._reject(odd, name, "is no time since a start; check time_unit and time_epoch")
+            return time_s
+        if wanted.time_epoch != "unix":
+            week = self._name(wanted.gps_week)
+            time_s = time_s + GPS_EPOCH_S + (0.0 if week is None else table.numbers(week) * WEEK_S)
+            known = time_s[np.isfinite(time_s) & (np.abs(time_s) < YEAR_2100_S)]
+            time_s = time_s - (leap_seconds(float(np.median(known))) if known.size else 0.0)
+        return self._plausible(time_s, name)
+
+    @cached_property
+    def _utc_column(self) -> Float:
+        name = self._name(self._map.utc)
+        if name is None:
+            return np.full(self._table.lines.size, nan)
+        return self._table.times(name, self._name(self._map.utc_date))
+
+    def _plausible(self, utc_s: Float, column: str | None) -> Float:
+        odd = np.isfinite(utc_s) & ~((utc_s >= YEAR_2010_S - 40 * 365 * 86400) & (utc_s < YEAR_2100_S))
+        if odd.any():
+            row = int(np.argmax(odd))
+            raise self._table.error(
+                row, str(column), f"{utc_s[row]:g} s since 1970 is no UTC of a flight; check time_unit and time_epoch"
+            )
+        return utc_s
+
+    def _q_body_ned(self) -> tuple[Float, Mask]:
+        """Return attitudes, and which rows have one."""
+        wanted, table = self._map, self._table
+        if wanted.roll:
+            angles = [table.numbers(self._name(one) or "") for one in (wanted.roll, wanted.pitch, wanted.yaw)]
+            q = quaternion_from_euler(*(angle * ANGLES_RAD[wanted.angle_unit] for angle in angles))
+            # Euler angles turn the world into the body: q_body_world.
+            q_body_ned = q_body_ned_of(q, wanted.world, wanted.body, "world_to_body")
+            return q_body_ned, np.asarray(np.isfinite(q_body_ned).all(axis=-1), dtype=bool)
+        q = np.stack([table.numbers(one) for one in wanted.quaternion or wanted.quaternion_xyz], axis=-1)
+        q /= wanted.quaternion_scale
+        if wanted.quaternion_xyz:
+            squared = 1 - (q**2).sum(axis=-1)
+            self._reject(squared < -_UNIT_TOLERANCE, wanted.quaternion_xyz[0], "begins a quaternion longer than 1")
+            q = np.column_stack([np.sqrt(np.clip(squared, 0, None)), q])
+        norm = quaternion_lengths(q)
+        # Many programs write zeros while there is no attitude.
+        valid: Mask = np.asarray(np.isfinite(norm) & (norm > 0))
+        first = (wanted.quaternion or wanted.quaternion_xyz)[0]
+        self._reject(
+            valid & (np.abs(norm - 1) > _UNIT_TOLERANCE), first, "begins a quaternion that is not of unit length"
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            q = q / norm[:, np.newaxis]
+        return q_body_ned_of(q, wanted.world, wanted.body, wanted.rotates), valid
+
+    def _reject(self, bad: Mask, column: str, why: str) -> None:
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise self._table.error(row, column, f"{self._table.columns[column.removeprefix('-')][row]} {why}")
+
+    def _positions(self) -> Samples:
+        wanted, table = self._map, self._table
+        names = self._name(wanted.latitude), self._name(wanted.longitude)
+        if names[0] is None or names[1] is None:
+            return no_position_samples("it has no columns with latitude and longitude")
+        scale = np.rad2deg(_PLACE_RAD[wanted.place_unit])
+        latitude_deg, longitude_deg = (table.numbers(name) * scale for name in names if name is not None)
+        height_m = np.zeros(latitude_deg.size)
+        for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M)):
+            if (name := self._name(alternatives)) is not None:
+                height_m = np.nan_to_num(table.numbers(name) * unit_m)
+                break
+        longitude_deg = np.where(longitude_deg > 180, longitude_deg - 360, longitude_deg)
+        found = position_samples(self._clock_s, latitude_deg, longitude_deg, height_m, self._source)
+        return found if found.clock_s.size else no_position_samples("latitude and longitude are empty or 0")
+
+    def _utc(self) -> ClockSamples:
+        """Return UTC readings: the clock itself, or the offset of the clock by the column with UTC."""
+        clock_s, wanted = self._clock_s, self._map
+        if wanted.time_epoch != "start" or self._name(wanted.time) is None:
+            valid = np.isfinite(clock_s)
+            return ClockSamples(clock_s[valid], clock_s[valid], self._source)
+        utc_s = self._utc_column
+        valid = np.isfinite(utc_s) & np.isfinite(clock_s) & (utc_s >= YEAR_2010_S)
+        if not valid.any():
+            reason = "its time counts from its own start, and it has no column with UTC"
+            return ClockSamples(np.empty(0), np.empty(0), reason)
+        clock_s, utc_s = clock_s[valid], utc_s[valid]
+        if (np.abs(utc_s - np.round(utc_s)) < _WHOLE_S).all():
+            # Truncated to seconds: the reading just after the tick is the most exact one.
+            last = np.argmax(utc_s - clock_s)
+            clock_s, utc_s = clock_s[last : last + 1], utc_s[last : last + 1]
+        return ClockSamples(clock_s, utc_s, f"{self._source}, {self._name(wanted.utc)}")
+
+    def _notes(self) -> tuple[str, ...]:
+        notes = [self._map.note] if self._map.note else []
+        readings = self._utc_column[np.isfinite(self._utc_column)]
+        if self._map.time_epoch == "start" and readings.size and (np.abs(readings % 1) < _WHOLE_S).all():
+            notes.append("its UTC has whole seconds: the time of an attitude is uncertain by one sample interval")
+        return tuple(notes)
+
+    def _rates(self) -> RateSamples | None:
+        wanted = self._map
+        names = [self._name(one) for one in (wanted.roll_rate, wanted.pitch_rate, wanted.yaw_rate)]
+        if None in names:
+            return None
+        rate = np.stack([self._table.numbers(str(name)) for name in names], axis=-1) * ANGLES_RAD[wanted.rate_unit]
+        if wanted.body == "FLU":
+            rate = rate * np.array([1.0, -1.0, -1.0])
+        valid = np.isfinite(rate).all(axis=-1) & np.isfinite(self._clock_s) & valid_rates(rate)
+        return RateSamples(self._clock_s[valid], rate[valid], self._source)
+
+
+def mapped_reader(columns: ColumnMap) -> Callable[..., TelemetrySource]:
+    """Return the reader of tables with a given map.
+
+    Parameters
+    ----------
+    columns : ColumnMap
+
+    Returns
+    -------
+    callable
+        ``reader(path, attitude=..., boot=...)``.
+    """
+
+    def reader(path: str, *, attitude: str = "auto", boot: int | None = None) -> TelemetrySource:
+        return MappedTableReader(path, attitude=attitude, boot=boot, columns=columns)
+
+    return reader

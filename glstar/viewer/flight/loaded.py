@@ -1,0 +1,651 @@
+"""A flight that the viewer shows, with everything computed from it, and the thread that loads flights.
+
+What a user can choose for the attitude of a log, found on a thread of its own.
+
+UTC and site that a log or a link lacks, and the fields in which a user types them.
+"""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from glstar.camera.exposure import Exposure
+from glstar.config import Config
+from glstar.config.flight import FlightSection
+from glstar.config.reading import extinction_of, observed_sky
+from glstar.errors import ConfigError, GlstarError, LogFormatError
+from glstar.export.navigator import estimates
+from glstar.flight import AttitudeTrack, Flight, Interpolation
+from glstar.render.simulator import Simulator
+from glstar.sky.place.timescale import CLOCK_GRAIN_S, parse_known_utc
+from glstar.telemetry import Survey
+from glstar.viewer.flight.live import Buffered
+from glstar.viewer.flight.playhead import PlayHead
+from glstar.viewer.flight.sky import SkySampler
+from glstar.viewer.flight.traces import FlightLines
+from glstar.viewer.overlays.table import Overlays
+
+# Keys of [flight] among whose values a user chooses: they do not change the choice.
+_CHOSEN: Final = {"attitude": "auto", "interpolation": "slerp", "time_offset_s": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeChoices:
+    """The attitudes of a log, and the interpolations that it allows.
+
+    Attributes
+    ----------
+    attitudes : mapping of str to str
+        Description by value of ``flight.attitude``, without ``"auto"``.
+    has_gyros : bool
+        Whether the log has the gyro rates that the interpolation ``"gyro"`` needs.
+    error : str
+        The reason why they are not known; empty if they are.
+    """
+
+    attitudes: Mapping[str, str] = field(default_factory=dict)
+    has_gyros: bool = False
+    error: str = ""
+
+    @classmethod
+    def of(cls, survey: Survey) -> "AttitudeChoices":
+        """Return the choices in a log.
+
+        Parameters
+        ----------
+        survey : Survey
+
+        Returns
+        -------
+        AttitudeChoices
+        """
+        described = {
+            one.name: f"{one.samples} samples, {one.rate_hz:.4g} Hz, {one.duration_s:.1f} s, {one.gaps} gaps"
+            for one in survey.attitudes
+        }
+        return cls(described, survey.gyros is not None)
+
+    def sources(self, chosen: str) -> list[str]:
+        """Return the values of ``flight.attitude`` to offer.
+
+        Parameters
+        ----------
+        chosen : str
+            The present value, which is always among them.
+
+        Returns
+        -------
+        list of str
+            ``"auto"`` first.
+        """
+        return list(dict.fromkeys(("auto", *self.attitudes, chosen)))
+
+    def interpolations(self, chosen: Interpolation) -> list[Interpolation]:
+        """Return the interpolations to offer.
+
+        Parameters
+        ----------
+        chosen : {"slerp", "spline", "gyro"}
+            The present one, which is always among them.
+
+        Returns
+        -------
+        list of {"slerp", "spline", "gyro"}
+        """
+        every: tuple[Interpolation, ...] = ("slerp", "spline", "gyro")
+        return [one for one in every if one != "gyro" or self.has_gyros or one == chosen]
+
+
+class AttitudeFinder:
+    """Surveys the log shown, from the first call of `of` on."""
+
+    def __init__(self) -> None:
+        self._thread: ThreadPoolExecutor | None = None
+        self._wanted: tuple[Path, FlightSection] | None = None
+        self._future: Future[AttitudeChoices] | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a log is being surveyed."""
+        return self._future is not None and not self._future.done()
+
+    def of(self, path: Path, config: Config) -> AttitudeChoices | None:
+        """Return the choices in a log; its survey begins with the first call.
+
+        Parameters
+        ----------
+        path : Path
+        config : Config
+            With which the log was read.
+
+        Returns
+        -------
+        AttitudeChoices or None
+            None until they are known.
+        """
+        wanted = path, config.flight.model_copy(update=_CHOSEN)
+        if self._future is None or wanted != self._wanted:
+            if self._thread is None:
+                self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-attitudes")
+            if self._future is not None:
+                self._future.cancel()
+            self._wanted, self._future = wanted, self._thread.submit(_find, path, config)
+        return self._future.result() if self._future.done() else None
+
+    def close(self) -> None:
+        """End the thread."""
+        if self._thread is not None:
+            self._thread.shutdown(wait=True, cancel_futures=True)
+
+
+def _find(path: Path, config: Config) -> AttitudeChoices:
+    try:
+        return AttitudeChoices.of(config.survey_flight(path)[0])
+    except (GlstarError, OSError, MemoryError) as error:
+        return AttitudeChoices(error=str(error))
+
+
+class InputField(NamedTuple):
+    """A value to type.
+
+    Attributes
+    ----------
+    key : str
+        Of ``[flight]``.
+    label : str
+        With the unit.
+    hint : str
+        An example.
+    is_required : bool
+    """
+
+    key: str
+    label: str
+    hint: str
+    is_required: bool = True
+
+
+_UTC: Final = InputField("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
+_SITE: Final = (
+    InputField("latitude_deg", "latitude, deg", "-34.93 (south is negative)"),
+    InputField("longitude_deg", "longitude, deg", "138.60 (west is negative)"),
+    InputField("height_m", "height, m", "0 if left empty", is_required=False),
+)
+SITE_KEYS: Final = tuple(each.key for each in _SITE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissingFromLog:
+    """Missing inputs of a log.
+
+    Attributes
+    ----------
+    path : Path
+        The log.
+    reasons : mapping of {"UTC", "position"} to str
+        As in `LogFormatError.lacks`.
+    given : mapping of str to object
+        Dotted keys of the config that were given for this log before.
+    typed : mapping of str to str
+        The initial contents of the fields, by key of ``[flight]``.
+    """
+
+    path: Path
+    reasons: Mapping[Literal["UTC", "position"], str]
+    given: Mapping[str, Any]
+    typed: Mapping[str, str]
+
+    @property
+    def message(self) -> str:
+        """A message about the missing inputs."""
+        lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in self.reasons.items()]
+        return f"{self.path.name} has {' and '.join(lacking)}."
+
+    @property
+    def note(self) -> str:
+        """A message about the use of the inputs."""
+        return "Your input applies to this log only, and is saved with its settings and frames."
+
+    @property
+    def fields(self) -> tuple[InputField, ...]:
+        """The fields to fill in."""
+        return ((_UTC,) if "UTC" in self.reasons else ()) + (_SITE if "position" in self.reasons else ())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissingFromLink:
+    """The site of a flight whose link sends no position.
+
+    Attributes
+    ----------
+    endpoint : str
+        The link.
+    typed : mapping of str to str
+        The initial contents of the fields, by key of ``[flight]``.
+    """
+
+    endpoint: str
+    typed: Mapping[str, str]
+
+    @property
+    def message(self) -> str:
+        """A message about the missing inputs of the link."""
+        return f"{self.endpoint} sends no position."
+
+    @property
+    def note(self) -> str:
+        """A message about the use of the inputs."""
+        return "Your input applies to this link until the viewer is closed."
+
+    @property
+    def fields(self) -> tuple[InputField, ...]:
+        """The fields to fill in."""
+        return _SITE
+
+
+def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
+    """Return typed inputs as keys of the config.
+
+    Parameters
+    ----------
+    fields : tuple of InputField
+    typed : mapping of str to str
+        By key of ``[flight]``.
+
+    Returns
+    -------
+    dict of str to object
+        By dotted key: UTC in ISO 8601, degrees, metres.  The config checks the ranges.
+
+    Raises
+    ------
+    ConfigError
+        If a value is missing, or is no time or number.
+    """
+    keys: dict[str, Any] = {}
+    for each in fields:
+        text = typed.get(each.key, "").strip()
+        if not text:
+            if each.is_required:
+                raise ConfigError(f"{each.label} is missing: type it as {each.hint}")
+        elif each is _UTC:
+            parse_known_utc(text)
+            keys[f"flight.{each.key}"] = text
+        else:
+            keys[f"flight.{each.key}"] = _number(each, text)
+    return keys
+
+
+def _number(field: InputField, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{field.label}: {text!r} is not a number; type it as 138.60, with a point") from None
+
+
+# Seconds of a live flight taken from the link before the exposure: gaps are detected by its usual sample interval.
+BEFORE_EXPOSURE_S: Final = 5.0
+
+
+@dataclass(slots=True, eq=False)
+class LoadedFlight:
+    """A flight and all that the viewer computes from it.
+
+    Attributes
+    ----------
+    path : Path or None
+        The log; None for a flight received from a link.
+    config : Config
+        The settings with which it was loaded.
+    given : mapping of str to object
+        Dotted keys of the config that the user gave for this log only: the UTC and the site that it lacks.
+    flight : Flight
+        Of a live flight, a copy of the link's buffer, replaced twice a second.
+    lines : FlightLines
+        The curves of the timeline.
+    simulator : Simulator
+    overlays : Overlays
+    estimate : AttitudeTrack or None
+        What the aircraft estimated, if ``[navigator]`` names another message of the log.
+    head : PlayHead
+    read_with : Config
+        The settings with which the log was read; `config` changes later.
+    """
+
+    path: Path | None
+    config: Config
+    given: Mapping[str, Any]
+    flight: Flight
+    lines: FlightLines
+    simulator: Simulator
+    overlays: Overlays
+    estimate: AttitudeTrack | None = None
+    head: PlayHead = field(init=False)
+    read_with: Config = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.read_with = self.config
+        attitude = self.flight.attitude
+        self.head = PlayHead(attitude.first_s, attitude.last_s, self.config.exposure, grows=self.is_live)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the flight comes from a link and still grows."""
+        return self.path is None
+
+    @classmethod
+    def make(cls, path: Path | None, config: Config, given: Mapping[str, Any], flight: Flight) -> "LoadedFlight":
+        """Return a flight with its simulator, its overlays and its curves.
+
+        Parameters
+        ----------
+        path : Path or None
+            None for a flight received from a link.
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+        flight : Flight
+
+        Returns
+        -------
+        LoadedFlight
+        """
+        simulator = config.simulator(flight)
+        lines = FlightLines.of(flight.aircraft_attitude, flight.attitude.first_s)
+        return cls(path, config, given, flight, lines, simulator, Overlays(simulator.sky.catalogue))
+
+    @classmethod
+    def read(cls, path: Path, config: Config, given: Mapping[str, Any]) -> "LoadedFlight":
+        """Read a log.
+
+        Parameters
+        ----------
+        path : Path
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+
+        Returns
+        -------
+        LoadedFlight
+
+        Raises
+        ------
+        GlstarError
+            If the log cannot be replayed.
+        """
+        loaded = cls.make(path, config, given, config.open_flight(path))
+        [loaded.estimate] = estimates(config, [path])
+        return loaded
+
+    def use(self, config: Config) -> None:
+        """Change the settings; star directions are computed again only if the sky changes.
+
+        Parameters
+        ----------
+        config : Config
+
+        Raises
+        ------
+        GlstarError
+            If the simulator refuses the settings; nothing changes then.
+        """
+        before = self.config
+        if config is before:
+            return
+        self.simulator = _with_settings(self.simulator, before, config)
+        self.head.exposure_section = config.exposure
+        if config.sky.catalogue != before.sky.catalogue:
+            self.overlays = Overlays(self.simulator.sky.catalogue)
+        self.config = config
+
+    def as_read(self, config: Config) -> Config:
+        """Return settings with the ``[flight]`` and ``navigator.attitude`` with which the log was read.
+
+        Parameters
+        ----------
+        config : Config
+
+        Returns
+        -------
+        Config
+        """
+        present, wanted = config.flight, self.read_with.flight
+        differing = [key for key in type(wanted).model_fields if getattr(present, key) != getattr(wanted, key)]
+        before = {f"flight.{key}": getattr(wanted, key) for key in differing}
+        if config.navigator.attitude != self.read_with.navigator.attitude:
+            before["navigator.attitude"] = self.read_with.navigator.attitude
+        unset = [key for key, value in before.items() if value is None]
+        return config.without(*unset).override(**before)
+
+    def extend_to(self, utc_s: float, buffered: Buffered | None) -> None:
+        """Extend a live flight to its latest attitude.
+
+        Parameters
+        ----------
+        utc_s : float
+            Of the latest attitude, UTC seconds since 1970.
+        buffered : Buffered or None
+            A newer copy of the link's buffer, if there is one.
+        """
+        if buffered is not None:
+            self.flight, self.lines = buffered
+        self.head.grow(min(self.flight.attitude.first_s, utc_s), utc_s)
+
+    def extend(self, exposure: Exposure, last: Callable[[float], Flight | None]) -> bool:
+        """Extend the simulator's flight with the samples of a live flight that an exposure needs.
+
+        Parameters
+        ----------
+        exposure : Exposure
+        last : callable
+            Returns the last seconds of the live flight; None if there are too few samples.
+
+        Returns
+        -------
+        bool
+            Whether it was extended.
+        """
+        head, attitude = self.head, self.simulator.flight.attitude
+        opens_s = exposure.start_utc_s + CLOCK_GRAIN_S
+        if attitude.first_s <= opens_s and exposure.stop_utc_s <= attitude.last_s:
+            return False
+        flight = last(head.last_s - exposure.start_utc_s + BEFORE_EXPOSURE_S)
+        if flight is None:
+            return False
+        self.simulator = self.simulator.with_flight(flight)
+        # Samples that the link has dropped from its buffer meanwhile cannot be shown.
+        in_buffer = flight.attitude.first_s <= opens_s
+        head.grow(head.first_s if in_buffer else flight.attitude.first_s, flight.attitude.last_s)
+        return True
+
+    def continue_from(self, before: "LoadedFlight") -> None:
+        """Take over mode, speed and loop from the flight shown before, and the position and markers in the same log.
+
+        Parameters
+        ----------
+        before : LoadedFlight
+        """
+        head, old = self.head, before.head
+        head.mode, head.loop, head.speed = old.mode, old.loop, old.speed
+        if self.path == before.path:
+            head.seek(old.utc_s)
+            head.markers, head.playing = old.markers, old.playing
+
+
+def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simulator:
+    """Return a simulator with other settings."""
+    sky = ("catalogue", "vmag_limit", "astrometry")
+    other_sky = any(getattr(config.sky, name) != getattr(before.sky, name) for name in sky)
+    if other_sky or config.star_brightness() != before.star_brightness():
+        return config.simulator(simulator.flight)
+    return replace(
+        simulator,
+        gimbal=config.gimbal,
+        flight=config.gimbal.carried(simulator.flight),
+        sky=observed_sky(config.sky, simulator.sky.catalogue),
+        camera=config.camera(),
+        mount=config.navigator.real_mount(config.mount()),
+        sensor=config.sensor(),
+        pressure_hpa=config.air.pressure_hpa,
+        temperature_c=config.air.temperature_c,
+        bodies=config.sky.bodies,
+        extinction=extinction_of(config.sky, config.air, config.sensor().colour),
+    )
+
+
+class FlightLoader:
+    """Loads one flight at a time on a thread of its own, and records the missing inputs of a log.
+
+    Attributes
+    ----------
+    missing : MissingFromLog or None
+        The UTC and the site that the log opened last lacks, until the user gives them or cancels.
+    last_opened : Path or None
+        The log opened last, even if it could not be read.
+    start_s : float or None
+        Where the play head of the next flight is at first, s from its first attitude; None for there.
+    typed_site : dict of str to str
+        The site typed last, by key of ``[flight]``: the initial contents of the dialog.
+    sampler : SkySampler
+        Computes the curves of the timeline that need simulated exposures.
+    finder : AttitudeFinder
+        Finds the attitudes among which the user can choose.
+    """
+
+    def __init__(self) -> None:
+        self.missing: MissingFromLog | None = None
+        self.last_opened: Path | None = None
+        self.start_s: float | None = None
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
+        self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
+        self.typed_site: dict[str, str] = {}
+        self.sampler, self.finder = SkySampler(), AttitudeFinder()
+        # The UTC typed last for each log.
+        self._typed_utc: dict[Path, str] = {}
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a flight is being loaded."""
+        return self._pending is not None
+
+    @property
+    def works(self) -> bool:
+        """Whether a flight is being loaded, or curves or attitudes of the log are being computed."""
+        return self.is_busy or self.sampler.is_busy or self.finder.is_busy
+
+    @property
+    def is_done(self) -> bool:
+        """Whether a flight has been loaded, and `take` returns at once."""
+        return self._pending is not None and self._pending[2].done()
+
+    @property
+    def path(self) -> Path | None:
+        """The log that is being read; None if there is none, or if the flight comes from a link."""
+        return None if self._pending is None else self._pending[0]
+
+    def read(self, path: Path, config: Config, given: Mapping[str, Any]) -> None:
+        """Begin to read a log; a flight that is still being loaded is dropped.
+
+        Parameters
+        ----------
+        path : Path
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+        """
+        self.missing, self.last_opened = None, path
+        self.drop()
+        self._pending = path, given, self._thread.submit(LoadedFlight.read, path, config, given)
+
+    def follow(self, loaded: LoadedFlight, config: Config, given: Mapping[str, Any]) -> None:
+        """Begin to read the log shown again, unless it was read with the same settings.
+
+        Parameters
+        ----------
+        loaded : LoadedFlight
+            From a log.
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+        """
+        read = loaded.read_with
+        assert loaded.path is not None
+        if config.flight == read.flight and config.navigator.attitude == read.navigator.attitude:
+            self.drop()
+        else:
+            self.read(loaded.path, config, given)
+
+    def make(self, config: Config, flight: Flight) -> None:
+        """Begin to load a flight received from a link.
+
+        Parameters
+        ----------
+        config : Config
+        flight : Flight
+        """
+        self._pending = None, {}, self._thread.submit(LoadedFlight.make, None, config, {}, flight)
+
+    def read_again(self, config: Config, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
+        """Begin to read a log again, with its missing inputs.
+
+        Parameters
+        ----------
+        config : Config
+            The settings without the inputs given for a log.
+        missing : MissingFromLog
+        typed : mapping of str to str
+            By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.
+
+        Raises
+        ------
+        ConfigError
+            If something is missing or not valid; nothing changes then.
+        """
+        given = {**missing.given, **flight_keys(missing.fields, typed)}
+        config = config.override(**given)
+        if "position" in missing.reasons:
+            self.typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
+        if "UTC" in missing.reasons:
+            self._typed_utc[missing.path.resolve()] = typed["utc_start"]
+        self.read(missing.path, config, given)
+
+    def take(self) -> LoadedFlight:
+        """Return the flight as soon as it has been loaded.
+
+        Returns
+        -------
+        LoadedFlight
+
+        Raises
+        ------
+        GlstarError
+            If it cannot be replayed; `missing` is set if the log lacks UTC or a position.
+        """
+        assert self._pending is not None
+        (path, given, future), self._pending = self._pending, None
+        try:
+            loaded = future.result()
+        except LogFormatError as error:
+            if error.lacks and path is not None:
+                typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self.typed_site}
+                self.missing = MissingFromLog(path, error.lacks, given, typed)
+            raise
+        if self.start_s is not None:
+            loaded.head.seek(loaded.head.first_s + self.start_s)
+            self.start_s = None
+        return loaded
+
+    def drop(self) -> None:
+        """Forget the flight that is being loaded."""
+        if self._pending is not None:
+            self._pending[2].cancel()
+        self._pending = None
+
+    def close(self) -> None:
+        """End the thread."""
+        self.sampler.close()
+        self.finder.close()
+        self._thread.shutdown(wait=True, cancel_futures=True)

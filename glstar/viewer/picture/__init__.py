@@ -1,0 +1,1 @@
+"""The picture in the image panel: the simulated image, real images, their comparison, and their display."""

@@ -1,0 +1,479 @@
+"""A fit of the camera clock's offset and the mount to real images, on a thread of its own.
+
+The viewer does not know how images are compared: `glstar.cli` gives it the function.
+
+How far the simulated trails are from those of the real image shown, measured on a thread of its own.
+
+The viewer does not know how images are compared: `glstar.cli` gives it the function.
+
+The calibration of a camera from one photograph of the stars, on a thread of its own.
+
+`glstar.cli` gives the window the function that calibrates.
+"""
+
+import tomllib
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.config import Config
+from glstar.config.keys import SECTIONS
+from glstar.errors import GlstarError
+from glstar.images import RealImage
+from glstar.images.times import TimeReference
+from glstar.render.simulator import Simulator
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitRequest:
+    """What to fit to which images.
+
+    Attributes
+    ----------
+    simulator : Simulator
+        Of the flight, with the offset of the camera clock to begin with.
+    images : tuple of RealImage
+    exposure : Exposure
+        Of images that do not state their exposure time; its start is ignored.
+    reference : TimeReference
+        The instant of its exposure to which an image's time stamp refers.
+    own_length : bool
+        Whether an exposure time that an image states is used.
+    fits_time, fits_mount : bool
+    """
+
+    simulator: Simulator
+    images: tuple[RealImage, ...]
+    exposure: Exposure
+    reference: TimeReference
+    own_length: bool
+    fits_time: bool
+    fits_mount: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitResult:
+    """What a fit found.
+
+    Attributes
+    ----------
+    clock_change_s, clock_std_s : float or None
+        What is added to the camera clock's offset, and its standard error, s; None if it was not fitted.
+    mount_keys : dict
+        The mount as settings, dotted keys, deg; empty if it was not fitted.
+    turn_rad, turn_std_rad : tuple of float
+        Turn of the camera about its right, down and forward axes, and its standard errors, rad.
+    images, of, stars : int
+        Number of images compared, of all images, and of stars.
+    centroid_mean_px, centroid_median_px : float
+        Distance of the centroids of real and simulated trails after the fit, px.
+    notes : tuple of str
+    """
+
+    clock_change_s: float | None
+    clock_std_s: float | None
+    mount_keys: dict[str, float]
+    turn_rad: tuple[float, ...]
+    turn_std_rad: tuple[float, ...]
+    images: int
+    of: int
+    stars: int
+    centroid_mean_px: float
+    centroid_median_px: float
+    notes: tuple[str, ...]
+
+
+# Takes what to call with the number of images done, and of all; raises GlstarError if the images determine nothing.
+FitImages = Callable[[FitRequest, Callable[[int, int], None]], FitResult]
+
+
+class ImageFit:
+    """A fit that is running, or has ended.
+
+    Parameters
+    ----------
+    request : FitRequest
+    fit : callable
+
+    Attributes
+    ----------
+    done, of : int
+        Images done; `of` is 0 if their number is not known yet.
+    result : FitResult or None
+        None while it is running, and if it failed.
+    error : str
+        Why it failed; empty if it did not.
+    """
+
+    # Longest time that closing the window waits for an image, s.
+    _JOIN_S: Final = 30.0
+
+    def __init__(self, request: FitRequest, fit: FitImages) -> None:
+        self.done = self.of = 0
+        self.result: FitResult | None = None
+        self.error = ""
+        self._request, self._fit = request, fit
+        self._cancelled = Event()
+        self._thread = Thread(target=self._run, name="glstar-fit", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self.result = self._fit(self._request, self._count)
+        except _CancelledError:
+            pass
+        except (GlstarError, OSError) as error:
+            self.error = str(error)
+
+    def _count(self, done: int, of: int) -> None:
+        self.done, self.of = done, of
+        if self._cancelled.is_set():
+            raise _CancelledError
+
+    @property
+    def running(self) -> bool:
+        """Whether it is still running."""
+        return self._thread.is_alive()
+
+    def cancel(self) -> None:
+        """Stop after the current image."""
+        self._cancelled.set()
+
+    def close(self) -> None:
+        """Stop, and wait for the thread."""
+        self.cancel()
+        self._thread.join(self._JOIN_S)
+
+
+class _CancelledError(Exception):
+    """The user stopped a fit or a calibration."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualRequest:
+    """What to measure in which image.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    ahead_s : float
+        Camera clock minus log clock, s.
+    image : RealImage
+    exposure : Exposure
+        Of an image that does not state its exposure time; its start is ignored.
+    reference : TimeReference
+        The instant of its exposure to which the image's time stamp refers.
+    own_length : bool
+        Whether an exposure time that the image states is used.
+    """
+
+    simulator: Simulator
+    ahead_s: float
+    image: RealImage
+    exposure: Exposure
+    reference: TimeReference
+    own_length: bool
+
+    def is_like(self, other: "ResidualRequest | None") -> bool:
+        """Return whether another request has the same answer.
+
+        Parameters
+        ----------
+        other : ResidualRequest or None
+
+        Returns
+        -------
+        bool
+        """
+        if other is None or self.simulator is not other.simulator:
+            return False
+        names = ("ahead_s", "image", "exposure", "reference", "own_length")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrailResiduals:
+    """The trails of one real image beside the simulated ones.
+
+    Attributes
+    ----------
+    real_px : (n, 2) float64
+        The middles of the trails that were detected in the real image, px.
+    shift_px : (n, 2) float64
+        Simulated minus real, px.
+    predicted : int
+        Number of trails that were searched for.
+    figures : tuple of (str, str)
+        The paper's measures: what, and its value.
+    """
+
+    real_px: NDArray[np.float64]
+    shift_px: NDArray[np.float64]
+    predicted: int
+    figures: tuple[tuple[str, str], ...]
+
+
+# Raises GlstarError if no trail of the image is found.
+MeasureImage = Callable[[ResidualRequest], TrailResiduals]
+
+
+class ResidualWatch:
+    """Measures the latest image that was asked for; one at a time.
+
+    Attributes
+    ----------
+    measure : callable or None
+        How to measure; None if the window cannot.
+    """
+
+    def __init__(self) -> None:
+        self.measure: MeasureImage | None = None
+        self._worker: ThreadPoolExecutor | None = None
+        self._running: tuple[ResidualRequest, Future[TrailResiduals]] | None = None
+        self._done: tuple[ResidualRequest, TrailResiduals | str] | None = None
+
+    def of(self, request: ResidualRequest) -> TrailResiduals | str | None:
+        """Return the residuals of an image, or why there are none; begin to measure it if that is not done.
+
+        Parameters
+        ----------
+        request : ResidualRequest
+
+        Returns
+        -------
+        TrailResiduals, str or None
+            None while it is measured.
+        """
+        if self._running is not None and self._running[1].done():
+            asked, future = self._running
+            self._running, self._done = None, (asked, _outcome(future))
+        if self._done is not None and request.is_like(self._done[0]):
+            return self._done[1]
+        if self._running is None and self.measure is not None:
+            if self._worker is None:
+                self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-residuals")
+            self._running = request, self._worker.submit(self.measure, request)
+        return None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether an image is being measured."""
+        return self._running is not None
+
+    def close(self) -> None:
+        """Wait for the image that is being measured, and end the thread."""
+        if self._worker is not None:
+            self._worker.shutdown(wait=True, cancel_futures=True)
+        self._worker = self._running = self._done = None
+
+
+def _outcome(future: Future[TrailResiduals]) -> TrailResiduals | str:
+    try:
+        return future.result()
+    except (GlstarError, OSError) as error:
+        return str(error)
+
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationRequest:
+    """A photograph and what is known of it.
+
+    Attributes
+    ----------
+    path : Path
+    config : Config
+        Its camera is that of the photograph, if `fov_rad` is None; its catalogue has the stars.
+    fov_rad : float or None
+        Width of the view, to 15 %.
+    exposure_s : float or None
+        None: as the file states.
+    utc : str
+        At mid-exposure; empty if it is not known.
+    site_rad : (float, float) or None
+        Latitude and longitude.
+    geometry_only : bool
+        Whether the sensor is left out.
+    before : CalibratedPhoto or None
+        The last result for this photograph, which is solved again without some of its stars.
+    removed_px : tuple of (float, float)
+        Positions of detections that are not to be used, px.
+    """
+
+    path: Path
+    config: Config
+    fov_rad: float | None = None
+    exposure_s: float | None = None
+    utc: str = ""
+    site_rad: tuple[float, float] | None = None
+    geometry_only: bool = False
+    before: "CalibratedPhoto | None" = None
+    removed_px: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedPhoto:
+    """The result of a calibration.
+
+    Attributes
+    ----------
+    name : tuple of str
+        Names of the identified stars, or their numbers.
+    vmag : (n,) float64
+    xy_px : (n, 2) float64
+        Where they were detected, px.
+    residual_px : (n, 2) float64
+        Detected minus predicted position, px.
+    report : tuple of str
+        What was found, as lines.
+    notes : tuple of str
+        Remarks for the user.
+    toml : str
+        The calibration, for ``--config``.
+    save : callable
+        Writes it with star list and report beside a path that ends with ``.toml``, and returns the paths.
+    state : object
+        What the function that calibrates needs to solve again.
+    """
+
+    name: tuple[str, ...]
+    vmag: Float
+    xy_px: Float
+    residual_px: Float
+    report: tuple[str, ...]
+    notes: tuple[str, ...]
+    toml: str
+    save: Callable[[Path], list[Path]]
+    state: Any
+
+
+class CalibrationProgress:
+    """What is known of a calibration while it runs.
+
+    Attributes
+    ----------
+    pixels : (height, width) uint16 or None
+        The photograph; None until it has been read.
+    white_dn : int
+        Its largest digital number.
+    detected_px : (n, 2) float64
+        Detected stars.
+    step : str
+        What is being done.
+    done : int
+        Number of steps done.
+    """
+
+    STEPS: Final = 4
+
+    def __init__(self) -> None:
+        self.pixels: NDArray[np.uint16] | None = None
+        self.white_dn = 1
+        self.detected_px: Float = np.empty((0, 2))
+        self.step, self.done = "", 0
+        self.cancelled = Event()
+
+    def begin(self, step: str, done: int) -> None:
+        """Begin a step.
+
+        Parameters
+        ----------
+        step : str
+        done : int
+            Number of steps done.
+        """
+        if self.cancelled.is_set():
+            raise _CancelledError
+        self.step, self.done = step, done
+
+
+CalibratePhoto = Callable[[CalibrationRequest, CalibrationProgress], CalibratedPhoto]
+
+
+class CalibrationRun:
+    """A calibration that is running, or has ended.
+
+    Parameters
+    ----------
+    request : CalibrationRequest
+    calibrate : callable
+
+    Attributes
+    ----------
+    request : CalibrationRequest
+    progress : CalibrationProgress
+    result : CalibratedPhoto or None
+        None while it is running, and if it failed.
+    error : str
+        Why it failed; empty if it did not.
+    """
+
+    # Longest time that closing the window waits for a step, s.
+    _JOIN_S: Final = 30.0
+
+    def __init__(self, request: CalibrationRequest, calibrate: CalibratePhoto) -> None:
+        self.request, self.progress = request, CalibrationProgress()
+        self.result: CalibratedPhoto | None = None
+        self.error = ""
+        self._calibrate = calibrate
+        self._thread = Thread(target=self._run, name="glstar-calibrate", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self.result = self._calibrate(self.request, self.progress)
+        except _CancelledError:
+            pass
+        except (GlstarError, OSError) as error:
+            self.error = str(error)
+
+    @property
+    def running(self) -> bool:
+        """Whether it is still running."""
+        return self._thread.is_alive()
+
+    def cancel(self) -> None:
+        """Stop after the current step."""
+        self.progress.cancelled.set()
+
+    def close(self) -> None:
+        """Stop, and wait for the thread."""
+        self.cancel()
+        self._thread.join(self._JOIN_S)
+
+
+def with_calibration(config: Config, toml: str) -> Config:
+    """Return settings with the camera of a calibration, and with its sensor if it has one.
+
+    Parameters
+    ----------
+    config : Config
+    toml : str
+        The calibration.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    ConfigError
+        If the other settings contradict it.
+    """
+    tables = tomllib.loads(toml)
+    own = [f"{section}.{key}" for section in ("camera", "sensor") if section in tables for key in _keys_of(section)]
+    keys = {f"{section}.{key}": value for section, values in tables.items() for key, value in values.items()}
+    return config.without(*own).override(**keys)
+
+
+def _keys_of(section: str) -> list[str]:
+    return list(SECTIONS[section].model_fields)

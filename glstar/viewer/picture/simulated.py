@@ -1,0 +1,360 @@
+"""The simulated image that the viewer shows: composed on a thread of its own, developed on the window's context.
+
+The image as the camera's processing writes it: what ``[output]`` makes of the simulated one.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.errors import ConfigError, GlstarError
+from glstar.export.frame import frame_seed
+from glstar.export.imagefiles.processing import CameraProcessing, process
+from glstar.flight import Gap
+from glstar.render.opengl import GLRenderer, Texture
+from glstar.render.opengl.targets import start_drawing, wait_until_drawn
+from glstar.render.scene.scene import Scene
+from glstar.render.simulator import Simulator
+from glstar.viewer.frametimes import FrameTimes
+
+
+def why_not_processed(scene: Scene) -> str:
+    """Return why the image of a scene has no processed form.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    str
+        A message; empty if ``[output]`` processes it.
+    """
+    try:
+        is_active = CameraProcessing.of(scene.sensor).is_active
+    except ConfigError as error:
+        return str(error)
+    if not is_active:
+        return 'the camera writes the raw image; settings with [output] process = "isp" develop it'
+    if scene.exposure.signal_factor > 1:
+        return 'sums of raw images are not processed; exposure.stack = "mean" is'
+    return ""
+
+
+class ProcessedImage:
+    """The processed form of the latest image, kept until there is another array of pixels."""
+
+    def __init__(self) -> None:
+        self._made: tuple[NDArray[Any], NDArray[np.uint8]] | None = None
+
+    def of(self, pixels: NDArray[Any], scene: Scene) -> NDArray[np.uint8]:
+        """Return an image of 8 bits as `glstar.export` writes it.
+
+        Parameters
+        ----------
+        pixels : (height, width) uint8 or uint16
+            Raw digital numbers.
+        scene : Scene
+            For which `why_not_processed` has no reason.
+
+        Returns
+        -------
+        (height, width, 3) uint8
+            Red, green and blue, which are equal in a grey image.
+        """
+        if self._made is None or self._made[0] is not pixels:
+            made = np.asarray(process(pixels, scene.sensor, sixteen_bits=False), dtype=np.uint8)
+            colours = np.repeat(made[..., np.newaxis], 3, axis=2) if made.ndim == 2 else made
+            self._made = pixels, np.ascontiguousarray(colours)
+        return self._made[1]
+
+
+# Attributes of a Simulator on which the noiseless image depends, besides exposure and sensor.
+_SIMULATOR_ATTRIBUTES: Final = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
+# A Sky compares by identity, because it holds arrays; two with these attributes equal give the same directions.
+_SKY_ATTRIBUTES: Final = ("catalogue", "astrometry", "dut1_s", "refraction")
+
+
+# Longest wait of a frame for a scene that is being composed, s: a scene takes a few ms, one of 100,000 stars tens.
+_COMPOSING_S: Final = 0.01
+
+
+class ImageRequest(NamedTuple):
+    """All that an image depends on: equal requests give equal images.
+
+    Attributes
+    ----------
+    exposure : Exposure
+    number : int or None
+        The number of the camera's exposure, which seeds the noise; None for an exposure that no camera records.
+    simulator : Simulator
+    noiseless : bool
+        Whether it is developed without noise.
+    """
+
+    exposure: Exposure
+    number: int | None
+    simulator: Simulator
+    noiseless: bool = False
+
+
+class _Drawing(NamedTuple):
+    """An image that the GPU draws or has drawn, its scene, and whether it is developed or only exposed."""
+
+    request: ImageRequest
+    scene: Scene
+    is_developed: bool
+
+
+class SimulatedImage:
+    """The simulated image shown at present.
+
+    Parameters
+    ----------
+    renderer : GLRenderer
+        It stays the caller's.
+    times : FrameTimes
+
+    Attributes
+    ----------
+    scene : Scene or None
+        The latest scene; None until there is one.
+    number : int or None
+        The number of the camera's exposure; None for an exposure that no camera records.
+    error : str
+        Why there is no newer image; empty if there is one.
+    gap : Gap or None
+        The gap of the attitude that the requested exposure touches: there is no image then, because interpolating
+        the attitude across a gap would show a wrong sky.
+    seed : int
+        Of the noise.
+    """
+
+    def __init__(self, renderer: GLRenderer, times: FrameTimes) -> None:
+        self.renderer = renderer
+        self.scene: Scene | None = None
+        self.number: int | None = None
+        self.error = ""
+        self.gap: Gap | None = None
+        self.seed = 0
+        self._times = times
+        self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
+        self._ahead: tuple[ImageRequest, Future[Scene]] | None = None
+        self._developing: _Drawing | None = None
+        self._drawn: ImageRequest | None = None
+        # The image shown: one reference, because the composing thread reads it.
+        self._shown: _Drawing | None = None
+        self._texture: Texture | None = None
+        # Whether the renderer has the image shown, and `_texture` an older one or none.
+        self._unread = False
+        self._pixels: tuple[Scene, NDArray[Any]] | None = None
+        self._processed = ProcessedImage()
+        self._saturated: NDArray[np.bool_] | None = None
+
+    def update(self, request: ImageRequest, *, playing: bool) -> bool:
+        """Draw the requested image, unless it is drawn already.
+
+        Parameters
+        ----------
+        request : ImageRequest
+        playing : bool
+            Whether an image may be drawn while the one before it is shown: see `begin_next`.  The image then lags a
+            frame behind the request, and neither the threads nor the GPU wait for each other.
+
+        Returns
+        -------
+        bool
+            Whether the requested image was drawn in this call.
+        """
+        exposure = request.exposure
+        self.gap = request.simulator.flight.attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
+        if self.gap is not None:
+            self._ahead = self._developing = self._drawn = None
+            self.error = ""
+            return False
+        if playing:
+            self._compose_ahead(request)
+            return False
+        self._ahead = None
+        if self._developing is not None and self._developing.request == request:
+            self._finish()
+            return True
+        if request != self._drawn or self._developing is not None:
+            self._developing = None
+            self._draw(request)
+            return True
+        return False
+
+    def _compose_ahead(self, request: ImageRequest) -> None:
+        """Show the image that was started after the last frame, and begin to compose the requested one."""
+        self._finish()
+        if self._ahead is None and request != self._drawn:
+            self._ahead = request, self._composer.submit(self._scene_of, request)
+
+    def begin_next(self) -> None:
+        """Start to draw the image whose scene has been composed meanwhile, if any.
+
+        To be called when a frame has been presented: a software driver then draws the image on its threads, while this
+        one builds the panels of the next frame, and the frame presented did not wait for it.
+        """
+        if self._ahead is None:
+            return
+        ready, composed = self._ahead
+        if self.has_image and not wait([composed], _COMPOSING_S).done:
+            return
+        self._ahead = None
+        if not self._begin(ready, composed.result):
+            self._finish()
+
+    @property
+    def has_image(self) -> bool:
+        """Whether there is a developed image, perhaps an old one."""
+        return self._unread or self._texture is not None
+
+    @property
+    def texture(self) -> Texture | None:
+        """The developed image of `scene`; None if there is none.  Reading it waits until it has been drawn."""
+        if self._unread:
+            self._read()
+        return self._texture
+
+    def _read(self) -> None:
+        self._unread = False
+        assert self._shown is not None
+        request, scene, is_developed = self._shown
+        with self._times.span("drawing"):
+            if not is_developed:
+                wait_until_drawn(self.renderer.context)
+                self._develop(request, scene)
+            wait_until_drawn(self.renderer.context)
+            self._texture = self.renderer.developed_texture()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image, px; of no image 0."""
+        return (0, 0) if self.scene is None else (self.scene.camera.width_px, self.scene.camera.height_px)
+
+    def _draw(self, request: ImageRequest) -> None:
+        self._begin(request, lambda: self._scene_of(request))
+        self._finish()
+
+    def _begin(self, request: ImageRequest, compose: Callable[[], Scene]) -> bool:
+        """Start to draw an image; return whether the texture shown is still valid."""
+        self._drawn = request
+        if self._unread:
+            self._read()  # before the renderer has another image
+        try:
+            scene = compose()
+            with self._times.span("drawing"):
+                # Developing would wait for the exposure on software OpenGL.
+                later = self._can_develop_later(scene)
+                keeps = self._develop(request, scene, only_expose=later)
+                start_drawing()
+        except GlstarError as error:
+            self.error = str(error)
+            return True
+        self._developing = _Drawing(request, scene, not later)
+        return keeps
+
+    def _can_develop_later(self, scene: Scene) -> bool:
+        """Whether developing cannot fail, because the image shown was developed with the same sensor."""
+        return self._shown is not None and self._shown.scene.sensor is scene.sensor and not scene.shorts
+
+    def _develop(self, request: ImageRequest, scene: Scene, *, only_expose: bool = False) -> bool:
+        seed = None if only_expose else frame_seed(self.seed, request.number or 0)
+        return self.renderer.begin_develop(scene, seed=seed, noiseless=request.noiseless)
+
+    def _finish(self) -> None:
+        """Show the image that was started, if any."""
+        if self._developing is None:
+            return
+        self._shown, self._developing = self._developing, None
+        request, scene, _ = self._shown
+        self._unread = True
+        stacked = self.renderer.stack.frame
+        self._saturated = None if stacked is None else stacked.saturated
+        self._times.new_image()
+        self.scene, self.number, self.error = scene, request.number, ""
+
+    def _scene_of(self, request: ImageRequest) -> Scene:
+        with self._times.span("simulation"):
+            return self._composed(request)
+
+    def _composed(self, request: ImageRequest) -> Scene:
+        """Return the scene; if only noise or quantisation changed, the last scene with the new sensor."""
+        last, simulator = self._shown, request.simulator
+        if last is not None and last.request.exposure == request.exposure:
+            before = last.request.simulator
+            same = all(_are_equal(getattr(before, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES)
+            if same and last.scene.sensor.leaves_same_signal(simulator.sensor):
+                return last.scene.with_sensor(simulator.sensor)
+        return simulator.scene(request.exposure)
+
+    @property
+    def simulator(self) -> Simulator | None:
+        """The simulator that composed `scene`."""
+        return None if self._shown is None else self._shown.request.simulator
+
+    @property
+    def is_noiseless(self) -> bool:
+        """Whether the image shown was developed without noise."""
+        return self._shown is not None and self._shown.request.noiseless
+
+    @property
+    def pixels(self) -> NDArray[Any] | None:
+        """The developed image, (height, width) uint8 or uint16, read back once; None if there is none or it is old.
+
+        For overlays and readouts; drawing on the screen needs no transfer from the GPU.
+        """
+        if not self.has_image or self.scene is None or self.gap is not None or self.error:
+            return None
+        if self._pixels is None or self._pixels[0] is not self.scene:
+            # From the texture: the renderer may be drawing the next image.
+            texture = self.texture
+            assert texture is not None
+            width_px, height_px = texture.size
+            read = np.frombuffer(texture.read(alignment=1), texture.dtype)
+            self._pixels = self.scene, read.reshape(height_px, width_px)
+        return self._pixels[1]
+
+    @property
+    def processed(self) -> NDArray[np.uint8] | None:
+        """What ``[output]`` writes of `pixels` with 8 bits, (height, width, 3) uint8; None if it writes them raw."""
+        pixels, scene = self.pixels, self.scene
+        if pixels is None or scene is None or why_not_processed(scene):
+            return None
+        return self._processed.of(pixels, scene)
+
+    @property
+    def tested(self) -> NDArray[Any] | None:
+        """What says where the image is saturated: `pixels`, or, (height, width) bool, where a short exposure is."""
+        pixels = self.pixels
+        return pixels if pixels is None or self._saturated is None else self._saturated
+
+    def clear(self) -> None:
+        """Show no image until the next one is drawn."""
+        self._ahead = self._developing = self._drawn = self.gap = None
+        self._texture = self.scene = self._shown = None
+        self._unread = False
+        self.error = ""
+
+    def redraw(self) -> None:
+        """Draw the image in the next update, even if it is the one that is shown."""
+        self._drawn = None
+
+    def close(self) -> None:
+        """End the thread; the renderer stays the caller's."""
+        self._composer.shutdown(wait=True, cancel_futures=True)
+
+
+def _are_equal(one: object, other: object) -> bool:
+    if one is other or one == other:
+        return True
+    return all(
+        hasattr(one, name) and hasattr(other, name) and getattr(one, name) == getattr(other, name)
+        for name in _SKY_ATTRIBUTES
+    )

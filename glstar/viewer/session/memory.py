@@ -1,0 +1,261 @@
+"""What the window remembers from one start to the next: recent flights, its size, night colours and overlays.
+
+Undo and redo of settings.
+
+Messages that the viewer shows in a corner of the window for some seconds.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from glstar.config import Config
+from glstar.system.files import write_atomically
+from glstar.viewer.overlays.table import Overlay
+
+# Number of flights that are remembered.
+_MAX_RECENT: Final = 10
+# Valid sizes of a remembered window, screen px.
+_SIZES: Final = (200, 20_000)
+
+
+@dataclass(slots=True, eq=False)
+class WindowMemory:
+    """Settings of the window that are stored in a file; a damaged file counts as none.
+
+    Attributes
+    ----------
+    file : Path or None
+        None remembers nothing after the window is closed.
+    recent : list of str
+        Paths or descriptions of the flights opened last, the latest first.
+    size : tuple of int or None
+        Width and height of the window, screen px.
+    night : bool
+    overlays : frozenset of Overlay or None
+        None for the default.
+    text_scale : float
+        Size of the text; 1 at first.
+    has_toured : bool
+        Whether the tour of the window has been shown.
+    """
+
+    file: Path | None = None
+    recent: list[str] = field(default_factory=list)
+    size: tuple[int, int] | None = None
+    night: bool = False
+    overlays: frozenset[Overlay] | None = None
+    text_scale: float = 1.0
+    has_toured: bool = False
+
+    @classmethod
+    def load(cls, file: Path) -> "WindowMemory":
+        """Read the file; entries that are missing or not valid have their defaults.
+
+        Parameters
+        ----------
+        file : Path
+
+        Returns
+        -------
+        WindowMemory
+        """
+        try:
+            stored: Any = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            stored = {}
+        if not isinstance(stored, dict):
+            stored = {}
+        recent, size, overlays = stored.get("recent"), stored.get("size"), stored.get("overlays")
+        text_scale = stored.get("text_scale")
+        return cls(
+            file,
+            recent=[entry for entry in recent if isinstance(entry, str)] if isinstance(recent, list) else [],
+            size=(size[0], size[1]) if _is_size(size) else None,
+            night=stored.get("night") is True,
+            overlays=_overlays(overlays) if isinstance(overlays, list) else None,
+            text_scale=float(text_scale) if isinstance(text_scale, int | float) else 1.0,
+            # Who has used the window before there was a tour needs none.
+            has_toured=stored.get("has_toured", bool(stored)) is True,
+        )
+
+    def opened(self, flight: Path) -> None:
+        """Remember that a flight has been opened.
+
+        Parameters
+        ----------
+        flight : Path
+            A log, or a flight described in one line.
+        """
+        entry = str(flight.resolve()) if flight.exists() else str(flight)
+        self.recent = [entry, *(other for other in self.recent if other != entry)][:_MAX_RECENT]
+
+    def save(self) -> None:
+        """Write the file; a folder that cannot be written is no reason to disturb the user."""
+        if self.file is None:
+            return
+        overlays = None if self.overlays is None else sorted(overlay.value for overlay in self.overlays)
+        stored = {
+            "recent": self.recent,
+            "size": self.size,
+            "night": self.night,
+            "overlays": overlays,
+            "text_scale": self.text_scale,
+            "has_toured": self.has_toured,
+        }
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(self.file, (json.dumps(stored, indent=1) + "\n").encode())
+        except OSError:
+            pass
+
+
+def _is_size(size: object) -> bool:
+    return (
+        isinstance(size, list)
+        and len(size) == 2
+        and all(isinstance(n, int) and _SIZES[0] <= n <= _SIZES[1] for n in size)
+    )
+
+
+def _overlays(names: Iterable[object]) -> frozenset[Overlay]:
+    known = {overlay.value: overlay for overlay in Overlay}
+    return frozenset(known[name] for name in names if isinstance(name, str) and name in known)
+
+
+# Number of settings that can be undone.
+_LENGTH: Final = 200
+
+
+class SettingsHistory:
+    """The settings before and after the present ones.
+
+    `observe` is called in every frame; while a control is dragged, only the settings before and after are kept.
+    """
+
+    def __init__(self) -> None:
+        self._past: list[Config] = []
+        self._future: list[Config] = []
+        self._present: Config | None = None
+        self._before_drag: Config | None = None
+
+    def observe(self, config: Config, *, is_dragging: bool) -> None:
+        """Record the present settings if they have changed.
+
+        Parameters
+        ----------
+        config : Config
+        is_dragging : bool
+            Whether the user holds a control.
+        """
+        if self._present is None:
+            self._present = config
+        if config is not self._present:
+            if self._before_drag is None:
+                self._before_drag = self._present
+            self._present = config
+        if self._before_drag is not None and not is_dragging:
+            if config != self._before_drag:
+                self._past = [*self._past, self._before_drag][-_LENGTH:]
+                self._future = []
+            self._before_drag = None
+
+    def undo(self) -> Config | None:
+        """Return the settings before the last change, and make them the present ones; None if there are none.
+
+        Returns
+        -------
+        Config or None
+        """
+        return self._move(self._past, self._future)
+
+    def redo(self) -> Config | None:
+        """Return the settings that were undone last, and make them the present ones; None if there are none.
+
+        Returns
+        -------
+        Config or None
+        """
+        return self._move(self._future, self._past)
+
+    def _move(self, source: list[Config], target: list[Config]) -> Config | None:
+        if not source or self._present is None:
+            return None
+        target.append(self._present)
+        self._present, self._before_drag = source.pop(), None
+        return self._present
+
+
+# How long a message and an error stay, s: an error has to be read to its end.
+_MESSAGE_S: Final = 6.0
+_ERROR_S: Final = 20.0
+# Messages shown at the same time: more would cover the image.
+_MAX_SHOWN: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Notification:
+    """A message to the user.
+
+    Attributes
+    ----------
+    message : str
+    is_error : bool
+    expires_s : float
+        When it disappears, by the clock of its `Notifications`.
+    """
+
+    message: str
+    is_error: bool
+    expires_s: float
+
+
+class Notifications:
+    """The messages shown at present.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns seconds from any origin.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.clock = clock
+        self._shown: list[Notification] = []
+
+    def add(self, message: str, *, is_error: bool = False) -> None:
+        """Show a message; the same message shown again replaces the first.
+
+        Parameters
+        ----------
+        message : str
+        is_error : bool
+            Errors stay longer.
+        """
+        expires_s = self.clock() + (_ERROR_S if is_error else _MESSAGE_S)
+        others = [shown for shown in self._shown if shown.message != message]
+        self._shown = [*others, Notification(message, is_error, expires_s)][-_MAX_SHOWN:]
+
+    @property
+    def current(self) -> list[Notification]:
+        """The messages that have not expired, oldest first."""
+        now_s = self.clock()
+        self._shown = [shown for shown in self._shown if shown.expires_s > now_s]
+        return self._shown
+
+    @property
+    def errors(self) -> list[str]:
+        """The messages of the errors that have not expired, oldest first."""
+        return [shown.message for shown in self.current if shown.is_error]
+
+    def dismiss(self, notification: Notification) -> None:
+        """Remove a message before it expires.
+
+        Parameters
+        ----------
+        notification : Notification
+        """
+        self._shown = [shown for shown in self._shown if shown is not notification]

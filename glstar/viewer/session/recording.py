@@ -1,0 +1,404 @@
+"""Exports that run in the background while the window is used.
+
+An export has a thread and a headless OpenGL context of its own, like ``glstar export``, and writes the same files as
+the command line.  On the window's context every frame of the export would delay a frame of the window.
+
+Videos of what the viewer shows: while it is used, or of a range of the flight, picture by picture.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import floor, isfinite
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any, Final, Protocol
+
+import cv2
+import numpy as np
+
+from glstar.config import Config
+from glstar.errors import ConfigError, ExportError, GlstarError
+from glstar.export.imagefiles.formats import VideoFile
+from glstar.export.live import LiveExport
+from glstar.export.run.executors import SerialExecutor
+from glstar.export.run.export import Export
+from glstar.link import Link
+from glstar.render.opengl import GLRenderer
+from glstar.viewer.flight.playhead import PlayHead
+
+
+class _Cancelled(Exception):  # noqa: N818 - not an error: the user cancelled
+    pass
+
+
+class BackgroundExport:
+    """An export that is running.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the export; called on the thread of the export.
+    directory : Path
+        Where the frames go, for messages.
+
+    Attributes
+    ----------
+    done, of : int
+        Number of frames written, and of all frames; `of` is 0 if that is not known.
+    directory : Path
+    error : str
+        A message about the error; empty if there was none.
+    """
+
+    # Longest time that closing the window waits for the frame being written, s.
+    _JOIN_S: Final = 60.0
+
+    def __init__(self, make: Callable[[], Export], directory: Path) -> None:
+        self.directory = directory
+        self.done = self.of = 0
+        self.error = ""
+        self._make = make
+        self._begin()
+
+    def _begin(self) -> None:
+        """Start the thread."""
+        self._cancelled = Event()
+        self._thread = Thread(target=self._run, name="glstar-export", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._export()
+        except _Cancelled:
+            pass
+        except GlstarError as error:
+            self.error = str(error)
+        except FileNotFoundError as error:
+            # The flight is in memory, but the manifest contains a hash of the log.
+            self.error = str(ExportError(error.filename or self.directory, "is missing; put it back to export from it"))
+        except OSError as error:
+            self.error = str(ExportError(self.directory, f"cannot be written ({error.strerror or error})"))
+
+    def _export(self) -> None:
+        job = self._make()
+        self.of = len(job.numbers)
+        with GLRenderer.headless() as renderer:
+            job.run(SerialExecutor(renderer), on_frame=self._count)
+
+    def _count(self, done: int, of: int) -> None:
+        self.done, self.of = done, of
+        if self._cancelled.is_set() and done < of:
+            raise _Cancelled
+
+    @property
+    def running(self) -> bool:
+        """Whether it is still running."""
+        return self._thread.is_alive()
+
+    def cancel(self) -> None:
+        """Stop after the current frame; the frames written are complete, and stay."""
+        self._cancelled.set()
+
+    def wait(self) -> None:
+        """Wait until the thread has ended."""
+        self._thread.join(self._JOIN_S)
+
+    @property
+    def summary(self) -> str:
+        """The result, as a message."""
+        if self.error:
+            return self.error
+        if self._cancelled.is_set() and self.done < self.of:
+            return f"export stopped: {self.done} of {self.of} frames are in {self.directory}"
+        return f"{self.done} frame{'s' * (self.done != 1)} and the truth: {self.directory}"
+
+
+class BackgroundLiveExport(BackgroundExport):
+    """An export of the frames of a link, as they are exposed, until it is stopped.
+
+    Parameters
+    ----------
+    config : Config
+    link : Link
+        Open; it stays the caller's.
+    directory : Path
+    seed : int
+        From which the noise seed of every frame is derived.
+    """
+
+    def __init__(self, config: Config, link: Link, directory: Path, *, seed: int) -> None:
+        self.directory = directory
+        self.done = self.of = 0
+        self.error = ""
+        command = f"glstar live {link.endpoint.text} --export {directory}"
+        self._job = LiveExport(config, link, directory=directory, seed=seed, command=command)
+        self._begin()
+
+    def _export(self) -> None:
+        with GLRenderer.headless() as renderer:
+            self._job.run(renderer, on_frame=self._count_frames)
+
+    def _count_frames(self, done: int) -> None:
+        self.done = done
+
+    def cancel(self) -> None:
+        """Stop after the current frame."""
+        self._job.stop()
+
+
+Picture = np.ndarray[Any, np.dtype[np.uint8]]
+
+# Frames that the window needs to close the dialog in which a video was started.
+_SETTLING_FRAMES = 3
+# Most frames that one picture of a stalled window is repeated for.
+_MOST_REPEATED = 300
+
+
+class Video(Protocol):
+    """A video that is being recorded.
+
+    Attributes
+    ----------
+    path : Path
+    is_done : bool
+        Whether the next step is to finish it.
+    """
+
+    path: Path
+
+    @property
+    def is_done(self) -> bool: ...  # noqa: D102 - documented above
+
+    @property
+    def progress(self) -> tuple[float, str]:
+        """The fraction that is done, and a message."""
+        ...
+
+    def prepare(self, head: PlayHead | None) -> bool:
+        """Move the play head before a frame of the window; return whether time stands still for the video."""
+        ...
+
+    def add(self, picture: Picture) -> None:
+        """Add a picture of the window, (height, width, 3) uint8, blue, green, red."""
+
+    def stop(self) -> None:
+        """End the video with the frames recorded."""
+
+    def finish(self, head: PlayHead | None) -> int:
+        """Complete the file; return its number of frames."""
+        ...
+
+    def discard(self) -> None:
+        """Stop, and remove the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class VideoRange:
+    """The part of a flight that a video shows, and how fast.
+
+    Attributes
+    ----------
+    start_utc_s, stop_utc_s : float
+        UTC seconds since 1970.
+    speed : float
+        Seconds of flight per second of the video.
+    frames_per_s : float
+        Frame rate of the video, 1/s.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is not valid, or no frame fits.
+    """
+
+    start_utc_s: float
+    stop_utc_s: float
+    speed: float = 1.0
+    frames_per_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (("speed", self.speed, 1e-3, 1e3), ("frames/s", self.frames_per_s, 1.0, 240.0)):
+            if not (isfinite(value) and low <= value <= high):
+                raise ConfigError(f"a video needs {name} from {low:g} to {high:g}, not {value:g}")
+        if not self.stop_utc_s > self.start_utc_s:
+            raise ConfigError("the range of a video must end after its beginning")
+
+    @property
+    def count(self) -> int:
+        """Number of frames, at least 1."""
+        return floor((self.stop_utc_s - self.start_utc_s) / self.speed * self.frames_per_s + 1e-6) + 1
+
+    def utc_s(self, number: int) -> float:
+        """Return the time of a frame, UTC seconds since 1970.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+
+        Returns
+        -------
+        float
+        """
+        return self.start_utc_s + number * self.speed / self.frames_per_s
+
+
+class _Recording:
+    """The file of a video, opened with the size of its first picture."""
+
+    def __init__(self, path: Path, frames_per_s: float) -> None:
+        self.path = path
+        self._frames_per_s = frames_per_s
+        self._file: VideoFile | None = None
+        self._size: tuple[int, int] = (0, 0)
+
+    def write(self, picture: Picture, times: int = 1) -> None:
+        """Add a picture; one of another size is scaled to that of the first."""
+        if self._file is None:
+            self._size = picture.shape[1], picture.shape[0]
+            self._file = VideoFile(self.path, *self._size, self._frames_per_s)
+        if (picture.shape[1], picture.shape[0]) != self._size:
+            picture = np.asarray(cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        for _ in range(times):
+            self._file.write(picture)
+
+    def finish(self) -> int:
+        """Complete the file; return its number of frames, 0 if there is no picture."""
+        if self._file is None:
+            return 0
+        self._file.finish()
+        return self._file.count
+
+    def discard(self) -> None:
+        """Remove the file."""
+        if self._file is not None:
+            self._file.discard()
+
+
+class ScreenVideo:
+    """Records the picture while the viewer is used, at a constant frame rate of the clock.
+
+    Parameters
+    ----------
+    path : Path
+    frames_per_s : float
+    clock : callable
+        Returns seconds from any origin.
+    """
+
+    def __init__(self, path: Path, frames_per_s: float, clock: Callable[[], float]) -> None:
+        self.path = path
+        self._recording = _Recording(path, frames_per_s)
+        self._frames_per_s, self._clock = frames_per_s, clock
+        self._began_s: float | None = None
+        self._count = 0
+        self._is_stopped = False
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it has been stopped."""
+        return self._is_stopped
+
+    @property
+    def progress(self) -> tuple[float, str]:
+        """No fraction, and the seconds recorded."""
+        return 0.0, f"{self._count / self._frames_per_s:.0f} s recorded"
+
+    def prepare(self, head: PlayHead | None) -> bool:  # noqa: ARG002 - of the protocol
+        """Leave the play head to the user."""
+        return False
+
+    def add(self, picture: Picture) -> None:
+        """Add a picture as often as the frame rate needs it: once, not at all, or several times if the window is slow.
+
+        Parameters
+        ----------
+        picture : (height, width, 3) uint8
+        """
+        now_s = self._clock()
+        self._began_s = now_s if self._began_s is None else self._began_s
+        due = floor((now_s - self._began_s) * self._frames_per_s) + 1 - self._count
+        if due > 0:
+            self._recording.write(picture, min(due, _MOST_REPEATED))
+            self._count += due
+
+    def stop(self) -> None:
+        """Stop after this frame."""
+        self._is_stopped = True
+
+    def finish(self, head: PlayHead | None) -> int:  # noqa: ARG002 - of the protocol
+        """Complete the file; see `Video`."""
+        return self._recording.finish()
+
+    def discard(self) -> None:
+        """Remove the file."""
+        self._recording.discard()
+
+
+class RangeVideo:
+    """Records a range of the flight: the play head goes to the time of each frame, however long drawing takes.
+
+    Parameters
+    ----------
+    path : Path
+    part : VideoRange
+    """
+
+    def __init__(self, path: Path, part: VideoRange) -> None:
+        self.path = path
+        self._recording = _Recording(path, part.frames_per_s)
+        self._part, self._count = part, part.count
+        self._settling = _SETTLING_FRAMES
+        self._number = 0
+        self._before: tuple[float, bool] | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all frames have been recorded."""
+        return self._number >= self._count
+
+    @property
+    def progress(self) -> tuple[float, str]:
+        """The fraction of frames that are recorded, and a message."""
+        return self._number / max(self._count, 1), f"{self._number} of {self._count} frames"
+
+    def prepare(self, head: PlayHead | None) -> bool:
+        """Move the play head to the next frame of the video; see `Video`."""
+        if head is not None:
+            if self._before is None:
+                self._before = head.utc_s, head.playing
+            head.seek(self._part.utc_s(self._number))
+            head.playing = False
+        return True
+
+    def add(self, picture: Picture) -> None:
+        """Add a picture, after the window is drawn without the dialog.
+
+        Parameters
+        ----------
+        picture : (height, width, 3) uint8
+        """
+        if self._settling or self.is_done:
+            self._settling -= 1
+            return
+        self._recording.write(picture)
+        self._number += 1
+
+    def stop(self) -> None:
+        """Keep the frames recorded and end the video here."""
+        self._count = self._number
+
+    def finish(self, head: PlayHead | None) -> int:
+        """Complete the file and put the play head where it was; see `Video`."""
+        self._restore(head)
+        return self._recording.finish()
+
+    def discard(self) -> None:
+        """Remove the file."""
+        self._recording.discard()
+
+    def _restore(self, head: PlayHead | None) -> None:
+        if head is not None and self._before is not None:
+            utc_s, playing = self._before
+            head.seek(utc_s)
+            head.playing = playing

@@ -1,0 +1,451 @@
+"""Files that the viewer saves: frames with their truth, settings, and pictures of comparisons.
+
+Pictures of what the viewer shows: cut from the window, saved, copied or added to a video.
+
+The report of a problem: all that somebody needs to see the same.
+"""
+
+import os
+import platform
+from contextlib import suppress
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from glstar import __version__
+from glstar.config import Config
+from glstar.errors import ExportError, GlstarError
+from glstar.export.directory import explain_disk_errors
+from glstar.export.imagefiles.formats import ImageFormat
+from glstar.export.plan.frames import ExportOptions
+from glstar.export.run.export import Export
+from glstar.export.run.prepare import prepare_export
+from glstar.flight import Flight
+from glstar.render.opengl import Framebuffer
+from glstar.system.files import write_atomically
+from glstar.system.imagefiles import copy_png
+from glstar.system.installation import library_versions
+from glstar.telemetry import as_table
+from glstar.viewer.picture.comparison import compose, save_view
+from glstar.viewer.session.keys import Action
+from glstar.viewer.session.recording import BackgroundExport, ScreenVideo, Video
+from glstar.viewer.session.state import Session
+
+# Frame rate of a video that is recorded while the viewer is used, 1/s.
+SCREEN_FRAMES_PER_S: Final = 30.0
+# Suffixes of the files that the window saves beside frames; other names are those of directories.
+_FILES: Final = frozenset({".png", ".mp4", ".md", ".tlog"})
+
+
+def save_frame(session: Session) -> None:
+    """Save the image shown as an export of one frame, with truth and manifest, and the settings beside it.
+
+    Parameters
+    ----------
+    session : Session
+        Its attribute `export` becomes the running export; errors become notifications.
+    """
+    image, loaded = session.image, session.loaded
+    if image.scene is None or loaded is None or image.gap is not None:
+        session.notify(f"no image to save: {session.status or 'none has been drawn yet'}", is_error=True)
+        return
+    exposure, number = image.scene.exposure, image.number
+    flight = loaded.flight
+    if loaded.is_live and image.simulator is not None:
+        flight = image.simulator.flight
+    keys = {f"exposure.{name}": getattr(exposure, name) for name in ("duration_s", "rate_hz", "readout_s", "frames")}
+    start_s = 0.0 if number is not None else round(exposure.start_utc_s - flight.attitude.first_s, 6)
+    named_s = exposure.start_utc_s - loaded.head.origin_s
+    directory = unused_path(session.output / f"{file_stem(session)}-{named_s:.3f}s")
+    options = {"only": number or 0, "start_s": start_s, "frames": (number or 0) + 1}
+    _export(session, session.config.override(**keys), flight, directory, **options)
+
+
+def save_range(
+    session: Session,
+    directory: Path,
+    *,
+    start_s: float,
+    stop_s: float,
+    image_format: ImageFormat | None,
+    noiseless: bool,
+) -> None:
+    """Begin to export the camera's exposures of a part of the flight.
+
+    Parameters
+    ----------
+    session : Session
+        Its attribute `export` becomes the running export.
+    directory : Path
+    start_s, stop_s : float
+        From the flight's first attitude, s; of a live flight, the part that is in the buffer.
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
+        None for the one that fits the sensor.
+    noiseless : bool
+        Write the noiseless image too.
+    """
+    loaded = session.loaded
+    if loaded is None:
+        return
+    dropped_s = loaded.flight.attitude.first_s - loaded.head.origin_s
+    start_s, stop_s = max(start_s - dropped_s, 0.0), stop_s - dropped_s
+    options = {"start_s": start_s, "stop_s": stop_s, "image_format": image_format, "noiseless": noiseless}
+    _export(session, session.config, loaded.flight, directory, **options)
+
+
+def _export(session: Session, config: Config, flight: Flight, directory: Path, **options: Any) -> None:
+    if session.export is not None:
+        session.notify(f"an export to {session.export.directory} is running; wait, or stop it", is_error=True)
+        return
+    log, seed = None if session.loaded is None else session.loaded.path, session.image.seed
+    session.export = BackgroundExport(
+        lambda: _write_inputs_and_prepare(config, flight, log, directory, seed=seed, **options), directory
+    )
+
+
+def _write_inputs_and_prepare(
+    config: Config,
+    flight: Flight,
+    log: Path | None,
+    directory: Path,
+    *,
+    seed: int,
+    only: int | None = None,
+    **options: Any,
+) -> Export:
+    """Write the settings beside a directory of frames, and return the export that fills it.
+
+    The command line in the manifest names the settings and the log, so that ``glstar export`` can repeat the export.  A
+    live flight has no log (None); its buffer is written as a CSV table.  If the export is refused, the files written
+    here are removed.
+    """
+    settings = directory.with_name(f"{directory.name}.toml")
+    is_live = log is None
+    saved = config.for_a_table(time_offset_s=flight.time_offset_s) if is_live else config
+    inputs = {settings: saved.to_toml()}
+    if log is None:
+        log = directory.with_name(f"{directory.name}.csv")
+        inputs[log] = as_table(flight)
+    new = [file for file in inputs if not file.exists()]
+    try:
+        for file, content in inputs.items():
+            write_text(file, content)
+        loaded = None if is_live else flight
+        chosen = ExportOptions(seed=seed, **options)
+        return prepare_export(Config.load(settings), log, directory, chosen, flight=loaded, only=only)
+    except BaseException:
+        for file in new:
+            with suppress(OSError):
+                file.unlink(missing_ok=True)
+        raise
+
+
+def save_settings(session: Session, path: Path) -> None:
+    """Save the settings as TOML, for ``glstar export --config``.
+
+    Parameters
+    ----------
+    session : Session
+    path : Path
+    """
+    try:
+        write_text(path, session.config.to_toml())
+    except GlstarError as error:
+        session.notify(str(error), is_error=True)
+    else:
+        session.notify(f"settings: {path}")
+
+
+def save_comparison(session: Session) -> None:
+    """Save the comparison as a picture of full size, with its caption.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    real, pixels, comparison = session.real, session.image.pixels, session.comparison
+    if real is None or pixels is None or session.scene is None:
+        why = "the real image is still being decoded; save again in a moment"
+        if not comparison.waiting:
+            why = "nothing is compared: open a folder of real images first"
+        session.notify(why, is_error=True)
+        return
+    picture = compose(
+        pixels,
+        real[1],
+        comparison.mode,
+        wipe=comparison.wipe,
+        phase=comparison.phase,
+        stretch=session.stretch,
+        saturation_dn=session.scene.white_dn,
+        real_black=comparison.real_black,
+        real_gain=comparison.real_gain,
+    )
+    path = unused_path(session.output / f"{real[0].path.stem}-{comparison.mode.replace(' ', '-')}.png")
+    try:
+        with explain_disk_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        save_view(path, picture, comparison.describe(real[0], session.scene.exposure))
+    except GlstarError as error:
+        session.notify(str(error), is_error=True)
+    else:
+        session.notify(f"comparison: {path}")
+
+
+def record_video(session: Session) -> None:
+    """Begin to record what is shown as a video, or end the video that is being recorded.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    if session.video is not None:
+        session.video.stop()
+    elif session.loaded is None:
+        session.notify("there is no flight to record", is_error=True)
+    else:
+        path = unused_path(session.output / f"{file_stem(session)}.mp4")
+        session.video = ScreenVideo(path, SCREEN_FRAMES_PER_S, session.notifications.clock)
+
+
+def file_stem(session: Session) -> str:
+    """Return the beginning of the names of files saved from the flight shown.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    str
+    """
+    loaded = session.loaded
+    return "live" if loaded is None or loaded.is_live else Path(loaded.flight.name).stem or "flight"
+
+
+def unused_path(path: Path) -> Path:
+    """Return this path, or the first numbered variant of it, that does not exist yet.
+
+    Parameters
+    ----------
+    path : Path
+        A file of `_FILES`, or a directory of frames, beside which are its settings and, of a live flight, its table.
+
+    Returns
+    -------
+    Path
+    """
+    number = 2
+    chosen = path
+    is_file = path.suffix in _FILES
+    beside = ("",) if is_file else ("", ".toml", ".csv")
+    while any(chosen.with_name(chosen.name + suffix).exists() for suffix in beside):
+        chosen = path.with_name(f"{path.stem}-{number}{path.suffix}" if is_file else f"{path.name}-{number}")
+        number += 1
+    return chosen
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, complete or not at all; its folder is made.
+
+    Parameters
+    ----------
+    path : Path
+    text : str
+
+    Raises
+    ------
+    ExportError
+        If it cannot be written.
+    """
+    with explain_disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text.encode())
+
+
+Picture = np.ndarray[Any, np.dtype[np.uint8]]
+Rectangle = tuple[int, int, int, int]
+
+
+class PictureAction(StrEnum):
+    """What to do with a picture; the values are those of `Action`."""
+
+    SAVE = Action.SAVE_PICTURE.value
+    SAVE_PLAIN = Action.SAVE_PLAIN_PICTURE.value
+    COPY = Action.COPY_PICTURE.value
+
+
+def cut_picture(target: Framebuffer, size: tuple[int, int], rectangle: Rectangle | None = None) -> Picture:
+    """Return a part of the window.
+
+    Parameters
+    ----------
+    target : Framebuffer
+    size : tuple of int
+        Its width and height, px.
+    rectangle : tuple of int, optional
+        Left, top, width, height, px from the top left corner; by default the whole window.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        Blue, green, red; black outside the window.
+    """
+    left, top, width, height = (0, 0, *size) if rectangle is None else rectangle
+    x, y = max(left, 0), max(top, 0)
+    right, bottom = min(left + width, size[0]), min(top + height, size[1])
+    picture = np.zeros((height, width, 3), np.uint8)
+    if right > x and bottom > y:
+        read = target.read(viewport=(x, size[1] - bottom, right - x, bottom - y), components=3, alignment=1)
+        inside = np.frombuffer(read, np.uint8).reshape(bottom - y, right - x, 3)[::-1, :, ::-1]
+        picture[y - top : bottom - top, x - left : right - left] = inside
+    return picture
+
+
+def write_picture(session: Session, path: Path, picture: Picture, what: str) -> None:
+    """Write a picture as a PNG, and notify the user.
+
+    Parameters
+    ----------
+    session : Session
+    path : Path
+    picture : (height, width, 3) uint8
+        Blue, green, red.
+    what : str
+        Its name in the message.
+    """
+    try:
+        with explain_disk_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, _png(picture))
+    except GlstarError as error:
+        session.notify(str(error), is_error=True)
+    else:
+        session.notify(f"{what}: {path}")
+
+
+def use_picture(session: Session, action: PictureAction, picture: Picture | None) -> None:
+    """Save or copy a picture of what is shown.
+
+    Parameters
+    ----------
+    session : Session
+    action : PictureAction
+    picture : (height, width, 3) uint8 or None
+        Blue, green, red; None if there is no picture.
+    """
+    if picture is None:
+        session.notify(f"no picture to save: {session.status or 'none has been drawn yet'}", is_error=True)
+    elif action is PictureAction.COPY:
+        problem = copy_png(_png(picture))
+        session.notify(problem or "the picture is in the clipboard", is_error=bool(problem))
+    else:
+        write_picture(session, unused_path(session.output / f"{file_stem(session)}-picture.png"), picture, "picture")
+
+
+def record(session: Session, video: Video, picture: Picture | None) -> None:
+    """Add a picture to the video, and finish the video if this was its last.
+
+    Parameters
+    ----------
+    session : Session
+        Its attribute `video` becomes None when the video is finished or cannot be written.
+    video : Video
+    picture : (height, width, 3) uint8 or None
+        Blue, green, red; None if there is none in this frame.
+    """
+    try:
+        if picture is not None and not video.is_done:
+            video.add(picture)
+        if not video.is_done:
+            return
+        count = video.finish(session.head)
+        message = f"video of {count} frames: {video.path}" if count else "no picture was shown, so there is no video"
+        session.notify(message, is_error=not count)
+    except (GlstarError, OSError) as error:
+        video.discard()
+        session.notify(str(error), is_error=True)
+    session.video = None
+
+
+def _png(picture: Picture) -> bytes:
+    return bytes(cv2.imencode(".png", picture)[1].tobytes())
+
+
+def problem_report(session: Session) -> str:
+    """Return what the window shows and runs on, for an issue.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    str
+        Markdown: versions, OpenGL, the flight's facts, the messages, and the settings as TOML.  It has no path and no
+        sample of the log, but the site that the settings give.
+    """
+    info = session.renderer.context.info
+    libraries = ", ".join(f"{name} {found or 'missing'}" for name, found in library_versions().items())
+    lines = [
+        "**What happened, and what did you expect?**",
+        "",
+        "...",
+        "",
+        "| | |",
+        "|---|---|",
+        f"| glstar | {__version__} |",
+        f"| system | {platform.system()} {platform.machine()}, {os.cpu_count()} processors |",
+        f"| Python | {platform.python_version()} |",
+        f"| OpenGL | {info['GL_RENDERER']}, {info['GL_VENDOR']}, {info['GL_VERSION']} |",
+        f"| libraries | {libraries} |",
+        f"| flight | {_flight(session)} |",
+        f"| shown | {_shown(session)} |",
+        *(f"| message | {each.message.replace(chr(10), ' ')} |" for each in session.notifications.current),
+        "",
+        "```toml",
+        session.config.to_toml().strip(),
+        "```",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def save_problem_report(session: Session) -> str:
+    """Write the report of a problem to a file, say where, and return it.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    str
+        As of `problem_report`; if the file cannot be written, the window says so.
+    """
+    report = problem_report(session)
+    path = unused_path(session.output / "problem-report.md")
+    try:
+        write_text(path, report)
+    except ExportError as error:
+        session.notify(f"the report is in the clipboard only: {error}", is_error=True)
+    else:
+        session.notify(f"the report is in the clipboard, and in {path}")
+    return report
+
+
+def _flight(session: Session) -> str:
+    flight = session.flight
+    if flight is None:
+        return f"none; {session.status}" if session.status else "none"
+    attitude = flight.attitude
+    return f"{flight.attitude_source}, {attitude.last_s - attitude.first_s:.1f} s, {len(attitude.utc_s)} attitudes"
+
+
+def _shown(session: Session) -> str:
+    head, status = session.head, session.status.replace("\n", " ")
+    if head is None:
+        return status
+    return f"{head.utc_s - head.origin_s:.3f} s, {head.mode}" + (f"; {status}" if status else "")

@@ -1,0 +1,746 @@
+"""Where an object of the sky is with respect to the image, and when it enters the image.
+
+The star whose trail is under the mouse.
+
+Search for stars, constellations, the Sun, the Moon and planets by name or catalogue number.
+
+The object of the sky that the user has selected, and what is known of it in the exposure shown.
+"""
+
+import json
+import re
+import unicodedata
+from dataclasses import dataclass
+from enum import StrEnum
+from math import atan2, cos, degrees, erf, hypot, pi, sin, sqrt
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.flight import AttitudeTrack
+from glstar.render.motion.pointing import Pointing
+from glstar.render.readout.rows import recorded_positions
+from glstar.render.scene.scene import Frame, Scene
+from glstar.render.simulator import Simulator
+from glstar.render.truth.frame import frame_truth
+from glstar.sky.catalogue.names import constellations, proper_names
+from glstar.sky.catalogue.reading import StarCatalogue, star_label
+from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.observed.solarsystem import BODIES, observed_bodies
+from glstar.sky.observed.stars import Sky
+from glstar.sky.place.apparent import ASTROMETRY
+from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
+from glstar.sky.place.site import Site
+from glstar.viewer.overlays.canvas import ned_to_camera_matrix
+
+Float = NDArray[np.float64]
+
+# Interval at which a flight is searched for an object, s: a frame of 50 deg takes as long to pass at 200 deg/s.
+_SEARCH_STEP_S: Final = 0.25
+# Times per call, which must lie within minutes of each other.
+_TIMES_AT_ONCE: Final = 400
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectPlace:
+    """An object with respect to one exposure.
+
+    Attributes
+    ----------
+    altitude_rad, azimuth_rad : float
+        Apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
+    x_px, y_px : float
+        Position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
+        behind the camera.
+    on_image : bool
+        Whether it is on the image, above the horizon, at the middle of the exposure.
+    right, down : float
+        Unit vector in the image from its centre towards the object, also for an object behind the camera.
+    from_axis_rad : float
+        Angle from the optical axis, rad.
+    """
+
+    altitude_rad: float
+    azimuth_rad: float
+    x_px: float
+    y_px: float
+    on_image: bool
+    right: float
+    down: float
+    from_axis_rad: float
+
+    def message(self, name: str) -> str:
+        """Return where the object is, in one line.
+
+        Parameters
+        ----------
+        name : str
+            Of the object.
+
+        Returns
+        -------
+        str
+            Such as ``"Sirius is outside the image, 34.2 deg to the left and 12.0 deg above"``.
+        """
+        if self.altitude_rad < 0:
+            return f"{name} is {-degrees(self.altitude_rad):.1f} deg below the horizon"
+        if self.on_image:
+            return f"{name} is in the image at x {self.x_px:.1f}, y {self.y_px:.1f}"
+        across, along = self.from_axis_rad * self.right, self.from_axis_rad * self.down
+        parts = [
+            f"{degrees(abs(angle)):.1f} deg {side}"
+            for angle, side in (
+                (across, "to the right" if across > 0 else "to the left"),
+                (along, "below" if along > 0 else "above"),
+            )
+            if degrees(abs(angle)) >= 0.05
+        ]
+        return f"{name} is outside the image, {' and '.join(parts)}"
+
+
+def object_place(scene: Scene, direction_eq: Float) -> ObjectPlace:
+    """Return where an object is with respect to an exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (3,) float64
+        Apparent unit vector, true equator and equinox.
+
+    Returns
+    -------
+    ObjectPlace
+    """
+    middle = scene.shutter[1:2]
+    in_camera = middle.to_camera(direction_eq[np.newaxis], below_horizon=True)[0, 0]
+    azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ ned_to_camera_matrix(middle))
+    x_px, y_px = scene.camera.project(in_camera)
+    if scene.exposure.readout_s and np.isfinite(x_px):
+        recorded = recorded_positions(scene, direction_eq[np.newaxis], np.array([0.5]))[0, 0]
+        x_px, y_px = recorded if np.isfinite(recorded).all() else (x_px, y_px)
+    across, along, ahead = in_camera.tolist()
+    bearing_rad = atan2(along, across)
+    return ObjectPlace(
+        altitude_rad=float(altitude_rad),
+        azimuth_rad=float(azimuth_rad),
+        x_px=float(x_px),
+        y_px=float(y_px),
+        on_image=bool(scene.camera.contains([x_px, y_px]) & (altitude_rad >= 0)),
+        right=cos(bearing_rad),
+        down=sin(bearing_rad),
+        from_axis_rad=atan2(hypot(across, along), ahead),
+    )
+
+
+def time_in_image_s(simulator: Simulator, direction_eq: Float, after_utc_s: float) -> float | None:
+    """Return when an object is on the image next, or first if it is not any more after a given time.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    direction_eq : (3,) float64
+        Apparent unit vector, true equator and equinox.
+    after_utc_s : float
+        UTC seconds since 1970.
+
+    Returns
+    -------
+    float or None
+        UTC seconds since 1970, to a quarter of a second; None if the object is never on the image.
+    """
+    attitude = simulator.flight.attitude
+    times_s = np.arange(attitude.first_s, attitude.last_s, _SEARCH_STEP_S)
+    later = np.flatnonzero(times_s > after_utc_s)
+    first_later = int(later[0]) if later.size else len(times_s)
+    return _first_in_image_s(simulator, attitude, direction_eq, times_s[first_later:]) or _first_in_image_s(
+        simulator, attitude, direction_eq, times_s[:first_later]
+    )
+
+
+def _first_in_image_s(
+    simulator: Simulator, attitude: AttitudeTrack, direction_eq: Float, times_s: Float
+) -> float | None:
+    for first in range(0, len(times_s), _TIMES_AT_ONCE):
+        some_s = times_s[first : first + _TIMES_AT_ONCE]
+        xy_px = simulator.camera.project(simulator.pointing(some_s).to_camera(direction_eq[np.newaxis]))[:, 0]
+        for index in np.flatnonzero(simulator.camera.contains(xy_px)).tolist():
+            if attitude.gap_within(some_s[index], some_s[index]) is None:
+                return float(some_s[index])
+    return None
+
+
+# Sub-exposures of the coarse search, which selects the stars whose trails are then searched completely.
+_COARSE_SAMPLES: Final = 8
+# Samples along the part of a trail that a rolling shutter records.
+_RECORDED_SAMPLES: Final = 33
+# A magnitude counts as this fraction of the largest distance: of two stars near the mouse the brighter one is returned.
+_DISTANCE_PER_MAGNITUDE: Final = 0.1
+
+
+class StarUnderCursor(NamedTuple):
+    """A star near the mouse.
+
+    Attributes
+    ----------
+    catalogue : str
+        The catalogue that numbers it.
+    star_id : int
+        Its number there.
+    name : str
+        Its name; empty if it has none.
+    vmag : float
+        Its magnitude.
+    altitude_rad, azimuth_rad : float
+        Its apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
+    x_px, y_px : float
+        Its position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
+        if it is behind the camera or below the horizon then.
+    """
+
+    catalogue: str
+    star_id: int
+    name: str
+    vmag: float
+    altitude_rad: float
+    azimuth_rad: float
+    x_px: float
+    y_px: float
+
+
+def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> StarUnderCursor | None:
+    """Return the star whose trail passes near a position on the image.
+
+    Parameters
+    ----------
+    scene : Scene
+    x_px, y_px : float
+        The position, px.
+    within_px : float
+        The largest distance of the trail, px.  Of several stars the nearest is returned; one magnitude counts as a
+        tenth of this distance.
+
+    Returns
+    -------
+    StarUnderCursor or None
+    """
+    position = np.array([x_px, y_px])
+    # First a few sub-exposures, with a margin for the camera's rotation between them; then all, for the stars nearby.
+    stride = max(1, len(scene.trails.pointing) // _COARSE_SAMPLES)
+    coarse = scene.trails.pointing[::stride]
+    xy = scene.camera.project(coarse.to_camera(scene.stars.direction_eq[scene.visible]))
+    margin_px = _rotation_px(scene, coarse, stride)
+    around = np.flatnonzero(_distance_to_trail_px(xy, position) <= within_px + margin_px + 1)
+    nearest_px = np.full(len(around), np.inf)
+    for block in scene.trails.pointing.blocks(len(around), overlap=1):
+        xy = scene.camera.project(block.to_camera(scene.stars.direction_eq[scene.visible[around]]))
+        nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, position))
+    near = np.flatnonzero(nearest_px <= within_px)
+    if scene.exposure.readout_s and near.size:
+        # Of the path over the whole readout, a star is recorded while its own rows are open.
+        directions = scene.stars.direction_eq[scene.visible[around[near]]]
+        recorded = recorded_positions(scene, directions, np.linspace(0, 1, _RECORDED_SAMPLES))
+        nearest_px[near] = _distance_to_trail_px(recorded, position)
+        near = near[nearest_px[near] <= within_px]
+    if not near.size:
+        return None
+    stars = scene.visible[around[near]]
+    cost = nearest_px[near] / max(within_px, 1e-9) + _DISTANCE_PER_MAGNITUDE * scene.stars.vmag[stars]
+    star = stars[np.argmin(cost)]
+    place = object_place(scene, scene.stars.direction_eq[star])
+    has_risen = place.altitude_rad >= 0
+    return StarUnderCursor(
+        catalogue=scene.stars.catalogue,
+        star_id=int(scene.stars.star_id[star]),
+        name=scene.stars.name[star],
+        vmag=float(scene.stars.vmag[star]),
+        altitude_rad=place.altitude_rad,
+        azimuth_rad=place.azimuth_rad,
+        x_px=place.x_px if has_risen else np.nan,
+        y_px=place.y_px if has_risen else np.nan,
+    )
+
+
+def _rotation_px(scene: Scene, coarse: Pointing, stride: int) -> float:
+    """Return an upper bound of the distance that a star moves after a coarse sample and before the next, px."""
+    C_camera_eq = scene.trails.pointing.C_camera_eq
+    chord = C_camera_eq - np.repeat(coarse.C_camera_eq, stride, axis=0)[: len(C_camera_eq)]
+    # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
+    angle_rad = 2 * np.arcsin(np.clip(np.sqrt((chord**2).sum(axis=(1, 2)).max() / 8), 0, 1))
+    return float(angle_rad * scene.camera.max_px_per_rad)
+
+
+def _distance_to_trail_px(xy: Float, position: Float) -> Float:
+    """Return the distances of a position (2,) from the trails (n, m, 2), (m,) px; NaN for stars off the image."""
+    if len(xy) == 1:
+        return np.asarray(np.hypot(*np.moveaxis(xy[0] - position, -1, 0)))
+    step = np.diff(xy, axis=0)
+    to_position = position - xy[:-1]
+    length2 = np.maximum(np.sum(step * step, axis=-1), 1e-18)
+    along = np.clip(np.sum(step * to_position, axis=-1) / length2, 0, 1)
+    off = to_position - along[..., np.newaxis] * step
+    return np.asarray(np.fmin.reduce(np.hypot(off[..., 0], off[..., 1]), axis=0))
+
+
+# Prefixes of catalogue numbers that are recognised in a query.
+_NUMBER: Final = re.compile(r"(hr|hip)?\s*(\d+)")
+
+
+class ObjectKind(StrEnum):
+    """What can be searched for; of equally good matches the first kind is listed first."""
+
+    BODY = "body"
+    CONSTELLATION = "constellation"
+    STAR = "star"
+
+
+@dataclass(frozen=True, slots=True)
+class SkyObject:
+    """An object of the sky.
+
+    Attributes
+    ----------
+    kind : ObjectKind
+    name : str
+        Proper name, or designation, or catalogue number: never empty.
+    other_names : tuple of str
+        Its other designations, such as ``"α CMa"`` and ``"HR 2491"``.
+    star_id : int
+        Number of a star in its catalogue; 0 for other objects.
+    vmag : float
+        V magnitude of a star; NaN for other objects.
+    """
+
+    kind: ObjectKind
+    name: str
+    other_names: tuple[str, ...] = ()
+    star_id: int = 0
+    vmag: float = float("nan")
+
+    @property
+    def label(self) -> str:
+        """Its names on one line, such as ``"Sirius (α CMa, HR 2491)"``."""
+        return f"{self.name} ({', '.join(self.other_names)})" if self.other_names else self.name
+
+
+class SkySearch:
+    """Finds objects by their names.
+
+    Parameters
+    ----------
+    catalogue : StarCatalogue
+        The stars that can be found.
+    """
+
+    def __init__(self, catalogue: StarCatalogue) -> None:
+        self._objects = [*_bodies(), *_constellations(), *_stars(catalogue)]
+        self._keys = [tuple(_normalized(name) for name in (each.name, *each.other_names)) for each in self._objects]
+        self._by_number = {each.star_id: each for each in self._objects if each.star_id}
+
+    def matches(self, query: str, *, limit: int = 12) -> list[SkyObject]:
+        """Return the objects whose names match a query, the best first.
+
+        Parameters
+        ----------
+        query : str
+            A name or the beginning of one of its words, a designation with a Greek letter or its name (``"α cma"``,
+            ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"2491"``).  Case and accents are
+            ignored.
+        limit : int
+            The largest number of objects returned.
+
+        Returns
+        -------
+        list of SkyObject
+            Sorted by match (complete name, beginning of a name, of a word, anywhere), kind and magnitude.
+        """
+        wanted = _normalized(query)
+        if not wanted:
+            return []
+        ranked = [
+            (rank, order)
+            for order, keys in enumerate(self._keys)
+            if (rank := min(_rank(key, wanted) for key in keys)) < 4
+        ]
+        found = [self._objects[order] for _, order in sorted(ranked)[:limit]]
+        number = _NUMBER.fullmatch(wanted)
+        if number and number[1] is None and (star := self._by_number.get(int(number[2]))) is not None:
+            found = [star, *(each for each in found if each != star)][:limit]
+        return found
+
+    def star(self, star_id: int) -> SkyObject | None:
+        """Return a star by its catalogue number; None if the catalogue lacks it.
+
+        Parameters
+        ----------
+        star_id : int
+
+        Returns
+        -------
+        SkyObject or None
+        """
+        return self._by_number.get(star_id)
+
+
+def object_direction_eq(found: SkyObject, sky: Sky, stars: StarField, utc_s: float, site: Site) -> NDArray[np.float64]:
+    """Return the direction of an object.
+
+    Parameters
+    ----------
+    found : SkyObject
+        Of a `SkySearch` of the same catalogue.
+    sky : Sky
+    stars : StarField
+        Of that sky.
+    utc_s : float
+        UTC seconds since 1970; it matters for the Sun, the Moon and planets.
+    site : Site
+
+    Returns
+    -------
+    (3,) float64
+        Apparent unit vector, true equator and equinox of date; of a constellation, the position of its label.
+
+    Raises
+    ------
+    KeyError
+        If the star is not one of `stars`.
+    """
+    if found.kind is ObjectKind.BODY:
+        return observed_bodies(sky, utc_s, site, (found.name,))[0].direction_eq
+    if found.kind is ObjectKind.STAR:
+        index = np.flatnonzero(stars.star_id == found.star_id)
+        if not index.size:
+            raise KeyError(found.label)
+        return np.asarray(stars.direction_eq[index[0]])
+    ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == found.name)
+    return np.asarray(ASTROMETRY["erfa"].apparent_directions([ra_rad], [dec_rad], [0.0], [0.0], stars.epoch_utc_s)[0])
+
+
+def _bodies() -> list[SkyObject]:
+    return [SkyObject(ObjectKind.BODY, name) for name in BODIES]
+
+
+def _constellations() -> list[SkyObject]:
+    return [SkyObject(ObjectKind.CONSTELLATION, each.name, (each.abbreviation,)) for each in constellations()]
+
+
+def _stars(catalogue: StarCatalogue) -> list[SkyObject]:
+    """Return the stars of a catalogue, the brightest first, with designations of those that have proper names."""
+    number_of = {"bsc5": 0, "hipparcos": 1}.get(catalogue.catalogue)
+    designations = {} if number_of is None else {entry[number_of]: entry.designation for entry in proper_names()}
+    stars = []
+    for star_id, name, vmag in zip(catalogue.star_id.tolist(), catalogue.name, catalogue.vmag.tolist(), strict=True):
+        number = star_label(catalogue.catalogue, star_id)
+        names = [each for each in (name, designations.get(star_id, ""), number) if each]
+        first, *others = dict.fromkeys(names)
+        stars.append(SkyObject(ObjectKind.STAR, first, tuple(others), star_id, vmag))
+    return stars
+
+
+def _normalized(name: str) -> str:
+    """Return a name in lower case without accents, Greek letters spelled out: ``"α² CVn"`` becomes ``"alpha2 cvn"``."""
+    letters = []
+    for letter in unicodedata.normalize("NFKD", name):
+        if unicodedata.combining(letter):
+            continue
+        is_greek = "GREEK SMALL LETTER" in unicodedata.name(letter, "")
+        letters.append(unicodedata.name(letter).split()[-1].lower() if is_greek else letter.casefold())
+    return " ".join("".join(letters).split())
+
+
+def _rank(key: str, wanted: str) -> int:
+    """Return how well a key matches: 0 completely, 1 and 2 at its beginning, 3 at words' beginnings, 4 not at all.
+
+    Each word of the query must begin a word of the key, in the same order.
+    """
+    if key == wanted:
+        return 0
+    if key.startswith(wanted):
+        return 1
+    words = iter(key.split())
+    # `any` consumes the words of the key up to the match, so the order of the query's words matters.
+    if all(any(word.startswith(part) for word in words) for part in wanted.split()):
+        return 2
+    return 3 if len(wanted) > 2 and wanted in key else 4
+
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+
+_erf = np.vectorize(erf, otypes=[np.float64])
+
+# Half the side of the cut-out and half the length of its profile, px.
+_CUT_OUT_PX: Final = 12
+# Interval around the middle of the exposure over which the star's speed is measured, as a fraction of the exposure.
+_SPEED_FRACTION: Final = 0.01
+
+
+class Selection:
+    """The selected object.
+
+    Attributes
+    ----------
+    selected : SkyObject or None
+    """
+
+    def __init__(self) -> None:
+        self.selected: SkyObject | None = None
+        self._search: tuple[StarCatalogue, SkySearch] | None = None
+        self._direction: tuple[tuple[object, ...], Float | None] | None = None
+        self._truth: tuple[tuple[object, ...], dict[str, Any] | None] | None = None
+
+    def search(self, catalogue: StarCatalogue) -> SkySearch:
+        """Return the search of a catalogue, made when it is first needed.
+
+        Parameters
+        ----------
+        catalogue : StarCatalogue
+
+        Returns
+        -------
+        SkySearch
+        """
+        if self._search is None or self._search[0] is not catalogue:
+            self._search = catalogue, SkySearch(catalogue)
+        return self._search[1]
+
+    def select(self, found: SkyObject | None, simulator: Simulator, scene: Scene) -> str:
+        """Select an object, or none.
+
+        Parameters
+        ----------
+        found : SkyObject or None
+        simulator : Simulator
+        scene : Scene
+            The exposure shown.
+
+        Returns
+        -------
+        str
+            Where the object is, as a message; empty if nothing was selected.
+        """
+        self.selected = found
+        if found is None or (place := self.place(simulator, scene)) is None:
+            return ""
+        return place.message(found.name)
+
+    def direction_eq(self, simulator: Simulator, scene: Scene) -> Float | None:
+        """Return the direction of the selected object in the exposure shown.
+
+        Parameters
+        ----------
+        simulator : Simulator
+        scene : Scene
+
+        Returns
+        -------
+        (3,) float64 or None
+            Apparent unit vector, true equator and equinox; None without a selection, and for a star that is fainter
+            than the magnitude limit or belongs to another catalogue.
+        """
+        if self.selected is None:
+            return None
+        inputs = (self.selected, scene)
+        if self._direction is None or self._direction[0] != inputs:
+            try:
+                direction_eq = object_direction_eq(
+                    self.selected, simulator.sky, scene.stars, scene.exposure.mid_utc_s, scene.site
+                )
+            except KeyError:
+                direction_eq = None
+            self._direction = inputs, direction_eq
+        return self._direction[1]
+
+    def place(self, simulator: Simulator, scene: Scene) -> ObjectPlace | None:
+        """Return where the selected object is in the exposure shown; None if that is not known.
+
+        Parameters
+        ----------
+        simulator : Simulator
+        scene : Scene
+
+        Returns
+        -------
+        ObjectPlace or None
+        """
+        direction_eq = self.direction_eq(simulator, scene)
+        return None if direction_eq is None else object_place(scene, direction_eq)
+
+    def next_in_image_s(self, simulator: Simulator, scene: Scene) -> float | None:
+        """Return when the selected object is on the image next: see `time_in_image_s`.
+
+        Parameters
+        ----------
+        simulator : Simulator
+        scene : Scene
+
+        Returns
+        -------
+        float or None
+            UTC seconds since 1970.
+        """
+        direction_eq = self.direction_eq(simulator, scene)
+        if direction_eq is None:
+            return None
+        return time_in_image_s(simulator, direction_eq, scene.exposure.stop_utc_s)
+
+    def star_truth(self, scene: Scene, pixels: Pixels) -> dict[str, Any] | None:
+        """Return the line of truth of the selected star in the exposure shown.
+
+        Parameters
+        ----------
+        scene : Scene
+        pixels : (height, width) uint8 or uint16
+            The image.
+
+        Returns
+        -------
+        dict or None
+            The keys of a star in `frame_truth`; None if the selection is no star or its flux does not touch the image.
+        """
+        found = self.selected
+        if found is None or found.kind is not ObjectKind.STAR:
+            return None
+        inputs = (found, scene, id(pixels))
+        if self._truth is None or self._truth[0] != inputs:
+            index = np.flatnonzero(scene.stars.star_id[scene.visible] == found.star_id)
+            line = frame_truth(scene.with_visible(index), Frame(pixels, scene.exposure, seed=0), number=0, file="")
+            stars = [star for star in json.loads(line)["stars"] if star["star_id"] == found.star_id]
+            self._truth = inputs, stars[0] if stars else None
+        return self._truth[1]
+
+
+def star_signal_to_noise(scene: Scene, star_id: int) -> float:
+    """Return the expected signal-to-noise ratio of a star in an exposure, as truth has it.
+
+    Parameters
+    ----------
+    scene : Scene
+    star_id : int
+        In the catalogue.
+
+    Returns
+    -------
+    float
+        NaN if its flux does not touch the image.
+    """
+    index = np.flatnonzero(scene.stars.star_id[scene.visible] == star_id)
+    if not index.size:
+        return float("nan")
+    dark = np.broadcast_to(np.uint8(0), (scene.camera.height_px, scene.camera.width_px))
+    line = frame_truth(scene.with_visible(index), Frame(dark, scene.exposure, seed=0), number=0, file="")
+    found = [star["snr"] for star in json.loads(line)["stars"] if star["star_id"] == star_id and "snr" in star]
+    return float(found[0]) if found else float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutOut:
+    """The pixels around a star, and its profile across the trail.
+
+    Attributes
+    ----------
+    pixels : (n, m) uint8 or uint16
+    left_px, top_px : int
+        Column and row of its first pixel.
+    offset_px : (k,) float64
+        Distances from the trail, px.
+    measured_dn : (k,) float64
+        The image there, interpolated bilinearly, DN.
+    expected_dn : (k,) float64
+        The median of the cut-out plus the star as a straight trail with the point spread function's width, DN.
+    """
+
+    pixels: Pixels
+    left_px: int
+    top_px: int
+    offset_px: Float
+    measured_dn: Float
+    expected_dn: Float
+
+    def saturated(self, tested: Pixels, saturation_dn: int) -> NDArray[np.bool_]:
+        """Return which of its pixels are saturated, (n, m).
+
+        Parameters
+        ----------
+        tested : (height, width) uint8, uint16 or bool
+            The image, or of a stacked one where a short exposure is saturated.
+        saturation_dn : int
+            The largest digital number of the sensor.
+        """
+        rows, columns = self.pixels.shape
+        around = tested[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns]
+        return np.asarray(around >= (1 if around.dtype == np.bool_ else saturation_dn))
+
+
+def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
+    """Return the surroundings of a star in the middle of its exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+    pixels : (height, width) uint8 or uint16
+    direction_eq : (3,) float64
+        Of the star.
+    flux_dn : float
+        Sum of its flux over the image, DN.
+
+    Returns
+    -------
+    CutOut or None
+        None if the star is then outside the image.
+
+    Notes
+    -----
+    The expected profile is that of a star that moves uniformly on a straight line.
+    """
+    # Of a stacked image, in the short exposure nearest to the middle: between two of them the star jumps.
+    count = max(len(scene.shorts), 1)
+    fraction = _SPEED_FRACTION / count
+    times = (count // 2 + 0.5) / count + fraction * np.array([-0.5, 0.0, 0.5])
+    before, middle, after = recorded_positions(scene, direction_eq[np.newaxis], times)[:, 0]
+    if not scene.camera.contains(middle):
+        return None
+    column, row = np.rint(middle).astype(int).tolist()
+    left, top = max(column - _CUT_OUT_PX, 0), max(row - _CUT_OUT_PX, 0)
+    around = pixels[top : row + _CUT_OUT_PX + 1, left : column + _CUT_OUT_PX + 1]
+    velocity = (after - before) / fraction
+    trail_px = float(np.hypot(*velocity))
+    trail_px = trail_px if np.isfinite(trail_px) else 0.0
+    across = np.array([-velocity[1], velocity[0]]) / trail_px if trail_px > 1e-3 else np.array([1.0, 0.0])
+    offset_px = np.linspace(-_CUT_OUT_PX, _CUT_OUT_PX, 4 * _CUT_OUT_PX + 1)
+    profile_px = middle + offset_px[:, np.newaxis] * across - (left, top)
+    expected_dn = np.median(around) + flux_dn * _straight_trail(
+        around.shape, middle - (left, top), across, trail_px, scene.sensor.effective_sigma_px
+    )
+    return CutOut(
+        pixels=around,
+        left_px=left,
+        top_px=top,
+        offset_px=offset_px,
+        measured_dn=_bilinear(around, profile_px),
+        expected_dn=_bilinear(np.minimum(expected_dn, scene.white_dn), profile_px),
+    )
+
+
+def _straight_trail(shape: tuple[int, ...], middle_px: Float, across: Float, trail_px: float, sigma_px: float) -> Float:
+    """Return the signal of a straight trail of unit flux at the centres of pixels: a Gaussian times two erf."""
+    y, x = np.indices(shape) - middle_px[::-1, np.newaxis, np.newaxis]
+    across_px, along_px = x * across[0] + y * across[1], x * -across[1] + y * across[0]
+    # A star that does not move is a trail too short to differ from a point.
+    half_px = max(trail_px, 1e-3 * sigma_px) / 2
+    scale_px = sqrt(2) * sigma_px
+    along = (_erf((along_px + half_px) / scale_px) - _erf((along_px - half_px) / scale_px)) / (4 * half_px)
+    return np.asarray(np.exp(-((across_px / scale_px) ** 2)) / (sqrt(2 * pi) * sigma_px) * along)
+
+
+def _bilinear(pixels: NDArray[Any], xy_px: Float) -> Float:
+    """Return an image at positions (n, 2), px, interpolated bilinearly; NaN outside."""
+    height, width = pixels.shape
+    first = np.floor(xy_px).astype(int)
+    inside = (first >= 0).all(axis=1) & (first[:, 0] < width - 1) & (first[:, 1] < height - 1)
+    x, y = np.where(inside[:, np.newaxis], first, 0).T
+    u, v = (xy_px - first).T
+    value = (1 - v) * ((1 - u) * pixels[y, x] + u * pixels[y, x + 1]) + v * (
+        (1 - u) * pixels[y + 1, x] + u * pixels[y + 1, x + 1]
+    )
+    return np.where(inside, value, np.nan)

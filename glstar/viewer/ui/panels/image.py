@@ -1,0 +1,335 @@
+"""The image panel: the picture with its overlays, zoom and pan by mouse, and the readout under the mouse."""
+
+from math import degrees
+from typing import Final
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.render.opengl import Framebuffer
+from glstar.sky.catalogue.reading import star_label
+from glstar.viewer.overlays.curves import ImageRegion
+from glstar.viewer.overlays.table import Overlay
+from glstar.viewer.picture.comparison import ComparisonMode
+from glstar.viewer.picture.content import Display, PanelContent, PanelPicture, Picture, WindowPlace
+from glstar.viewer.picture.fitting import TrailResiduals
+from glstar.viewer.session.actions import select_object
+from glstar.viewer.session.state import Session
+from glstar.viewer.skyobjects import Selection, star_at
+from glstar.viewer.ui.panels.compare import residuals_of
+from glstar.viewer.ui.panels.imagelayers import draw_comparison_labels, draw_pixel_grid, draw_shapes
+from glstar.viewer.ui.theme import accent, error
+
+Float = NDArray[np.float64]
+
+# Zoom factor of a notch of the mouse wheel.
+_WHEEL: Final = 1.2
+# Largest distance of a trail from the mouse at which its star is identified, screen px.
+_CURSOR_PX: Final = 8.0
+# Movement of the mouse between press and release above which a click is a drag, screen px.
+_CLICK_PX: Final = 2.0
+# Radius of the ring around the selected object, and half the length of the arrow towards one outside, screen px.
+_SELECTED_PX: Final = 14.0
+# Margin of messages, screen px.
+_MARGIN: Final = 10.0
+# Red, green, blue and opacity of the veil over a live sky that is out of date.
+_VEIL: Final = (0.45, 0.46, 0.48, 0.55)
+# Opacity of the background of a message over the image.
+_BANNER_OPACITY: Final = 0.85
+# Two corners of a picture, as fractions of its size.
+_EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
+
+
+class ImagePanel:
+    """Draws the image into the current imgui window.
+
+    Parameters
+    ----------
+    display : Display
+    selection : Selection
+    """
+
+    def __init__(self, display: Display, selection: Selection) -> None:
+        self._picture = PanelPicture(display)
+        self._selection = selection
+        # Whether pixel and star under the mouse are shown; not in pictures and videos.
+        self.has_readout = True
+        # The visible part of the picture: left, top, width, height in px of the window's framebuffer, and the position
+        # of the panel's corner there; None if there is no picture.
+        self._visible: tuple[tuple[int, int, int, int], tuple[int, int]] | None = None
+
+    @property
+    def visible_px(self) -> tuple[int, int, int, int] | None:
+        """Left, top, width and height of the visible part of the picture, px of the window's framebuffer."""
+        return None if self._visible is None else self._visible[0]
+
+    def plain_picture(self) -> NDArray[np.uint8] | None:
+        """Return the visible part of the picture without overlays.
+
+        Returns
+        -------
+        (height, width, 3) uint8 or None
+            Red, green, blue; None if there is no picture.
+        """
+        if self._visible is None:
+            return None
+        (left, top, width, height), (x, y) = self._visible
+        return self._picture.read()[top - y : top - y + height, left - x : left - x + width]
+
+    def paint(self, target: Framebuffer, size: tuple[int, int], colour: tuple[float, float, float]) -> None:
+        """Draw the picture of this frame onto the window, or into a texture: see `PanelPicture.paint`."""
+        self._picture.paint(target, size, colour)
+
+    def draw(self, session: Session, *, labelled: bool = True, is_lowest: bool = False) -> None:
+        """Draw the image, and zoom and pan with the mouse.
+
+        Parameters
+        ----------
+        session : Session
+        labelled : bool
+            Whether the sides of a comparison have labels.
+        is_lowest : bool
+            Whether nothing lies below the panel but the cleared window.
+        """
+        origin, available = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
+        width, height = max(round(available.x), 1), max(round(available.y), 1)
+        corner = np.array([round(origin.x), round(origin.y)], dtype=np.float64)
+        draw_list = imgui.get_window_draw_list()
+        shown, self._visible = session.shown, None
+        if shown is None:
+            _draw_centred_message(draw_list, session.status or _reading(session), corner, width, height)
+            return
+        view = session.view
+        scale = imgui.get_io().display_framebuffer_scale.x
+        view.resize(*shown.size_px, width, height)
+        # Mouse input first, so that this frame shows its effect.
+        imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
+        hovered = imgui.is_item_hovered()
+        self._take_mouse(session, corner, hovered=hovered)
+        texture = self._show(session, shown, corner, (round(width * scale), round(height * scale)), is_lowest=is_lowest)
+        clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
+        edges = view.to_screen(_EDGES * shown.size_px - 0.5)
+        if texture is not None:
+            _put(draw_list, texture, edges, corner, (width, height))
+        self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
+        self._draw_overlays(session, draw_list, corner, clip)
+        if labelled:
+            draw_comparison_labels(session, draw_list, corner, clip)
+        _draw_selected(session, self._selection, draw_list, corner, clip)
+        if session.view.pixel_grid:
+            draw_pixel_grid(session, draw_list, corner, clip)
+        if session.stale_s is not None:
+            draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
+        # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
+        playing = session.head is not None and session.head.playing
+        if hovered and self.has_readout and not playing and not imgui.is_item_active():
+            _draw_readout(session, view.to_picture(_mouse() - corner))
+        conditions = session.conditions
+        warning = "" if conditions is None else conditions.viewing.warning
+        if message := "\n".join(filter(None, (session.status, warning))):
+            _banner(draw_list, message, clip)
+
+    def _take_mouse(self, session: Session, corner: Float, *, hovered: bool) -> None:
+        io, view = imgui.get_io(), session.view
+        if hovered and io.mouse_wheel:
+            view.zoom_at(_mouse() - corner, _WHEEL**io.mouse_wheel)
+        if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
+            comparison = session.comparison
+            if comparison.active and comparison.mode is ComparisonMode.WIPE and session.shown is not None:
+                line_px = view.to_picture(_mouse() - corner)[0] + 0.5
+                comparison.wipe = float(np.clip(line_px / session.shown.size_px[0], 0.0, 1.0))
+            else:
+                view.pan(io.mouse_delta.x, io.mouse_delta.y)
+        if hovered and imgui.is_mouse_double_clicked(0):
+            view.fit()
+        elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
+            _select_star(session, self._selection, view.to_picture(_mouse() - corner))
+
+    def _show(
+        self, session: Session, shown: PanelContent, corner: Float, size_px: tuple[int, int], *, is_lowest: bool
+    ) -> int | None:
+        """Take the picture of this frame; return the texture to put into the panel, None if it needs none."""
+        view, night, scale = session.view, session.night, imgui.get_io().display_framebuffer_scale.x
+        compared = (shown.real, shown.mode, shown.wipe, shown.real_black, shown.real_gain) if shown.mode else ()
+        placement = (view.zoom, *view.centre_px)
+        tone = (session.stretch, shown.is_processed, night)
+        inputs = (session.scene, session.image.number, *tone, size_px, placement, compared)
+        picture = Picture.of(shown, view, session.stretch, size_px, scale=scale, night=night)
+        return self._picture.show(picture, inputs, _place(corner, scale) if is_lowest else None)
+
+    def _draw_overlays(
+        self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: tuple[float, float, float, float]
+    ) -> None:
+        scene, view = session.scene, session.view
+        if scene is None or session.loaded is None or not session.shown_overlays:
+            return
+        camera = scene.camera
+        (left, top), (right, bottom) = view.to_picture([[0.0, 0.0], [clip[2] - clip[0], clip[3] - clip[1]]])
+        region = ImageRegion(
+            max(left, -0.5), max(top, -0.5), min(right, camera.width_px - 0.5), min(bottom, camera.height_px - 0.5)
+        )
+        if region.left_px >= region.right_px or region.top_px >= region.bottom_px:
+            return
+        shapes = session.loaded.overlays.shapes(
+            scene,
+            session.shown_overlays,
+            name_vmag_limit=session.name_vmag_limit,
+            pixels=session.image.tested if Overlay.SATURATED in session.shown_overlays else None,
+            region=region,
+            zoom=view.zoom,
+            beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
+            residuals=found if isinstance(found := residuals_of(session), TrailResiduals) else None,
+        )
+
+        def to_screen(xy_px: ArrayLike) -> Float:
+            return view.to_screen(xy_px) + corner
+
+        edges = to_screen([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
+        (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
+        draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
+
+
+def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float, size: tuple[int, int]) -> None:
+    """Draw the part of the panel's texture that the picture covers, without scaling."""
+    first = np.clip(np.floor(edges[0]), 0, size)
+    last = np.clip(np.ceil(edges[1]), 0, size)
+    (left, top), (right, bottom) = (corner + first).tolist(), (corner + last).tolist()
+    (u, v), (u_to, v_to) = (first / size).tolist(), (last / size).tolist()
+    if left < right and top < bottom:
+        reference = imgui.ImTextureRef(texture)
+        draw_list.add_image(reference, ImVec2(left, top), ImVec2(right, bottom), ImVec2(u, v), ImVec2(u_to, v_to))
+
+
+def _place(corner: Float, scale: float) -> WindowPlace | None:
+    """Return where a panel is in the window; None between pixels, where imgui would put a texture."""
+    first, last = imgui.get_window_draw_list().get_clip_rect_min(), imgui.get_window_draw_list().get_clip_rect_max()
+    at = [float(px) * scale for px in (*corner, first.x, first.y, last.x, last.y)]
+    if not all(px.is_integer() for px in at):
+        return None
+    left, top, *clip = map(int, at)
+    return WindowPlace((left, top), (clip[0], clip[1], clip[2], clip[3]))
+
+
+def _visible(
+    edges: Float, corner: Float, size: tuple[float, float]
+) -> tuple[tuple[int, int, int, int], tuple[int, int]] | None:
+    """Return `ImagePanel._visible` for a picture with these edges in a panel, px."""
+    (left, top), (right, bottom) = np.clip(np.rint(edges), 0, np.floor(size)).astype(int).tolist()
+    if right <= left or bottom <= top:
+        return None
+    x, y = np.rint(corner).astype(int).tolist()
+    return (x + left, y + top, right - left, bottom - top), (x, y)
+
+
+def _mouse() -> Float:
+    at = imgui.get_mouse_pos()
+    return np.array([at.x, at.y])
+
+
+def _draw_centred_message(draw_list: imgui.ImDrawList, text: str, corner: Float, width: int, height: int) -> None:
+    wrap_px = max(width - 2 * _MARGIN, 1.0)
+    size = imgui.calc_text_size(text, False, wrap_px)
+    at = ImVec2(corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2)
+    colour = imgui.get_color_u32(imgui.Col_.text_disabled)
+    draw_list.add_text(imgui.get_font(), imgui.get_font_size(), at, colour, text, wrap_width=wrap_px)
+
+
+def _reading(session: Session) -> str:
+    return f"reading {session.loader.path.name} ..." if session.loader.path else "drop a flight log here"
+
+
+def _banner(draw_list: imgui.ImDrawList, text: str, clip: tuple[float, float, float, float]) -> None:
+    """Write a message over the top of the image."""
+    size = imgui.calc_text_size(text, wrap_width=clip[2] - clip[0] - 4 * _MARGIN)
+    left, top = clip[0] + _MARGIN, clip[1] + _MARGIN
+    corner = ImVec2(left + size.x + 2 * _MARGIN, top + size.y + _MARGIN)
+    background = imgui.get_color_u32(imgui.Col_.popup_bg, _BANNER_OPACITY)
+    draw_list.add_rect_filled(ImVec2(left, top), corner, background, 4.0)
+    imgui.push_clip_rect(ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]), True)
+    imgui.set_cursor_screen_pos(ImVec2(left + _MARGIN, top + _MARGIN / 2))
+    imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + clip[2] - clip[0] - 4 * _MARGIN)
+    imgui.text_colored(error(), text)
+    imgui.pop_text_wrap_pos()
+    imgui.pop_clip_rect()
+
+
+def _select_star(session: Session, selection: Selection, position: Float) -> None:
+    """Select the star at a position on the image; none if there is none."""
+    if session.scene is None or session.loaded is None:
+        return
+    star = star_at(session.scene, *position.tolist(), within_px=_CURSOR_PX / min(session.view.zoom, 2.0))
+    search = selection.search(session.loaded.simulator.sky.catalogue)
+    select_object(session, selection, None if star is None else search.star(star.star_id))
+
+
+def _draw_selected(
+    session: Session,
+    selection: Selection,
+    draw_list: imgui.ImDrawList,
+    corner: Float,
+    clip: tuple[float, float, float, float],
+) -> None:
+    """Draw a ring around the selected object, or an arrow at the edge of the panel towards it."""
+    found, scene, simulator = selection.selected, session.scene, session.image.simulator
+    if found is None or scene is None or simulator is None:
+        return
+    place = selection.place(simulator, scene)
+    if place is None:
+        return
+    colour = imgui.get_color_u32(accent())
+    towards = np.array([place.right, place.down])
+    if place.on_image:
+        at = session.view.to_screen([place.x_px, place.y_px]) + corner
+        inside = clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]
+        if inside:
+            draw_list.add_circle(ImVec2(*at), _SELECTED_PX, colour, 0, 1.5)
+            draw_list.add_text(ImVec2(at[0] + _SELECTED_PX, at[1] + _SELECTED_PX), colour, found.name)
+            return
+        towards = at - (np.array(clip[:2]) + clip[2:]) / 2
+        towards = towards / np.linalg.norm(towards)
+    _draw_arrow(draw_list, towards, clip, colour, found.name)
+
+
+def _draw_arrow(
+    draw_list: imgui.ImDrawList, towards: Float, clip: tuple[float, float, float, float], colour: int, label: str
+) -> None:
+    """Draw an arrow at the edge of a rectangle in a direction from its middle, with a label inside."""
+    middle = (np.array(clip[:2]) + clip[2:]) / 2
+    half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
+    tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
+    across = np.array([-towards[1], towards[0]])
+    base = tip - _SELECTED_PX * towards
+    left, right = base + across * _SELECTED_PX / 2, base - across * _SELECTED_PX / 2
+    draw_list.add_triangle_filled(ImVec2(*tip), ImVec2(*left), ImVec2(*right), colour)
+    size = imgui.calc_text_size(label)
+    beside = base - _MARGIN * towards - np.array([size.x, size.y]) * (0.5 + 0.5 * towards)
+    draw_list.add_text(ImVec2(*np.clip(beside, clip[:2], [clip[2] - size.x, clip[3] - size.y])), colour, label)
+
+
+def _draw_readout(session: Session, position: Float) -> None:
+    """Show the pixel and the star under the mouse."""
+    scene, pixels = session.scene, session.image.pixels
+    if scene is None or pixels is None:
+        return
+    x, y = position
+    column, row = round(x), round(y)
+    if not (0 <= column < scene.camera.width_px and 0 <= row < scene.camera.height_px):
+        return
+    if not imgui.begin_tooltip():
+        return
+    imgui.text(f"x {x:.1f}  y {y:.1f}   {pixels[row, column]} DN")
+    electrons = scene.sensor.electrons
+    if electrons is not None:
+        count_e, snr = electrons.pixel_electrons(float(pixels[row, column]))
+        imgui.text(f"{count_e:.1f} e   SNR {snr:.1f}")
+    real = session.real
+    if real is not None:
+        imgui.text(f"real {real[1].pixels[row, column]} DN")
+    star = star_at(scene, x, y, within_px=_CURSOR_PX / min(session.view.zoom, 2.0))
+    if star is not None:
+        label = star_label(star.catalogue, star.star_id)
+        imgui.text_colored(accent(), star.name or label)
+        imgui.text(f"{label + '   ' if star.name else ''}V {star.vmag:.2f}")
+        imgui.text(f"altitude {degrees(star.altitude_rad):.2f} deg   azimuth {degrees(star.azimuth_rad):.2f} deg")
+    imgui.end_tooltip()

@@ -1,0 +1,175 @@
+"""The panel that describes the selected star, constellation or body in the exposure shown."""
+
+from math import degrees
+from typing import Any, Final
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from numpy.typing import NDArray
+
+from glstar.sky.place.apparent import right_ascension_declination
+from glstar.sky.place.timescale import format_utc
+from glstar.viewer.session.actions import select_object
+from glstar.viewer.session.state import Session
+from glstar.viewer.skyobjects import CutOut, ObjectPlace, Selection, star_cut_out
+from glstar.viewer.ui.theme import accent, scaled
+
+# Height of the profile's plot, and largest side of the cut-out, screen px.
+_PLOT_HEIGHT: Final = 130.0
+_CUT_OUT_SIDE: Final = 200.0
+# Lines of the profile by day and by night.
+_IMAGE_COLOURS: Final = (ImVec4(0.45, 0.65, 0.95, 1.0), ImVec4(1.0, 0.0, 0.0, 1.0))
+_EXPECTED_COLOURS: Final = (ImVec4(0.95, 0.6, 0.35, 1.0), ImVec4(0.55, 0.0, 0.0, 1.0))
+_NO_INPUT: Final = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text)
+
+
+def draw_object(session: Session, selection: Selection) -> None:
+    """Draw the panel.
+
+    Parameters
+    ----------
+    session : Session
+    selection : Selection
+    """
+    found, scene, simulator = selection.selected, session.scene, session.image.simulator
+    if found is None or scene is None or simulator is None:
+        _wrapped("Click a star in the image, or press Ctrl+F to find a star, constellation or planet by name.")
+        return
+    imgui.text_colored(accent(), found.name)
+    if found.other_names:
+        imgui.text(", ".join(found.other_names))
+    place = selection.place(simulator, scene)
+    direction_eq = selection.direction_eq(simulator, scene)
+    if place is None or direction_eq is None:
+        _wrapped(f"{found.name} is not among the stars drawn: it is fainter than the magnitude limit.")
+        return
+    _draw_direction(found.vmag, place, direction_eq)
+    imgui.separator()
+    pixels, tested = session.image.pixels, session.image.tested
+    playing = session.head is not None and session.head.playing
+    if playing or pixels is None or tested is None:
+        imgui.text_disabled("Pause to measure it in the image.")
+        return
+    truth = selection.star_truth(scene, tested)
+    if truth is not None:
+        _draw_truth(truth)
+        cut_out = star_cut_out(scene, pixels, direction_eq, truth.get("light_dn", truth["flux_dn"]))
+        if cut_out is not None:
+            _draw_cut_out(cut_out, cut_out.saturated(tested, scene.sensor.saturation_dn), night=session.night)
+    if not place.on_image:
+        _wrapped(place.message(found.name))
+        if imgui.button("Go to when it is in the image"):
+            _go_there(session, selection)
+        imgui.same_line()
+    if imgui.button("Deselect"):
+        select_object(session, selection, None)
+
+
+def _go_there(session: Session, selection: Selection) -> None:
+    found, scene, simulator = selection.selected, session.scene, session.image.simulator
+    assert found is not None
+    assert scene is not None
+    assert simulator is not None
+    assert session.head is not None
+    utc_s = selection.next_in_image_s(simulator, scene)
+    if utc_s is None:
+        session.notify(f"{found.name} is never in the image during this flight")
+    else:
+        session.head.seek(utc_s)
+        session.notify(f"{found.name} is in the image at {format_utc(utc_s)}")
+
+
+def _draw_direction(vmag: float, place: ObjectPlace, direction_eq: np.ndarray) -> None:
+    ra_rad, dec_rad = (float(angle) for angle in right_ascension_declination(direction_eq))
+    rows = [
+        ("RA, dec of date", f"{_hours(ra_rad)}  {degrees(dec_rad):+.4f}°"),
+        ("altitude, azimuth", f"{degrees(place.altitude_rad):.3f}°  {degrees(place.azimuth_rad):.3f}°"),
+        ("from optical axis", f"{degrees(place.from_axis_rad):.3f}°"),
+    ]
+    if np.isfinite(vmag):
+        rows.insert(0, ("magnitude", f"V {vmag:.2f}"))
+    if place.on_image:
+        rows.append(("pixel", f"x {place.x_px:.2f}  y {place.y_px:.2f}"))
+    _table("##direction", rows)
+
+
+def _draw_truth(truth: dict[str, Any]) -> None:
+    """Draw what truth says of a star: its trail and its brightness."""
+    rows = []
+    for key, label in (("start", "shutter opens"), ("end", "shutter closes")):
+        if truth.get(key) is not None and truth[key][0] is not None:
+            rows.append((label, f"x {truth[key][0]:.2f}  y {truth[key][1]:.2f}"))
+    if truth.get("centroid_x_px") is not None:
+        rows.append(("centroid", f"x {truth['centroid_x_px']:.2f}  y {truth['centroid_y_px']:.2f}"))
+    rows.append(("flux", f"{truth['flux_dn']:.1f} DN"))
+    for key, label, form in (
+        ("expected_peak_dn", "expected peak", "%.2f DN"),
+        ("snr", "expected SNR", "%.1f"),
+        ("exposed_s", "exposed", "%.4f s"),
+    ):
+        if truth.get(key) is not None:
+            rows.append((label, form % truth[key]))
+    if truth["saturated"]:
+        rows.append(("saturated", "yes"))
+    _table("##truth", rows)
+
+
+def _draw_cut_out(cut_out: CutOut, is_saturated: NDArray[np.bool_], *, night: bool) -> None:
+    """Draw the pixels around the star, the saturated in a colour, and the profile across its trail and the expected."""
+    rows, columns = cut_out.pixels.shape
+    cell = max(1.0, np.floor(scaled(_CUT_OUT_SIDE) / max(rows, columns)))
+    origin, draw_list = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
+    low, high = float(np.median(cut_out.pixels)), max(float(cut_out.pixels.max()), 1.0)
+    grey = np.clip((cut_out.pixels - low) / max(high - low, 1.0), 0.0, 1.0)
+    for row in range(rows):
+        for column in range(columns):
+            level = float(grey[row, column])
+            colour = _pixel_colour(level, saturated=bool(is_saturated[row, column]), night=night)
+            corner = ImVec2(origin.x + column * cell, origin.y + row * cell)
+            draw_list.add_rect_filled(
+                corner, ImVec2(corner.x + cell, corner.y + cell), imgui.color_convert_float4_to_u32(colour)
+            )
+    imgui.dummy(ImVec2(columns * cell, rows * cell))
+    imgui.set_item_tooltip(
+        f"pixels {cut_out.left_px} to {cut_out.left_px + columns - 1} across,"
+        f" {cut_out.top_px} to {cut_out.top_px + rows - 1} down"
+    )
+    if implot.begin_plot("##profile", ImVec2(-1, scaled(_PLOT_HEIGHT)), _NO_INPUT):
+        fit = int(implot.AxisFlags_.auto_fit)
+        implot.setup_axes("px across the trail", "DN", fit, fit)
+        for label, values_dn, colours in (
+            ("image", cut_out.measured_dn, _IMAGE_COLOURS),
+            ("expected", cut_out.expected_dn, _EXPECTED_COLOURS),
+        ):
+            implot.plot_line(label, cut_out.offset_px, values_dn, implot.Spec(line_color=colours[night]))
+        implot.end_plot()
+
+
+def _pixel_colour(level: float, *, saturated: bool, night: bool) -> tuple[float, float, float, float]:
+    """Return the colour of a pixel of the cut-out for its level, 0 to 1."""
+    red, other = (1.0, 0.33) if saturated else (level, level)
+    return (red, 0.0, 0.0, 1.0) if night else (red, other, 2 * other if saturated else other, 1.0)
+
+
+def _table(name: str, rows: list[tuple[str, str]]) -> None:
+    if imgui.begin_table(name, 2, int(imgui.TableFlags_.sizing_fixed_fit)):
+        for label, value in rows:
+            imgui.table_next_column()
+            imgui.text_disabled(label)
+            imgui.table_next_column()
+            imgui.text(value)
+        imgui.end_table()
+
+
+def _wrapped(text: str) -> None:
+    imgui.push_text_wrap_pos(0.0)
+    imgui.text_unformatted(text)
+    imgui.pop_text_wrap_pos()
+
+
+def _hours(angle_rad: float) -> str:
+    """Return an angle as hours, minutes and seconds."""
+    tenths = round(degrees(angle_rad) % 360 / 15 * 36000)
+    hours, rest = divmod(tenths % 864000, 36000)
+    minutes, rest = divmod(rest, 600)
+    return f"{hours:02d}h {minutes:02d}m {rest / 10:04.1f}s"

@@ -1,0 +1,356 @@
+"""The settings panel: every value that a frame depends on.
+
+Controls of the attitude of a log: its source, the interpolation between its samples, and the offset of its clock.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from math import degrees
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from imgui_bundle import ImVec4, imgui
+
+from glstar.camera.exposure import Readout, Stack, Trail
+from glstar.camera.presets import camera_presets, sensor_presets
+from glstar.camera.sensor.sensor import NoiseModel
+from glstar.config import Config
+from glstar.config.sky import HORIZONS
+from glstar.flight.gimbal import GimbalMode
+from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
+from glstar.viewer.flight.loaded import AttitudeChoices
+from glstar.viewer.session.state import Session
+
+_LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
+# Width of a control over that of the panel; its label takes the rest.
+_WIDTH: Final = 0.52
+
+# Opacity of the grab of a slider, so that the value under it can be read.
+_GRAB_OPACITY: Final = 0.45
+# Groups of the sensor's effects that are closed at first, by stage.
+_GROUPS: Final = {
+    Stage.STARS: "Star images",
+    Stage.FIXED_PATTERN: "Uneven response",
+    Stage.DARK_CURRENT: "Dark current and hot pixels",
+}
+
+# Sliders by dotted key of the config.
+_EXPOSURE: Final = {
+    "exposure.duration_s": Control("Exposure", 0.005, 10.0, "%.3f s", logarithmic=True),
+    "exposure.interval_s": Control("Interval", 0.02, 60.0, "%.2f s", logarithmic=True),
+    "exposure.readout_s": Control("Readout", 0.0, 0.3, "%.4f s"),
+    "exposure.rate_hz": Control("Sub-exposures", 10.0, 2000.0, "%.0f /s", logarithmic=True),
+}
+_FRAMES: Final = Control("Stacked", 1.0, 16.0, "%.0f")
+_GAP: Final = Control("Gap", 0.0, 1.0, "%.4f s")
+_SENSOR: Final = {
+    "sensor.reference_vmag": Control("Reference star", -1.5, 8.0, "V %.2f"),
+    "sensor.reference_peak_dn": Control("Peak of that star", 1.0, 65535.0, "%.0f DN", logarithmic=True),
+    "sensor.reference_exposure_s": Control("Its exposure", 0.01, 10.0, "%.2f s", logarithmic=True),
+    "sensor.psf_sigma_px": Control("Star sigma", 0.3, 8.0, "%.2f px", logarithmic=True),
+}
+_ELECTRONS: Final = {
+    "sensor.psf_sigma_px": _SENSOR["sensor.psf_sigma_px"],
+    "sensor.vmag_0_e_per_s": Control("Magnitude 0", 1e3, 1e8, "%.3g e/s", logarithmic=True),
+    "sensor.sky_e_per_s": Control("Sky of a pixel", 0.01, 1e5, "%.2f e/s", logarithmic=True),
+}
+# Lens of a sensor that is chosen in the panel: that of the Raspberry Pi HQ camera.
+_LENS: Final = {"camera.lens_mm": 6.0, "camera.f_number": 1.2, "lens.vignetting": "cos4"}
+_SKY: Final = {"sky.vmag_limit": Control("Faintest star", 0.0, 10.0, "V %.1f")}
+_MOUNT: Final = {
+    "mount.yaw_deg": Control("Yaw", -180.0, 180.0, "%.2f deg"),
+    "mount.pitch_deg": Control("Pitch", -90.0, 90.0, "%.2f deg"),
+    "mount.roll_deg": Control("Roll", -180.0, 180.0, "%.2f deg"),
+}
+
+
+def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None:
+    """Draw the settings and apply the changes of the user.
+
+    Parameters
+    ----------
+    session : Session
+    effects : sequence of Effect
+        Effects whose controls are shown: those of ``[sensor]`` with the sensor or in the group of their stage, others
+        under a heading of their own.
+    """
+    config = session.config
+    changes: dict[str, Any] = {}
+    imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
+    imgui.push_style_color(int(imgui.Col_.slider_grab), _translucent(imgui.Col_.slider_grab))
+    imgui.push_style_color(int(imgui.Col_.slider_grab_active), _translucent(imgui.Col_.slider_grab_active))
+    if _heading("Exposure"):
+        _sliders(_EXPOSURE, config, changes)
+        if config.exposure.readout_s:
+            _choice("exposure.readout", "Rows open", config.exposure.readout, get_args(Readout), changes)
+        _choice("exposure.trail", "Trails", config.exposure.trail, get_args(Trail), changes)
+        _slider("exposure.frames", _FRAMES, config.exposure.frames, changes, integer=True)
+        if config.exposure.frames > 1:
+            _slider("exposure.gap_s", _GAP, config.exposure.gap_s, changes)
+            _choice("exposure.stack", "Added or averaged", config.exposure.stack, get_args(Stack), changes)
+    if _heading("Camera"):
+        _camera(config, changes)
+    if _heading("Sensor"):
+        _sensor(config, effects, changes)
+    for title, group in _groups(effects, config.sensor().noise).items():
+        if _heading(title, is_open=False):
+            _effects(group, config, changes)
+    if _heading("Sky"):
+        _sky(config, effects, changes)
+    if _heading("Mount"):
+        _mount(config, changes)
+    imgui.pop_style_color(2)
+    imgui.pop_item_width()
+    if changes:
+        session.change(**changes)
+
+
+def _heading(title: str, *, is_open: bool = True) -> bool:
+    """Draw the heading of a group that can be closed; return whether it is open."""
+    flags = imgui.TreeNodeFlags_.default_open if is_open else imgui.TreeNodeFlags_.none
+    # Another identity than a control of the same name has, as of "Exposure" and "Sky".
+    return bool(imgui.collapsing_header(f"{title}##heading", int(flags)))
+
+
+def _translucent(colour: int) -> ImVec4:
+    """Return a colour through which the value of a slider can be read."""
+    opaque = imgui.get_style_color_vec4(colour)
+    return ImVec4(opaque.x, opaque.y, opaque.z, _GRAB_OPACITY)
+
+
+def _groups(effects: Sequence[Effect], noise: NoiseModel) -> dict[str, list[Effect]]:
+    """Return the effects outside the groups Sensor and Sky, by the title of their group."""
+    groups: dict[str, list[Effect]] = {}
+    for effect in effects:
+        if effect.section == "sky" or effect.noise_model not in (None, noise):
+            continue
+        if effect.section != "sensor":
+            groups.setdefault(effect.section.replace("_", " ").capitalize(), []).append(effect)
+        elif effect.stage in _GROUPS:
+            groups.setdefault(_GROUPS[effect.stage], []).append(effect)
+    return {title: group for title, group in groups.items() if any(key.control for one in group for key in one.keys)}
+
+
+def _sky(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
+    _sliders(_SKY, config, changes)
+    for key, label, is_on, on, off in (
+        ("sky.refraction", "Refraction", config.sky.refraction, True, False),
+        ("sky.bodies", "Sun, Moon, planets", config.sky.bodies, True, False),
+        ("sky.extinction", "Extinction", config.sky.extinction != "none", "standard", "none"),
+        ("sky.extinction_band", "Extinction of the band", config.sky.extinction_band == "sensor", "sensor", "eye"),
+    ):
+        _switch(key, label, is_on, on, off, changes)
+    horizon = config.sky.horizon
+    if horizon in HORIZONS:
+        _switch("sky.horizon", "Horizon below the horizontal", horizon == "dip", "dip", "flat", changes)
+    else:
+        _switch("sky.horizon", f"Horizon of {Path(horizon).name}", True, horizon, "flat", changes)
+    _effects([effect for effect in effects if effect.section == "sky"], config, changes)
+
+
+def _switch(key: str, label: str, is_on: bool, on: object, off: object, changes: dict[str, Any]) -> None:
+    """Draw a checkbox for a key with two values."""
+    changed, new = imgui.checkbox(label, is_on)
+    _about(key, on if is_on else off, changes)
+    if changed:
+        changes[key] = on if new else off
+
+
+def _about(key: str, value: object, changes: dict[str, Any], *, default: object = None, allowed: str = "") -> None:
+    """Explain the control drawn last; a click with the right button gives it its default."""
+    shown = f"{value:.10g}" if isinstance(value, float) else f"{value}"
+    lines = [f"{key} = {shown}"]
+    if allowed:
+        lines.append(allowed)
+    if default is not None:
+        lines.append(f"right click: {default:.10g}" if isinstance(default, float) else f"right click: {default}")
+        if imgui.is_item_clicked(imgui.MouseButton_.right) and default != value:
+            changes[key] = default
+    imgui.set_item_tooltip("\n".join(lines).replace("%", "%%"))
+
+
+def _sliders(sliders: Mapping[str, Control], config: Config, changes: dict[str, Any]) -> None:
+    for key, control in sliders.items():
+        _slider(key, control, _values(config)[key], changes, default=_default_values().get(key))
+
+
+def _slider(
+    key: str,
+    control: Control,
+    value: float,
+    changes: dict[str, Any],
+    *,
+    integer: bool = False,
+    default: object = None,
+    allowed: str = "",
+) -> None:
+    new: float
+    if integer:
+        changed, new = imgui.slider_int(control.label, int(value), int(control.lowest), int(control.highest))
+    else:
+        flags = _LOGARITHMIC if control.logarithmic else 0
+        changed, new = imgui.slider_float(control.label, value, control.lowest, control.highest, control.form, flags)
+        # Sliders work in float32: the six digits that the user sees are meant.
+        new = float(f"{new:.6g}")
+    _about(key, value, changes, default=default, allowed=f"{allowed}\nCtrl+click to type a number".strip())
+    if changed:
+        changes[key] = new
+
+
+def _choice(key: str, label: str, value: str, choices: Sequence[str], changes: dict[str, Any]) -> None:
+    changed, index = imgui.combo(label, choices.index(value), list(choices))
+    _about(key, value, changes, allowed=f"one of {', '.join(choices)}")
+    if changed:
+        changes[key] = choices[index]
+
+
+def _effects(effects: Sequence[Effect], config: Config, changes: dict[str, Any]) -> None:
+    for effect in effects:
+        values = effect.values(config.sensor())
+        for key in effect.keys:
+            if key.control is not None:
+                _effect_key(f"{effect.section}.{key.name}", key, key.control, values[key.name], changes)
+
+
+def _effect_key(dotted: str, key: Key, control: Control, value: Any, changes: dict[str, Any]) -> None:
+    if key.choices:
+        _choice(dotted, control.label, value, key.choices, changes)
+    elif isinstance(key.default, bool):
+        _switch(dotted, control.label, value, True, False, changes)
+    else:
+        is_integer = isinstance(key.default, int)
+        _slider(dotted, control, value, changes, integer=is_integer, default=key.default, allowed=key.allowed)
+
+
+@lru_cache(maxsize=2)
+def _values(config: Config) -> dict[str, float]:
+    """Return the value of each slider by dotted key."""
+    mount, sensor = config.mount(), config.sensor()
+    values: dict[str, float] = {}
+    for dotted in (*_EXPOSURE, *_SENSOR, *_SKY, *_MOUNT):
+        section, _, key = dotted.partition(".")
+        if section == "mount":
+            values[dotted] = degrees(getattr(mount, f"{key.removesuffix('_deg')}_rad"))
+        else:
+            values[dotted] = getattr(sensor if section == "sensor" else getattr(config, section), key)
+    if sensor.electrons is not None:
+        values |= {f"sensor.{key}": value for key, value in sensor.electrons.keys.items()}
+    return values
+
+
+@lru_cache(maxsize=1)
+def _default_values() -> dict[str, float]:
+    """Return the default of each slider by dotted key."""
+    return _values(Config())
+
+
+def _camera(config: Config, changes: dict[str, Any]) -> None:
+    presets = camera_presets()
+    current = config.resolved()["camera"].get("preset")
+    if imgui.begin_combo("Preset", current if current in presets else "as in the settings"):
+        for name, description in presets.items():
+            chosen, _ = imgui.selectable(name, name == current)
+            imgui.set_item_tooltip(description)
+            if chosen:
+                changes["camera.preset"] = name
+        imgui.end_combo()
+    camera = config.camera()
+    imgui.text_disabled(f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.1f} px")
+
+
+def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
+    """Draw the noise model, the presets of sensors, and the keys of the noise model."""
+    noise = config.sensor().noise
+    _choice("sensor.noise", "Noise model", noise, get_args(NoiseModel), changes)
+    current = config.resolved()["sensor"].get("preset")
+    if imgui.begin_combo("Sensor preset", current or "as in the settings"):
+        for mode in (mode for preset in sensor_presets().values() for mode in preset.modes):
+            chosen, _ = imgui.selectable(mode.name, mode.name == current)
+            imgui.set_item_tooltip(f"{mode.width_px} x {mode.height_px} px behind a 6 mm f/1.2 lens")
+            if chosen:
+                changes |= {"camera.preset": mode.name, "sensor.preset": mode.name, **_LENS}
+                changes["exposure.readout_s"] = mode.readout_s
+        imgui.end_combo()
+    _sliders(_SENSOR if noise == "paper" else _ELECTRONS, config, changes)
+    shown = [effect for effect in effects if effect.section == "sensor" and effect.noise_model in (None, noise)]
+    _effects([effect for effect in shown if effect.stage not in _GROUPS], config, changes)
+    is_integrated = config.sensor().pixel == "integrated"
+    _switch("sensor.pixel", "Integrate stars over the pixel's area", is_integrated, "integrated", "sampled", changes)
+
+
+def _mount(config: Config, changes: dict[str, Any]) -> None:
+    _sliders(_MOUNT, config, changes)
+    is_literal = config.mount().reading == "literal"
+    _choice("mount.gimbal", "Gimbal", config.gimbal.mode, get_args(GimbalMode), changes)
+    _switch("mount.reading", "Mount angles literally as in eq. (31)", is_literal, "literal", "body", changes)
+
+
+_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true)
+# Steps of the buttons of the time offset, and with Ctrl, s.
+_STEP_S, _FAST_STEP_S = 0.01, 0.1
+# Digits of the time offset after the point: the clocks of flight logs count microseconds.
+_DIGITS: Final = 6
+_INTERPOLATIONS: Final = {
+    "slerp": "at a constant angular rate between two samples",
+    "spline": "a cubic spline of the rotation, whose angular rate does not jump",
+    "gyro": "by the gyro rates of the log, corrected to meet the next sample",
+}
+
+
+def draw_attitude_controls(session: Session) -> None:
+    """Draw the controls under a heading, and apply the changes of the user: the log is read again.
+
+    Parameters
+    ----------
+    session : Session
+        Nothing is drawn for a flight received from a link.
+    """
+    loaded = session.loaded
+    if loaded is None or loaded.path is None or not imgui.collapsing_header("Attitude of the log"):
+        return
+    choices = session.loader.finder.of(loaded.path, loaded.config)
+    section, changes = session.config.flight, dict[str, Any]()
+    imgui.text_disabled(loaded.flight.attitude_source)
+    imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
+    imgui.begin_disabled(choices is None)
+    shown = AttitudeChoices() if choices is None else choices
+    if imgui.begin_combo("Source", section.attitude):
+        for name in shown.sources(section.attitude):
+            if imgui.selectable(name, name == section.attitude)[0]:
+                changes["flight.attitude"] = name
+            imgui.set_item_tooltip(shown.attitudes.get(name, _source_of(name, section.attitude)))
+        imgui.end_combo()
+    imgui.set_item_tooltip(f"flight.attitude = {section.attitude}\nThe message of the log that gives the attitude")
+    if imgui.begin_combo("Between samples", section.interpolation):
+        for interpolation in shown.interpolations(section.interpolation):
+            if imgui.selectable(interpolation, interpolation == section.interpolation)[0]:
+                changes["flight.interpolation"] = interpolation
+            imgui.set_item_tooltip(_INTERPOLATIONS[interpolation])
+        imgui.end_combo()
+    imgui.set_item_tooltip(f"flight.interpolation = {section.interpolation}")
+    imgui.end_disabled()
+    _time_offset(section.time_offset_s, changes)
+    imgui.pop_item_width()
+    if shown.error:
+        imgui.text_wrapped(f"its attitudes are not known: {shown.error}")
+    changes = {key: value for key, value in changes.items() if value != getattr(section, key.partition(".")[2])}
+    if changes:
+        session.change(**changes)
+
+
+def _source_of(name: str, chosen: str) -> str:
+    """Return the tooltip of a value that names no single attitude of the log."""
+    if name == "auto":
+        return "the attitude of the estimator in use, as far as the log names it"
+    return "the present choice" if name == chosen else name
+
+
+def _time_offset(time_offset_s: float, changes: dict[str, Any]) -> None:
+    """Draw the time offset, which is taken with Enter or by the buttons."""
+    changed, new_s = imgui.input_double("Time offset", time_offset_s, _STEP_S, _FAST_STEP_S, "%.4f s", _ENTER)
+    imgui.set_item_tooltip(
+        f"flight.time_offset_s = {time_offset_s:.10g}\nClock of the camera minus clock of the log, s: positive if the "
+        "camera's is ahead\nEnter takes a typed number; the buttons step by 0.01 s, with Ctrl by 0.1 s"
+    )
+    if changed:
+        changes["flight.time_offset_s"] = round(new_s, _DIGITS)

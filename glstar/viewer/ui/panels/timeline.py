@@ -1,0 +1,535 @@
+"""The timeline of a flight, drawn with imgui and implot.
+
+What the timeline marks besides curves: flight modes, messages, triggers of the camera and real images.
+
+Colours of the timeline, by day and in night mode, and the boxes that it draws behind the curves.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final
+
+import numpy as np
+from imgui_bundle import imgui, implot
+from numpy.typing import NDArray
+
+from glstar.config import ExposureSection
+from glstar.flight import EventKind, Flight
+from glstar.viewer.flight.playhead import Mode, PlayHead
+from glstar.viewer.flight.sky import SkySamples, light_intervals
+from glstar.viewer.flight.traces import ANGLES, FlightLines, TimeAxis, TimelineCurve, Trace, motion_traces
+from glstar.viewer.ui.theme import DAY_PALETTE, NIGHT_PALETTE, Palette, scaled
+
+Float = NDArray[np.float64]
+
+# The y coordinates of a box of full height on an axis from 0 to 1.
+BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Intervals of time, drawn as boxes of full height."""
+
+    x: Float
+    y: Float
+
+    @classmethod
+    def of(cls, start_s: Float, stop_s: Float) -> "Bands":
+        """Return the boxes of intervals, s from the origin of the timeline.
+
+        Parameters
+        ----------
+        start_s, stop_s : (n,) float64
+
+        Returns
+        -------
+        Bands
+        """
+        x = np.stack([start_s, start_s, stop_s, stop_s], axis=-1).ravel()
+        return cls(x, np.tile(BOX, len(start_s)))
+
+    def draw(self, label: str, style: implot.Spec) -> None:
+        """Draw the boxes into the current plot, on its axis from 0 to 1.
+
+        Parameters
+        ----------
+        label : str
+        style : implot.Spec
+        """
+        if self.x.size:
+            implot.plot_shaded(label, self.x, self.y, 0.0, style)
+
+
+# Width that the name of a mode needs besides its text, and the radius in which the mouse finds an event, px.
+_LABEL_GAP_PX: Final = 8.0
+_NEAR_PX: Final = 6.0
+# Most events that a tooltip lists.
+_LISTED: Final = 6
+# Heights of the rows of marks over that of the plot.
+_MESSAGES_AT: Final = 0.93
+_TRIGGERS_AT: Final = 0.04
+_IMAGES_AT: Final = 0.12
+_NAMES_AT: Final = 0.82
+
+
+class TimelineEvents:
+    """The events of a flight on the timeline.
+
+    Parameters
+    ----------
+    flight : Flight
+    origin_s : float
+        UTC seconds since 1970, from which the timeline counts.
+
+    Attributes
+    ----------
+    count : int
+        Number of modes, messages and triggers.
+    """
+
+    def __init__(self, flight: Flight, origin_s: float) -> None:
+        events, triggers = flight.events, flight.triggers
+        self._triggers_s = np.empty(0) if triggers is None else triggers.utc_s - origin_s
+        self._trigger_name = "" if triggers is None else triggers.source
+        found = [] if events is None else list(zip(events.utc_s - origin_s, events.kinds, events.texts, strict=True))
+        self._modes = [(float(second), text) for second, kind, text in found if kind is EventKind.MODE]
+        self._messages = [(float(second), text) for second, kind, text in found if kind is EventKind.MESSAGE]
+        self.count = len(found) + self._triggers_s.size
+
+    def draw(self, axis: TimeAxis, width_px: float, palette: Palette, images_s: Float) -> None:
+        """Draw the marks into the current plot, on its axis from 0 to 1.
+
+        Parameters
+        ----------
+        axis : TimeAxis
+        width_px : float
+            Of the plot.
+        palette : Palette
+        images_s : (n,) float64
+            When the real images were taken, s from the origin.
+        """
+        modes_s = np.array([second for second, _ in self._modes])
+        if modes_s.size:
+            implot.plot_inf_lines("##modes", modes_s, palette.mode)
+        for name, times_s, at, style in (
+            ("##messages", np.array([second for second, _ in self._messages]), _MESSAGES_AT, palette.message),
+            ("##triggers", self._triggers_s, _TRIGGERS_AT, palette.trigger),
+            ("##images", images_s, _IMAGES_AT, palette.image),
+        ):
+            inside = times_s[(times_s >= axis.start_s) & (times_s <= axis.stop_s)]
+            if inside.size:
+                implot.plot_scatter(name, inside, np.full(inside.size, at), style)
+        self._draw_names(axis, width_px)
+
+    def _draw_names(self, axis: TimeAxis, width_px: float) -> None:
+        """Write the mode at its beginning, or at the left edge if it began before, where there is room for it."""
+        px_per_s = width_px / axis.span_s
+        ends_s = [*(second for second, _ in self._modes[1:]), np.inf][: len(self._modes)]
+        for (second, text), end_s in zip(self._modes, ends_s, strict=True):
+            begin_s = max(second, axis.start_s)
+            size_px = imgui.calc_text_size(text).x + _LABEL_GAP_PX
+            if (min(end_s, axis.stop_s) - begin_s) * px_per_s > size_px:
+                implot.plot_text(text, begin_s + size_px / 2 / px_per_s, _NAMES_AT)
+
+    def near(self, second: float, width_px: float, axis: TimeAxis) -> list[str]:
+        """Return what happened at a time, within a few pixels.
+
+        Parameters
+        ----------
+        second : float
+            s from the origin.
+        width_px : float
+            Of the plot.
+        axis : TimeAxis
+
+        Returns
+        -------
+        list of str
+            The mode that holds, then messages and triggers.
+        """
+        within_s = _NEAR_PX * axis.span_s / max(width_px, 1.0)
+        held = [text for at_s, text in self._modes if at_s <= second]
+        lines = [f"mode {held[-1]}"] if held else []
+        lines += [text for at_s, text in self._messages if abs(at_s - second) <= within_s]
+        triggers = np.flatnonzero(np.abs(self._triggers_s - second) <= within_s)
+        lines += [f"{self._trigger_name} {k + 1}: {self._triggers_s[k]:.3f} s" for k in triggers[:_LISTED].tolist()]
+        more = len(lines) - _LISTED
+        return lines if more <= 0 else [*lines[:_LISTED], f"and {more} more"]
+
+
+# Smallest interval of exposures that are drawn separately, px.
+_MIN_INTERVAL_PX: Final = 4
+# Smallest height of a plot, px: in a low panel only the first plots are shown.
+_LEAST_PX: Final = 60
+# Smallest height of a plot with labels of its values, px: in a lower one they would overlap.
+_LABELLED_PX: Final = 45
+_NO_TIMES: Final = np.empty(0)
+# The plots leave room for the widest name of a line, so that their times are aligned.
+_WIDEST_NAME: Final = max((name for curve in TimelineCurve for name in curve.spec.names), key=len)
+_HIDDEN_OPACITY: Final = 0.4
+_SMALL_PX: Final = (100.0, 40.0)
+_PADDING_PX: Final = (6.0, 4.0)
+# Margin above and below the lines, as a fraction of their height.
+_MARGIN: Final = (0.0, 0.05)
+# How far a line may pass by a sample, px.
+_STRAIGHT_PX: Final = 0.1
+# Zoom factor of a notch of the mouse wheel.
+_WHEEL: Final = 1.25
+
+# Part of a live flight that is shown at first, s.
+_LIVE_S: Final = 60.0
+# Day and twilight of a live flight are computed this far ahead, s.
+_LIGHT_AHEAD_S: Final = 600.0
+
+# Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
+_MIN_SIZE, _PADDING, _FIT_PADDING = (
+    int(which)
+    for which in (implot.StyleVar_.plot_min_size, implot.StyleVar_.plot_padding, implot.StyleVar_.fit_padding)
+)
+_PLOT: Final = int(
+    implot.Flags_.no_title
+    | implot.Flags_.no_legend
+    | implot.Flags_.no_mouse_text
+    | implot.Flags_.no_menus
+    | implot.Flags_.no_box_select
+)
+_X: Final = int(implot.AxisFlags_.no_side_switch | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_menus)
+_X_UNLABELLED: Final = _X | int(implot.AxisFlags_.no_tick_labels)
+_Y: Final = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
+_Y_UNLABELLED: Final = _Y | int(implot.AxisFlags_.no_tick_labels)
+_Y2: Final = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
+_X1_AXIS, _Y1_AXIS, _Y2_AXIS = int(implot.ImAxis_.x1), int(implot.ImAxis_.y1), int(implot.ImAxis_.y2)
+_ALWAYS: Final = int(implot.Cond_.always)
+
+
+@dataclass(frozen=True, slots=True)
+class _Verticals:
+    """What every plot shows at its full height: day and twilight, gaps, exposures, markers and the play head."""
+
+    palette: Palette
+    light: dict[str, Bands]
+    gaps: Bands
+    part: Bands | None
+    exposures: Bands | None
+    shown: Bands
+    shown_style: implot.Spec
+    markers_s: Float
+    head_s: Float
+
+    def draw_behind(self) -> None:
+        for name, bands in self.light.items():
+            bands.draw(f"##{name}", self.palette.light[name])
+        self.gaps.draw("##gaps", self.palette.gap)
+        if self.part is not None:
+            self.part.draw("##part", self.palette.part)
+        if self.exposures is not None:
+            self.exposures.draw("##exposures", self.palette.exposures)
+        self.shown.draw("##shown", self.shown_style)
+
+    def draw_in_front(self) -> None:
+        if self.markers_s.size:
+            implot.plot_inf_lines("##markers", self.markers_s, self.palette.marker)
+        implot.plot_inf_lines("##head", self.head_s, self.palette.head)
+
+
+class Timeline:
+    """Curves over time, with day, twilight, gaps, exposures, events, markers and play head.
+
+    A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, and a double click
+    shows the complete flight.
+
+    Parameters
+    ----------
+    flight : Flight
+    lines : FlightLines, optional
+        Its curves, if they have been computed already.
+    grows : bool
+        Whether the flight is live.
+
+    Attributes
+    ----------
+    axis : TimeAxis
+        The part of the flight that is shown.
+    follow : bool
+        Whether the axis follows the play head.
+    grows : bool
+        Whether the flight is live.
+    utc : bool
+        Whether the axis shows the time of day instead of seconds from the first attitude.
+    curves : set of TimelineCurve
+        The plots that are shown.
+    shows_events : bool
+        Whether flight modes, messages, triggers and real images are marked.
+    """
+
+    def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
+        first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
+        self.axis = TimeAxis(last_s - first_s, max_span_s=_LIVE_S if grows else inf)
+        self.follow, self.utc, self.grows = True, False, grows
+        self.curves = {TimelineCurve.ATTITUDE, TimelineCurve.RATES}
+        self.shows_events = True
+        # Names of lines that the user has hidden.
+        self._hidden: set[str] = set()
+        self.show(FlightLines.of(flight.aircraft_attitude, first_s) if lines is None else lines)
+        self._origin_s = first_s
+        self.show_flight(flight)
+        self._light: dict[str, Bands] = {}
+        self._lit_until_s = -inf
+        self._exposures = Bands.of(np.empty(0), np.empty(0))
+        self._exposures_of: tuple[object, ...] = ()
+        self._scrubbing = False
+        # Width of the plots when they were drawn last.
+        self._width_px = 800.0
+        # What a pixel of its height was then, in the unit of the curve.
+        self._per_px: dict[TimelineCurve, float] = {}
+        self._followed_s = first_s
+
+    def show(self, lines: FlightLines) -> None:
+        """Show newer curves of the same flight; the part that is shown stays.
+
+        Parameters
+        ----------
+        lines : FlightLines
+        """
+        self._lines = lines
+        self._gaps = Bands.of(*lines.gaps_s.T)
+
+    def show_flight(self, flight: Flight) -> None:
+        """Show positions and events of a newer copy of the same flight.
+
+        Parameters
+        ----------
+        flight : Flight
+        """
+        self._flight, self._position = flight, flight.position
+        self._motion: dict[TimelineCurve, tuple[Trace, ...]] | None = None
+        self._events = TimelineEvents(flight, self._origin_s)
+
+    def draw(
+        self, head: PlayHead, *, night: bool = False, samples: SkySamples | None = None, images_s: Float = _NO_TIMES
+    ) -> None:
+        """Draw the timeline into the current imgui window, and move the play head with the mouse.
+
+        Parameters
+        ----------
+        head : PlayHead
+            Of the same flight.
+        night : bool
+            Whether to use shades of red only.
+        samples : SkySamples, optional
+            For the curves that need simulated exposures.
+        images_s : (n,) float64
+            When the real images were taken, s from the flight's first attitude.
+        """
+        self._draw_controls()
+        self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
+        if head.utc_s != self._followed_s and self.follow and not self._scrubbing:
+            self.axis.follow(head.second)
+        self._followed_s = head.utc_s
+        self._scrubbing = self._scrubbing and imgui.is_mouse_down(0)
+        ticks = self.axis.ticks(self._width_px, first_utc_s=head.origin_s if self.utc else None)
+        lines = self._verticals(head, NIGHT_PALETTE if night else DAY_PALETTE)
+        plots = self._plots(samples)
+        each_px = imgui.get_content_region_avail().y / len(plots)
+        implot.push_style_var(_MIN_SIZE, _SMALL_PX)
+        implot.push_style_var(_PADDING, _PADDING_PX)
+        implot.push_style_var(_FIT_PADDING, _MARGIN)
+        if implot.begin_aligned_plots("timeline"):
+            for number, (curve, drawn) in enumerate(plots):
+                # Only the last plot has time labels.
+                is_last = number == len(plots) - 1
+                height_px, flags = (-1.0, _X) if is_last else (each_px, _X_UNLABELLED)
+                if self._begin(f"##{curve}", curve.spec.unit, height_px, flags, ticks):
+                    marks = self._events if number == 0 and self.shows_events else None
+                    self._draw_plot(curve, drawn, lines, head, marks, images_s)
+            implot.end_aligned_plots()
+        implot.pop_style_var(3)
+
+    def _draw_controls(self) -> None:
+        _, self.follow = imgui.checkbox("follow", self.follow)
+        imgui.same_line()
+        _, self.utc = imgui.checkbox("UTC", self.utc)
+        imgui.same_line()
+        if imgui.small_button("whole flight"):
+            self.axis.fit()
+        imgui.same_line()
+        if imgui.small_button("curves"):
+            imgui.open_popup("##curves")
+        imgui.set_item_tooltip("choose what is plotted over time")
+        if imgui.begin_popup("##curves"):
+            for curve in TimelineCurve:
+                changed, shown = imgui.checkbox(curve.spec.label, curve in self.curves)
+                imgui.set_item_tooltip(curve.spec.about)
+                if changed and (shown or len(self.curves) > 1):
+                    self.curves ^= {curve}
+            imgui.end_popup()
+        imgui.same_line()
+        _, self.shows_events = imgui.checkbox("events", self.shows_events)
+        imgui.set_item_tooltip("flight modes, messages, triggers of the camera and real images")
+
+    def _plots(self, samples: SkySamples | None) -> "list[tuple[TimelineCurve, list[tuple[Float, Float]]]]":
+        """Return the plots that fit into the panel, and the points of their lines."""
+        most = max(int(imgui.get_content_region_avail().y / _LEAST_PX), 1)
+        chosen = [curve for curve in TimelineCurve if curve in self.curves][:most]
+        return [(curve, self._points(curve, samples)) for curve in chosen]
+
+    def _points(self, curve: TimelineCurve, samples: SkySamples | None) -> list[tuple[Float, Float]]:
+        if curve.is_sampled:
+            return [] if samples is None else samples.lines(curve)
+        if curve is TimelineCurve.ATTITUDE:
+            traces = self._lines.angles
+        elif curve is TimelineCurve.RATES:
+            traces = self._lines.rates
+        else:
+            if self._motion is None:
+                self._motion = motion_traces(self._flight, self._origin_s)
+            traces = self._motion[curve]
+        tolerance = _STRAIGHT_PX * self._per_px.get(curve, 0.0)
+        part = self.axis.start_s, self.axis.stop_s, round(self._width_px)
+        return [trace.thinned(*part, tolerance) for trace in traces]
+
+    def _begin(
+        self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
+    ) -> bool:
+        """Begin a plot with the common axes; the second y axis, from 0 to 1, is for boxes of full height."""
+        is_low = (height_px if height_px > 0 else imgui.get_content_region_avail().y) < scaled(_LABELLED_PX)
+        names_px = imgui.calc_text_size(_WIDEST_NAME).x + _PADDING_PX[0]
+        if not implot.begin_plot(title, (-names_px, height_px), _PLOT):
+            return False
+        implot.setup_axis(_X1_AXIS, None, x_flags)
+        implot.setup_axis(_Y1_AXIS, "" if is_low else unit, _Y_UNLABELLED if is_low else _Y)
+        implot.setup_axis(_Y2_AXIS, None, _Y2)
+        implot.setup_axis_limits(_X1_AXIS, self.axis.start_s, self.axis.stop_s, _ALWAYS)
+        implot.setup_axis_limits(_Y2_AXIS, 0.0, 1.0, _ALWAYS)
+        implot.setup_axis_ticks(_X1_AXIS, *ticks)
+        implot.setup_finish()
+        self._width_px = implot.get_plot_size().x
+        return True
+
+    def _verticals(self, head: PlayHead, palette: Palette) -> _Verticals:
+        shown = head.exposure()
+        gap = self._lines.attitude.gap_within(shown.start_utc_s, shown.stop_utc_s)
+        opens_s = shown.start_utc_s - head.origin_s
+        return _Verticals(
+            palette,
+            self._light_until(head.last_s),
+            self._gaps,
+            _part(head),
+            self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
+            Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.span_s]]), BOX),
+            palette.shown if gap is None else palette.missing,
+            np.array(head.markers) - head.origin_s,
+            np.array([head.second]),
+        )
+
+    def _light_until(self, last_s: float) -> dict[str, Bands]:
+        """Return day and twilight up to a time; computed again when a live flight has outgrown them."""
+        if last_s > self._lit_until_s:
+            self._lit_until_s = last_s + (_LIGHT_AHEAD_S if self.grows else 0.0)
+            intervals = light_intervals(self._position, self._origin_s, self._lit_until_s)
+            self._light = {name: Bands.of(*(ends - self._origin_s).T) for name, ends in intervals.items()}
+        return self._light
+
+    def _draw_plot(
+        self,
+        curve: TimelineCurve,
+        points: list[tuple[Float, Float]],
+        verticals: _Verticals,
+        head: PlayHead,
+        events: TimelineEvents | None,
+        images_s: Float,
+    ) -> None:
+        implot.set_axes(_X1_AXIS, _Y2_AXIS)
+        verticals.draw_behind()
+        if events is not None:
+            events.draw(self.axis, self._width_px, verticals.palette, images_s)
+        implot.set_axes(_X1_AXIS, _Y1_AXIS)
+        for name, (second, value), style in zip(curve.spec.names, points, verticals.palette.lines, strict=False):
+            if second.size and name not in self._hidden:
+                implot.plot_line(name, second, value, style)
+        self._per_px[curve] = implot.get_plot_limits(_X1_AXIS, _Y1_AXIS).size().y / implot.get_plot_size().y
+        verticals.draw_in_front()
+        self._take_mouse(head)
+        implot.end_plot()
+        self._draw_names(curve, verticals.palette)
+
+    def _draw_names(self, curve: TimelineCurve, palette: Palette) -> None:
+        """Write the names of the lines beside their plot; a click hides a line."""
+        imgui.same_line(0.0, 0.0)
+        imgui.begin_group()
+        for name, (red, green, blue, _) in zip(curve.spec.names, palette.line_colours, strict=False):
+            imgui.text_colored((red, green, blue, _HIDDEN_OPACITY if name in self._hidden else 1.0), name)
+            imgui.set_item_tooltip("a click hides or shows this line")
+            if imgui.is_item_clicked():
+                self._hidden ^= {name}
+        imgui.end_group()
+
+    def _camera_exposures(self, head: PlayHead) -> Bands:
+        """Return the exposures in view, as one box if they are too close together to be drawn separately."""
+        section, axis = head.exposure_section, self.axis
+        second_px = self._width_px / axis.span_s
+        count = head.count
+        first = max(int((axis.start_s - section.span_s) / section.interval_s), 0)
+        last = min(int(axis.stop_s / section.interval_s), count - 1)
+        crowded = section.interval_s * second_px < _MIN_INTERVAL_PX or section.interval_s <= section.span_s
+        wanted = (section, crowded, count) if crowded else (section, first, last)
+        if wanted != self._exposures_of:
+            self._exposures = _bands(section, *((0, count - 1) if crowded else (first, last)), crowded=crowded)
+            self._exposures_of = wanted
+        return self._exposures
+
+    def _take_mouse(self, head: PlayHead) -> None:
+        if not (self._scrubbing or implot.is_plot_hovered()):
+            return
+        at_s = implot.get_plot_mouse_pos(_X1_AXIS, _Y1_AXIS).x
+        if self._scrubbing:
+            head.seek(head.origin_s + at_s)
+            return
+        io = imgui.get_io()
+        if imgui.is_mouse_double_clicked(0):
+            self.axis.fit()
+        elif imgui.is_mouse_clicked(0):
+            self._scrubbing = True
+            head.seek(head.origin_s + at_s)
+        elif imgui.is_mouse_down(1) or imgui.is_mouse_down(2):
+            self.axis.pan(-io.mouse_delta.x * self.axis.span_s / self._width_px)
+        elif io.mouse_wheel:
+            self.axis.zoom(at_s, _WHEEL**-io.mouse_wheel)
+        elif io.mouse_wheel_h:
+            self.axis.pan(-0.1 * io.mouse_wheel_h * self.axis.span_s)
+        else:
+            self._show_sample(at_s)
+
+    def _show_sample(self, second: float) -> None:
+        """Show a tooltip with the sample of the log under the mouse."""
+        lines = self._lines
+        if not lines.second[0] <= second <= lines.second[-1]:
+            return
+        utc_s = lines.attitude.first_s + second - float(lines.second[0])
+        if (gap := lines.attitude.gap_within(utc_s, utc_s)) is not None:
+            imgui.set_tooltip(f"{second:.3f} s\n{gap.reason} of {gap.duration_s:.3f} s")
+            return
+        sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
+        angles_deg = np.rad2deg(lines.angles_rad[:, sample])
+        angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
+        happened = self._events.near(second, self._width_px, self.axis) if self.shows_events else []
+        imgui.set_tooltip("\n".join([f"{second:.3f} s", angles, *happened]).replace("%", "%%"))
+
+
+def _part(head: PlayHead) -> Bands | None:
+    """Return the box between the in and out points, if there is one."""
+    if head.in_s is None and head.out_s is None:
+        return None
+    ends_s = np.array(head.part) - head.origin_s
+    return Bands.of(ends_s[:1], ends_s[1:])
+
+
+def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> Bands:
+    """Return boxes for some of the camera's exposures, or one box over all of them."""
+    if last < first:
+        return Bands.of(np.empty(0), np.empty(0))
+    if crowded:
+        ends_s = np.array([first * section.interval_s, last * section.interval_s + section.span_s])
+        return Bands.of(ends_s[:1], ends_s[1:])
+    start_s = np.arange(first, last + 1, dtype=np.float64) * section.interval_s
+    return Bands.of(start_s, start_s + section.span_s)
