@@ -25,14 +25,7 @@ _LINEAR_RAD = 1e-8
 def about_x(angle_rad: ArrayLike) -> Float:
     """Return R1, the coordinate transformation for a rotation of the axes about x.
 
-    Parameters
-    ----------
-    angle_rad : (...) array_like
-        Angle, right-handed, rad.
-
-    Returns
-    -------
-    (..., 3, 3) float64
+    `angle_rad` (...): angle, right-handed, rad.  Returns (..., 3, 3).
     """
     c, s, zero, one = _cosine_sine(angle_rad)
     return _stack([[one, zero, zero], [zero, c, s], [zero, -s, c]])
@@ -41,14 +34,7 @@ def about_x(angle_rad: ArrayLike) -> Float:
 def about_y(angle_rad: ArrayLike) -> Float:
     """Return R2, the coordinate transformation for a rotation of the axes about y.
 
-    Parameters
-    ----------
-    angle_rad : (...) array_like
-        Angle, right-handed, rad.
-
-    Returns
-    -------
-    (..., 3, 3) float64
+    `angle_rad` (...): angle, right-handed, rad.  Returns (..., 3, 3).
     """
     c, s, zero, one = _cosine_sine(angle_rad)
     return _stack([[c, zero, -s], [zero, one, zero], [s, zero, c]])
@@ -57,14 +43,7 @@ def about_y(angle_rad: ArrayLike) -> Float:
 def about_z(angle_rad: ArrayLike) -> Float:
     """Return R3, the coordinate transformation for a rotation of the axes about z.
 
-    Parameters
-    ----------
-    angle_rad : (...) array_like
-        Angle, right-handed, rad.
-
-    Returns
-    -------
-    (..., 3, 3) float64
+    `angle_rad` (...): angle, right-handed, rad.  Returns (..., 3, 3).
     """
     c, s, zero, one = _cosine_sine(angle_rad)
     return _stack([[c, s, zero], [-s, c, zero], [zero, zero, one]])
@@ -73,19 +52,8 @@ def about_z(angle_rad: ArrayLike) -> Float:
 def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
     """Return C_body_ned of an attitude given by Euler angles: yaw, then pitch, then roll.
 
-    Parameters
-    ----------
-    roll_rad, pitch_rad, yaw_rad : (...) array_like
-        Aerospace Euler angles, rad.
-
-    Returns
-    -------
-    (..., 3, 3) float64
-        Matrices from NED to body components.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (30) = R1(roll) R2(pitch) R3(yaw).
+    `roll_rad`, `pitch_rad`, `yaw_rad` (...): aerospace Euler angles, rad.  Returns (..., 3, 3) matrices from NED to
+    body components.  Teague & Chahl, eq. (30) = R1(roll) R2(pitch) R3(yaw).
     """
     return about_x(roll_rad) @ about_y(pitch_rad) @ about_z(yaw_rad)
 
@@ -93,19 +61,8 @@ def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayL
 def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
     """Return q_body_ned of an attitude given by Euler angles: yaw, then pitch, then roll.
 
-    Parameters
-    ----------
-    roll_rad, pitch_rad, yaw_rad : (...) array_like
-        Aerospace Euler angles, rad.
-
-    Returns
-    -------
-    (..., 4) float64
-        Unit quaternions (w, x, y, z), NED to body.
-
-    Notes
-    -----
-    The quaternion of Teague & Chahl, eq. (30).
+    `roll_rad`, `pitch_rad`, `yaw_rad` (...): aerospace Euler angles, rad.  Returns (..., 4) unit quaternions (w, x, y,
+    z), NED to body.  The quaternion of Teague & Chahl, eq. (30).
     """
     half = [np.asarray(angle, dtype=np.float64) / 2 for angle in np.broadcast_arrays(roll_rad, pitch_rad, yaw_rad)]
     (cr, cp, cy), (sr, sp, sy) = (np.cos(angle) for angle in half), (np.sin(angle) for angle in half)
@@ -124,16 +81,9 @@ def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: Ar
 def euler_from_quaternion(q_body_ned: ArrayLike) -> tuple[Float, Float, Float]:
     """Return roll, pitch and yaw of an attitude.
 
-    Parameters
-    ----------
-    q_body_ned : (..., 4) array_like
-        Unit quaternions (w, x, y, z), NED to body.
-
-    Returns
-    -------
-    roll_rad, pitch_rad, yaw_rad : (...) float64
-        Roll and yaw from -pi to pi, pitch from -pi/2 to pi/2.  At a pitch of +-pi/2 only the difference or the sum of
-        roll and yaw is defined.
+    `q_body_ned` (..., 4): unit quaternions (w, x, y, z), NED to body.  Returns `roll_rad, pitch_rad, yaw_rad` (...):
+    roll and yaw from -pi to pi, pitch from -pi/2 to pi/2; at a pitch of +-pi/2 only the difference or the sum of roll
+    and yaw is defined.
     """
     w, x, y, z = np.moveaxis(conjugate(q_body_ned), -1, 0)
     return (
@@ -146,14 +96,7 @@ def euler_from_quaternion(q_body_ned: ArrayLike) -> tuple[Float, Float, Float]:
 def matrix_from_quaternion(q: ArrayLike) -> Float:
     """Return the matrix of a unit quaternion: C_to_from of q_to_from.
 
-    Parameters
-    ----------
-    q : (..., 4) array_like
-        Unit quaternions (w, x, y, z).
-
-    Returns
-    -------
-    (..., 3, 3) float64
+    `q` (..., 4): unit quaternions (w, x, y, z).  Returns (..., 3, 3).
     """
     q = np.asarray(q, dtype=np.float64)
     # One product of matrices for all quaternions, because a scene needs hundreds of them.
@@ -178,15 +121,7 @@ _MATRIX_OF_PRODUCTS: Final = _matrix_of_products()
 def quaternion_from_matrix(C: ArrayLike) -> Float:
     """Return the unit quaternion of one rotation matrix, w >= 0.
 
-    Parameters
-    ----------
-    C : (3, 3) array_like
-        A rotation matrix C_to_from.
-
-    Returns
-    -------
-    (4,) float64
-        q_to_from, (w, x, y, z).
+    `C` (3, 3): a rotation matrix C_to_from.  Returns (4,) q_to_from, (w, x, y, z).
     """
     C = np.asarray(C, dtype=np.float64)
     # Bar-Itzhack's symmetric matrix: its eigenvector of the largest eigenvalue is the quaternion, whatever the angle.
@@ -202,15 +137,8 @@ def quaternion_from_matrix(C: ArrayLike) -> Float:
 def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
     """Return q_to_from for a rotation of the axes by a rotation vector.
 
-    Parameters
-    ----------
-    turn_rad : (..., 3) array_like
-        The axis times the angle, right-handed, rad; the same three numbers in both frames.
-
-    Returns
-    -------
-    (..., 4) float64
-        Unit quaternions (w, x, y, z).
+    `turn_rad` (..., 3): the axis times the angle, right-handed, rad; the same three numbers in both frames.  Returns
+    (..., 4) unit quaternions (w, x, y, z).
     """
     turn = np.asarray(turn_rad, dtype=np.float64)
     x, y, z = turn[..., 0], turn[..., 1], turn[..., 2]
@@ -224,15 +152,8 @@ def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
 def turn_from_quaternion(q: ArrayLike) -> Float:
     """Return the rotation vector of a quaternion, by the smaller angle; the inverse of `quaternion_from_turn`.
 
-    Parameters
-    ----------
-    q : (..., 4) array_like
-        Unit quaternions q_to_from, (w, x, y, z), of either sign.
-
-    Returns
-    -------
-    (..., 3) float64
-        The axis times the angle, right-handed, rad; its length is at most pi.
+    `q` (..., 4): unit quaternions q_to_from, (w, x, y, z), of either sign.  Returns (..., 3) the axis times the angle,
+    right-handed, rad; its length is at most pi.
     """
     q = np.asarray(q, dtype=np.float64)
     w, sine = q[..., 0], np.linalg.norm(q[..., 1:], axis=-1)
@@ -246,15 +167,8 @@ def turn_from_quaternion(q: ArrayLike) -> Float:
 def turn_from_matrix(C: ArrayLike) -> Float:
     """Return the rotation vector of a matrix.
 
-    Parameters
-    ----------
-    C : (..., 3, 3) array_like
-        Rotation matrices C_to_from by less than 180 deg: at 180 deg the axis is ambiguous.
-
-    Returns
-    -------
-    (..., 3) float64
-        The axis times the angle, right-handed, rad; its length is less than pi.
+    `C` (..., 3, 3): rotation matrices C_to_from by less than 180 deg: at 180 deg the axis is ambiguous.  Returns (...,
+    3) the axis times the angle, right-handed, rad; its length is less than pi.
     """
     C = np.asarray(C, dtype=np.float64)
     twice_sine = (C - np.swapaxes(C, -1, -2))[..., [1, 2, 0], [2, 0, 1]]
@@ -266,18 +180,8 @@ def turn_from_matrix(C: ArrayLike) -> Float:
 def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
     """Return the least-squares rotation between two sets of unit vectors.
 
-    Parameters
-    ----------
-    from_unit, to_unit : (n, 3) float64
-
-    Returns
-    -------
-    (3, 3) float64
-        C with to = C from.
-
-    Notes
-    -----
-    Wahba's problem by singular value decomposition (Markley 1988).
+    `from_unit`, `to_unit` (n, 3).  Returns (3, 3) C with to = C from.  Wahba's problem by singular value
+    decomposition (Markley 1988).
     """
     u, _, vt = np.linalg.svd(to_unit.T @ from_unit)
     rotation: Float = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
@@ -287,15 +191,8 @@ def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
 def turn_between(q1: ArrayLike, q2: ArrayLike) -> Float:
     """Return the rotation vector from one attitude to another, by the smaller angle.
 
-    Parameters
-    ----------
-    q1, q2 : (..., 4) array_like
-        Unit quaternions q_to_from, (w, x, y, z), of either sign, with the same source frame.
-
-    Returns
-    -------
-    (..., 3) float64
-        The axis times the angle, rad, in the target frame (body for ``q_body_ned``); its length is at most pi.
+    `q1`, `q2` (..., 4): unit quaternions q_to_from, (w, x, y, z), of either sign, with the same source frame.  Returns
+    (..., 3) the axis times the angle, rad, in the target frame (body for ``q_body_ned``); its length is at most pi.
     """
     return turn_from_quaternion(multiply(q2, conjugate(q1)))
 
@@ -303,14 +200,7 @@ def turn_between(q1: ArrayLike, q2: ArrayLike) -> Float:
 def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
     """Return the product of two quaternions, q_c_a of q_c_b and q_b_a.
 
-    Parameters
-    ----------
-    q_c_b, q_b_a : (..., 4) array_like
-        Unit quaternions (w, x, y, z).
-
-    Returns
-    -------
-    (..., 4) float64
+    `q_c_b`, `q_b_a` (..., 4): unit quaternions (w, x, y, z).  Returns (..., 4).
     """
     a, b, c, d = np.moveaxis(np.asarray(q_c_b, dtype=np.float64), -1, 0)
     w, x, y, z = np.moveaxis(np.asarray(q_b_a, dtype=np.float64), -1, 0)
@@ -328,14 +218,7 @@ def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
 def conjugate(q: ArrayLike) -> Float:
     """Return the conjugate, which is the inverse rotation: q_from_to of q_to_from.
 
-    Parameters
-    ----------
-    q : (..., 4) array_like
-        Unit quaternions (w, x, y, z).
-
-    Returns
-    -------
-    (..., 4) float64
+    `q` (..., 4): unit quaternions (w, x, y, z).  Returns (..., 4).
     """
     opposite: Float = np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
     return opposite
@@ -344,23 +227,10 @@ def conjugate(q: ArrayLike) -> Float:
 def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
     """Interpolate between two quaternions along the shorter arc (spherical linear interpolation).
 
-    Parameters
-    ----------
-    q1, q2 : (..., 4) array_like
-        Unit quaternions (w, x, y, z).
-    u : (...) array_like
-        Fractions of the arc: 0 gives `q1` and 1 gives `q2`.
-
-    Returns
-    -------
-    (..., 4) float64
-        Unit quaternions.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (41).  Departs from eq. (41): q2 is negated if q1 . q2 < 0, because q and -q are the same
-    attitude and a log may alternate between them.  Otherwise the interpolation would take the longer arc, with an
-    error of 180 deg in its middle.
+    `q1`, `q2` (..., 4): unit quaternions (w, x, y, z); `u` (...): fractions of the arc: 0 gives `q1` and 1 gives
+    `q2`.  Returns (..., 4) unit quaternions.  Teague & Chahl, eq. (41).  Departs from eq. (41): q2 is negated if q1
+    . q2 < 0, because q and -q are the same attitude and a log may alternate between them.  Otherwise the interpolation
+    would take the longer arc, with an error of 180 deg in its middle.
     """
     q1, q2 = np.asarray(q1, dtype=np.float64), np.asarray(q2, dtype=np.float64)
     u = np.asarray(u, dtype=np.float64)

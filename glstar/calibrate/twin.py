@@ -45,40 +45,20 @@ _SKY_PX: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class TwinFigures:
-    """How a twin differs from its photograph.
+    """How a twin differs from its photograph."""
 
-    Attributes
-    ----------
-    sky_ks : float
-        Kolmogorov-Smirnov distance of the pixels of the sky.
-    noise_error : float or None
-        Root mean square of the relative difference of the noise over the levels of the sky.
-    neighbour_correlation, twin_neighbour_correlation : float
-        Of the noise of neighbouring pixels.
-    peak_error : float
-        Mean absolute relative error of the brightest pixel of each star.
-    catalogue_peak_error : float
-        The same of a twin whose stars have the brightness of the catalogue in the camera's band, and not each its own.
-    peak_noise : float
-        The same between two twins that differ in their noise only.
-    width_ratio : float
-        Median width of the twin's stars over that of the photograph's.
-    profile_error : float
-        Largest difference of the mean radial profiles of the ten brightest stars, over the profile's peak.
-    stars, width_stars : int
-        Number of stars whose peaks, and whose widths, were compared.
-    """
-
-    sky_ks: float
-    noise_error: float | None
-    neighbour_correlation: float
+    sky_ks: float  # Kolmogorov-Smirnov distance of the pixels of the sky
+    noise_error: float | None  # Root mean square of the relative difference of the noise over the levels of the sky
+    neighbour_correlation: float  # Of the noise of neighbouring pixels
     twin_neighbour_correlation: float
-    peak_error: float
+    peak_error: float  # Mean absolute relative error of the brightest pixel of each star
+    # The same of a twin whose stars have the brightness of the catalogue in the camera's band, and not each its own.
     catalogue_peak_error: float
-    peak_noise: float
-    width_ratio: float
+    peak_noise: float  # The same between two twins that differ in their noise only
+    width_ratio: float  # Median width of the twin's stars over that of the photograph's
+    # Largest difference of the mean radial profiles of the ten brightest stars, over the profile's peak.
     profile_error: float
-    stars: int
+    stars: int  # Number of stars whose peaks, and whose widths, were compared
     width_stars: int
 
     def to_json(self) -> dict[str, Any]:
@@ -88,26 +68,13 @@ class TwinFigures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Twin:
-    """A photograph's twin with what is compared.
+    """A photograph's twin with what is compared."""
 
-    Attributes
-    ----------
-    pixels : (height, width) uint8 or uint16
-        The simulated image, DN.
-    figures : TwinFigures
-    peaks_dn : (2, n) float64
-        Peaks of stars in photograph and twin.
-    profiles_dn : (2, k) float64
-        Mean radial profiles of the ten brightest stars, at 0, 1, 2 ... px.
-    noise : NoiseAgainstLevel or None
-        Of the twin.
-    """
-
-    pixels: NDArray[Any]
+    pixels: NDArray[Any]  # (height, width) uint8 or uint16: the simulated image, DN
     figures: TwinFigures
-    peaks_dn: Float
-    profiles_dn: Float
-    noise: NoiseAgainstLevel | None
+    peaks_dn: Float  # (2, n) peaks of stars in photograph and twin
+    profiles_dn: Float  # (2, k) mean radial profiles of the ten brightest stars, at 0, 1, 2 ... px
+    noise: NoiseAgainstLevel | None  # Of the twin
 
 
 def render_twin(
@@ -115,26 +82,9 @@ def render_twin(
 ) -> NDArray[Any]:
     """Return the image that the simulator makes of a photograph's stars.
 
-    Parameters
-    ----------
-    model : PhotographModel
-    config : Config
-        What the calibration wrote.
-    renderer : Renderer
-    seed : int
-        Of the noise.
-    catalogue_brightness : bool
-        Whether stars have the catalogue's brightness, and not each that of the photograph.
-
-    Returns
-    -------
-    (height, width) uint8 or uint16
-        Mirrored if the photograph is.
-
-    Raises
-    ------
-    CalibrationError
-        If the simulator does not draw a camera of so wide a view.
+    `config`: what the calibration wrote; `seed`: of the noise; `catalogue_brightness`: whether stars have the
+    catalogue's brightness, and not each that of the photograph.  Returns (height, width) uint8 or uint16: mirrored if
+    the photograph is.  Raises CalibrationError if the simulator does not draw a camera of so wide a view.
     """
     calibration = model.calibration
     solution, reference = calibration.matches.solution, calibration.reference
@@ -193,19 +143,8 @@ def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:
 def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[Any], of_catalogue: NDArray[Any]) -> Twin:
     """Return how a twin differs from its photograph.
 
-    Parameters
-    ----------
-    model : PhotographModel
-    pixels : (height, width) uint8 or uint16
-        The twin.
-    again : (height, width) uint8 or uint16
-        A twin with other noise.
-    of_catalogue : (height, width) uint8 or uint16
-        A twin whose stars have the brightness of the catalogue.
-
-    Returns
-    -------
-    Twin
+    `pixels` (height, width) uint8 or uint16: the twin; `again` (height, width) uint8 or uint16: a twin with other
+    noise; `of_catalogue` (height, width) uint8 or uint16: a twin whose stars have the brightness of the catalogue.
     """
     calibration = model.calibration
     real = calibration.image.pixels_dn
@@ -334,16 +273,8 @@ _MEASURED, _SIMULATED = "k", "tab:red"
 def draw_twin(model: PhotographModel, twin: Twin) -> bytes:
     """Return a photograph beside its twin as a PNG.
 
-    Parameters
-    ----------
-    model : PhotographModel
-    twin : Twin
-
-    Returns
-    -------
-    bytes
-        Both images, a detail in the shadows, and measured beside simulated: the pixels of the sky, their noise against
-        the level, the mean profile of the ten brightest stars, and the peaks of all.
+    Returns: both images, a detail in the shadows, and measured beside simulated: the pixels of the sky, their noise
+    against the level, the mean profile of the ten brightest stars, and the peaks of all.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415

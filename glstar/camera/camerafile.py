@@ -433,17 +433,7 @@ def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Came
 
 
 def camera_warnings(camera: Camera) -> tuple[str, ...]:
-    """Return warnings about implausible numbers of a camera.
-
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    tuple of str
-        Messages; empty for a plausible camera.
-    """
+    """Return warnings about implausible numbers of a camera; returns: messages; empty for a plausible camera."""
     warnings = []
     if not camera.contains([camera.cx_px, camera.cy_px]):
         warnings.append(
@@ -468,16 +458,8 @@ def camera_warnings(camera: Camera) -> tuple[str, ...]:
 def camera_to_yaml(camera: Camera, *comments: str) -> str:
     """Return a camera as a calibration file that `camera_from_file`, ROS and OpenCV's FileStorage read.
 
-    Parameters
-    ----------
-    camera : Camera
-    *comments : str
-        Lines written at the top, such as the origin of the numbers.
-
-    Returns
-    -------
-    str
-        ROS camera_info YAML; reading it returns the same numbers.
+    `*comments`: lines written at the top, such as the origin of the numbers.  Returns: ROS camera_info YAML; reading it
+    returns the same numbers.
     """
     lens = camera.lens
     K = camera.K

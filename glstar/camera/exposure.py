@@ -277,15 +277,8 @@ class Exposure:
 def check_readouts(duration_s: float, readout_s: float, frames: float, gap_s: float) -> None:
     """Raise if a rolling shutter would begin to read a short exposure before it has read the one before it.
 
-    Parameters
-    ----------
-    duration_s, readout_s, frames, gap_s
-        See `Exposure`.
-
-    Raises
-    ------
-    ConfigError
-        If the readout time is longer than the time between two short exposures.
+    `duration_s`, `readout_s`, `frames`, `gap_s`: see `Exposure`.  Raises ConfigError if the readout time is longer than
+    the time between two short exposures.
     """
     # A tolerance for sums such as 0.1 + 0.2.
     if frames > 1 and readout_s > (duration_s + gap_s) * (1 + 1e-9):
@@ -301,18 +294,7 @@ def exposure_span_s(
 ) -> Seconds:
     """Return the time from the first opening to the last closing of exposures.
 
-    Parameters
-    ----------
-    duration_s, readout_s, frames, gap_s : (...) array_like
-        See `Exposure`.
-
-    Returns
-    -------
-    (...) float64
-        s.
-
-    Notes
-    -----
-    Every row is exposed `frames` times with gaps between; the last row is later than the first by the readout time.
+    `duration_s`, `readout_s`, `frames`, `gap_s` (...): see `Exposure`.  Returns (...) s.  Every row is exposed
+    `frames` times with gaps between; the last row is later than the first by the readout time.
     """
     return frames * duration_s + (frames - 1) * gap_s + readout_s

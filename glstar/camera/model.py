@@ -374,19 +374,11 @@ def _camera_body(mount: Mount) -> Float:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeError:
-    """The error of an attitude: the rotation from the true camera frame to the answered one.
+    """The error of an attitude: the rotation from the true camera frame to the answered one."""
 
-    Attributes
-    ----------
-    right_rad, down_rad : float
-        Error of the answered optical axis to the right and down in the image, rad.
-    roll_rad : float
-        Rotation about the optical axis, rad.
-    """
-
-    right_rad: float
+    right_rad: float  # Error of the answered optical axis to the right and down in the image, rad
     down_rad: float
-    roll_rad: float
+    roll_rad: float  # Rotation about the optical axis, rad
 
     @property
     def boresight_rad(self) -> float:
@@ -397,14 +389,7 @@ class AttitudeError:
     def between(cls, C_camera_icrs: Float, C_answered_icrs: Float) -> Self:
         """Return the error of a rotation from ICRS, or another frame, to the camera.
 
-        Parameters
-        ----------
-        C_camera_icrs, C_answered_icrs : (3, 3) float64
-            The true one and the other one.
-
-        Returns
-        -------
-        AttitudeError
+        `C_camera_icrs`, `C_answered_icrs` (3, 3): the true one and the other one.
         """
         turn = turn_from_matrix(C_answered_icrs @ C_camera_icrs.T)
         # The optical axis turns about the image's right axis downwards, about its down axis to the left.

@@ -39,34 +39,18 @@ _QUARTER_TURNS: Final = {3: 2, 5: 1, 6: 3}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotoPixels:
-    """The content of a photograph.
+    """The content of a photograph."""
 
-    Attributes
-    ----------
-    pixels : (height, width) or (height, width, 3) uint8 or uint16
-        Grey, or blue, green and red, as OpenCV has them.
-    white_dn : int or None
-        The digital number at which the camera saturates; None if the file does not say so.
-    exif : bytes
-        EXIF as a TIFF file has it, if it does not begin the file itself; empty if there is none.
-    """
-
+    # (height, width) or (height, width, 3) uint8 or uint16: grey, or blue, green and red, as OpenCV has them.
     pixels: NDArray[Any]
-    white_dn: int | None = None
-    exif: bytes = b""
+    white_dn: int | None = None  # The digital number at which the camera saturates; None if the file does not say so
+    exif: bytes = b""  # EXIF as a TIFF file has it, if it does not begin the file itself; empty if there is none
 
 
 def has_image_signature(start: bytes) -> bool:
     """Return whether a file begins like an image of a format that glstar reads.
 
-    Parameters
-    ----------
-    start : bytes
-        At least the first 16 bytes.
-
-    Returns
-    -------
-    bool
+    `start`: at least the first 16 bytes.
     """
     is_webp = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     return start.startswith((*_SIGNATURES, *_TIFF, _FITS)) or is_webp or _is_heif(start)
@@ -75,25 +59,10 @@ def has_image_signature(start: bytes) -> bool:
 def decode_photo(content: bytes, *, demosaiced: bool = True, upright: bool = False) -> PhotoPixels | None:
     """Return the pixels of a DNG, HEIC or FITS file.
 
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    demosaiced : bool
-        Whether a DNG's mosaic becomes a colour image, by bilinear interpolation of its digital numbers; black level and
-        white balance stay as they are.
-    upright : bool
-        Whether a DNG is rotated as it says that it was taken.
-
-    Returns
-    -------
-    PhotoPixels or None
-        None if the file is of another kind.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged or too large, or the library that reads it is not installed; the message continues "FILE: ".
+    `content`: the file; `demosaiced`: whether a DNG's mosaic becomes a colour image, by bilinear interpolation of its
+    digital numbers; black level and white balance stay as they are; `upright`: whether a DNG is rotated as it says that
+    it was taken.  Returns: none if the file is of another kind.  Raises ValueError if it is damaged or too large, or
+    the library that reads it is not installed; the message continues "FILE: ".
     """
     if content.startswith(_FITS):
         return PhotoPixels(_decoded_fits(content), _white_dn_of_fits(content))
@@ -205,15 +174,7 @@ _TIFF_SHORT: Final = 3
 def shift_bits(full_scale_dn: int) -> int:
     """Return by how many bits digital numbers are shifted up to fill the pixels of a file.
 
-    Parameters
-    ----------
-    full_scale_dn : int
-        The largest digital number.
-
-    Returns
-    -------
-    int
-        4 for 12 bits in 16; 0 if 8 bits hold the numbers.
+    `full_scale_dn`: the largest digital number.  Returns: 4 for 12 bits in 16; 0 if 8 bits hold the numbers.
     """
     bits = int(full_scale_dn).bit_length()
     return 0 if bits <= 8 else _FILE_BITS - bits
@@ -222,19 +183,8 @@ def shift_bits(full_scale_dn: int) -> int:
 def stated_shift_bits(content: bytes) -> int:
     """Return by how many bits an image file says that its digital numbers are shifted up.
 
-    Parameters
-    ----------
-    content : bytes
-        A PNG or TIFF of one channel; 0 for other files.
-
-    Returns
-    -------
-    int
-        0 to 15.
-
-    Notes
-    -----
-    PNG specification, third edition, section 11.3.2.7 (sBIT); TIFF 6.0, section 8 (MaxSampleValue).
+    `content`: a PNG or TIFF of one channel; 0 for other files.  Returns: 0 to 15.  PNG specification, third edition,
+    section 11.3.2.7 (sBIT); TIFF 6.0, section 8 (MaxSampleValue).
     """
     if content.startswith(_PNG_START):
         return _shift_of_png(content)
@@ -244,17 +194,9 @@ def stated_shift_bits(content: bytes) -> int:
 def as_digital_numbers(pixels: NDArray[Any], shift: int) -> NDArray[Any]:
     """Return digital numbers that a file has shifted up.
 
-    Parameters
-    ----------
-    pixels : (height, width) array
-    shift : int
-        From `stated_shift_bits`.
-
-    Returns
-    -------
-    (height, width) array
-        The same pixels if they are not of 16 bits, or if some have bits below the shift: a file of another program may
-        state its significant bits and leave the numbers where they are.
+    `pixels` (height, width); `shift`: from `stated_shift_bits`.  Returns (height, width) the same pixels if they are
+    not of 16 bits, or if some have bits below the shift: a file of another program may state its significant bits and
+    leave the numbers where they are.
     """
     if not shift or pixels.dtype != np.uint16 or pixels.ndim != 2 or (pixels & ((1 << shift) - 1)).any():
         return pixels

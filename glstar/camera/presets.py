@@ -22,65 +22,28 @@ _TABLE_BITS: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class Sourced:
-    """A number and where it is from.
-
-    Attributes
-    ----------
-    value : float
-    source : str
-        Begins with "assumed" if it is no measurement.
-    """
+    """A number and where it is from."""
 
     value: float
-    source: str
+    source: str  # Begins with "assumed" if it is no measurement
 
 
 @dataclass(frozen=True, slots=True)
 class SensorMode:
-    """One readout mode of a sensor.
+    """One readout mode of a sensor."""
 
-    Attributes
-    ----------
-    name : str
-        Such as ``"imx477:2028x1520"``.
-    width_px, height_px : int
-        Size of its images.
-    binning : int
-        Side of the square of pixels that are averaged into one.
-    bit_depth : int
-        Bits of its digital numbers.
-    readout_s : float
-        Time between the first row and the last, s; 0 for a global shutter.
-    source : str
-        Where the readout time is from.
-    pixel_um : float
-        Pitch of its binned pixels, micrometres.
-    values : mapping of str to float or int
-        Keys of ``[sensor]``, for its binned pixels.
-    """
-
-    name: str
-    width_px: int
+    name: str  # Such as ``"imx477:2028x1520"``
+    width_px: int  # Size of its images
     height_px: int
-    binning: int
-    bit_depth: int
-    readout_s: float
-    source: str
-    pixel_um: float
-    values: Mapping[str, float]
+    binning: int  # Side of the square of pixels that are averaged into one
+    bit_depth: int  # Bits of its digital numbers
+    readout_s: float  # Time between the first row and the last, s; 0 for a global shutter
+    source: str  # Where the readout time is from
+    pixel_um: float  # Pitch of its binned pixels, micrometres
+    values: Mapping[str, float]  # Keys of ``[sensor]``, for its binned pixels
 
     def camera(self, lens_mm: float) -> Camera:
-        """Return the camera of this mode behind a lens without distortion.
-
-        Parameters
-        ----------
-        lens_mm : float
-            Focal length, mm.
-
-        Returns
-        -------
-        Camera
-        """
+        """Return the camera of this mode behind a lens without distortion; `lens_mm`: focal length, mm."""
         focal_px = 1000.0 * lens_mm / self.pixel_um
         middle = (self.width_px - 1) / 2, (self.height_px - 1) / 2
         return Camera(self.width_px, self.height_px, focal_px, focal_px, *middle)
@@ -88,25 +51,15 @@ class SensorMode:
 
 @dataclass(frozen=True, slots=True)
 class SensorPreset:
-    """A sensor.
-
-    Attributes
-    ----------
-    name : str
-    description : str
-    numbers : mapping of str to Sourced
-        Numbers of a pixel at full resolution, at an analogue gain of 1; digital numbers are of 12 bits.
-    modes : tuple of SensorMode
-        The first is the full resolution; empty for ``generic``, which fits images of any size.
-    band : str or None
-        ``[sensor] band`` of its colour filters; None if glstar does not have them.
-    """
+    """A sensor."""
 
     name: str
     description: str
+    # Numbers of a pixel at full resolution, at an analogue gain of 1; digital numbers are of 12 bits.
     numbers: Mapping[str, Sourced]
+    # The first is the full resolution; empty for ``generic``, which fits images of any size.
     modes: tuple[SensorMode, ...]
-    band: str | None
+    band: str | None  # ``[sensor] band`` of its colour filters; None if glstar does not have them
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -115,26 +68,14 @@ class SensorPreset:
 
 
 def sensor_presets() -> Mapping[str, SensorPreset]:
-    """Return the sensors by name.
-
-    Returns
-    -------
-    mapping of str to SensorPreset
-    """
+    """Return the sensors by name."""
     return _sensor_presets()
 
 
 def is_sensor_mode(name: str) -> bool:
     """Return whether a name is that of a sensor, or of a mode of one, rather than of a camera.
 
-    Parameters
-    ----------
-    name : str
-        Such as ``"imx477:2028x1520"``.
-
-    Returns
-    -------
-    bool
+    `name`: such as ``"imx477:2028x1520"``.
     """
     return name.lower().partition(":")[0] in _sensor_presets()
 
@@ -142,20 +83,9 @@ def is_sensor_mode(name: str) -> bool:
 def sensor_mode(name: str) -> SensorMode | None:
     """Return a mode of a sensor.
 
-    Parameters
-    ----------
-    name : str
-        ``"imx477:2028x1520"``, or a sensor's name for its full resolution.
-
-    Returns
-    -------
-    SensorMode or None
-        None for a sensor without modes: ``"generic"``.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such sensor or mode; the message lists those that there are.
+    `name`: ``"imx477:2028x1520"``, or a sensor's name for its full resolution.  Returns: none for a sensor without
+    modes: ``"generic"``.  Raises ConfigError if there is no such sensor or mode; the message lists those that there
+    are.
     """
     sensor, colon, size = name.lower().partition(":")
     if sensor not in _sensor_presets():

@@ -33,26 +33,17 @@ _POINTS: Final = 65
 
 @dataclass(frozen=True, slots=True)
 class FalloffFit:
-    """Transmission as polynomials of a function of the squared distance from the principal point.
+    """Transmission as polynomials of a function of the squared distance from the principal point."""
 
-    Attributes
-    ----------
-    star, sky : tuple of float
-        Coefficients of stars and of a uniform sky, ascending powers of w = (1 + b) u / (1 + b u), where u is
-        q / `largest_q` and b is `bend`.
-    largest_q : float
-        Largest q on the image: x^2 + y^2 of the distorted point, squared tangents.
-    bend : float
-        0: w is u; `largest_q`: w is proportional to the squared sine of the field angle of a pinhole, of which cos^4 is
-        a polynomial.
-    curvature : float
-        Upper bound of the second derivatives of both with respect to a coordinate of the distorted point.
-    """
-
+    # Coefficients of stars and of a uniform sky, ascending powers of w = (1 + b) u / (1 + b u), where u is q /
+    # `largest_q` and b is `bend`.
     star: tuple[float, ...]
     sky: tuple[float, ...]
-    largest_q: float
+    largest_q: float  # Largest q on the image: x^2 + y^2 of the distorted point, squared tangents
+    # 0: w is u; `largest_q`: w is proportional to the squared sine of the field angle of a pinhole, of which cos^4 is a
+    # polynomial.
     bend: float
+    # Upper bound of the second derivatives of both with respect to a coordinate of the distorted point.
     curvature: float
 
 
@@ -60,40 +51,25 @@ class FalloffFit:
 class Vignetting:
     """How light falls off towards the corners of the image.
 
-    Attributes
-    ----------
-    vignetting : {"none", "cos4", "polynomial", "flat"}
-        ``"none"``: stars and sky are uniform.  ``"cos4"``: an aperture without mechanical vignetting.
-        ``"polynomial"`` and ``"flat"``: a uniform sky falls off as the polynomial or the measured flat field.
-    vignetting_r2, vignetting_r4, vignetting_r6 : float
-        Coefficients v of 1 + v2 r^2 + v4 r^4 + v6 r^6 with r = 1 at half the diagonal of the image.
-    vignetting_file : str
-        File of the flat field for ``"flat"``.
-
-    Notes
-    -----
     Horn, Robot Vision (1986), section 10.3: irradiance of a surface falls with cos^4: cos^3 is the solid angle of a
     pixel of a pinhole, and cos the projected aperture, which is all that a star loses.
     """
 
+    # {"none", "cos4", "polynomial", "flat"}: ``"none"``: stars and sky are uniform; ``"cos4"``: an aperture without
+    # mechanical vignetting; ``"polynomial"`` and ``"flat"``: a uniform sky falls off as the polynomial or the measured
+    # flat field.
     vignetting: VignettingModel = "none"
+    # Coefficients v of 1 + v2 r^2 + v4 r^4 + v6 r^6 with r = 1 at half the diagonal of the image.
     vignetting_r2: float = 0.0
     vignetting_r4: float = 0.0
     vignetting_r6: float = 0.0
-    vignetting_file: str = ""
+    vignetting_file: str = ""  # File of the flat field for ``"flat"``
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "Vignetting":
         """Return the vignetting of these keys of ``[lens]``.
 
-        Parameters
-        ----------
-        values : mapping of str to object
-            With or without ``lens.`` before each key; others are ignored, and missing ones have their defaults.
-
-        Returns
-        -------
-        Vignetting
+        `values`: with or without ``lens.`` before each key; others are ignored, and missing ones have their defaults.
         """
         given = {key.removeprefix("lens."): value for key, value in values.items()}
         return cls(**{field.name: given[field.name] for field in fields(cls) if field.name in given})
@@ -101,16 +77,7 @@ class Vignetting:
     def of_sky(self, camera: Camera, xy_px: ArrayLike) -> Float:
         """Return the brightness of a uniform sky over that on the axis, per pixel.
 
-        Parameters
-        ----------
-        camera : Camera
-        xy_px : (..., 2) array_like
-            Positions, px.
-
-        Returns
-        -------
-        (...) float64
-            0 where the lens shows nothing.
+        `xy_px` (..., 2): positions, px.  Returns (...) 0 where the lens shows nothing.
         """
         xy = np.asarray(xy_px, dtype=np.float64)
         if self.vignetting == "cos4":
@@ -127,16 +94,8 @@ class Vignetting:
     def of_stars(self, camera: Camera, xy_px: ArrayLike) -> Float:
         """Return the fraction of a star's light that arrives, over that on the axis.
 
-        Parameters
-        ----------
-        camera : Camera
-        xy_px : (..., 2) array_like
-            Positions, px.
-
-        Returns
-        -------
-        (...) float64
-            `of_sky` over `relative_solid_angle`; 0 where the lens shows nothing.
+        `xy_px` (..., 2): positions, px.  Returns (...) `of_sky` over `relative_solid_angle`; 0 where the lens shows
+        nothing.
         """
         if self.vignetting == "none":
             return np.ones(np.shape(xy_px)[:-1])
@@ -145,16 +104,7 @@ class Vignetting:
         return np.where(seen, self.of_sky(camera, xy_px) / np.where(seen, solid_angle, 1.0), 0.0)
 
     def fit(self, camera: Camera) -> FalloffFit:
-        """Return polynomials of `of_stars` and `of_sky` over the image; for all but ``"flat"``.
-
-        Parameters
-        ----------
-        camera : Camera
-
-        Returns
-        -------
-        FalloffFit
-        """
+        """Return polynomials of `of_stars` and `of_sky` over the image; for all but ``"flat"``."""
         return _fit(self, camera)
 
     def _flat_at(self, camera: Camera, xy: Float) -> Float:
@@ -169,16 +119,8 @@ class Vignetting:
 def image_grid(camera: Camera, columns: int, rows: int) -> Float:
     """Return the middles of the cells that divide an image: positions (rows, columns, 2), px.
 
-    Parameters
-    ----------
-    camera : Camera
-    columns, rows : int
-        Number of cells.
-
-    Returns
-    -------
-    (rows, columns, 2) float64
-        The same as the texel centres of a texture that covers the image.
+    `columns`, `rows`: number of cells.  Returns (rows, columns, 2) the same as the texel centres of a texture that
+    covers the image.
     """
     x = (np.arange(columns) + 0.5) * camera.width_px / columns - 0.5
     y = (np.arange(rows) + 0.5) * camera.height_px / rows - 0.5
@@ -188,20 +130,9 @@ def image_grid(camera: Camera, columns: int, rows: int) -> Float:
 def relative_solid_angle(camera: Camera, xy_px: ArrayLike) -> Float:
     """Return the solid angle of pixels over that of a pixel on the optical axis.
 
-    Parameters
-    ----------
-    camera : Camera
-    xy_px : (..., 2) array_like
-        Positions, px.
-
-    Returns
-    -------
-    (...) float64
-        cos^3 of the field angle for a pinhole; 0 where the lens shows nothing.
-
-    Notes
-    -----
-    The solid angle of an area of the undistorted plane is cos^3 of it; the Jacobian of the distortion gives the area.
+    `xy_px` (..., 2): positions, px.  Returns (...) cos^3 of the field angle for a pinhole; 0 where the lens shows
+    nothing.  The solid angle of an area of the undistorted plane is cos^3 of it; the Jacobian of the distortion gives
+    the area.
     """
     ray = camera.unproject(xy_px)
     area = (

@@ -56,21 +56,11 @@ class _OneLineErrors(TyperGroup):
 
 
 class _Command(NamedTuple):
-    """A command.
+    """A command."""
 
-    Attributes
-    ----------
-    module : str
-        The module in ``glstar.cli``.
-    name : str
-        Its function, or ``app``: a group of commands.
-    summary : str
-        The first paragraph of its help, shown by ``glstar --help``.
-    """
-
-    module: str
-    name: str
-    summary: str
+    module: str  # The module in ``glstar.cli``
+    name: str  # Its function, or ``app``: a group of commands
+    summary: str  # The first paragraph of its help, shown by ``glstar --help``
 
 
 COMMANDS: Final = {

@@ -48,20 +48,9 @@ def camera_settings(
 ) -> dict[str, object]:
     """Return the keys of the config that the options set.
 
-    Parameters
-    ----------
-    camera : str or None
-        With the mode of a sensor, the sensor counts electrons as that mode does, its rows are read out
-        as fast, and the lens has vignetting.
-    lens_mm, f_number : float or None
-        The lens before the sensor.
-    gain : float or None
-        Analogue gain of the sensor.
-
-    Returns
-    -------
-    dict of str to object
-        By dotted key; None for what the options leave as it is.
+    `camera`: with the mode of a sensor, the sensor counts electrons as that mode does, its rows are read out as fast,
+    and the lens has vignetting; `lens_mm`, `f_number`: the lens before the sensor; `gain`: analogue gain of the sensor.
+    Returns: by dotted key; None for what the options leave as it is.
     """
     lens: dict[str, object] = {
         "camera.lens_mm": lens_mm,
@@ -161,35 +150,14 @@ Format = Annotated[
 
 
 def log_of(flight: Path | None) -> Path:
-    """Return the given log, by default the bundled one.
-
-    Parameters
-    ----------
-    flight : Path or None
-
-    Returns
-    -------
-    Path
-    """
+    """Return the given log, by default the bundled one."""
     return bundled_flight() if flight is None else flight
 
 
 def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]:
     """Return the given flights, by default that of ``[flight.synthetic]``, else the bundled one.
 
-    Parameters
-    ----------
-    settings : Config
-    flights : collection of Path or None
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    ConfigError
-        If both the command line and the config give a flight.
+    Raises ConfigError if both the command line and the config give a flight.
     """
     described = settings.synthetic.description
     if described is None:
@@ -205,20 +173,10 @@ def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]
 
 @dataclass(frozen=True, slots=True)
 class FlightFlags:
-    """The flags of a command that control how a log is read.
+    """The flags of a command that control how a log is read."""
 
-    Attributes
-    ----------
-    config : Path or None
-        The config file.
-    utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation, columns, position
-        One for each key of ``[flight]`` with a flag; None if it was not given.
-    camera, lens_mm, f_number, gain
-        The camera and its lens: see `camera_settings`.
-    """
-
-    config: ConfigFile = None
-    utc_start: UtcStart = None
+    config: ConfigFile = None  # The config file
+    utc_start: UtcStart = None  # One for each key of ``[flight]`` with a flag; None if it was not given
     lat: Lat = None
     lon: Lon = None
     sysid: Sysid = None
@@ -229,7 +187,7 @@ class FlightFlags:
     interpolation: Interpolate = None
     columns: Columns = None
     position: Position = None
-    camera: CameraName = None
+    camera: CameraName = None  # The camera and its lens: see `camera_settings`
     lens_mm: LensMm = None
     f_number: FNumber = None
     gain: AnalogueGain = None
@@ -237,19 +195,7 @@ class FlightFlags:
     def settings(self, **others: object) -> Config:
         """Return the config of the file, with the flags applied.
 
-        Parameters
-        ----------
-        **others
-            Other flags of the command, by dotted key.
-
-        Returns
-        -------
-        Config
-
-        Raises
-        ------
-        ConfigError
-            If the file or a flag is invalid.
+        `**others`: other flags of the command, by dotted key.  Raises ConfigError if the file or a flag is invalid.
         """
         lens = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
         given = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
@@ -258,12 +204,7 @@ class FlightFlags:
         return settings
 
     def given(self) -> dict[str, object]:
-        """Return the given values by flag.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the given values by flag."""
         values = {flag: getattr(self, _name(flag)) for flag in ("--config", *FLIGHT_FLAGS.values())}
         return {flag: value for flag, value in values.items() if value is not None}
 
@@ -271,15 +212,7 @@ class FlightFlags:
 def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Replace the parameter ``flags: FlightFlags`` of a command by one option for each flag.
 
-    Parameters
-    ----------
-    but : collection of str
-        Flags that the command does not have, by their names in `FlightFlags`.
-
-    Returns
-    -------
-    callable
-        A decorator.
+    `but`: flags that the command does not have, by their names in `FlightFlags`.  Returns a decorator.
     """
     options = [
         Parameter(one.name, Parameter.KEYWORD_ONLY, default=None, annotation=one.type)
@@ -306,10 +239,7 @@ def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., N
 def echo_catalogue_note(catalogue: str) -> None:
     """Write notes on a star catalogue to standard error; nothing if it cannot be opened.
 
-    Parameters
-    ----------
-    catalogue : str
-        Its name or path.
+    `catalogue`: its name or path.
     """
     # The bundled file belongs to the installed version.
     if catalogue == "bsc5":

@@ -27,17 +27,8 @@ class _Rate(ProgressColumn):
 def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
     """Show progress, rate and remaining time on standard error, if that is a terminal.
 
-    A verbose command writes progress to other files too, as lines; a quiet one writes none.
-
-    Parameters
-    ----------
-    label : str
-        Printed before the bar.
-
-    Yields
-    ------
-    callable
-        To be called with the number of finished items and of all items.
+    A verbose command writes progress to other files too, as lines; a quiet one writes none.  `label`: printed before
+    the bar.  Yields: to be called with the number of finished items and of all items.
     """
     in_terminal = sys.stderr.isatty()
     if verbosity() is Verbosity.VERBOSE and not in_terminal:

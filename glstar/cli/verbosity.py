@@ -38,22 +38,13 @@ def echo_note(message: str) -> None:
     """Write a note to standard error, unless the command is quiet.
 
     Warnings about missing or wrong results are not notes: the commands print them at any verbosity.
-
-    Parameters
-    ----------
-    message : str
     """
     if verbosity() > Verbosity.QUIET:
         typer.echo(message, err=True)
 
 
 def echo_detail(message: str) -> None:
-    """Write a detail to standard error if the command is verbose.
-
-    Parameters
-    ----------
-    message : str
-    """
+    """Write a detail to standard error if the command is verbose."""
     if verbosity() is Verbosity.VERBOSE:
         typer.echo(message, err=True)
 
@@ -62,15 +53,7 @@ def echo_detail(message: str) -> None:
 def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
     """Set the verbosity for the time of a command; without either flag it stays as it is.
 
-    Parameters
-    ----------
-    quiet, verbose : bool
-        The flags.
-
-    Raises
-    ------
-    typer.BadParameter
-        If both are given.
+    `quiet`, `verbose`: the flags.  Raises typer.BadParameter if both are given.
     """
     if quiet and verbose:
         raise typer.BadParameter("contradict each other; leave one out", param_hint="--quiet and --verbose")
@@ -85,15 +68,7 @@ def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
 def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the flags ``--quiet`` and ``--verbose``.
 
-    Parameters
-    ----------
-    command : callable
-        The function of a command that writes notes or progress.
-
-    Returns
-    -------
-    callable
-        The command with two parameters more.
+    `command`: the function of a command that writes notes or progress.  Returns the command with two parameters more.
     """
 
     @wraps(command)

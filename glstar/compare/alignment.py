@@ -72,55 +72,31 @@ FindTrails = Callable[[int, Mount, float, float], Pairing | None]
 class Alignment:
     """A fitted clock offset, mount and readout time.
 
-    Attributes
-    ----------
-    mount : Mount
-        The fitted mount, or the given one.
-    turn_rad : (3,) float64
-        Rotation of the camera from the given mount to the fitted one, about the camera's right, down and forward axes,
-        rad; zeros if the mount was not fitted.
-    turn_std_rad : (3,) float64
-        Its standard errors, rad; see Notes.
-    delay_s : float
-        Delay of the exposures against the given times on the flight's clock, s: the camera clock's offset is smaller
-        by this.
-    delay_std_s : float
-        Its standard error, s; NaN if the clock was not fitted.
-    readout_s : float
-        Readout time of the rolling shutter, s, the fitted or the given one; negative if the rows open in the opposite
-        direction of the given one.
-    readout_std_s : float
-        Its standard error, s; NaN if it was not fitted.
-    attitude_std_rad : float
-        Standard deviation of the flight's attitude error from image to image, per axis, rad.
-    images, stars : int
-        Number of images and stars in the fit.
-    set_aside : int
-        Number of images that were excluded because of their attitude error.
-    fitted_time, fitted_mount, fitted_readout : bool
-    notes : tuple of str
-        For the user: why a parameter was not fitted, and which errors the uncertainty does not include.
-
-    Notes
-    -----
     A standard error is half of a 95 % interval.  With few images it is therefore wider than the scatter of the fit: by
     Student's t, 2.3 times for three images and 1.1 times for twelve.
     """
 
-    mount: Mount
+    mount: Mount  # The fitted mount, or the given one
+    # (3,) rotation of the camera from the given mount to the fitted one, about the camera's right, down and forward
+    # axes, rad; zeros if the mount was not fitted.
     turn_rad: Float
-    turn_std_rad: Float
+    turn_std_rad: Float  # (3,) its standard errors, rad; see Notes
+    # Delay of the exposures against the given times on the flight's clock, s: the camera clock's offset is smaller by
+    # this.
     delay_s: float
-    delay_std_s: float
+    delay_std_s: float  # Its standard error, s; NaN if the clock was not fitted
+    # Readout time of the rolling shutter, s, the fitted or the given one; negative if the rows open in the opposite
+    # direction of the given one.
     readout_s: float
-    readout_std_s: float
-    attitude_std_rad: float
-    images: int
+    readout_std_s: float  # Its standard error, s; NaN if it was not fitted
+    attitude_std_rad: float  # Standard deviation of the flight's attitude error from image to image, per axis, rad
+    images: int  # Number of images and stars in the fit
     stars: int
-    set_aside: int
+    set_aside: int  # Number of images that were excluded because of their attitude error
     fitted_time: bool
     fitted_mount: bool
     fitted_readout: bool
+    # For the user: why a parameter was not fitted, and which errors the uncertainty does not include.
     notes: tuple[str, ...]
 
     @property
@@ -175,32 +151,11 @@ def fit_alignment(
 ) -> Alignment | None:
     """Fit clock offset, mount, readout time, or several of them to the trails of real images.
 
-    Parameters
-    ----------
-    find_trails : callable
-        ``find_trails(number, mount, delay_s, readout_s)`` returns the trails of one image.
-    count : int
-        Number of images.
-    mount : Mount
-        The mount to start from.
-    fit_time, fit_mount, fit_readout : bool
-        The parameters to fit.
-    readout_s : float
-        The given readout time, s.
-    focal_px : float
-        Focal length, px.
-    start : ((3,) float64, float, float), optional
-        Start values: a rotation of the camera, rad, a delay, s, and a readout time, s.
-    on_step : callable
-        Called with the number of images done, and the largest possible number.
-
-    Returns
-    -------
-    Alignment or None
-        None if no image shows its trails.
-
-    Notes
-    -----
+    `find_trails`: ``find_trails(number, mount, delay_s, readout_s)`` returns the trails of one image; `count`: number
+    of images; `mount`: the mount to start from; `fit_time`, `fit_mount`, `fit_readout`: the parameters to fit;
+    `readout_s`: the given readout time, s; `focal_px`: focal length, px; `start` ((3,) float64, float, float),
+    optional: start values: a rotation of the camera, rad, a delay, s, and a readout time, s; `on_step`: called with the
+    number of images done, and the largest possible number.  Returns: none if no image shows its trails.
     Gauss-Newton; images are rendered again in every iteration.  A robust fit combines the stars of each image.  The
     variances of the attitude error and of its growth follow from restricted maximum likelihood.  The stated
     uncertainty is the larger of the covariance's and the jackknife's, widened by Student's t for few images.

@@ -38,13 +38,7 @@ def column(pairs: Sequence[Pair], name: str) -> Float:
 def percentage_errors(real_dn: Float, simulated_dn: Float) -> Float:
     """Return simulated minus real intensities, in percent of the real ones.
 
-    Parameters
-    ----------
-    real_dn, simulated_dn : (n,) float64
-
-    Returns
-    -------
-    (n,) float64
+    `real_dn`, `simulated_dn` (n,).  Returns (n,).
     """
     return np.asarray(100 * (simulated_dn - real_dn) / real_dn)
 
@@ -68,27 +62,14 @@ def intensity(real_dn: Float, simulated_dn: Float) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShiftGrid:
-    """Shifts of pairs, averaged over the cells of a grid.
+    """Shifts of pairs, averaged over the cells of a grid."""
 
-    Attributes
-    ----------
-    middle_px : (n, 2) float64
-        Weighted mean position of each cell's pairs, (x, y).
-    shift_px : (n, 2) float64
-        Weighted mean shift, simulated minus real.
-    std_px : (n,) float64
-        Standard error of the mean, RMS of both axes, by the scatter of the pairs; NaN for a single pair.
-    pairs : (n,) int
-        Number of pairs in each cell.
-    cell_px : float
-        Size of a cell, px.
-    """
-
-    middle_px: Float
-    shift_px: Float
+    middle_px: Float  # (n, 2) weighted mean position of each cell's pairs, (x, y)
+    shift_px: Float  # (n, 2) weighted mean shift, simulated minus real
+    # (n,) standard error of the mean, RMS of both axes, by the scatter of the pairs; NaN for a single pair.
     std_px: Float
-    pairs: NDArray[np.intp]
-    cell_px: float
+    pairs: NDArray[np.intp]  # (n,) int: number of pairs in each cell
+    cell_px: float  # Size of a cell, px
 
     @property
     def clear(self) -> NDArray[np.bool_]:
@@ -100,15 +81,7 @@ class ShiftGrid:
 def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
     """Return the shifts of pairs over a grid, each pair weighted by its signal-to-noise ratio squared.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        At least one.
-
-    Returns
-    -------
-    ShiftGrid
-        Cells without pairs are omitted.
+    `pairs`: at least one.  Returns: cells without pairs are omitted.
     """
     position = np.column_stack([column(pairs, "x_px"), column(pairs, "y_px")])
     shift = np.column_stack([column(pairs, "shift_x_px"), column(pairs, "shift_y_px")])
@@ -136,19 +109,8 @@ def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
 def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
     """Return the paper's measures over all pairs.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        At least one.
-
-    Returns
-    -------
-    dict
-        Ready for JSON.  Differences are simulated minus real.
-
-    Notes
-    -----
-    Teague & Chahl, section 3.  Intensities exclude saturated trails.
+    `pairs`: at least one.  Returns: ready for JSON. Differences are simulated minus real.  Teague & Chahl, section
+    3.  Intensities exclude saturated trails.
     """
     lone = [pair for pair in pairs if not pair.saturated]
     long = [pair for pair in pairs if isfinite(pair.length_difference_px)]
@@ -203,14 +165,7 @@ def _spread(values: Float) -> dict[str, float | None]:
 def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
     """Return statistics of each star over the images, the one found most often first.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-
-    Returns
-    -------
-    list of dict
-        Ready for JSON; unidentified stars are omitted.
+    Returns: ready for JSON; unidentified stars are omitted.
     """
     of: dict[tuple[str, int], list[Pair]] = defaultdict(list)
     for pair in pairs:
@@ -247,73 +202,45 @@ _SATURATED_FRACTION: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class RejectedImage:
-    """An image that could not be compared.
-
-    Attributes
-    ----------
-    file : str
-    reason : str
-        Why it could not be compared, as a sentence.
-    kind : str
-        A short form of the reason, for counts.
-    """
+    """An image that could not be compared."""
 
     file: str
-    reason: str
-    kind: str
+    reason: str  # Why it could not be compared, as a sentence
+    kind: str  # A short form of the reason, for counts
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedImage:
-    """The result for one real image.
-
-    Attributes
-    ----------
-    file : str
-    start_utc_s : float or None
-        Start of the simulated exposure on the flight's clock, UTC seconds since 1970; None without a flight.
-    predicted, found, astray, blended, cut_off : int
-        Number of trails that were predicted, found, and found but rejected as outliers of the common motion; number of
-        stars that were not searched for because they overlap another star or leave the image.
-    turn_rad : tuple of float or None
-        Small motion of the camera from the given attitude that fits the trails: rotations about its right, down and
-        forward axes, rad; None without a flight.
-    """
+    """The result for one real image."""
 
     file: str
+    # Start of the simulated exposure on the flight's clock, UTC seconds since 1970; None without a flight.
     start_utc_s: float | None
+    # Number of trails that were predicted, found, and found but rejected as outliers of the common motion; number of
+    # stars that were not searched for because they overlap another star or leave the image.
     predicted: int
     found: int
     astray: int
     blended: int
     cut_off: int
+    # Small motion of the camera from the given attitude that fits the trails: rotations about its right, down and
+    # forward axes, rad; None without a flight.
     turn_rad: tuple[float, ...] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """The result of a comparison.
-
-    Attributes
-    ----------
-    images : tuple of ComparedImage
-    left_out : tuple of RejectedImage
-    pairs : tuple of Pair
-    best, worst : tuple of (Pair, Cutouts)
-        The pairs with the smallest centroid distance, and those with the largest one beyond the noise.
-    alignment : Alignment or None
-        The clock offset and mount that were fitted first.
-    time_sources : str
-        Where the times of the images come from, or how the images were paired.
-    """
+    """The result of a comparison."""
 
     images: tuple[ComparedImage, ...]
     left_out: tuple[RejectedImage, ...]
     pairs: tuple[Pair, ...]
+    # Tuple of (Pair, Cutouts): the pairs with the smallest centroid distance, and those with the largest one beyond the
+    # noise.
     best: tuple[tuple[Pair, Cutouts], ...]
     worst: tuple[tuple[Pair, Cutouts], ...]
-    alignment: Alignment | None
-    time_sources: str
+    alignment: Alignment | None  # The clock offset and mount that were fitted first
+    time_sources: str  # Where the times of the images come from, or how the images were paired
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -337,13 +264,7 @@ class Collector:
         self._worst: list[tuple[Pair, Cutouts]] = []
 
     def add(self, image: ComparedImage, measures: Measures) -> None:
-        """Add the result of an image.
-
-        Parameters
-        ----------
-        image : ComparedImage
-        measures : Measures
-        """
+        """Add the result of an image."""
         self.images.append(image)
         self.pairs.extend(measures.pairs)
         own = list(zip(measures.pairs, measures.pictures, strict=True))
@@ -351,33 +272,13 @@ class Collector:
         self._worst = sorted(self._worst + own, key=lambda one: -one[0].beyond_noise_px)[:_SHOWN_PAIRS]
 
     def reject(self, file: str, kind: str, reason: str) -> None:
-        """Add an image that cannot be compared.
-
-        Parameters
-        ----------
-        file, kind, reason : str
-            The attributes of `RejectedImage`.
-        """
+        """Add an image that cannot be compared; `file`, `kind`, `reason`: the attributes of `RejectedImage`."""
         self.left_out.append(RejectedImage(file, reason, kind))
 
     def result(self, alignment: Alignment | None, time_sources: str, folder: Path) -> Comparison:
         """Return the comparison.
 
-        Parameters
-        ----------
-        alignment : Alignment or None
-        time_sources : str
-        folder : Path
-            The folder of the images, for the error message.
-
-        Returns
-        -------
-        Comparison
-
-        Raises
-        ------
-        ImagesError
-            If no star was paired.
+        `folder`: the folder of the images, for the error message.  Raises ImagesError if no star was paired.
         """
         if not self.pairs:
             raise ImagesError(folder, _nothing_paired(self.left_out))
@@ -402,20 +303,10 @@ def _nothing_paired(left_out: Sequence[RejectedImage]) -> str:
 def chance(pairing: Pairing) -> tuple[str, str] | None:
     """Return why the trails that were found in an image are no evidence of its stars.
 
-    Parameters
-    ----------
-    pairing : Pairing
-
-    Returns
-    -------
-    (str, str) or None
-        Kind and reason, as in `RejectedImage`; None if the trails move together, or most of them were found.
-
-    Notes
-    -----
-    Other stars in the search windows scatter over these: by 1.3 to 2.8 px per axis in images of another part of the
-    sky, where up to 36 % of the windows had one.  The same stars scatter by less than 0.1 px if attitude and lens are
-    right.
+    Returns (str, str) or None: kind and reason, as in `RejectedImage`; None if the trails move together, or most of
+    them were found.  Other stars in the search windows scatter over these: by 1.3 to 2.8 px per axis in images of
+    another part of the sky, where up to 36 % of the windows had one.  The same stars scatter by less than 0.1 px if
+    attitude and lens are right.
     """
     predicted, found = len(pairing.trails), len(pairing.found_indices)
     if found >= _MOST_BY_CHANCE * predicted or not pairing.scatter_px > _CHANCE_SCATTER_PX:
@@ -429,15 +320,7 @@ def chance(pairing: Pairing) -> tuple[str, str] | None:
 def rejection(pairing: Pairing, sky: SubtractedImage) -> tuple[str, str] | None:
     """Return why an image cannot be compared.
 
-    Parameters
-    ----------
-    pairing : Pairing
-    sky : SubtractedImage
-
-    Returns
-    -------
-    (str, str) or None
-        Kind and reason, as in `RejectedImage`; None if enough of its stars were found.
+    Returns (str, str) or None: kind and reason, as in `RejectedImage`; None if enough of its stars were found.
     """
     predicted, found = len(pairing.trails), len(pairing.found_indices)
     if not predicted:

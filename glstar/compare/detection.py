@@ -23,21 +23,11 @@ _SATURATION_FRACTION: Final = 0.98
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SubtractedImage:
-    """A real image minus its background.
+    """A real image minus its background."""
 
-    Attributes
-    ----------
-    above_dn : (height, width) float32
-        Digital numbers minus the local level of the background.
-    noise_dn : (height, width) float32
-        Standard deviation of the background noise, DN.
-    usable : (height, width) bool
-        Mask of the pixels that are not saturated.
-    """
-
-    above_dn: NDArray[np.float32]
-    noise_dn: NDArray[np.float32]
-    usable: NDArray[np.bool_]
+    above_dn: NDArray[np.float32]  # (height, width) float32: digital numbers minus the local level of the background
+    noise_dn: NDArray[np.float32]  # (height, width) float32: standard deviation of the background noise, DN
+    usable: NDArray[np.bool_]  # (height, width) bool: mask of the pixels that are not saturated
 
     @property
     def usual_noise_dn(self) -> float:
@@ -59,16 +49,8 @@ class SubtractedImage:
 def subtract_background(pixels: NDArray[Any], *, saturation_dn: float) -> SubtractedImage:
     """Return a real image minus its background.
 
-    Parameters
-    ----------
-    pixels : (height, width) uint8, uint16 or float32
-        Digital numbers.
-    saturation_dn : float
-        The digital number at which the sensor saturates.
-
-    Returns
-    -------
-    SubtractedImage
+    `pixels` (height, width) uint8, uint16 or float32: digital numbers; `saturation_dn`: the digital number at which the
+    sensor saturates.
     """
     image = pixels.astype(np.float64)
     background = background_of(image)
@@ -288,29 +270,15 @@ def _point(sky: SubtractedImage, centre: Float, sigma_px: float) -> _Trail | Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Strip:
-    """The signal in the frame of a trail: profile along it, and its mean offset across.
+    """The signal in the frame of a trail: profile along it, and its mean offset across."""
 
-    Attributes
-    ----------
-    centre, along_axis, across_axis : (2,) float64
-    along_px : (m,) float64
-        Positions of the profile from the centre.
-    profile_dn : (m,) float64
-        Signal per pixel of length, DN.
-    bend : (3,) float64
-        Offset across as a polynomial of the position along, highest power first, px.
-    noise_dn : float
-        Noise of a value of the profile, DN.
-    at_edge : bool
-    """
-
-    centre: Float
+    centre: Float  # (2,)
     along_axis: Float
     across_axis: Float
-    along_px: Float
-    profile_dn: Float
-    bend: Float
-    noise_dn: float
+    along_px: Float  # (m,) positions of the profile from the centre
+    profile_dn: Float  # (m,) signal per pixel of length, DN
+    bend: Float  # (3,) offset across as a polynomial of the position along, highest power first, px
+    noise_dn: float  # Noise of a value of the profile, DN
     at_edge: bool
 
     @classmethod

@@ -36,24 +36,12 @@ _MAX_FITTED: Final = 48
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """How stars are searched for.
+    """How stars are searched for."""
 
-    Attributes
-    ----------
-    angle_rad : float
-        The largest error of the camera's direction, rad.
-    time_s : float
-        The largest error of the camera's clock if its offset is fitted, s.
-    least_signal : float
-        Smallest signal-to-noise ratio of a whole trail.
-    most_stars : int
-        Largest number of stars per image, those of the highest signal-to-noise ratio.
-    """
-
-    angle_rad: float = float(np.deg2rad(1.5))
-    time_s: float = 1.0
-    least_signal: float = 10.0
-    most_stars: int = 60
+    angle_rad: float = float(np.deg2rad(1.5))  # The largest error of the camera's direction, rad
+    time_s: float = 1.0  # The largest error of the camera's clock if its offset is fitted, s
+    least_signal: float = 10.0  # Smallest signal-to-noise ratio of a whole trail
+    most_stars: int = 60  # Largest number of stars per image, those of the highest signal-to-noise ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,22 +58,10 @@ class _Searched:
 class FlightComparison:
     """Compares real images with simulated images of a flight.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    renderer : Renderer
-    images : sequence of RealImage
-    exposure : Exposure
-        Exposure time of images that do not state one, and the rate of sub-exposures; its start is ignored.
-    reference : TimeReference
-        The instant of the exposure that an image's time refers to, if the time source does not state it.
-    own_length : bool
-        Whether an exposure time in the image's metadata overrides that of `exposure`.
-    search : Search
-    problems : sequence of str
-        Files that could not be used, as ``name: reason``.
-    seed : int
-        The seed of the simulated noise.
+    `exposure`: exposure time of images that do not state one, and the rate of sub-exposures; its start is ignored;
+    `reference`: the instant of the exposure that an image's time refers to, if the time source does not state it;
+    `own_length`: whether an exposure time in the image's metadata overrides that of `exposure`; `problems`: files that
+    could not be used, as ``name: reason``; `seed`: the seed of the simulated noise.
     """
 
     def __init__(
@@ -129,21 +105,8 @@ class FlightComparison:
     def run(self, alignment: Alignment | None = None, *, on_step: OnStep | None = None) -> Comparison:
         """Compare all images.
 
-        Parameters
-        ----------
-        alignment : Alignment, optional
-            The result of `align`, to be applied.
-        on_step : callable
-            Called with the number of images done, and of all.
-
-        Returns
-        -------
-        Comparison
-
-        Raises
-        ------
-        ImagesError
-            If no star of any image could be paired.
+        `alignment`: the result of `align`, to be applied; `on_step`: called with the number of images done, and of all.
+        Raises ImagesError if no star of any image could be paired.
         """
         report = on_step or (lambda *_: None)
         mount = self._simulator.mount if alignment is None else alignment.mount
@@ -184,17 +147,8 @@ class FlightComparison:
     ) -> Alignment | None:
         """Fit the clock offset, the mount, the readout time, or several of them to the trails of up to 48 images.
 
-        Parameters
-        ----------
-        fit_time, fit_mount, fit_readout : bool
-            The parameters to fit.
-        on_step : callable
-            Called with the number of images done, and the largest possible number.
-
-        Returns
-        -------
-        Alignment or None
-            None if no image shows its trails.
+        `fit_time`, `fit_mount`, `fit_readout`: the parameters to fit; `on_step`: called with the number of images done,
+        and the largest possible number.  Returns: none if no image shows its trails.
         """
         if fit_readout and self._stack.frames > 1:
             raise ConfigError(

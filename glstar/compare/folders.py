@@ -39,16 +39,8 @@ _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 def paired_files(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[list[tuple[Path, Path]], list[Path]]:
     """Pair the simulated images with the real ones.
 
-    Parameters
-    ----------
-    real, simulated : sequence of Path
-
-    Returns
-    -------
-    pairs : list of (Path, Path)
-        Files with the same name except for the suffix, else with the same last number in their names.
-    alone : list of Path
-        Real images without a simulated one.
+    Returns `pairs` list of (Path, Path): files with the same name except for the suffix, else with the same last number
+    in their names; `alone`: real images without a simulated one.
     """
     by_name = {path.stem: path for path in simulated}
     by_number: dict[int, list[Path]] = {}
@@ -79,29 +71,9 @@ def compare_folders(
 ) -> Comparison:
     """Compare real images with the simulated ones of a folder.
 
-    Parameters
-    ----------
-    real : sequence of Path
-        Image files.
-    simulated : Path
-        A folder.
-    search_px : float
-        The largest shift of an image, px.
-    least_signal : float
-        Smallest signal-to-noise ratio of a whole trail.
-    most_stars : int
-        Largest number of stars per image.
-    on_step : callable
-        Called with the number of images done, and of all.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    ImagesError
-        If the folder holds no image, or no star could be paired.
+    `real`: image files; `simulated`: a folder; `search_px`: the largest shift of an image, px; `least_signal`: smallest
+    signal-to-noise ratio of a whole trail; `most_stars`: largest number of stars per image; `on_step`: called with the
+    number of images done, and of all.  Raises ImagesError if the folder holds no image, or no star could be paired.
     """
     report = on_step or (lambda *_: None)
     pairs, alone = paired_files(real, image_files(simulated))
@@ -136,10 +108,7 @@ def _compare_image(collected: Collector, name: str, sky: SubtractedImage, trails
 def image_files(folder: Path) -> list[Path]:
     """Return the image files of a folder, sorted by name, without the noiseless images and the masks of an export.
 
-    Raises
-    ------
-    ImagesError
-        If there is no such folder, or no image in it.
+    Raises ImagesError if there is no such folder, or no image in it.
     """
     try:
         files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())

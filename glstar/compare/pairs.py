@@ -35,39 +35,21 @@ _DAMPING: Final = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cutouts:
-    """Cutouts of one pair, DN above the background.
+    """Cutouts of one pair, DN above the background."""
 
-    Attributes
-    ----------
-    real, simulated : (h, w) float32
-    """
-
-    real: NDArray[np.float32]
+    real: NDArray[np.float32]  # (h, w) float32
     simulated: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """The result of a search for trails in one real image.
+    """The result of a search for trails in one real image."""
 
-    Attributes
-    ----------
-    trails : Trails
-        The predicted trails.
-    found : tuple of (FoundTrail or None)
-        One for each predicted trail.
-    astray : int
-        Number of trails that were found but are outliers of the common motion; they do not count as found.
-    motion : (m,) float64
-        The small motion of the camera that fits the trails; see `Trails.jacobian`.
-    scatter_px : float
-        Standard deviation, per axis, of the trails that were found about that motion, px; NaN if none was.
-    """
-
-    trails: Trails
-    found: tuple[FoundTrail | None, ...]
-    astray: int
-    motion: Float
+    trails: Trails  # The predicted trails
+    found: tuple[FoundTrail | None, ...]  # Tuple of (FoundTrail or None): one for each predicted trail
+    astray: int  # Number of trails that were found but are outliers of the common motion; they do not count as found
+    motion: Float  # (m,) the small motion of the camera that fits the trails; see `Trails.jacobian`
+    # Standard deviation, per axis, of the trails that were found about that motion, px; NaN if none was.
     scatter_px: float = np.nan
 
     @property
@@ -81,66 +63,36 @@ class Pair:
     """One star on one real image and on its simulated counterpart.
 
     Differences are simulated minus real.
-
-    Attributes
-    ----------
-    image : str
-        The real image's name.
-    catalogue : str
-        The catalogue that numbers the star; empty if it is unknown.
-    star_id : int
-        Its number there; 0 if the star is unknown.
-    name : str
-    vmag : float
-    x_px, y_px : float
-        The middle of the simulated trail.
-    signal_to_noise : float
-        Of the simulated trail on the real image's noise.
-    peak_real_dn, peak_simulated_dn : float
-        Peak intensities above the background by the fit of the whole trail, DN.  The real one is the peak that the
-        star's flux would have along the simulated path.
-    pixel_real_dn, pixel_simulated_dn : float
-        The brightest pixels above the background, as in the paper, DN; noise included.
-    saturated : bool
-        Whether the real or the simulated trail has saturated pixels.
-    centroid_px : float
-        L of eq. (46) in a common region of interest: distance of the centroids in the image, px.
-    shape_px : float
-        L of eq. (46), each in the smallest region of interest of its own trail, as in the paper: the distribution of
-        the flux along the trail, px.
-    baseline_px : float
-        The same for a straight line of constant brightness, whose centroid is the centre of its region, px.
-    noise_px : float
-        Standard deviation of the real centroid due to noise, px.
-    shift_x_px, shift_y_px, shift_std_px : float
-        Shift of the trail by the fit; the standard deviation is that of the better determined direction.
-    length_px : float
-        Length of the simulated trail, px.
-    length_difference_px, direction_difference_rad : float
-        NaN for a trail too short to have them; directions are positive clockwise on the image.
     """
 
-    image: str
-    catalogue: str
-    star_id: int
+    image: str  # The real image's name
+    catalogue: str  # The catalogue that numbers the star; empty if it is unknown
+    star_id: int  # Its number there; 0 if the star is unknown
     name: str
     vmag: float
-    x_px: float
+    x_px: float  # The middle of the simulated trail
     y_px: float
-    signal_to_noise: float
+    signal_to_noise: float  # Of the simulated trail on the real image's noise
+    # Peak intensities above the background by the fit of the whole trail, DN. The real one is the peak that the star's
+    # flux would have along the simulated path.
     peak_real_dn: float
     peak_simulated_dn: float
-    pixel_real_dn: float
+    pixel_real_dn: float  # The brightest pixels above the background, as in the paper, DN; noise included
     pixel_simulated_dn: float
-    saturated: bool
-    centroid_px: float
+    saturated: bool  # Whether the real or the simulated trail has saturated pixels
+    centroid_px: float  # L of eq. (46) in a common region of interest: distance of the centroids in the image, px
+    # L of eq. (46), each in the smallest region of interest of its own trail, as in the paper: the distribution of the
+    # flux along the trail, px.
     shape_px: float
+    # The same for a straight line of constant brightness, whose centroid is the centre of its region, px.
     baseline_px: float
-    noise_px: float
+    noise_px: float  # Standard deviation of the real centroid due to noise, px
+    # Shift of the trail by the fit; the standard deviation is that of the better determined direction.
     shift_x_px: float
     shift_y_px: float
     shift_std_px: float
-    length_px: float
+    length_px: float  # Length of the simulated trail, px
+    # NaN for a trail too short to have them; directions are positive clockwise on the image.
     length_difference_px: float
     direction_difference_rad: float
 
@@ -153,12 +105,7 @@ class Pair:
 class CrossCorrelation:
     """Cross-correlation of a real image with simulated ones, over small shifts.
 
-    Parameters
-    ----------
-    significance : (h, w) float32
-        The real image in units of its noise.
-    most_px : float
-        The largest shift, px.
+    `significance` (h, w) float32: the real image in units of its noise; `most_px`: the largest shift, px.
     """
 
     def __init__(self, significance: NDArray[np.float32], most_px: float) -> None:
@@ -174,15 +121,8 @@ class CrossCorrelation:
     def to(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the cross-correlation with a simulated image.
 
-        Parameters
-        ----------
-        density : (h, w) float32
-            In units of the real image's noise.
-
-        Returns
-        -------
-        (2 r + 1, 2 r + 1) float32
-            For shifts of the real image by -r to r px down (rows) and to the right (columns); -inf beyond the largest.
+        `density` (h, w) float32: in units of the real image's noise.  Returns (2 r + 1, 2 r + 1) float32: for shifts of
+        the real image by -r to r px down (rows) and to the right (columns); -inf beyond the largest.
         """
         expected = np.clip(density, 0.0, _MAX_SIGNAL)
         product = np.conj(self._transformed(expected)) * self._real
@@ -212,24 +152,10 @@ def coarse_side(shape: tuple[int, ...], most: int) -> int:
 def pair_trails(sky: SubtractedImage, trails: Trails, *, search_px: float, expected_px: Float | None = None) -> Pairing:
     """Find the trails of a simulated image in a real one.
 
-    Parameters
-    ----------
-    sky : SubtractedImage
-    trails : Trails
-    search_px : float
-        The largest shift of the whole image, px.
-    expected_px : (k, 2) float64, optional
-        Expected shift of each trail, to 1 or 2 px.  If it is given, the common shift is not searched for.
-
-    Returns
-    -------
-    Pairing
-        It may have no trail that was found.
-
-    Notes
-    -----
-    The common shift by cross-correlation, then each trail near its shifted position, then the motion of the camera
-    that most trails agree on, then each trail near its position by that motion.
+    `search_px`: the largest shift of the whole image, px; `expected_px` (k, 2): expected shift of each trail, to 1 or 2
+    px; if it is given, the common shift is not searched for.  Returns: it may have no trail that was found.  The
+    common shift by cross-correlation, then each trail near its shifted position, then the motion of the camera that
+    most trails agree on, then each trail near its position by that motion.
     """
     if not len(trails):
         return Pairing(trails, (), 0, np.zeros(3))
@@ -324,38 +250,18 @@ def _spread_px(trail: FoundTrail) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measures:
-    """Measurements of one real image.
-
-    Attributes
-    ----------
-    pairs : tuple of Pair
-    pictures : tuple of Cutouts
-        One for each pair.
-    """
+    """Measurements of one real image."""
 
     pairs: tuple[Pair, ...]
-    pictures: tuple[Cutouts, ...]
+    pictures: tuple[Cutouts, ...]  # One for each pair
 
 
 def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
     """Return the paper's measurements of every trail that was found.
 
-    Parameters
-    ----------
-    image : str
-        The real image's name.
-    sky : SubtractedImage
-    pairing : Pairing
-
-    Returns
-    -------
-    Measures
-
-    Notes
-    -----
-    Teague & Chahl, section 3, eqs (44)-(46).  Departs from eq. (44): the background is subtracted because it pulls
-    every centroid to the centre of the region; pixels outside of the trail's aperture are excluded; the centre of a
-    region is computed from the centres of its pixels, to a fraction of a pixel.
+    `image`: the real image's name.  Teague & Chahl, section 3, eqs (44)-(46).  Departs from eq. (44): the background
+    is subtracted because it pulls every centroid to the centre of the region; pixels outside of the trail's aperture
+    are excluded; the centre of a region is computed from the centres of its pixels, to a fraction of a pixel.
     """
     pairs, pictures = [], []
     for k in pairing.found_indices:

@@ -25,26 +25,14 @@ _ROLLING_SAMPLES: Final = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExposedPaths:
-    """Paths of stars at n times that are evenly spaced while the shutter is open.
+    """Paths of stars at n times that are evenly spaced while the shutter is open."""
 
-    Attributes
-    ----------
-    in_camera : (n, k, 3) float64
-        Vectors in the camera frame; NaN below the horizon.
-    step_s : float
-        Time between two samples of one piece, s.
-    exposed_fraction : (k,) float64
-        How long each star is recorded over the exposure time.
-    since_mid : (n,) float64
-        Times after the middle, over the time from the first opening to the last closing: -1/2 to 1/2.
-    pieces : int
-        Number of pieces with gaps between, of as many samples each: the short exposures of a stacked image.
-    """
-
-    in_camera: _Float
-    step_s: float
-    exposed_fraction: _Float
+    in_camera: _Float  # (n, k, 3) vectors in the camera frame; NaN below the horizon
+    step_s: float  # Time between two samples of one piece, s
+    exposed_fraction: _Float  # (k,) how long each star is recorded over the exposure time
+    # (n,) times after the middle, over the time from the first opening to the last closing: -1/2 to 1/2.
     since_mid: _Float
+    # Number of pieces with gaps between, of as many samples each: the short exposures of a stacked image.
     pieces: int = 1
 
     def rate_of(self, values: _Float) -> _Float:
@@ -56,18 +44,9 @@ class ExposedPaths:
 def exposed_paths(scene: Scene, direction_eq: _Float) -> ExposedPaths:
     """Return the sampled paths of stars while the shutter is open.
 
-    Parameters
-    ----------
-    scene : Scene
-        Of a single exposure, or of a stacked image.
-    direction_eq : (k, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-
-    Returns
-    -------
-    ExposedPaths
-        Under a rolling shutter while the row of each star is open.  A delay of the exposure also delays its rows, so
-        that the time between samples in which a star moves is that of a star at rest.
+    `scene`: of a single exposure, or of a stacked image; `direction_eq` (k, 3): geocentric apparent unit vectors, true
+    equator and equinox.  Returns: under a rolling shutter while the row of each star is open; a delay of the exposure
+    also delays its rows, so that the time between samples in which a star moves is that of a star at rest.
     """
     if not scene.shorts:
         return _single(scene, direction_eq)
@@ -122,48 +101,25 @@ _MIN_TRAIL_SIGMA: Final = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trails:
-    """Star trails of one simulated image that can be measured: complete, isolated and above the noise.
+    """Star trails of one simulated image that can be measured: complete, isolated and above the noise."""
 
-    Attributes
-    ----------
-    catalogue : str
-        The catalogue that numbers the stars; empty if it is unknown.
-    star_id : (k,) int32
-        Their numbers there; 0 for an unknown star.
-    name : tuple of str
-    vmag : (k,) float64
-        Magnitudes; NaN if unknown.
-    path_px : (n, k, 2) float64
-        The star paths: positions (x, y) at n times; of a stacked image while each short exposure is open.
-    signal_dn : (height, width) float32
-        The noiseless signal above the background, DN, without saturation.
-    pixels_dn : (height, width) float32
-        The simulated image minus its sky level, DN: with noise, quantisation and saturation.
-    headroom_dn : float
-        Signal above the sky at which a pixel saturates, DN.
-    sigma_px : float
-        Standard deviation of a star, including the pixel's width, px.
-    jacobian : (k, 4, m) float64
-        Derivatives of each trail's shift along x and y (px), stretch (a fraction) and turn (rad) by each of m small
-        motions of the camera.
-    signal_to_noise : (k,) float64
-        Signal-to-noise ratio of the whole trail on the real image, if it is as bright there.
-    blended, cut_off : int
-        Number of stars that were excluded because they overlap another one or leave the image.
-    """
-
-    catalogue: str
-    star_id: NDArray[np.int32]
+    catalogue: str  # The catalogue that numbers the stars; empty if it is unknown
+    star_id: NDArray[np.int32]  # (k,) int32: their numbers there; 0 for an unknown star
     name: tuple[str, ...]
-    vmag: Float
+    vmag: Float  # (k,) magnitudes; NaN if unknown
+    # (n, k, 2) the star paths: positions (x, y) at n times; of a stacked image while each short exposure is open.
     path_px: Float
+    # (height, width) float32: the noiseless signal above the background, DN, without saturation.
     signal_dn: NDArray[np.float32]
+    # (height, width) float32: the simulated image minus its sky level, DN: with noise, quantisation and saturation.
     pixels_dn: NDArray[np.float32]
-    headroom_dn: float
-    sigma_px: float
+    headroom_dn: float  # Signal above the sky at which a pixel saturates, DN
+    sigma_px: float  # Standard deviation of a star, including the pixel's width, px
+    # (k, 4, m) derivatives of each trail's shift along x and y (px), stretch (a fraction) and turn (rad) by each of m
+    # small motions of the camera.
     jacobian: Float
-    signal_to_noise: Float
-    blended: int = 0
+    signal_to_noise: Float  # (k,) signal-to-noise ratio of the whole trail on the real image, if it is as bright there
+    blended: int = 0  # Number of stars that were excluded because they overlap another one or leave the image
     cut_off: int = 0
 
     def __len__(self) -> int:
@@ -199,19 +155,11 @@ class Trails:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stamp:
-    """The smallest rectangle of an image that holds a trail.
+    """The smallest rectangle of an image that holds a trail."""
 
-    Attributes
-    ----------
-    left, top : int
-        Its first column and row.
-    mask : (h, w) bool
-        Mask of the pixels in the trail's aperture.
-    """
-
-    left: int
+    left: int  # Its first column and row
     top: int
-    mask: Mask
+    mask: Mask  # (h, w) bool: mask of the pixels in the trail's aperture
 
     def of(self, image: NDArray[Number]) -> NDArray[Number]:
         """Return an image's pixels inside, (h, w)."""
@@ -227,18 +175,8 @@ class Stamp:
 def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Stamp:
     """Return the stamp of one path.
 
-    Parameters
-    ----------
-    path_px : (n, 2) float64
-    half_width_px : float
-        Half the width of the aperture, px.
-    margin_px : int
-        Margin of the stamp around the mask, px.
-
-    Returns
-    -------
-    Stamp
-        It may extend beyond the image.
+    `path_px` (n, 2); `half_width_px`: half the width of the aperture, px; `margin_px`: margin of the stamp around the
+    mask, px.  Returns: it may extend beyond the image.
     """
     low = np.floor(path_px.min(axis=0) - half_width_px).astype(int) - margin_px
     high = np.ceil(path_px.max(axis=0) + half_width_px).astype(int) + margin_px
@@ -253,24 +191,11 @@ def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Sta
 def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signal: float, most: int) -> Trails:
     """Return the trails of a scene that can be measured: complete, isolated and above the noise.
 
-    Parameters
-    ----------
-    scene : Scene
-    frame : Frame
-        The rendered frame, with its noiseless signal.
-    noise_dn : float
-        Standard deviation of the real image's noise, DN.
-    least_signal : float
-        Smallest signal-to-noise ratio of a whole trail.
-    most : int
-        Largest number of trails, those of the highest signal-to-noise ratio.
-
-    Returns
-    -------
-    Trails
-        The motions of their Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay
-        of the exposure (s), a longer readout time with the same start of the exposure (s), and rotations about the same
-        axes that grow from -1/2 to +1/2 during the exposure (rad).
+    `frame`: the rendered frame, with its noiseless signal; `noise_dn`: standard deviation of the real image's noise,
+    DN; `least_signal`: smallest signal-to-noise ratio of a whole trail; `most`: largest number of trails, those of the
+    highest signal-to-noise ratio.  Returns the motions of their Jacobian are rotations of the camera about its right,
+    down and forward axes (rad), a delay of the exposure (s), a longer readout time with the same start of the exposure
+    (s), and rotations about the same axes that grow from -1/2 to +1/2 during the exposure (rad).
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
@@ -352,16 +277,8 @@ def _row_fraction(scene: Scene, xy_px: Float) -> Float:
 def trail_jacobian(fields: Float, trails: Trails) -> Float:
     """Return the Jacobian of shift, stretch and turn of trails, from the motion of their points.
 
-    Parameters
-    ----------
-    fields : (n, k, 2, m) float64
-        Displacement of each point of each path per unit of each of m motions, px.
-    trails : Trails
-
-    Returns
-    -------
-    (k, 4, m) float64
-        Shift along x and y, px; stretch along the trail, a fraction; turn, rad; by least squares.
+    `fields` (n, k, 2, m): displacement of each point of each path per unit of each of m motions, px.  Returns (k, 4, m)
+    shift along x and y, px; stretch along the trail, a fraction; turn, rad; by least squares.
     """
     jacobian = np.zeros((len(trails), 4, fields.shape[-1]))
     jacobian[:, :2] = fields.mean(axis=0)

@@ -38,15 +38,9 @@ _BINS: Final = 40
 def draw_plots(comparison: Comparison) -> bytes:
     """Return a PNG with plots of all pairs.
 
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Returns
-    -------
-    bytes
-        Peak intensities of the three stars found most often and of all, measured against simulated (the paper's figure
-        8); centroid distances beside those of a straight line (figure 9); magnitudes, lengths, directions and shifts.
+    Returns: peak intensities of the three stars found most often and of all, measured against simulated (the paper's
+    figure 8); centroid distances beside those of a straight line (figure 9); magnitudes, lengths, directions and
+    shifts.
     """
     figure = Figure(figsize=(15, 13.2))
     FigureCanvasAgg(figure)
@@ -87,14 +81,7 @@ def draw_plots(comparison: Comparison) -> bytes:
 def draw_pairs(shown: Sequence[tuple[Pair, Cutouts]], title: str) -> bytes:
     """Return a PNG of pairs, one per row: real, simulated, and real minus simulated.
 
-    Parameters
-    ----------
-    shown : sequence of (Pair, Cutouts)
-    title : str
-
-    Returns
-    -------
-    bytes
+    `shown` sequence of (Pair, Cutouts).
     """
     rows = -(-len(shown) // 2)
     figure = Figure(figsize=(15, 0.7 + 2.3 * rows))
@@ -267,16 +254,8 @@ SCHEMA: Final = "glstar-compare-2"
 def comparison_json(comparison: Comparison, **about: Any) -> dict[str, Any]:
     """Return a comparison, ready to be written as JSON.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    **about
-        Additional entries, placed first.
-
-    Returns
-    -------
-    dict
-        ``schema, images, summary, stars, alignment, left_out``; unknown values are null.
+    `**about`: additional entries, placed first.  Returns ``schema, images, summary, stars, alignment, left_out``;
+    unknown values are null.
     """
     kinds = Counter(one.kind for one in comparison.left_out)
     facts = {
@@ -321,14 +300,7 @@ def alignment_json(alignment: Alignment) -> dict[str, Any]:
 def comparison_table(comparison: Comparison) -> str:
     """Return the pairs as CSV, one per line, in the order of the images.
 
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Returns
-    -------
-    str
-        The columns are the attributes of `Pair`, angles in degrees; empty if unknown.
+    Returns the columns are the attributes of `Pair`, angles in degrees; empty if unknown.
     """
     written = StringIO()
     table = csv.writer(written, lineterminator="\n")
@@ -343,23 +315,9 @@ def comparison_table(comparison: Comparison) -> str:
 def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> list[Path]:
     """Write a comparison's files, each atomically.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    directory : Path
-        Created if it does not exist.
-    **about
-        Additional entries of ``compare.json``.
-
-    Returns
-    -------
-    list of Path
-        ``compare.json``, ``pairs.csv``, ``compare.png``, ``best.png``, ``worst.png``.
-
-    Raises
-    ------
-    ExportError
-        If they cannot be written.
+    `directory`: created if it does not exist; `**about`: additional entries of ``compare.json``.  Returns
+    ``compare.json``, ``pairs.csv``, ``compare.png``, ``best.png``, ``worst.png``.  Raises ExportError if they cannot be
+    written.
     """
     facts = json.dumps(comparison_json(comparison, **about), indent=1, allow_nan=False) + "\n"
     contents = {

@@ -41,33 +41,17 @@ _SLOPE: Final = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundTrail:
-    """How a trail of the real image differs from the simulated one.
+    """How a trail of the real image differs from the simulated one."""
 
-    Attributes
-    ----------
-    modes : (4,) float64
-        Real minus simulated: shift along x and y, px; stretch, a fraction of the length; turn, rad, clockwise on the
-        image.
-    covariance : (4, 4) float64
-        Covariance of the modes; zero for modes that were not fitted.
-    bent : bool
-        Whether stretch and turn were fitted.
-    brightness : float
-        Ratio of the real signal to the simulated one, per pixel.
-    brightness_std : float
-    sky_dn : float
-        Residual background level under the trail, DN.
-    saturated : bool
-        Whether it has saturated pixels.
-    """
-
+    # (4,) real minus simulated: shift along x and y, px; stretch, a fraction of the length; turn, rad, clockwise on the
+    # image.
     modes: Float
-    covariance: Float
-    bent: bool
-    brightness: float
+    covariance: Float  # (4, 4) covariance of the modes; zero for modes that were not fitted
+    bent: bool  # Whether stretch and turn were fitted
+    brightness: float  # Ratio of the real signal to the simulated one, per pixel
     brightness_std: float
-    sky_dn: float
-    saturated: bool
+    sky_dn: float  # Residual background level under the trail, DN
+    saturated: bool  # Whether it has saturated pixels
 
 
 def find_trail(
@@ -82,31 +66,11 @@ def find_trail(
 ) -> FoundTrail | None:
     """Find one trail in a real image.
 
-    Parameters
-    ----------
-    sky : SubtractedImage
-    signal_dn : (height, width) float32
-        The simulated noiseless signal.
-    path_px : (n, 2) float64
-        The star path on the simulated image.
-    half_width_px : float
-        Half the width of the aperture along the path, px.
-    expected_px : (2,) float64
-        Expected shift, px.
-    window_px : float
-        Half the size of the search window around it, px.
-    bends : bool
-        Whether it is long enough to fit stretch and turn.
-
-    Returns
-    -------
-    FoundTrail or None
-        None if no matching signal is in the window.
-
-    Notes
-    -----
-    Levenberg-Marquardt fit of brightness, sky, shift, stretch and turn, by least squares over the pixels that are not
-    saturated.
+    `signal_dn` (height, width) float32: the simulated noiseless signal; `path_px` (n, 2): the star path on the
+    simulated image; `half_width_px`: half the width of the aperture along the path, px; `expected_px` (2,): expected
+    shift, px; `window_px`: half the size of the search window around it, px; `bends`: whether it is long enough to fit
+    stretch and turn.  Returns: none if no matching signal is in the window.  Levenberg-Marquardt fit of brightness,
+    sky, shift, stretch and turn, by least squares over the pixels that are not saturated.
     """
     stamp = stamp_of(path_px, half_width_px, margin_px=_MARGIN_PX)
     if not stamp.inside(signal_dn.shape):

@@ -27,53 +27,33 @@ _MOST_EXPOSURES = 2.0**53
 
 
 class ExposureSection(Section):
-    """``[exposure]``: exposure times, and how trails are drawn.
+    """``[exposure]``: exposure times, and how trails are drawn."""
 
-    Attributes
-    ----------
-    duration_s : float
-        Exposure time, s.
-    at : {"camera"} or None
-        When exposures begin: when the log says that the camera was triggered; None for a regular interval.
-    at_delay_s : float
-        Time from a trigger of the camera to the opening of its shutter, s.
-    interval_s : float
-        Time from the start of one exposure to the start of the next, s.
-    rate_hz : float
-        The minimum number of sub-exposures per second, for "sprites".
-    trail : {"auto", "analytic", "sprites"}
-        How trails are drawn: see `Exposure`.
-    path_tolerance_px : float
-        Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
-    faintest_dn : float
-        Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
-    readout_s : float
-        Readout time of a rolling shutter, s; 0 for a global shutter.
-    readout : {"down", "up", "left", "right"}
-        Direction in which the rolling shutter proceeds.
-    frames : int
-        Number of short exposures that are stacked into each image.
-    gap_s : float
-        Time from the end of one short exposure to the start of the next, s.
-    stack : {"sum", "mean"}
-        Whether short exposures are added or averaged.
-    """
-
-    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
+    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")  # Exposure time, s
+    # When exposures begin: when the log says that the camera was triggered; None for a regular interval.
     at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
+    # Time from a trigger of the camera to the opening of its shutter, s.
     at_delay_s: float = Field(default=0.0, allow_inf_nan=False, description="a number of seconds")
+    # Time from the start of one exposure to the start of the next, s.
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
+    # The minimum number of sub-exposures per second, for "sprites".
     rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
-    trail: Trail = _EXPOSURE.trail
+    trail: Trail = _EXPOSURE.trail  # {"auto", "analytic", "sprites"}: how trails are drawn: see `Exposure`
+    # Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
     path_tolerance_px: float = Field(default=_EXPOSURE.path_tolerance_px, ge=0, description="a number of px, 0 or more")
+    # Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
     faintest_dn: float = Field(default=_EXPOSURE.faintest_dn, ge=0, description="a number of DN, 0 or more")
+    # Readout time of a rolling shutter, s; 0 for a global shutter.
     readout_s: float = Field(default=_EXPOSURE.readout_s, ge=0, description="a number of seconds, 0 or more")
+    # {"down", "up", "left", "right"}: direction in which the rolling shutter proceeds.
     readout: Readout = _EXPOSURE.readout
+    # Number of short exposures that are stacked into each image.
     frames: int = Field(
         default=_EXPOSURE.frames, ge=1, le=MAX_FRAMES, description=f"a whole number from 1 to {MAX_FRAMES}"
     )
+    # Time from the end of one short exposure to the start of the next, s.
     gap_s: float = Field(default=_EXPOSURE.gap_s, ge=0, description="a number of seconds, 0 or more")
-    stack: Stack = _EXPOSURE.stack
+    stack: Stack = _EXPOSURE.stack  # {"sum", "mean"}: whether short exposures are added or averaged
 
     @field_validator("trail", mode="before")
     @classmethod
@@ -84,18 +64,8 @@ class ExposureSection(Section):
     def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
         """Return one exposure of the sequence that a camera records on a flight.
 
-        Parameters
-        ----------
-        number : int
-            Number of the exposure, from 0.
-        first_utc_s : float
-            The flight's first attitude, UTC seconds since 1970.
-        start_s : float
-            Start of the first exposure, s after the first attitude.
-
-        Returns
-        -------
-        Exposure
+        `number`: number of the exposure, from 0; `first_utc_s`: the flight's first attitude, UTC seconds since 1970;
+        `start_s`: start of the first exposure, s after the first attitude.
         """
         return self.starting_at(first_utc_s + (start_s + number * self.interval_s))
 
@@ -112,16 +82,7 @@ class ExposureSection(Section):
     def starting_at(self, start_utc_s: float, duration_s: float | None = None) -> Exposure:
         """Return an exposure with the section's settings.
 
-        Parameters
-        ----------
-        start_utc_s : float
-            When the shutter opens, UTC seconds since 1970.
-        duration_s : float, optional
-            Another exposure time, s.
-
-        Returns
-        -------
-        Exposure
+        `start_utc_s`: when the shutter opens, UTC seconds since 1970; `duration_s`: another exposure time, s.
         """
         duration_s = self.duration_s if duration_s is None else duration_s
         return Exposure(
@@ -141,15 +102,7 @@ class ExposureSection(Section):
     def count_within(self, length_s: float) -> int:
         """Return the number of exposures of the sequence that end within a time span.
 
-        Parameters
-        ----------
-        length_s : float
-            Time from the start of the first exposure to the end of the last, s.
-
-        Returns
-        -------
-        int
-            0 if none fits.
+        `length_s`: time from the start of the first exposure to the end of the last, s.  Returns: 0 if none fits.
         """
         return int(exposures_within(length_s, self.span_s, self.interval_s))
 
@@ -157,18 +110,9 @@ class ExposureSection(Section):
 def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
     """Return the number of exposures of a sequence that end within a time span.
 
-    Parameters
-    ----------
-    length_s : (...) array_like
-        Time from the start of the first exposure to the end of the last, s.
-    span_s, interval_s : (...) array_like
-        Time from the start of an exposure to its end (of a rolling shutter, until the last row closes), and from the
-        start of one exposure to the start of the next, s.
-
-    Returns
-    -------
-    (...) int64
-        0 where none fits.
+    `length_s` (...): time from the start of the first exposure to the end of the last, s; `span_s`, `interval_s` (...):
+    time from the start of an exposure to its end (of a rolling shutter, until the last row closes), and from the start
+    of one exposure to the start of the next, s.  Returns (...) int64: 0 where none fits.
     """
     # A tolerance of half the resolution of the clock, so that the last exposure may end with the track.
     length, span, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, span_s, interval_s))
@@ -181,20 +125,8 @@ def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLi
 def checked_lens(values: dict[str, Any], camera: Camera, folder: Path, faults: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the values of ``[lens]`` with the absolute path of its flat field.
 
-    Parameters
-    ----------
-    values : dict of str to object
-        The section, each key checked on its own.
-    camera : Camera
-        The flat field must have its size.
-    folder : Path
-        The folder that the path is relative to.
-    faults : list of (key, message)
-        Errors are appended.
-
-    Returns
-    -------
-    dict of str to object
+    `values`: the section, each key checked on its own; `camera`: the flat field must have its size; `folder`: the
+    folder that the path is relative to; `faults` list of (key, message): errors are appended.
     """
     file = values["vignetting_file"]
     if values["vignetting"] != "flat":
@@ -219,18 +151,8 @@ def checked_lens(values: dict[str, Any], camera: Camera, folder: Path, faults: l
 def checked_output(values: dict[str, Any], folder: Path, faults: list[tuple[str, str]]) -> dict[str, Any]:
     """Return the values of ``[output]`` with the points of the tone curve as text.
 
-    Parameters
-    ----------
-    values : dict of str to object
-        The section, each key checked on its own.
-    folder : Path
-        The folder that the path of a curve is relative to.
-    faults : list of (key, message)
-        Errors are appended.
-
-    Returns
-    -------
-    dict of str to object
+    `values`: the section, each key checked on its own; `folder`: the folder that the path of a curve is relative to;
+    `faults` list of (key, message): errors are appended.
     """
     given = values["tone_curve"]
     if not given:

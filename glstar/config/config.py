@@ -473,16 +473,9 @@ Origin = tuple[Any, str]
 def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Origin]]:
     """Return every value of a config with its origin.
 
-    Parameters
-    ----------
-    config : Config
-    flags : mapping of str to str
-        Flag by dotted key, of the keys that were given on the command line.
-
-    Returns
-    -------
-    dict of str to dict of str to (value, str)
-        By section and key; the origin is a flag, the config file, a preset or file that it names, or "default".
+    `flags`: flag by dotted key, of the keys that were given on the command line.  Returns: dict of str to dict of str
+    to (value, str): by section and key; the origin is a flag, the config file, a preset or file that it names, or
+    "default".
     """
     document = {} if config.file is None else toml_of(config.file)
     name = "" if config.file is None else config.file.name

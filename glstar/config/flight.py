@@ -72,17 +72,7 @@ class _SyntheticKeys(Section):
         return f"{PREFIX}{self.path}{'?' if query else ''}{query}"
 
     def flight(self) -> SyntheticFlight:
-        """Return the described flight.
-
-        Returns
-        -------
-        SyntheticFlight
-
-        Raises
-        ------
-        ConfigError
-            If there is no path, or a value is impossible.
-        """
+        """Return the described flight; raises ConfigError if there is no path, or a value is impossible."""
         if self.path is None:
             given = next(iter(self.settings), None)
             message = "is missing" if given is None else f"is missing beside {given}"
@@ -130,16 +120,7 @@ else:
 
 
 def changes_length(keys: Mapping[str, Any]) -> bool:
-    """Return whether any of these dotted keys may change how long a synthetic flight lasts.
-
-    Parameters
-    ----------
-    keys : mapping by dotted key
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether any of these dotted keys may change how long a synthetic flight lasts."""
     return any(
         key.startswith(f"{SYNTHETIC}.") and key.removeprefix(f"{SYNTHETIC}.") not in _OF_ANY_LENGTH for key in keys
     )
@@ -150,17 +131,10 @@ _SPREAD = "a number of degrees, 0 or more"
 
 
 class NavigatorSection(Section):
-    """``[navigator]``: estimated attitude, mount, clock and position; without any key there is no ``nav.jsonl``.
+    """``[navigator]``: estimated attitude, mount, clock and position; without any key there is no ``nav.jsonl``."""
 
-    Attributes
-    ----------
-    attitude : str
-        ``"model"``: the true attitude with the errors of the keys below; else a message of the log, such as ``"ATT"``,
-        with the same errors on top (none by default).
-    seed : int
-        Of the random errors.
-    """
-
+    # ``"model"``: the true attitude with the errors of the keys below; else a message of the log, such as ``"ATT"``,
+    # with the same errors on top (none by default).
     attitude: str = Field(default="model", min_length=1, description='"model" or the name of a message, such as "ATT"')
     roll_bias_deg: float = Field(default=0.0, description=_DEGREES)
     pitch_bias_deg: float = Field(default=0.0, description=_DEGREES)
@@ -177,7 +151,7 @@ class NavigatorSection(Section):
     mount_yaw_error_deg: float = Field(default=0.0, description=_DEGREES)
     clock_offset_s: float = Field(default=0.0, ge=-3600, le=3600, description="a number of seconds, -3600 to 3600")
     gps: Literal["known", "denied"] = "denied"
-    seed: int = Field(default=0, ge=0, description="a whole number, 0 or more")
+    seed: int = Field(default=0, ge=0, description="a whole number, 0 or more")  # Of the random errors
 
     @property
     def errors(self) -> AttitudeErrorModel:
@@ -206,14 +180,7 @@ class NavigatorSection(Section):
     def real_mount(self, nominal: Mount) -> Mount:
         """Return the mount of the camera that draws the frames.
 
-        Parameters
-        ----------
-        nominal : Mount
-            As in ``[mount]``, which is what the navigator knows.
-
-        Returns
-        -------
-        Mount
+        `nominal`: as in ``[mount]``, which is what the navigator knows.
         """
         if self.mount_error == MountError():
             return nominal
@@ -251,83 +218,60 @@ class MountSection(Section):
 
 
 class AirSection(Section):
-    """``[air]``: pressure and temperature, which determine the refraction, and what the air takes of the light.
+    """``[air]``: pressure and temperature, which determine the refraction, and what the air takes of the light."""
 
-    Attributes
-    ----------
-    pressure_hpa : float
-        Pressure at the aircraft (not reduced to sea level), hPa.
-    temperature_c : float
-        Temperature at the aircraft, degrees Celsius.
-    rayleigh_mag, aerosol_mag, ozone_mag : float
-        Extinction per air mass at sea level by the air, the aerosol and the ozone, mag.
-    aerosol_scale_m : float
-        Height in which the aerosol falls to 1/e, m.
-    """
-
+    # Pressure at the aircraft (not reduced to sea level), hPa.
     pressure_hpa: float = Field(
         default=STANDARD_PRESSURE_HPA,
         ge=PRESSURES_HPA[0],
         le=PRESSURES_HPA[1],
         description="a number of hPa from 0 to 1200",
     )
+    # Temperature at the aircraft, degrees Celsius.
     temperature_c: float = Field(
         default=STANDARD_TEMPERATURE_C,
         ge=TEMPERATURES_C[0],
         le=TEMPERATURES_C[1],
         description="degrees Celsius, from -120 to 100",
     )
+    # Extinction per air mass at sea level by the air, the aerosol and the ozone, mag.
     rayleigh_mag: float = Field(default=_EXTINCTION.rayleigh_mag, ge=0, le=10, description="a magnitude from 0 to 10")
     aerosol_mag: float = Field(default=_EXTINCTION.aerosol_mag, ge=0, le=10, description="a magnitude from 0 to 10")
+    # Height in which the aerosol falls to 1/e, m.
     aerosol_scale_m: float = Field(default=_EXTINCTION.aerosol_scale_m, gt=0, description="a positive number of metres")
     ozone_mag: float = Field(default=_EXTINCTION.ozone_mag, ge=0, le=10, description="a magnitude from 0 to 10")
 
 
 class FlightSection(Section):
-    """``[flight]``: how the log is read.
+    """``[flight]``: how the log is read."""
 
-    Attributes
-    ----------
-    attitude : str
-        ``"auto"``, or the name of the message to take the attitude from.
-    time_offset_s : float
-        The camera's clock minus the log's, s; file names of images contain it, see `glstar.flight.Flight`.
-    utc_start : str or None
-        UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong clock.
-    latitude_deg, longitude_deg : float or None
-        For logs without positions: a fixed site, WGS84, east positive.  It overrides the positions of the log.
-    height_m : float or None
-        Height of that site above the WGS84 ellipsoid, m; None means 0.
-    sysid : int or None
-        For telemetry logs of several vehicles: the MAVLink system ID of the vehicle.
-    boot : int or None
-        For logs of several boots of the autopilot: the number of the boot, from 1.
-    max_gap_s : float or None
-        The longest data gap of the attitude to interpolate across, s; frames in longer gaps are skipped.
-    interpolation : {"slerp", "spline", "gyro"}
-        Interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
-    columns : str or None
-        What the columns of a table mean; see `glstar.telemetry.column_map`.
-    position : str or None
-        A GPX, KML, NMEA or IGC file with the positions of the flight.
-    """
-
+    # ``"auto"``, or the name of the message to take the attitude from.
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
+    # The camera's clock minus the log's, s; file names of images contain it, see `glstar.flight.Flight`.
     time_offset_s: float = Field(default=0.0, description="a number of seconds")
+    # UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong clock.
     utc_start: str | None = Field(default=None, description='a time such as "2024-03-10T11:00:00Z"')
+    # For logs without positions: a fixed site, WGS84, east positive; it overrides the positions of the log.
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="degrees north, from -90 to 90")
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
+    # Height of that site above the WGS84 ellipsoid, m; None means 0.
     height_m: float | None = Field(
         default=None, ge=HEIGHTS_M[0], le=HEIGHTS_M[1], description="a number of metres from -1000 to 100000"
     )
+    # For telemetry logs of several vehicles: the MAVLink system ID of the vehicle.
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+    # For logs of several boots of the autopilot: the number of the boot, from 1.
     boot: int | None = Field(default=None, ge=1, description="a whole number from 1")
+    # The longest data gap of the attitude to interpolate across, s; frames in longer gaps are skipped.
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
+    # {"slerp", "spline", "gyro"}: interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
     interpolation: Interpolation = "slerp"
+    # What the columns of a table mean; see `glstar.telemetry.column_map`.
     columns: str | None = Field(
         default=None, min_length=1, description='a column map such as "airdata", a .toml file, or "time=t,roll=phi,..."'
     )
 
+    # A GPX, KML, NMEA or IGC file with the positions of the flight.
     position: str | None = Field(
         default=None, min_length=1, description="the path of a track: GPX, KML, KMZ, NMEA or IGC"
     )

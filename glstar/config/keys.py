@@ -39,15 +39,7 @@ EFFECT_DEFAULTS: Final = MappingProxyType(
 def effect_values(checked: Callable[[type[Section], str], Section]) -> dict[str, dict[str, Any]]:
     """Return the values of the effects that have their own section.
 
-    Parameters
-    ----------
-    checked : callable
-        Takes a model and the name of a section, and returns the checked section.
-
-    Returns
-    -------
-    dict of str to dict of str to float, int, bool or str
-        By section and key.
+    `checked`: takes a model and the name of a section, and returns the checked section.  Returns: by section and key.
     """
     return {name: checked(model, name).model_dump() for name, model in EFFECT_SECTIONS.items()}
 
@@ -88,21 +80,8 @@ def toml_value(value: object) -> str:
     """Return a value as TOML, on one line.
 
     `tomli_w.dumps` has no comments and writes each item of an array on a line of its own; config and calibration files
-    have comments beside their values.
-
-    Parameters
-    ----------
-    value : bool, int, float, str, or list of these
-        Infinities and NaN are TOML's ``inf`` and ``nan``.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    TypeError
-        If TOML has no such value.
+    have comments beside their values.  `value`: infinities and NaN are TOML's ``inf`` and ``nan``.  Raises TypeError
+    if TOML has no such value.
     """
     if isinstance(value, list | tuple):
         return f"[{', '.join(toml_value(item) for item in value)}]"

@@ -288,10 +288,7 @@ def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrigh
 def with_readout(section: ExposureSection, tables: Tables, *presets: str | None) -> ExposureSection:
     """Return the exposure with the readout time of the first preset that is a mode of a sensor, unless it is given.
 
-    Raises
-    ------
-    ConfigError
-        If short exposures of a rolling shutter follow each other faster than it reads them.
+    Raises ConfigError if short exposures of a rolling shutter follow each other faster than it reads them.
     """
     modes = [sensor_mode(name) for name in presets if name is not None and is_sensor_mode(name)]
     if "readout_s" not in tables.get("exposure", {}) and modes and modes[0] is not None:
@@ -343,19 +340,7 @@ def sky_of(section: SkySection, folder: Path, faults: list[Fault]) -> SkySection
 def observed_sky(section: SkySection, stars: StarCatalogue) -> Sky:
     """Return the sky of the section with some stars.
 
-    Parameters
-    ----------
-    section : SkySection
-    stars : StarCatalogue
-
-    Returns
-    -------
-    Sky
-
-    Raises
-    ------
-    ConfigError
-        If the file of a horizon profile or of satellites has changed and is no longer valid.
+    Raises ConfigError if the file of a horizon profile or of satellites has changed and is no longer valid.
     """
     return Sky(
         stars,
@@ -379,17 +364,7 @@ def _satellites(section: SkySection) -> Satellites | None:
 def extinction_of(sky: SkySection, air: AirSection, colour: ColourBand | None = None) -> Extinction | None:
     """Return the extinction by the air above the aircraft.
 
-    Parameters
-    ----------
-    sky : SkySection
-    air : AirSection
-    colour : ColourBand, optional
-        Of the sensor, for ``sky.extinction_band = "sensor"``.
-
-    Returns
-    -------
-    Extinction or None
-        None with ``sky.extinction = "none"``.
+    `colour`: of the sensor, for ``sky.extinction_band = "sensor"``.  Returns: none with ``sky.extinction = "none"``.
     """
     if sky.extinction == "none":
         return None
@@ -408,17 +383,7 @@ def _is_lit_naturally(tables: Tables) -> bool:
 
 
 def sky_effects(sky: SkySection) -> dict[str, EffectValue]:
-    """Return the values of the effects whose keys are in ``[sky]``.
-
-    Parameters
-    ----------
-    sky : SkySection
-
-    Returns
-    -------
-    dict of str to float, int, bool or str
-        By dotted key.
-    """
+    """Return the values of the effects whose keys are in ``[sky]``; returns: by dotted key."""
     return {
         f"sky.{key.name}": getattr(sky, key.name)
         for effect in EFFECTS

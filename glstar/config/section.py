@@ -24,15 +24,7 @@ S = TypeVar("S", bound=Section)
 def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
     """Add the keys of the effects in a section of the config to its model.
 
-    Parameters
-    ----------
-    name : str
-        The section.
-
-    Returns
-    -------
-    callable
-        A decorator of a subclass of `Section`.
+    `name`: the section.  Returns a decorator of a subclass of `Section`.
     """
 
     def extended(model: type[S]) -> type[S]:

@@ -99,14 +99,7 @@ class SensorSection(Section):
 def noise_model_of(keys: Mapping[str, Any]) -> NoiseModel:
     """Return the noise model that the keys of a table ask for: a preset of a sensor counts electrons.
 
-    Parameters
-    ----------
-    keys : mapping of str to object
-        The table ``[sensor]`` as given.
-
-    Returns
-    -------
-    {"paper", "electrons"}
+    `keys`: the table ``[sensor]`` as given.  Returns: {"paper", "electrons"}.
     """
     counts_electrons = keys.get("noise", "electrons" if "preset" in keys else "paper") == "electrons"
     return "electrons" if counts_electrons else "paper"
@@ -115,15 +108,7 @@ def noise_model_of(keys: Mapping[str, Any]) -> NoiseModel:
 def foreign_keys(keys: Iterable[str], noise: NoiseModel) -> list[str]:
     """Return which keys of ``[sensor]`` belong to the other noise model.
 
-    Parameters
-    ----------
-    keys : iterable of str
-    noise : {"paper", "electrons"}
-        The noise model of the sensor.
-
-    Returns
-    -------
-    list of str
+    `noise` {"paper", "electrons"}: the noise model of the sensor.
     """
     other = _ELECTRON_KEYS if noise == "paper" else frozenset(PAPER_KEYS)
     return [key for key in keys if key in other]
@@ -138,22 +123,9 @@ def completed_sensor(
 ) -> SensorSection:
     """Return the section with the values that were not given: those of its preset, zero point and sky.
 
-    Parameters
-    ----------
-    section : SensorSection
-        The keys, each checked on its own.
-    keys : mapping of str to object
-        The table as given.
-    camera : Camera
-        The size of its pixels on the sky decides the electrons of the sky.
-    aperture_mm : float or None
-        Diameter of the entrance pupil if ``[camera]`` has a lens.
-    faults : list of (key, message)
-        Errors are appended.
-
-    Returns
-    -------
-    SensorSection
+    `section`: the keys, each checked on its own; `keys`: the table as given; `camera`: the size of its pixels on the
+    sky decides the electrons of the sky; `aperture_mm`: diameter of the entrance pupil if ``[camera]`` has a lens;
+    `faults` list of (key, message): errors are appended.
     """
     noise = noise_model_of(keys)
     for key in foreign_keys(keys, noise):
@@ -217,25 +189,10 @@ def zero_point_e_per_s(
 ) -> float:
     """Return the photo-electrons per second of a star of magnitude 0.
 
-    Parameters
-    ----------
-    aperture_mm : float
-        Diameter of the entrance pupil: focal length over f-number, mm.
-    lens_transmission : float
-        Fraction of the light that the lens passes.
-    quantum_efficiency : float
-        At the peak of the passband.
-    photons_per_s_cm2 : float
-        Photons of the star through the passband with a peak of 1, 1/(s cm^2).
-
-    Returns
-    -------
-    float
-        Electrons per second.
-
-    Notes
-    -----
-    Janesick, Photon Transfer (2007), chapter 2: photons times area times transmission times quantum efficiency.
+    `aperture_mm`: diameter of the entrance pupil: focal length over f-number, mm; `lens_transmission`: fraction of the
+    light that the lens passes; `quantum_efficiency`: at the peak of the passband; `photons_per_s_cm2`: photons of the
+    star through the passband with a peak of 1, 1/(s cm^2).  Returns: electrons per second.  Janesick, Photon Transfer
+    (2007), chapter 2: photons times area times transmission times quantum efficiency.
     """
     area_cm2 = pi / 4 * (aperture_mm / 10) ** 2
     return photons_per_s_cm2 * area_cm2 * lens_transmission * quantum_efficiency
@@ -249,21 +206,8 @@ def _pixel_arcsec2(camera: Camera) -> float:
 def sensor_from(numbers: Mapping[str, EffectValue], effects: Mapping[str, EffectValue]) -> Sensor:
     """Return the sensor of these keys.
 
-    Parameters
-    ----------
-    numbers : mapping of str to float, int, bool or str
-        As `SensorSection.numbers` has them.
-    effects : mapping of str to float, int, bool or str
-        Values of effects in sections of their own, by dotted key.
-
-    Returns
-    -------
-    Sensor
-
-    Raises
-    ------
-    ConfigError
-        If a value is not valid; `key` names it.
+    `numbers`: as `SensorSection.numbers` has them; `effects`: values of effects in sections of their own, by dotted
+    key.  Raises ConfigError if a value is not valid; `key` names it.
     """
     rest: dict[str, Any] = dict(numbers)
     electrons = None

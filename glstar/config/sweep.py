@@ -38,41 +38,19 @@ _RANGE_KEYS: Final = {"min", "max", "log"}
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One key that varies.
+    """One key that varies."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key, such as ``"exposure.duration_s"``.
-    values : tuple
-        The values in turn; empty for a random range.
-    least, most : float
-        Bounds of the random range; times in UTC seconds since 1970.
-    log : bool
-        Whether its logarithm is distributed uniformly.
-    kind : {"float", "int", "utc"}
-        Type of the random values.
-    """
-
-    key: str
-    values: tuple[Any, ...] = ()
-    least: float = 0.0
+    key: str  # Dotted key, such as ``"exposure.duration_s"``
+    values: tuple[Any, ...] = ()  # The values in turn; empty for a random range
+    least: float = 0.0  # Bounds of the random range; times in UTC seconds since 1970
     most: float = 0.0
-    log: bool = False
-    kind: str = "float"
+    log: bool = False  # Whether its logarithm is distributed uniformly
+    kind: str = "float"  # {"float", "int", "utc"}: type of the random values
 
     def drawn(self, chance: NDArray[np.float64]) -> list[Any]:
         """Return random values.
 
-        Parameters
-        ----------
-        chance : (n,) float64
-            Uniform random numbers in [0, 1).
-
-        Returns
-        -------
-        list of float, int or str
-            Times are ISO 8601 strings.
+        `chance` (n,): uniform random numbers in [0, 1).  Returns: times are ISO 8601 strings.
         """
         if self.kind == "int":
             whole: list[Any] = np.floor(self.least + chance * (self.most - self.least + 1)).astype(np.int64).tolist()
@@ -99,20 +77,11 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """Varying settings: all combinations of the lists, each with several random draws of the ranges.
-
-    Attributes
-    ----------
-    axes : tuple of Axis
-    draws : int
-        Number of draws per combination.
-    seed : int
-        Seed of the random draws.
-    """
+    """Varying settings: all combinations of the lists, each with several random draws of the ranges."""
 
     axes: tuple[Axis, ...] = ()
-    draws: int = 1
-    seed: int = 0
+    draws: int = 1  # Number of draws per combination
+    seed: int = 0  # Seed of the random draws
 
     def __len__(self) -> int:
         return self.combinations * self.draws
@@ -128,33 +97,15 @@ class Sweep:
     def sample(self, number: int, *, salt: int = 0) -> dict[str, Any]:
         """Return the settings of one sample, by dotted key.
 
-        Parameters
-        ----------
-        number : int
-            Index of the sample; draws vary fastest, then the last list.
-        salt : int
-            Another stream of draws: the index of a flight in the data set.
-
-        Returns
-        -------
-        dict
-            It depends on the seed, the salt and the number only.
+        `number`: index of the sample; draws vary fastest, then the last list; `salt`: another stream of draws: the
+        index of a flight in the data set.  Returns: it depends on the seed, the salt and the number only.
         """
         return {axis.key: self._values(axis, number, 1, salt)[0] for axis in self.axes}
 
     def column(self, key: str, *, salt: int = 0) -> list[Any]:
         """Return the values of one key in all samples; much faster than `sample` for each.
 
-        Parameters
-        ----------
-        key : str
-            The key of one of the axes.
-        salt : int
-            As for `sample`.
-
-        Returns
-        -------
-        list
+        `key`: the key of one of the axes; `salt`: as for `sample`.
         """
         [axis] = [axis for axis in self.axes if axis.key == key]
         return list(
@@ -175,24 +126,14 @@ class Sweep:
         return axis.drawn(np.random.Generator(stream.advance(draw)).random(count))
 
     def extremes(self) -> Iterator[dict[str, Any]]:
-        """Yield settings that contain every value of a list and both bounds of every range.
-
-        Yields
-        ------
-        dict
-        """
+        """Yield settings that contain every value of a list and both bounds of every range."""
         usual = {axis.key: axis.ends[0] for axis in self.axes}
         for axis in self.axes:
             for value in axis.ends:
                 yield usual | {axis.key: value}
 
     def as_json(self) -> dict[str, Any]:
-        """Return the sweep, ready for JSON.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the sweep, ready for JSON."""
         varies: dict[str, Any] = {
             axis.key: list(axis.values) or {"min": axis.ends[0], "max": axis.ends[1], "log": axis.log}
             for axis in self.axes
@@ -203,15 +144,7 @@ class Sweep:
     def of(cls, table: object, faults: list[Fault]) -> Self:
         """Return the sweep of a table, and append its errors to a list.
 
-        Parameters
-        ----------
-        table : object
-            The value of ``sweep`` in the TOML file.
-        faults : list of (key, message)
-
-        Returns
-        -------
-        Sweep
+        `table`: the value of ``sweep`` in the TOML file; `faults` list of (key, message).
         """
         if not isinstance(table, Mapping):
             faults.append(("sweep", f"must be a section, [sweep] with keys below it, not {shown(table)}"))

@@ -65,59 +65,24 @@ _FRAMES_PER_FOLDER: Final = 1000
 def frame_folder(number: int) -> str:
     """Return the folder of a frame.  It depends on the number only, so files stay in place when an export grows.
 
-    Parameters
-    ----------
-    number : int
-        Frame number.
-
-    Returns
-    -------
-    str
-        Name of the folder; empty for the first 10,000 frames.
+    `number`: frame number.  Returns: name of the folder; empty for the first 10,000 frames.
     """
     return "" if number < _FRAMES_WITHOUT_FOLDER else f"frames_{number - number % _FRAMES_PER_FOLDER:06d}"
 
 
 def frame_folders(directory: Path) -> list[Path]:
-    """Return the folders of frames in a directory, without symbolic links.
-
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    list of Path
-    """
+    """Return the folders of frames in a directory, without symbolic links."""
     named = (entry for entry in directory.iterdir() if is_folder_name(entry.name))
     return [entry for entry in named if entry.is_dir() and not entry.is_symlink()]
 
 
 def is_folder_name(name: str) -> bool:
-    """Return whether a name is that of a folder of frames.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a name is that of a folder of frames."""
     return _FOLDER.fullmatch(name) is not None
 
 
 def output_files(directory: Path) -> Iterator[Path]:
-    """Return the entries of a directory and of its folders of frames.
-
-    Parameters
-    ----------
-    directory : Path
-
-    Yields
-    ------
-    Path
-    """
+    """Return the entries of a directory and of its folders of frames."""
     for folder in (directory, *frame_folders(directory)):
         yield from folder.iterdir()
 
@@ -125,16 +90,7 @@ def output_files(directory: Path) -> Iterator[Path]:
 def frame_numbers(directory: Path, suffix: str) -> NDArray[np.int64]:
     """Return the frames that have a file.
 
-    Parameters
-    ----------
-    directory : Path
-    suffix : str
-        Suffix of the name, such as ".png".
-
-    Returns
-    -------
-    (n,) int64
-        Increasing.
+    `suffix`: suffix of the name, such as ".png".  Returns (n,) int64: increasing.
     """
     name = re.compile(rf"frame_(\d{{6,}}){re.escape(suffix)}")
     found = (match for path in output_files(directory) if (match := name.fullmatch(path.name)))
@@ -148,15 +104,7 @@ _ADVICE: Final = "glstar follows no links below its output directory; remove it,
 def refuse_links(directory: Path) -> None:
     """Refuse a directory where a name that an export uses belongs to a link, a pipe or another kind of file.
 
-    Parameters
-    ----------
-    directory : Path
-        May itself be a link.
-
-    Raises
-    ------
-    ExportError
-        Names the first one.
+    `directory`: may itself be a link.  Raises ExportError: names the first one.
     """
     folders = [directory]
     for folder in folders:
@@ -172,14 +120,7 @@ def refuse_links(directory: Path) -> None:
 def refuse_link(path: Path) -> None:
     """Refuse a file of the output directory that is a link or no regular file.
 
-    Parameters
-    ----------
-    path : Path
-        Must exist.
-
-    Raises
-    ------
-    ExportError
+    `path`: must exist.  Raises ExportError.
     """
     _refuse(path, is_expected=stat.S_ISREG(path.lstat().st_mode), expected="regular file")
 
@@ -192,17 +133,7 @@ def _refuse(path: Path, *, is_expected: bool, expected: str) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder of frames, unless it exists.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Raises
-    ------
-    ExportError
-        If a link or a file has its name.
-    """
+    """Make a folder of frames, unless it exists; raises ExportError if a link or a file has its name."""
     try:
         folder.mkdir()
         flush_directory(folder.parent)
@@ -211,21 +142,7 @@ def make_folder(folder: Path) -> None:
 
 
 def create(path: Path) -> IO[bytes]:
-    """Create a file and open it for writing.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    binary file
-
-    Raises
-    ------
-    FileExistsError
-        If the name exists, even as a broken link.
-    """
+    """Create a file and open it for writing; raises FileExistsError if the name exists, even as a broken link."""
     return path.open("xb")
 
 
@@ -233,22 +150,7 @@ def open_to_append(path: Path) -> IO[bytes]:
     """Open a file of the output directory for appending; create it if it does not exist.
 
     If the file has other hard links, as after ``cp -al``, it is copied first, so that the other names keep their
-    content.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    binary file
-
-    Raises
-    ------
-    ExportError
-        If it is a symbolic link or no regular file.
-    OSError
-        If it cannot be opened.
+    content.  Raises ExportError if it is a symbolic link or no regular file; OSError if it cannot be opened.
     """
     try:
         file = io.open(path, "ab", opener=_without_links)  # noqa: SIM115, UP020 - pathlib's takes no opener, and tests record io's
@@ -281,21 +183,9 @@ def _without_links(path: str, flags: int) -> int:
 def directory_lock(directory: Path, *, shared: bool = False) -> Iterator[None]:
     """Lock a directory against other exports; the lock of a killed export is released.
 
-    Parameters
-    ----------
-    directory : Path
-        Must exist.
-    shared : bool
-        Whether other exports may hold a shared lock at the same time: shards of one export, and verifications.
-
-    Raises
-    ------
-    ExportError
-        If another export holds a conflicting lock.
-
-    Notes
-    -----
-    On Windows, which locks no directories, and on file systems without locks, no export is excluded.
+    `directory`: must exist; `shared`: whether other exports may hold a shared lock at the same time: shards of one
+    export, and verifications.  Raises ExportError if another export holds a conflicting lock.  On Windows, which
+    locks no directories, and on file systems without locks, no export is excluded.
     """
     if sys.platform == "win32":
         yield
@@ -318,29 +208,14 @@ _POLL_INTERVAL_S: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """Write permission of one run for a directory; its processes receive a copy.
+    """Write permission of one run for a directory; its processes receive a copy."""
 
-    Attributes
-    ----------
-    path : Path
-        The lease file.
-    """
-
-    path: Path
+    path: Path  # The lease file
 
     @classmethod
     @contextmanager
     def taken(cls, directory: Path) -> Iterator[Self]:
-        """Take a lease for the duration of the context.
-
-        Parameters
-        ----------
-        directory : Path
-
-        Yields
-        ------
-        Lease
-        """
+        """Take a lease for the duration of the context."""
         lease = cls(directory / f"{_PREFIX}{token_hex(8)}")
         lease.path.touch(exist_ok=False)
         try:
@@ -353,10 +228,7 @@ class Lease:
     def writing(self) -> Iterator[None]:
         """Hold the permission while files are written in the context.
 
-        Raises
-        ------
-        ExportError
-            If the run has ended, or another run has taken over the directory.
+        Raises ExportError if the run has ended, or another run has taken over the directory.
         """
         try:
             handle = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
@@ -378,14 +250,7 @@ class Lease:
 def revoke_leases(directory: Path) -> None:
     """Revoke the leases of all earlier runs, after their processes have finished writing.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Raises
-    ------
-    ExportError
-        If a process does not finish writing in time.
+    Raises ExportError if a process does not finish writing in time.
     """
     for path in directory.glob(f"{_PREFIX}*"):
         until_s = time.monotonic() + _WRITE_TIMEOUT_S
@@ -426,15 +291,8 @@ def _revoke(path: Path) -> bool:
 def explain_disk_errors(path: Path) -> Iterator[None]:
     """Turn each OSError of the context into an ExportError with advice.
 
-    Parameters
-    ----------
-    path : Path
-        Named in the message if the operating system names no file, or one of glstar's temporary files.
-
-    Raises
-    ------
-    ExportError
-        For every OSError inside the context.
+    `path`: named in the message if the operating system names no file, or one of glstar's temporary files.  Raises
+    ExportError for every OSError inside the context.
     """
     try:
         yield
@@ -457,20 +315,8 @@ def explain_disk_errors(path: Path) -> Iterator[None]:
 def new_directory(output: Path) -> Iterator[Path]:
     """Make a directory that appears under its name when it is complete.
 
-    Parameters
-    ----------
-    output : Path
-        It must not exist.
-
-    Yields
-    ------
-    Path
-        A directory beside it, to be filled.
-
-    Raises
-    ------
-    ExportError
-        If it exists, or the disk refuses.
+    `output`: it must not exist.  Yields a directory beside it, to be filled.  Raises ExportError if it exists, or the
+    disk refuses.
     """
     if output.exists():
         raise ExportError(output, "exists already; name another directory, or remove it")

@@ -232,13 +232,8 @@ class Environment:
 class GymnasiumAdapter:
     """An `Environment` with the methods of ``gymnasium.Env``; Gymnasium itself is not needed.
 
-    The observation is what a navigator has: ``{"pixels": ..., "nav": ...}``; the truth is in ``info``.
-
-    Parameters
-    ----------
-    environment : Environment
-    reward : callable
-        Returns the reward of an `Observation` and the action that led to it.
+    The observation is what a navigator has: ``{"pixels": ..., "nav": ...}``; the truth is in ``info``.  `reward`:
+    returns the reward of an `Observation` and the action that led to it.
     """
 
     def __init__(self, environment: Environment, reward: Callable[[Observation, Any], float]) -> None:
@@ -247,26 +242,14 @@ class GymnasiumAdapter:
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin again; `options` are the keyword arguments of `Environment.reset`.
-
-        Returns
-        -------
-        observation, info : dict
-        """
+        """Begin again; `options` are the keyword arguments of `Environment.reset`."""
         return _as_gymnasium(self.environment.reset(seed or 0, **(options or {})))
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Take the next frame.
 
-        Returns
-        -------
-        observation : dict
-        reward : float
-        terminated : bool
-            Always False: a flight has no goal of its own.
-        truncated : bool
-            Whether the flight ends before another step.
-        info : dict
+        Returns `terminated`: always False: a flight has no goal of its own; `truncated`: whether the flight ends before
+        another step.
         """
         found = self.environment.step(action)
         observation, info = _as_gymnasium(found)

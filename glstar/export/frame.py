@@ -48,27 +48,13 @@ from glstar.system.files import StagedFile, flush, flush_directory, flush_handle
 
 @dataclass(frozen=True, slots=True)
 class EncodedFrame:
-    """A frame as the content of its files.
+    """A frame as the content of its files."""
 
-    Attributes
-    ----------
-    number : int
-        Frame number.
-    image : bytes
-        The image file.
-    noiseless : bytes or None
-        The float32 TIFF of the signal before noise; None unless the task asks for it.
-    truth : bytes
-        The line of ``truth.jsonl``, with its newline.
-    masks : mapping of str to bytes
-        Its masks by kind.
-    """
-
-    number: int
-    image: bytes
-    noiseless: bytes | None
-    truth: bytes
-    masks: Mapping[MaskKind, bytes] = field(default_factory=dict)
+    number: int  # Frame number
+    image: bytes  # The image file
+    noiseless: bytes | None  # The float32 TIFF of the signal before noise; None unless the task asks for it
+    truth: bytes  # The line of ``truth.jsonl``, with its newline
+    masks: Mapping[MaskKind, bytes] = field(default_factory=dict)  # Its masks by kind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,41 +62,20 @@ class FrameTask:
     """How to draw the frames of an export and where to write them.
 
     It holds no open file and no OpenGL object, so it can be pickled: another process draws the same bytes from it.
-
-    Attributes
-    ----------
-    frames : Frames
-    directory : Path
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
-    noiseless : bool
-        Whether to write the signal before noise beside each frame.
-    seed : int
-        The seed from which the noise seed of every frame is derived.
-    lease : Lease or None
-        The write permission of the run that distributes the task to other processes; None within one process.
-    masks : tuple of {"trails", "saturated", "cloud", "flare", "ground"}
-        The masks to write beside each frame.
-    exif : bool
-        Whether images have EXIF.
     """
 
     frames: Frames
     directory: Path
-    image_format: ImageFormat
-    noiseless: bool
-    seed: int
+    image_format: ImageFormat  # {"png", "png16", "tiff", "fits", "jpeg"}
+    noiseless: bool  # Whether to write the signal before noise beside each frame
+    seed: int  # The seed from which the noise seed of every frame is derived
+    # The write permission of the run that distributes the task to other processes; None within one process.
     lease: Lease | None = None
-    masks: tuple[MaskKind, ...] = ()
-    exif: bool = False
+    masks: tuple[MaskKind, ...] = ()  # The masks to write beside each frame
+    exif: bool = False  # Whether images have EXIF
 
     def begin(self, renderer: Renderer, composed: ComposedFrame) -> None:
-        """Begin to draw a composed frame with its own noise; `Renderer.end_read` returns it.
-
-        Parameters
-        ----------
-        renderer : Renderer
-        composed : ComposedFrame
-        """
+        """Begin to draw a composed frame with its own noise; `Renderer.end_read` returns it."""
         renderer.begin(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.noiseless)
 
     def encode(
@@ -122,18 +87,8 @@ class FrameTask:
     ) -> EncodedFrame:
         """Return the content of a frame's files.
 
-        Parameters
-        ----------
-        composed : ComposedFrame
-        frame : Frame
-            Drawn from ``composed.scene``.
-        on_pixels : callable, optional
-            Called with the pixels and the line of truth before the image is encoded, for a consumer that needs them
-            with low latency.
-
-        Returns
-        -------
-        EncodedFrame
+        `frame`: drawn from ``composed.scene``; `on_pixels`: called with the pixels and the line of truth before the
+        image is encoded, for a consumer that needs them with low latency.
         """
         number = composed.number
         file = self.image_path(number).relative_to(self.directory).as_posix()
@@ -169,19 +124,7 @@ class FrameTask:
         *,
         on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
     ) -> EncodedFrame:
-        """Draw one frame and return the content of its files; nothing is written.
-
-        Parameters
-        ----------
-        renderer : Renderer
-        number : int
-        on_pixels : callable, optional
-            As for `encode`.
-
-        Returns
-        -------
-        EncodedFrame
-        """
+        """Draw one frame and return the content of its files; nothing is written; `on_pixels`: as for `encode`."""
         composed = self.frames.compose(number)
         self.begin(renderer, composed)
         return self.encode(composed, renderer.end_read(), on_pixels=on_pixels)
@@ -189,18 +132,9 @@ class FrameTask:
     def write(self, frame: EncodedFrame, write: Callable[[Path, bytes], None] = write_atomically) -> None:
         """Write the files of a frame, without its line of truth.
 
-        Parameters
-        ----------
-        frame : EncodedFrame
-        write : callable
-            Called with the path and the content of each file.  The default writes the file atomically.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written.
-        ExportError
-            If another run has taken over the directory, or a link has the name of a folder.
+        `write`: called with the path and the content of each file; the default writes the file atomically.  Raises
+        OSError if a file cannot be written; ExportError if another run has taken over the directory, or a link has the
+        name of a folder.
         """
         path = self.image_path(frame.number)
         if path.parent != self.directory:
@@ -215,62 +149,28 @@ class FrameTask:
     def writing(self) -> AbstractContextManager[None]:
         """Return a context in which this run may write to the directory.
 
-        Returns
-        -------
-        context manager
-            Entering it raises ExportError if another run has taken over the directory.
+        Returns: entering it raises ExportError if another run has taken over the directory.
         """
         return nullcontext() if self.lease is None else self.lease.writing()
 
     def absolute(self) -> Self:
-        """Return the task with absolute paths, for processes with another working directory.
-
-        Returns
-        -------
-        FrameTask
-        """
+        """Return the task with absolute paths, for processes with another working directory."""
         return replace(self, directory=self.directory.absolute())
 
     def image_path(self, number: int) -> Path:
         """Return the path of a frame's image.
 
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        Path
-            In the directory itself for the first 10,000 frames, then in folders of 1000: file managers are slow with a
-            million files in one folder.
+        Returns: in the directory itself for the first 10,000 frames, then in folders of 1000: file managers are slow
+        with a million files in one folder.
         """
         return self.directory / frame_folder(number) / f"frame_{number:06d}{SUFFIX[self.image_format]}"
 
     def noiseless_path(self, number: int) -> Path:
-        """Return the path of the signal before noise of a frame.
-
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        Path
-        """
+        """Return the path of the signal before noise of a frame."""
         return self.directory / frame_folder(number) / f"frame_{number:06d}{NOISELESS_SUFFIX}"
 
     def mask_path(self, kind: MaskKind, number: int) -> Path:
-        """Return the path of a mask of a frame.
-
-        Parameters
-        ----------
-        kind : {"trails", "saturated", "cloud", "flare", "ground"}
-        number : int
-
-        Returns
-        -------
-        Path
-        """
+        """Return the path of a mask of a frame; `kind` {"trails", "saturated", "cloud", "flare", "ground"}."""
         return self.directory / frame_folder(number) / f"frame_{number:06d}{MASK_SUFFIXES[kind]}"
 
     @property
@@ -293,17 +193,7 @@ def _shift_bits(scene: Scene) -> int:
 def frame_seed(seed: int, number: int) -> int:
     """Return the noise seed of a frame.
 
-    Parameters
-    ----------
-    seed : int
-        The seed of the export.
-    number : int
-        Frame number.
-
-    Returns
-    -------
-    int
-        0 to 2**32 - 1.
+    `seed`: the seed of the export; `number`: frame number.  Returns: 0 to 2**32 - 1.
     """
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
@@ -322,18 +212,9 @@ class FrameWriter:
     """Writes frames and their truth in an order that survives a power failure; a context manager.
 
     Leaving the context writes the frames that have been added and removes other staged files.  `stage` may be called
-    from any thread, all other methods from one thread.
-
-    Parameters
-    ----------
-    truth : TruthFile
-    lines : binary file
-        From `TruthFile.open_for_append`.
-    group_s : float
-        Minimum interval between flushes, s.
-    writing : callable
-        Returns a context in which files may be written; entering it raises if another run has taken over the directory:
-        `FrameTask.writing`.
+    from any thread, all other methods from one thread.  `lines`: from `TruthFile.open_for_append`; `group_s`: minimum
+    interval between flushes, s; `writing`: returns a context in which files may be written; entering it raises if
+    another run has taken over the directory: `FrameTask.writing`.
     """
 
     def __init__(
@@ -360,17 +241,7 @@ class FrameWriter:
     def stage(self, number: int, path: Path, content: bytes) -> None:
         """Write a file of a frame under a temporary name.
 
-        Parameters
-        ----------
-        number : int
-            Frame number.
-        path : Path
-        content : bytes
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
+        `number`: frame number.  Raises OSError if it cannot be written.
         """
         staged = StagedFile.beside(path)
         with self._lock:
@@ -382,21 +253,8 @@ class FrameWriter:
     def add(self, number: int, line: bytes) -> Iterator[int]:
         """Add a frame whose files have been staged.
 
-        Parameters
-        ----------
-        number : int
-        line : bytes
-            Its line of truth.
-
-        Yields
-        ------
-        int
-            Frames that are complete on the disk, as from `poll`.
-
-        Raises
-        ------
-        OSError
-            If a frame cannot be written.
+        `line`: its line of truth.  Yields: frames that are complete on the disk, as from `poll`.  Raises OSError if a
+        frame cannot be written.
         """
         if not self._waiting:
             self._waiting_since_s = time.monotonic()
@@ -406,15 +264,8 @@ class FrameWriter:
     def poll(self) -> Iterator[int]:
         """Rename the files that have been flushed, and flush the next group if it is due.
 
-        Yields
-        ------
-        int
-            Frames whose files are renamed and whose line of truth is appended, in the order of `add`.
-
-        Raises
-        ------
-        OSError
-            If a frame cannot be written.
+        Yields: frames whose files are renamed and whose line of truth is appended, in the order of `add`.  Raises
+        OSError if a frame cannot be written.
         """
         is_large = len(self._waiting) >= _MAX_GROUP_FRAMES or self._waiting_bytes >= _MAX_GROUP_BYTES
         if self._flushed is not None and (self._flushed.done() or is_large):
@@ -430,15 +281,7 @@ class FrameWriter:
     def drain(self) -> Iterator[int]:
         """Write all frames that have been added.
 
-        Yields
-        ------
-        int
-            As from `poll`.
-
-        Raises
-        ------
-        OSError
-            If a frame cannot be written.
+        Yields: as from `poll`.  Raises OSError if a frame cannot be written.
         """
         while self._flushed is not None or self._waiting:
             if self._flushed is None:
@@ -504,53 +347,24 @@ class FrameWriter:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A difference between a directory and what its export would write.
+    """A difference between a directory and what its export would write."""
 
-    Attributes
-    ----------
-    file : str
-        Path of the file, relative to the directory of the export.
-    problem : str
-        A message that continues "FILE: ".
-    frame : int or None
-        The frame of the file, if it belongs to one.
-    """
-
-    file: str
-    problem: str
-    frame: int | None = None
+    file: str  # Path of the file, relative to the directory of the export
+    problem: str  # A message that continues "FILE: "
+    frame: int | None = None  # The frame of the file, if it belongs to one
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedFrame:
-    """A frame whose image files have been compared with what is drawn.
-
-    Attributes
-    ----------
-    number : int
-    findings : tuple of Finding
-        Differences of its files.
-    truth : bytes
-        The line of truth as it is drawn, which has not been compared yet.
-    """
+    """A frame whose image files have been compared with what is drawn."""
 
     number: int
-    findings: tuple[Finding, ...]
-    truth: bytes
+    findings: tuple[Finding, ...]  # Differences of its files
+    truth: bytes  # The line of truth as it is drawn, which has not been compared yet
 
 
 def check_files(task: FrameTask, frame: EncodedFrame) -> CheckedFrame:
-    """Compare the image files of a frame with the frame as it is drawn.
-
-    Parameters
-    ----------
-    task : FrameTask
-    frame : EncodedFrame
-
-    Returns
-    -------
-    CheckedFrame
-    """
+    """Compare the image files of a frame with the frame as it is drawn."""
     drawn = {task.image_path(frame.number): frame.image}
     if frame.noiseless is not None:
         drawn[task.noiseless_path(frame.number)] = frame.noiseless
@@ -589,13 +403,6 @@ def _difference(path: Path, drawn: bytes) -> str:
 def describe_pixels(pixels: NDArray[Any]) -> str:
     """Return the size and type of an image, for messages.
 
-    Parameters
-    ----------
-    pixels : (height, width) array
-
-    Returns
-    -------
-    str
-        Such as "160 x 120 px of uint8".
+    `pixels` (height, width).  Returns: such as "160 x 120 px of uint8".
     """
     return f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}"

@@ -51,22 +51,12 @@ _STARS_VALID_S: Final = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class LiveReport:
-    """The result of a live export.
-
-    Attributes
-    ----------
-    directory : Path or None
-    drawn : int
-        Number of frames.
-    skipped : tuple of SkippedFrame
-        Exposures that span a gap.
-    latency_s : tuple of float
-        For each frame, the time from the arrival of its latest attitude to its pixels and truth being ready, s.
-    """
+    """The result of a live export."""
 
     directory: Path | None
-    drawn: int
-    skipped: tuple[SkippedFrame, ...]
+    drawn: int  # Number of frames
+    skipped: tuple[SkippedFrame, ...]  # Exposures that span a gap
+    # For each frame, the time from the arrival of its latest attitude to its pixels and truth being ready, s.
     latency_s: tuple[float, ...] = field(repr=False)
 
     def latency_quantile_s(self, fraction: float) -> float | None:
@@ -77,27 +67,11 @@ class LiveReport:
 class LiveExport:
     """Draws exposures that end at the latest attitude of a link, one per interval.
 
-    Parameters
-    ----------
-    config : Config
-    link : Link
-        An open link; the caller closes it.  If its sky is a simulator's truth, ``nav.jsonl`` has what the autopilot
-        estimates.
-    directory : Path, optional
-        The output directory; nothing is written if None.
-    output : FrameOutput, optional
-        Receives each frame; the caller closes it.
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"}, optional
-        None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
-    seed : int
-        The seed from which the noise seed of every frame is derived.
-    command : str
-        The command line, for the manifest.
-
-    Attributes
-    ----------
-    exposures : dict of int or str to Exposure
-        Of the latest frames, by number and by the name of the image.
+    `link`: an open link; the caller closes it; if its sky is a simulator's truth, ``nav.jsonl`` has what the autopilot
+    estimates; `directory`: the output directory; nothing is written if None; `output`: receives each frame; the caller
+    closes it; `image_format` {"png", "png16", "tiff", "fits", "jpeg"}, optional: none for 8-bit PNG, or 16-bit PNG if
+    the sensor has more than 8 bits; `seed`: the seed from which the noise seed of every frame is derived; `command`:
+    the command line, for the manifest.  `exposures`: of the latest frames, by number and by the name of the image.
     """
 
     def __init__(
@@ -137,29 +111,11 @@ class LiveExport:
     ) -> LiveReport:
         """Draw for a given time, until Ctrl-C or until `stop`.
 
-        Parameters
-        ----------
-        renderer : Renderer
-        duration_s : float, optional
-            Duration of the export, s; until interrupted if None.
-        force : bool
-            Whether to remove the files of an earlier export from the directory.
-        on_event : callable, optional
-            Called with a message for each event of the link, and with the Sun, the Moon and the limiting magnitude of
-            the first frame.
-        on_frame : callable, optional
-            Called with the number of frames after each frame.
-
-        Returns
-        -------
-        LiveReport
-
-        Raises
-        ------
-        ExportError
-            If the directory cannot be written, or holds frames.
-        ConfigError
-            If ``[navigator]`` names a message of a log.
+        `duration_s`: duration of the export, s; until interrupted if None; `force`: whether to remove the files of an
+        earlier export from the directory; `on_event`: called with a message for each event of the link, and with the
+        Sun, the Moon and the limiting magnitude of the first frame; `on_frame`: called with the number of frames after
+        each frame.  Raises ExportError if the directory cannot be written, or holds frames; ConfigError if
+        ``[navigator]`` names a message of a log.
         """
         on_event, on_frame = on_event or (lambda _: None), on_frame or (lambda _: None)
         until_s = inf if duration_s is None else time.monotonic() + duration_s

@@ -43,27 +43,15 @@ _UP_NED: Final = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Navigator:
-    """What the aircraft knows on one flight.
-
-    Attributes
-    ----------
-    attitude : EstimatedAttitude
-    clock_offset_s : float
-        The clock that stamps the frames minus UTC, s.
-    camera : Camera
-    C_camera_body : (3, 3) float64
-        The nominal mount.
-    position : PositionTrack or None
-        None where GPS is denied.
-    gimbal : (AttitudeTrack, AttitudeTrack) or None
-        The attitudes of a gimbal's platform and of the aircraft, whose difference the gimbal states; None without one.
-    """
+    """What the aircraft knows on one flight."""
 
     attitude: EstimatedAttitude
-    clock_offset_s: float
+    clock_offset_s: float  # The clock that stamps the frames minus UTC, s
     camera: Camera
-    C_camera_body: Float
-    position: PositionTrack | None
+    C_camera_body: Float  # (3, 3) the nominal mount
+    position: PositionTrack | None  # None where GPS is denied
+    # (AttitudeTrack, AttitudeTrack) or None: the attitudes of a gimbal's platform and of the aircraft, whose difference
+    # the gimbal states; None without one.
     gimbal: tuple[AttitudeTrack, AttitudeTrack] | None = None
 
     @classmethod
@@ -78,20 +66,9 @@ class Navigator:
     ) -> Self:
         """Return the navigator of ``[navigator]``.
 
-        Parameters
-        ----------
-        config : Config
-        flight : Flight
-        estimate : AttitudeTrack, optional
-            The attitude of another message of the log; by default the flight's.
-        stream : int
-            Index of the flight in a data set: another realisation of the random errors.
-        until_utc_s : float, optional
-            Until when errors are drawn, UTC seconds since 1970; by default the end of the flight.
-
-        Returns
-        -------
-        Navigator
+        `estimate`: the attitude of another message of the log; by default the flight's; `stream`: index of the flight
+        in a data set: another realisation of the random errors; `until_utc_s`: until when errors are drawn, UTC seconds
+        since 1970; by default the end of the flight.
         """
         section = config.navigator
         rng = np.random.default_rng([section.seed, stream])
@@ -111,25 +88,14 @@ class Navigator:
     def record(self, exposure: Exposure, *, number: int, file: str) -> dict[str, Any]:
         """Return the record of one frame, ready for JSON.
 
-        Parameters
-        ----------
-        exposure : Exposure
-            When the camera really exposed.
-        number : int
-            The frame's number.
-        file : str
-            Its image.
-
-        Returns
-        -------
-        dict
-            ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure),
-            ``duration_s, readout_s, readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure),
-            ``up_camera`` (at the same instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is
-            denied).  The estimated attitude is that of the time on the frame's stamp, which the clock's error moves;
-            ``q_body_ned``, ``rates_rad_per_s`` and ``up_camera`` are None where the estimate has a gap then.
-            With a gimbal, all attitudes are those of its platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the
-            aircraft to the platform, by the gimbal's joints) and ``q_aircraft_ned`` at the same instants.
+        `exposure`: when the camera really exposed; `number`: the frame's number; `file`: its image.  Returns ``schema,
+        frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s, readout_s,
+        readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure), ``up_camera`` (at the same
+        instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is denied); the estimated attitude is
+        that of the time on the frame's stamp, which the clock's error moves; ``q_body_ned``, ``rates_rad_per_s`` and
+        ``up_camera`` are None where the estimate has a gap then; with a gimbal, all attitudes are those of its
+        platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the aircraft to the platform, by the gimbal's joints)
+        and ``q_aircraft_ned`` at the same instants.
         """
         true_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         stamped_s = true_s + self.clock_offset_s
@@ -189,22 +155,8 @@ NAV: Final = "nav.jsonl"
 def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrack | None]:
     """Return the attitudes that the aircraft of each log estimated, where ``[navigator]`` names their message.
 
-    Parameters
-    ----------
-    config : Config
-    flight_paths : sequence of Path
-
-    Returns
-    -------
-    list of AttitudeTrack or None
-        None where the estimate is the true attitude with errors.
-
-    Raises
-    ------
-    ConfigError
-        If the time of the flight is given, so that two messages have no common clock.
-    LogFormatError
-        If a log has no such message.
+    Returns: none where the estimate is the true attitude with errors.  Raises ConfigError if the time of the flight is
+    given, so that two messages have no common clock; LogFormatError if a log has no such message.
     """
     if config.navigator.attitude == "model":
         return [None] * len(flight_paths)
@@ -218,30 +170,13 @@ def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrac
 
 
 def remove_nav(directory: Path) -> None:
-    """Remove ``nav.jsonl`` before frames are drawn, so that it never lacks frames.
-
-    Parameters
-    ----------
-    directory : Path
-    """
+    """Remove ``nav.jsonl`` before frames are drawn, so that it never lacks frames."""
     with suppress(FileNotFoundError, NotADirectoryError):
         (directory / NAV).unlink()
 
 
 def write_nav(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> Path:
-    """Write ``nav.jsonl`` beside the truth of a complete export, atomically.
-
-    Parameters
-    ----------
-    job : Export
-    config : Config
-    attitudes : sequence of AttitudeTrack or None
-        From `estimates`.
-
-    Returns
-    -------
-    Path
-    """
+    """Write ``nav.jsonl`` beside the truth of a complete export, atomically; `attitudes`: from `estimates`."""
     path = job.directory / NAV
     temporary = temporary_path(path)
     with explain_disk_errors(job.directory):
@@ -258,32 +193,14 @@ def write_nav(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | N
 
 
 class NavRecords:
-    """The records of the frames of an export, in any order; fastest in theirs.
-
-    Parameters
-    ----------
-    task : FrameTask
-    config : Config
-    attitudes : sequence of AttitudeTrack or None
-        From `estimates`.
-    """
+    """The records of the frames of an export, in any order; fastest in theirs; `attitudes`: from `estimates`."""
 
     def __init__(self, task: FrameTask, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> None:
         self._task, self._config, self._attitudes = task, config, attitudes
         self._current: tuple[int, Navigator] | None = None
 
     def of(self, number: int) -> dict[str, Any]:
-        """Return the record of a frame.
-
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        dict
-            As of `Navigator.record`.
-        """
+        """Return the record of a frame; returns: as of `Navigator.record`."""
         task = self._task
         shot = task.frames.shot(number)
         if self._current is None or shot.stream != self._current[0]:
@@ -300,18 +217,9 @@ class NavRecords:
 def publish_blind(job: Export, output: Path) -> None:
     """Fill a directory with the images and ``nav.jsonl`` of a complete export, and nothing else of it.
 
-    Parameters
-    ----------
-    job : Export
-        Its directory has the truth.
-    output : Path
-        For the navigator.  Images are hard links where the file system has them, else copies; FITS images are copies
-        without their truth.
-
-    Raises
-    ------
-    ExportError
-        If the directory holds files of another export.
+    `job`: its directory has the truth; `output`: for the navigator; images are hard links where the file system has
+    them, else copies; FITS images are copies without their truth.  Raises ExportError if the directory holds files of
+    another export.
     """
     images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
     refuse_other_files(output, {image.name for image in images})
@@ -339,16 +247,7 @@ def _hand_over(source: Path, target: Path) -> None:
 def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
     """Refuse a directory for a navigator that holds more than its images, ``nav.jsonl`` and the lists of splits.
 
-    Parameters
-    ----------
-    output : Path
-    names : set of str, optional
-        Names that may be there; without it, any image.
-
-    Raises
-    ------
-    ExportError
-        If it holds other files of an export.
+    `names`: names that may be there; without it, any image.  Raises ExportError if it holds other files of an export.
     """
     if not output.is_dir():
         return
@@ -368,19 +267,8 @@ class LiveNavigator:
     """Writes what the autopilot of a link knows of each frame.
 
     Lines are appended to ``nav.jsonl.partial`` as frames happen; at the end the file becomes ``nav.jsonl``.
-
-    Parameters
-    ----------
-    config : Config
-    directory : Path or None
-        Of the export; None if records are not written.
-    duration_s : float, optional
-        Duration of the export, s.
-
-    Raises
-    ------
-    ConfigError
-        If ``[navigator]`` names a message of a log.
+    `directory`: of the export; None if records are not written; `duration_s`: duration of the export, s.  Raises
+    ConfigError if ``[navigator]`` names a message of a log.
     """
 
     def __init__(self, config: Config, directory: Path | None, duration_s: float | None = None) -> None:
@@ -403,22 +291,8 @@ class LiveNavigator:
     ) -> dict[str, Any]:
         """Return the record of a frame.
 
-        Parameters
-        ----------
-        estimate : Estimate
-            It covers the exposure.
-        exposure : Exposure
-        number : int
-            The frame's number.
-        file : str
-            Its image, relative to the directory.
-        flight : Flight
-            The flight that the frame shows.
-
-        Returns
-        -------
-        dict
-            As of `Navigator.record`.
+        `estimate`: it covers the exposure; `number`: the frame's number; `file`: its image, relative to the directory;
+        `flight`: the flight that the frame shows.  Returns: as of `Navigator.record`.
         """
         track = estimate.attitude
         if self._errors is None:
@@ -436,13 +310,7 @@ class LiveNavigator:
         return navigator.record(exposure, number=number, file=file)
 
     def write(self, record: dict[str, Any]) -> None:
-        """Append a record to the file.
-
-        Parameters
-        ----------
-        record : dict
-            From `record`.
-        """
+        """Append a record to the file; `record`: from `record`."""
         if self._file is None:
             self._file = self._partial.open("wb")
         self._file.write(orjson.dumps(record, option=orjson.OPT_APPEND_NEWLINE))
@@ -460,13 +328,7 @@ class LiveNavigator:
             self._file = None
 
     def finish(self, numbers: NDArray[np.int64]) -> None:
-        """Complete ``nav.jsonl``: one line for each frame that is in the truth.
-
-        Parameters
-        ----------
-        numbers : (n,) int64
-            The frames.
-        """
+        """Complete ``nav.jsonl``: one line for each frame that is in the truth; `numbers` (n,) int64: the frames."""
         self.close()
         lines = []
         with suppress(FileNotFoundError):

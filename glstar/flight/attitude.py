@@ -30,25 +30,17 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class _Thresholds:
-    """Thresholds of the detection.
+    """Thresholds of the detection."""
 
-    Attributes
-    ----------
-    least_reset_rad : float
-        Smallest reset that is worth a gap: 1.5 deg is 100 px at f = 3871 px.
-    largest_acceleration_rad_per_s2 : float
-        Without gyros, a larger change of the turn rate is a reset.  A flying wing at 200 deg/s and a vibrating
-        quadrotor stay below two thirds of it.
-    gyro_sigma : float
-        With gyros, a reset exceeds this many standard deviations of the usual difference between gyros and attitude.
-    gyro_drift_rad_per_s : float
-        With gyros, a smaller difference per second may be integration error: 2.5 deg per sample at 10 Hz in a spiral at
-        180 deg/s.
-    """
-
+    # Smallest reset that is worth a gap: 1.5 deg is 100 px at f = 3871 px.
     least_reset_rad: float = float(np.deg2rad(1.5))
+    # Without gyros, a larger change of the turn rate is a reset; a flying wing at 200 deg/s and a vibrating quadrotor
+    # stay below two thirds of it.
     largest_acceleration_rad_per_s2: float = float(np.deg2rad(6000.0))
+    # With gyros, a reset exceeds this many standard deviations of the usual difference between gyros and attitude.
     gyro_sigma: float = 5.0
+    # With gyros, a smaller difference per second may be integration error: 2.5 deg per sample at 10 Hz in a spiral at
+    # 180 deg/s.
     gyro_drift_rad_per_s: float = float(np.deg2rad(25.0))
 
 
@@ -63,26 +55,13 @@ def estimator_resets(
 ) -> Mask:
     """Return in which intervals between samples the estimator was reset without a message in the log.
 
-    Parameters
-    ----------
-    t_s : (n,) array_like, n >= 2
-        Times of the attitudes, s, strictly increasing.
-    q_body_ned : (n, 4) array_like
-        Unit quaternions (w, x, y, z).
-    rate_t_s, rate_rad_per_s : (m,) and (m, 3) array_like, optional
-        Gyro readings, if there are any; see `gyro_aided`.
-
-    Returns
-    -------
-    (n - 1,) bool
-        True where a turn differs from both of its neighbours by 1.5 deg or more and, where gyro readings cover it,
-        differs as much from the integrated rates, and by five times the usual difference.  Without gyro readings the
-        turn must imply an angular acceleration of more than 6000 deg/s^2.
-
-    Notes
-    -----
-    Without gyros a reset of 3 deg is detected at 50 Hz and above.  At 10 Hz an aircraft can start a turn of 60 deg
-    within one interval, so only the gyros can distinguish a reset from a manoeuvre.
+    `t_s` (n,) n >= 2: times of the attitudes, s, strictly increasing; `q_body_ned` (n, 4): unit quaternions (w, x, y,
+    z); `rate_t_s`, `rate_rad_per_s` (m,) and (m, 3) array_like: gyro readings, if there are any; see `gyro_aided`.
+    Returns (n - 1,) bool: true where a turn differs from both of its neighbours by 1.5 deg or more and, where gyro
+    readings cover it, differs as much from the integrated rates, and by five times the usual difference; without gyro
+    readings the turn must imply an angular acceleration of more than 6000 deg/s^2.  Without gyros a reset of 3 deg is
+    detected at 50 Hz and above.  At 10 Hz an aircraft can start a turn of 60 deg within one interval, so only the
+    gyros can distinguish a reset from a manoeuvre.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     step_s = np.diff(t)
@@ -149,19 +128,11 @@ _JUMP_TOLERANCE_RAD: Final = np.deg2rad(1.0)
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A part of a log across which attitude must not be interpolated.
+    """A part of a log across which attitude must not be interpolated."""
 
-    Attributes
-    ----------
-    start_utc_s, stop_utc_s : float
-        Times of the samples before and after the gap, UTC seconds since 1970.
-    reason : str
-        ``"a data gap"``, ``"a jump"``, ``"a switch of the EKF lane"`` and so on, for messages.
-    """
-
-    start_utc_s: float
+    start_utc_s: float  # Times of the samples before and after the gap, UTC seconds since 1970
     stop_utc_s: float
-    reason: str
+    reason: str  # ``"a data gap"``, ``"a jump"``, ``"a switch of the EKF lane"`` and so on, for messages
 
     @property
     def duration_s(self) -> float:

@@ -19,28 +19,14 @@ from glstar.flight.position import PositionTrack
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedRecord:
-    """Something that a log states at several times.
+    """Something that a log states at several times."""
 
-    Attributes
-    ----------
-    utc_s : (n,) float64
-        UTC seconds since 1970.
-    """
-
-    utc_s: NDArray[np.float64]
+    utc_s: NDArray[np.float64]  # (n,) UTC seconds since 1970
 
     def shifted(self, shift_s: float) -> Self:
         """Return the record with all times shifted.
 
-        Parameters
-        ----------
-        shift_s : float
-            Added to all times, s.
-
-        Returns
-        -------
-        TimedRecord
-            Of the same class.
+        `shift_s`: added to all times, s.  Returns: of the same class.
         """
         return replace(self, utc_s=self.utc_s + shift_s)
 
@@ -54,33 +40,14 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightEvents(TimedRecord):
-    """Flight modes and messages of an autopilot.
+    """Flight modes and messages of an autopilot; `utc_s` (n,): UTC seconds since 1970, ascending."""
 
-    Attributes
-    ----------
-    utc_s : (n,) float64
-        UTC seconds since 1970, ascending.
-    kinds : tuple of EventKind
-        Of each event.
-    texts : tuple of str
-        The mode that begins (``"LOITER"``), or the message.
-    """
-
-    kinds: tuple[EventKind, ...]
-    texts: tuple[str, ...]
+    kinds: tuple[EventKind, ...]  # Of each event
+    texts: tuple[str, ...]  # The mode that begins (``"LOITER"``), or the message
 
     @classmethod
     def joined(cls, parts: Iterable[Self]) -> Self | None:
-        """Return the events of several parts of a flight in the order of time; None if there are none.
-
-        Parameters
-        ----------
-        parts : iterable of FlightEvents
-
-        Returns
-        -------
-        FlightEvents or None
-        """
+        """Return the events of several parts of a flight in the order of time; None if there are none."""
         found = [event for part in parts for event in zip(part.utc_s.tolist(), part.kinds, part.texts, strict=True)]
         if not found:
             return None
@@ -90,63 +57,36 @@ class FlightEvents(TimedRecord):
 
 @dataclass(frozen=True, slots=True)
 class ClockQuality:
-    """Agreement between the UTC readings of a log, and their logging delay.
+    """Agreement between the UTC readings of a log, and their logging delay."""
 
-    Attributes
-    ----------
-    readings : int
-        Number of readings.
-    spread_s : float
-        95th percentile of the deviations from the median, s.
-    largest_s : float
-        Largest deviation from the median, s.
-    lag_s : float or None
-        Median delay from the GPS sample to its record in the log, s; None where it does not matter.
-    lag_is_measured : bool
-        Whether the log contains the delay; otherwise the usual one is assumed.
-    """
-
-    readings: int
-    spread_s: float
-    largest_s: float
+    readings: int  # Number of readings
+    spread_s: float  # 95th percentile of the deviations from the median, s
+    largest_s: float  # Largest deviation from the median, s
+    # Median delay from the GPS sample to its record in the log, s; None where it does not matter.
     lag_s: float | None = None
-    lag_is_measured: bool = False
+    lag_is_measured: bool = False  # Whether the log contains the delay; otherwise the usual one is assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraTriggers(TimedRecord):
     """When a camera was triggered, by the log of the aircraft.
 
-    Attributes
-    ----------
-    utc_s : (n,) float64
-        UTC seconds since 1970, in the order of the images.
-    source : str
-        The message that says so: ``"CAM"``.
+    `utc_s` (n,): UTC seconds since 1970, in the order of the images.
     """
 
-    source: str
+    source: str  # The message that says so: ``"CAM"``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GimbalAttitude(TimedRecord):
-    """The attitude of a gimbal's platform, as a log states it.
+    """The attitude of a gimbal's platform, as a log states it; `utc_s` (n,): UTC seconds since 1970."""
 
-    Attributes
-    ----------
-    utc_s : (n,) float64
-        UTC seconds since 1970.
-    q_gimbal_reference : (n, 4) float64
-        Unit quaternions (w, x, y, z) that turn components in the frame of reference into those of the platform.
-    is_earth : (n,) bool
-        Whether the frame of reference is NED; otherwise it is level, with its first axis along the aircraft's heading.
-    source : str
-        The message that says so: ``"GIMBAL_DEVICE_ATTITUDE_STATUS"``.
-    """
-
+    # (n, 4) unit quaternions (w, x, y, z) that turn components in the frame of reference into those of the platform.
     q_gimbal_reference: NDArray[np.float64]
+    # (n,) bool: whether the frame of reference is NED; otherwise it is level, with its first axis along the aircraft's
+    # heading.
     is_earth: NDArray[np.bool_]
-    source: str
+    source: str  # The message that says so: ``"GIMBAL_DEVICE_ATTITUDE_STATUS"``
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,43 +24,21 @@ _LACKS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Gimbal:
-    """What carries the camera: the aircraft itself, or a platform that a gimbal turns.
+    """What carries the camera: the aircraft itself, or a platform that a gimbal turns."""
 
-    Attributes
-    ----------
-    mode : {"none", "level", "log"}
-        ``"level"``: a platform that stays level and follows the heading; ``"log"``: as the flight recorded it.
-    roll_limit_rad, pitch_limit_rad : float
-        Largest roll and pitch of the aircraft that a level platform compensates, rad.
-    lag_s : float
-        Time constant with which a level platform compensates roll and pitch, s.
-    heading_lag_s : float
-        Time constant with which a level platform follows the heading, s.
-    """
-
+    # {"none", "level", "log"}: ``"level"``: a platform that stays level and follows the heading; ``"log"``: as the
+    # flight recorded it.
     mode: GimbalMode = "none"
-    roll_limit_rad: float = inf
+    roll_limit_rad: float = inf  # Largest roll and pitch of the aircraft that a level platform compensates, rad
     pitch_limit_rad: float = inf
-    lag_s: float = 0.0
-    heading_lag_s: float = 0.0
+    lag_s: float = 0.0  # Time constant with which a level platform compensates roll and pitch, s
+    heading_lag_s: float = 0.0  # Time constant with which a level platform follows the heading, s
 
     def carried(self, flight: Flight) -> Flight:
         """Return a flight whose attitude is that of the platform with the camera.
 
-        Parameters
-        ----------
-        flight : Flight
-            Also one that this or another gimbal has returned.
-
-        Returns
-        -------
-        Flight
-            Its `aircraft_attitude` is that of the aircraft.  Without a gimbal, the flight itself.
-
-        Raises
-        ------
-        TelemetryError
-            If the gimbal's attitude is not recorded.
+        `flight`: also one that this or another gimbal has returned.  Returns: its `aircraft_attitude` is that of the
+        aircraft; without a gimbal, the flight itself.  Raises TelemetryError if the gimbal's attitude is not recorded.
         """
         own = flight.aircraft_attitude
         if self.mode == "none":
@@ -99,23 +77,9 @@ NO_GIMBAL: Final = Gimbal()
 def lagged(t_s: Float, value: Float, first: NDArray[np.bool_], lag_s: float) -> Float:
     """Return the response of a first-order lag to a value that is linear between samples.
 
-    Parameters
-    ----------
-    t_s : (n,) float64
-        Increasing times, s.
-    value : (n,) float64
-    first : (n,) bool
-        Samples at which the response begins at the value itself.
-    lag_s : float
-        Time constant T, s; 0 returns the value.
-
-    Returns
-    -------
-    (n,) float64
-
-    Notes
-    -----
-    T y' + y = x with x = x0 + r t has y = x0 + r (t - T) + (y0 - x0 + r T) exp(-t/T).
+    `t_s` (n,): increasing times, s; `value` (n,); `first` (n,) bool: samples at which the response begins at the value
+    itself; `lag_s`: time constant T, s; 0 returns the value.  Returns (n,).  T y' + y = x with x = x0 + r t has y =
+    x0 + r (t - T) + (y0 - x0 + r T) exp(-t/T).
     """
     if lag_s <= 0:
         return value

@@ -35,41 +35,20 @@ _LEAST_DISTANCE: Final = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroTrack:
-    """Integrated gyro rates: the attitude relative to an unknown initial one.
+    """Integrated gyro rates: the attitude relative to an unknown initial one."""
 
-    Attributes
-    ----------
-    t_s : (n,) float64, n >= 2
-        Times of the readings, s, strictly increasing.
-    rate_rad_per_s : (n, 3) float64
-        Turn rates about the body axes, rad/s.
-    turn_rad : (n - 1, 3) float64
-        Rotation vector from each reading to the next, rad.
-    q_body_start : (n, 4) float64
-        Attitude relative to that at the first reading.
-    is_gap : (n - 1,) bool
-        Intervals that are data gaps.
-    """
-
-    t_s: Float
-    rate_rad_per_s: Float
-    turn_rad: Float
-    q_body_start: Float
-    is_gap: Mask
+    t_s: Float  # (n,) n >= 2: times of the readings, s, strictly increasing
+    rate_rad_per_s: Float  # (n, 3) turn rates about the body axes, rad/s
+    turn_rad: Float  # (n - 1, 3) rotation vector from each reading to the next, rad
+    q_body_start: Float  # (n, 4) attitude relative to that at the first reading
+    is_gap: Mask  # (n - 1,) bool: intervals that are data gaps
 
     @classmethod
     def from_readings(cls, t_s: ArrayLike, rate_rad_per_s: ArrayLike) -> Self | None:
         """Integrate the valid readings of a log.
 
-        Parameters
-        ----------
-        t_s, rate_rad_per_s : (m,) and (m, 3) array_like
-            Readings as logged; see `gyro_aided`.
-
-        Returns
-        -------
-        GyroTrack or None
-            None if there are fewer than two valid readings.
+        `t_s`, `rate_rad_per_s` (m,) and (m, 3) array_like: readings as logged; see `gyro_aided`.  Returns: none if
+        there are fewer than two valid readings.
         """
         t, rate = _valid_readings(t_s, rate_rad_per_s)
         return cls.from_rates(t, rate) if t.size > 1 else None
@@ -78,22 +57,10 @@ class GyroTrack:
     def from_rates(cls, t_s: Float, rate_rad_per_s: Float) -> Self:
         """Integrate turn rates.
 
-        Parameters
-        ----------
-        t_s : (n,) float64, n >= 2
-            Times of the readings, s, strictly increasing.
-        rate_rad_per_s : (n, 3) float64
-            Turn rates about the body axes, rad/s.
-
-        Returns
-        -------
-        GyroTrack
-
-        Notes
-        -----
-        The rate between two readings is a cubic polynomial through four readings.  Coning is corrected to second order:
-        P. G. Savage, "Strapdown inertial navigation integration algorithm design part 1", J. Guid. Control Dyn. 21,
-        1998, eqs (31), (32), for a rate that changes linearly.
+        `t_s` (n,) n >= 2: times of the readings, s, strictly increasing; `rate_rad_per_s` (n, 3): turn rates about the
+        body axes, rad/s.  The rate between two readings is a cubic polynomial through four readings.  Coning is
+        corrected to second order: P. G. Savage, "Strapdown inertial navigation integration algorithm design part 1", J.
+        Guid. Control Dyn. 21, 1998, eqs (31), (32), for a rate that changes linearly.
         """
         h = np.diff(t_s)[:, np.newaxis]
         before, after = rate_rad_per_s[:-1], rate_rad_per_s[1:]
@@ -110,14 +77,7 @@ class GyroTrack:
     def at(self, t_s: Float) -> Float:
         """Return the attitude relative to that at the first reading.
 
-        Parameters
-        ----------
-        t_s : (m,) float64
-            Times, s; clipped to the range of the track.
-
-        Returns
-        -------
-        (m, 4) float64
+        `t_s` (m,): times, s; clipped to the range of the track.  Returns (m, 4).
         """
         t = np.clip(t_s, self.t_s[0], self.t_s[-1])
         before = np.clip(np.searchsorted(self.t_s, t, side="right") - 1, 0, self.t_s.size - 2)
@@ -164,33 +124,16 @@ def gyro_aided(
     """Interpolate attitude with gyro rates: the result has a sample at every gyro reading.
 
     Between two attitude samples the rates are integrated.  The difference between the integrated and the logged turn,
-    caused by gyro drift and by corrections of the estimator, is distributed linearly over the interval.
-
-    Parameters
-    ----------
-    t_s : (n,) array_like, n >= 2
-        Times of the attitudes, s, strictly increasing.
-    q_body_ned : (n, 4) array_like
-        Unit quaternions (w, x, y, z).
-    rate_t_s : (m,) array_like
-        Times of the readings, s, by the same clock, in any order.
-    rate_rad_per_s : (m, 3) array_like
-        Turn rates about the body axes forward, right, down, rad/s.  Readings that are not finite, faster than
-        3000 deg/s, or more than 300 deg/s away from both neighbours are dropped.
-    broken : (n - 1,) array_like of bool, optional
-        Intervals between attitudes that are gaps: no samples are added there.
-
-    Returns
-    -------
-    RotationSpline
-        The given samples, unchanged, and a sample at each gyro reading between them; its rates at the samples are those
-        of the gyros.
-
-    Notes
-    -----
-    Timestamps of gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, which increases the error
-    fourfold; the lag is estimated and removed (`gyro_lag_s`).  Where the gyros have a data gap of three intervals or
-    more, no samples are added and the curve is `RotationSpline.through` the attitudes.
+    caused by gyro drift and by corrections of the estimator, is distributed linearly over the interval.  `t_s` (n,) n
+    >= 2: times of the attitudes, s, strictly increasing; `q_body_ned` (n, 4): unit quaternions (w, x, y, z); `rate_t_s`
+    (m,): times of the readings, s, by the same clock, in any order; `rate_rad_per_s` (m, 3): turn rates about the body
+    axes forward, right, down, rad/s; readings that are not finite, faster than 3000 deg/s, or more than 300 deg/s away
+    from both neighbours are dropped; `broken` (n - 1,) bool: intervals between attitudes that are gaps: no samples are
+    added there.  Returns the given samples, unchanged, and a sample at each gyro reading between them; its rates at
+    the samples are those of the gyros.  Timestamps of gyros may lag behind those of the attitude, by 9.8 ms in a log
+    at 50 Hz, which increases the error fourfold; the lag is estimated and removed (`gyro_lag_s`).  Where the gyros
+    have a data gap of three intervals or more, no samples are added and the curve is `RotationSpline.through` the
+    attitudes.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     spline = RotationSpline.through(t, q, broken=broken)
@@ -242,20 +185,10 @@ def gyro_lag_s(
 ) -> float:
     """Estimate the lag of gyro timestamps behind attitude timestamps, s.
 
-    Parameters
-    ----------
-    t_s, q_body_ned, rate_t_s, rate_rad_per_s, broken
-        See `gyro_aided`.
-
-    Returns
-    -------
-    float
-        0.0 if the lag is less than five times its standard deviation, or more than 0.1 s.
-
-    Notes
-    -----
-    Between two samples with rates w1 and w2 a lag of L s leaves a residual turn of L (w2 - w1), and a bias b leaves
-    b (t2 - t1).  Both are fitted to the residuals by least squares, with rejection of outliers.
+    `t_s`, `q_body_ned`, `rate_t_s`, `rate_rad_per_s`, `broken`: see `gyro_aided`.  Returns: 0.0 if the lag is less
+    than five times its standard deviation, or more than 0.1 s.  Between two samples with rates w1 and w2 a lag of L s
+    leaves a residual turn of L (w2 - w1), and a bias b leaves b (t2 - t1).  Both are fitted to the residuals by least
+    squares, with rejection of outliers.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     gyro = GyroTrack.from_readings(rate_t_s, rate_rad_per_s)

@@ -22,29 +22,16 @@ _LARGEST_TANGENT: Final = float(np.tan(np.deg2rad(80.0)))
 
 @dataclass(frozen=True, slots=True)
 class MountError:
-    """The rotation of the real camera against its nominal mount, about the body's axes.
+    """The rotation of the real camera against its nominal mount, about the body's axes."""
 
-    Attributes
-    ----------
-    roll_rad, pitch_rad, yaw_rad : float
-        Components of the rotation vector forward, right and down, rad.
-    """
-
-    roll_rad: float = 0.0
+    roll_rad: float = 0.0  # Components of the rotation vector forward, right and down, rad
     pitch_rad: float = 0.0
     yaw_rad: float = 0.0
 
     def applied(self, C_camera_body: Float) -> Float:
         """Return the rotation from the body to the real camera.
 
-        Parameters
-        ----------
-        C_camera_body : (3, 3) float64
-            The nominal mount.
-
-        Returns
-        -------
-        (3, 3) float64
+        `C_camera_body` (3, 3): the nominal mount.  Returns (3, 3).
         """
         turn = np.array([self.roll_rad, self.pitch_rad, self.yaw_rad])
         turned: Float = C_camera_body @ matrix_from_quaternion(quaternion_from_turn(turn))
@@ -55,37 +42,21 @@ class MountError:
 class AttitudeErrorModel:
     """The errors of an estimated attitude: rotations of the body about its axes forward, right and down.
 
-    Attributes
-    ----------
-    bias_rad : tuple of float
-        Constant errors in roll, pitch and yaw, rad.
-    bias_sigma_rad : float
-        Standard deviation of a further constant error of each axis, drawn once per flight, rad.
-    drift_sigma_rad, drift_time_s : float
-        Standard deviation, rad, and correlation time, s, of a first-order Gauss-Markov process on each axis.
-    turn_coupling : float
-        Fraction of a turn's centripetal acceleration that the AHRS mistakes for gravity: in a coordinated turn of bank
-        phi the roll is estimated too small by the coupling times tan(phi), rad.
-    perlin_rad : float
-        Largest error of Perlin noise on each axis, rad.
-    perlin_time_s : float
-        Time between the nodes of its first octave, s.
-    perlin_octaves : int
-        Number of octaves, each with half the amplitude and half the time of the one before.
-
-    Notes
-    -----
     Teague & Chahl, Drones 2023, 7(1), 52: the INS is the truth with a random constant and Perlin noise.
     """
 
-    bias_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bias_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Constant errors in roll, pitch and yaw, rad
+    # Standard deviation of a further constant error of each axis, drawn once per flight, rad.
     bias_sigma_rad: float = 0.0
+    # Standard deviation, rad, and correlation time, s, of a first-order Gauss-Markov process on each axis.
     drift_sigma_rad: float = 0.0
     drift_time_s: float = 60.0
+    # Fraction of a turn's centripetal acceleration that the AHRS mistakes for gravity: in a coordinated turn of bank
+    # phi the roll is estimated too small by the coupling times tan(phi), rad.
     turn_coupling: float = 0.0
-    perlin_rad: float = 0.0
-    perlin_time_s: float = 10.0
-    perlin_octaves: int = 4
+    perlin_rad: float = 0.0  # Largest error of Perlin noise on each axis, rad
+    perlin_time_s: float = 10.0  # Time between the nodes of its first octave, s
+    perlin_octaves: int = 4  # Number of octaves, each with half the amplitude and half the time of the one before
 
     @property
     def is_random(self) -> bool:
@@ -95,20 +66,8 @@ class AttitudeErrorModel:
     def drawn(self, first_utc_s: float, last_utc_s: float, rng: np.random.Generator) -> "AttitudeErrors":
         """Return random errors over a flight.
 
-        Parameters
-        ----------
-        first_utc_s, last_utc_s : float
-            First and last time, UTC seconds since 1970.
-        rng : numpy.random.Generator
-
-        Returns
-        -------
-        AttitudeErrors
-
-        Raises
-        ------
-        ConfigError
-            If the drift is too fast for a flight of this length.
+        `first_utc_s`, `last_utc_s`: first and last time, UTC seconds since 1970.  Raises ConfigError if the drift is
+        too fast for a flight of this length.
         """
         bias_rng, drift_rng, perlin_rng = rng.spawn(3)
         bias = np.array(self.bias_rad) + self.bias_sigma_rad * bias_rng.standard_normal(3)
@@ -133,42 +92,22 @@ class AttitudeErrorModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeErrors:
-    """One realisation of an `AttitudeErrorModel` over a flight.
-
-    Attributes
-    ----------
-    model : AttitudeErrorModel
-    first_utc_s : float
-        UTC of the first sample of drift and noise, seconds since 1970.
-    bias_rad : (3,) float64
-    drift_step_s : float
-        Time between the samples of the drift, s.
-    drift_rad : (n, 3) float64
-    perlin_octaves : tuple of (float, (m, 3) float64)
-        Of each octave the time between nodes, s, and the slopes at the nodes.
-    """
+    """One realisation of an `AttitudeErrorModel` over a flight."""
 
     model: AttitudeErrorModel
-    first_utc_s: float
-    bias_rad: Float
-    drift_step_s: float
-    drift_rad: Float
+    first_utc_s: float  # UTC of the first sample of drift and noise, seconds since 1970
+    bias_rad: Float  # (3,)
+    drift_step_s: float  # Time between the samples of the drift, s
+    drift_rad: Float  # (n, 3)
+    # Tuple of (float, (m, 3) float64): of each octave the time between nodes, s, and the slopes at the nodes.
     perlin_octaves: tuple[tuple[float, Float], ...]
 
     def at(self, utc_s: Float, q_body_ned: Float) -> Float:
         """Return the error at some times.
 
-        Parameters
-        ----------
-        utc_s : (n,) float64
-            UTC seconds since 1970; beyond the flight the error of its end is held.
-        q_body_ned : (n, 4) float64
-            The attitude without error: (w, x, y, z), NED to body.
-
-        Returns
-        -------
-        (n, 3) float64
-            Rotation vectors about the body's axes forward, right and down, rad.
+        `utc_s` (n,): UTC seconds since 1970; beyond the flight the error of its end is held; `q_body_ned` (n, 4): the
+        attitude without error: (w, x, y, z), NED to body.  Returns (n, 3) rotation vectors about the body's axes
+        forward, right and down, rad.
         """
         elapsed_s = np.maximum(utc_s - self.first_utc_s, 0.0)
         node_s = self.drift_step_s * np.arange(len(self.drift_rad))
@@ -186,33 +125,18 @@ class AttitudeErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedAttitude:
-    """The attitude that an aircraft estimates.
+    """The attitude that an aircraft estimates."""
 
-    Attributes
-    ----------
-    track : AttitudeTrack
-        The true attitude, or that of another message of the log.
-    errors : AttitudeErrors
-    is_held : bool
-        Whether the first and the last attitude hold before and after the samples.  Those of a message do not, beyond
-        one sample interval.
-    """
-
-    track: AttitudeTrack
+    track: AttitudeTrack  # The true attitude, or that of another message of the log
     errors: AttitudeErrors
+    # Whether the first and the last attitude hold before and after the samples; those of a message do not, beyond one
+    # sample interval.
     is_held: bool = True
 
     def is_known(self, start_utc_s: float, stop_utc_s: float) -> bool:
         """Return whether there is an estimate over a time interval: it has no gap.
 
-        Parameters
-        ----------
-        start_utc_s, stop_utc_s : float
-            UTC seconds since 1970.
-
-        Returns
-        -------
-        bool
+        `start_utc_s`, `stop_utc_s`: UTC seconds since 1970.
         """
         track, margin_s = self.track, np.inf if self.is_held else 1 / self.track.rate_hz
         if start_utc_s < track.first_s - margin_s or stop_utc_s > track.last_s + margin_s:
@@ -222,15 +146,8 @@ class EstimatedAttitude:
     def at(self, utc_s: Float) -> Float:
         """Return the estimate at some times.
 
-        Parameters
-        ----------
-        utc_s : (n,) float64
-            UTC seconds since 1970; before and after the flight its first or last attitude is held.
-
-        Returns
-        -------
-        (n, 4) float64
-            q_body_ned: (w, x, y, z), NED to body.
+        `utc_s` (n,): UTC seconds since 1970; before and after the flight its first or last attitude is held.  Returns
+        (n, 4) q_body_ned: (w, x, y, z), NED to body.
         """
         inside_s = np.clip(utc_s, self.track.first_s, self.track.last_s)
         q_body_ned = self.track.at(inside_s)
@@ -240,17 +157,8 @@ class EstimatedAttitude:
 def gauss_markov(samples: int, step: float, rng: np.random.Generator) -> Float:
     """Return three first-order Gauss-Markov processes of unit variance, stationary from the first sample.
 
-    Parameters
-    ----------
-    samples : int
-    step : float
-        Time between samples, in correlation times.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (samples, 3) float64
-        With the correlation exp(-|k| step) between samples k and 0.
+    `step`: time between samples, in correlation times.  Returns (samples, 3) with the correlation exp(-|k| step)
+    between samples k and 0.
     """
     from scipy.signal import lfilter  # noqa: PLC0415 - slow to import, rarely needed
 
@@ -264,21 +172,9 @@ def gauss_markov(samples: int, step: float, rng: np.random.Generator) -> Float:
 def perlin_noise(position: Float, slopes: Float) -> Float:
     """Return Perlin's gradient noise in one dimension, from -1 to 1.
 
-    Parameters
-    ----------
-    position : (n,) float64
-        In node spacings, from 0.
-    slopes : (m, k) float64
-        Slopes at the nodes, -1 to 1; positions beyond the last node continue its slope.
-
-    Returns
-    -------
-    (n, k) float64
-
-    Notes
-    -----
-    K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 + 10 t^3 between the tangents of two nodes,
-    here times 2, so that opposite slopes of 1 reach 1 in the middle.
+    `position` (n,): in node spacings, from 0; `slopes` (m, k): slopes at the nodes, -1 to 1; positions beyond the last
+    node continue its slope.  Returns (n, k).  K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 +
+    10 t^3 between the tangents of two nodes, here times 2, so that opposite slopes of 1 reach 1 in the middle.
     """
     node = np.clip(np.floor(position).astype(np.int64), 0, len(slopes) - 2)
     t = np.clip(position - node, 0.0, 1.0)[:, np.newaxis]

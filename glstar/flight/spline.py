@@ -22,14 +22,7 @@ _SERIES_RAD: Final = 0.1
 def rate_of_vector(turn_rad: Float) -> Float:
     """Return the matrices from the time derivative of a rotation vector to the body rate.
 
-    Parameters
-    ----------
-    turn_rad : (n, 3) float64
-        Rotation vectors, rad.
-
-    Returns
-    -------
-    (n, 3, 3) float64
+    `turn_rad` (n, 3): rotation vectors, rad.  Returns (n, 3, 3).
     """
     angle = np.linalg.norm(turn_rad, axis=-1)
     cross = _cross(turn_rad)
@@ -41,14 +34,7 @@ def rate_of_vector(turn_rad: Float) -> Float:
 def vector_of_rate(turn_rad: Float) -> Float:
     """Return the matrices from the body rate to the time derivative of a rotation vector: the inverse of the above.
 
-    Parameters
-    ----------
-    turn_rad : (n, 3) float64
-        Rotation vectors, rad.
-
-    Returns
-    -------
-    (n, 3, 3) float64
+    `turn_rad` (n, 3): rotation vectors, rad.  Returns (n, 3, 3).
     """
     angle = np.linalg.norm(turn_rad, axis=-1)
     cross = _cross(turn_rad)
@@ -63,17 +49,8 @@ def vector_of_rate(turn_rad: Float) -> Float:
 def angular_acceleration(turn_rad: Float, derivative: Float) -> Float:
     """Return the angular acceleration of a body whose rotation vector changes at a constant rate.
 
-    Parameters
-    ----------
-    turn_rad : (n, 3) float64
-        Rotation vectors, rad.
-    derivative : (n, 3) float64
-        Their time derivatives, rad/s.
-
-    Returns
-    -------
-    (n, 3) float64
-        Angular accelerations in body axes, rad/s^2.
+    `turn_rad` (n, 3): rotation vectors, rad; `derivative` (n, 3): their time derivatives, rad/s.  Returns (n, 3)
+    angular accelerations in body axes, rad/s^2.
     """
     angle = np.linalg.norm(turn_rad, axis=-1)
     small = angle < _SERIES_RAD
@@ -95,19 +72,9 @@ def angular_acceleration(turn_rad: Float, derivative: Float) -> Float:
 def cubic(step_s: Float, turn_rad: Float, begin: Float, end: Float) -> Float:
     """Return cubic polynomials for rotation vectors that start at zero, from their derivatives at both ends.
 
-    Parameters
-    ----------
-    step_s : (n,) float64
-        Length of each interval, s.
-    turn_rad : (n, 3) float64
-        Rotation vectors at the ends of the intervals, rad.
-    begin, end : (n, 3) float64
-        Time derivatives at the start and at the end, rad/s.
-
-    Returns
-    -------
-    (n, 3, 3) float64
-        Coefficients of time, its square and its cube: rad/s, rad/s^2, rad/s^3.
+    `step_s` (n,): length of each interval, s; `turn_rad` (n, 3): rotation vectors at the ends of the intervals, rad;
+    `begin`, `end` (n, 3): time derivatives at the start and at the end, rad/s.  Returns (n, 3, 3) coefficients of time,
+    its square and its cube: rad/s, rad/s^2, rad/s^3.
     """
     h = step_s[:, np.newaxis]
     mean = turn_rad / h
@@ -156,44 +123,24 @@ class RotationSpline:
 
     Between two samples the rotation vector from the first of them is a cubic polynomial of time.
 
-    Attributes
-    ----------
-    t_s : (n,) float64, n >= 2
-        Sample times, s, strictly increasing.
-    q_body_ned : (n, 4) float64
-        Unit quaternions (w, x, y, z).
-    coefficients : (n - 1, 3, 3) float64
-        Coefficients of each polynomial, in the body frame at its first sample: those of the time since that sample, its
-        square and its cube; rad/s, rad/s^2, rad/s^3.
-
-    Notes
-    -----
     The equations are those of `scipy.spatial.transform.RotationSpline`, but for the boundary conditions: SciPy uses the
     mean rate of the first and the last interval; here it is the rate of a parabola through three samples, which is
     accurate to second order.  SciPy's class also has no gaps.
     """
 
-    t_s: Float
-    q_body_ned: Float
+    t_s: Float  # (n,) n >= 2: sample times, s, strictly increasing
+    q_body_ned: Float  # (n, 4) unit quaternions (w, x, y, z)
+    # (n - 1, 3, 3) coefficients of each polynomial, in the body frame at its first sample: those of the time since that
+    # sample, its square and its cube; rad/s, rad/s^2, rad/s^3.
     coefficients: Float
 
     @classmethod
     def through(cls, t_s: ArrayLike, q_body_ned: ArrayLike, *, broken: ArrayLike | None = None) -> Self:
         """Fit the curve through attitudes.
 
-        Parameters
-        ----------
-        t_s : (n,) array_like, n >= 2
-            Sample times, s, strictly increasing, in any steps.
-        q_body_ned : (n, 4) array_like
-            Unit quaternions (w, x, y, z), of either sign.
-        broken : (n - 1,) array_like of bool, optional
-            Intervals that are gaps.  In a gap, and in an interval with a turn of more than 90 deg, the turn rate is
-            constant, as for slerp; the curves on its two sides are independent.
-
-        Returns
-        -------
-        RotationSpline
+        `t_s` (n,) n >= 2: sample times, s, strictly increasing, in any steps; `q_body_ned` (n, 4): unit quaternions (w,
+        x, y, z), of either sign; `broken` (n - 1,) bool: intervals that are gaps; in a gap, and in an interval with a
+        turn of more than 90 deg, the turn rate is constant, as for slerp; the curves on its two sides are independent.
         """
         t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
         step_s = np.diff(t)
@@ -210,14 +157,7 @@ class RotationSpline:
     def joined(cls, curves: Sequence[Self]) -> Self:
         """Concatenate curves, with a constant turn rate between each two.
 
-        Parameters
-        ----------
-        curves : sequence of RotationSpline
-            One or more, sorted by time, without overlaps.
-
-        Returns
-        -------
-        RotationSpline
+        `curves`: one or more, sorted by time, without overlaps.
         """
         parts = [curves[0].coefficients]
         for before, after in pairwise(curves):
@@ -230,15 +170,7 @@ class RotationSpline:
     def at(self, t_s: ArrayLike) -> Float:
         """Return the attitude at each of the given times.
 
-        Parameters
-        ----------
-        t_s : (...) array_like
-            Times within the range of the samples, s.
-
-        Returns
-        -------
-        (..., 4) float64
-            Unit quaternions (w, x, y, z).
+        `t_s` (...): times within the range of the samples, s.  Returns (..., 4) unit quaternions (w, x, y, z).
         """
         t = np.asarray(t_s, dtype=np.float64)
         before = np.clip(np.searchsorted(self.t_s, t, side="right") - 1, 0, self.t_s.size - 2)
@@ -311,11 +243,7 @@ class _BandedSolver:
     """Solves block tridiagonal equations with identity blocks on the diagonal, by a banded LU decomposition (LAPACK).
 
     The matrix is decomposed once for all right-hand sides; `scipy.linalg.solve_banded` would decompose it every time.
-
-    Parameters
-    ----------
-    below, above : (n, 3, 3) float64
-        Blocks beside the diagonal; the first one below and the last one above are ignored.
+    `below`, `above` (n, 3, 3): blocks beside the diagonal; the first one below and the last one above are ignored.
     """
 
     def __init__(self, below: Float, above: Float) -> None:

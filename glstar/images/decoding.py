@@ -23,26 +23,15 @@ _SIGNATURE_BYTES: Final = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedImage:
-    """A real image as large as the simulated one.
+    """A real image as large as the simulated one."""
 
-    Attributes
-    ----------
-    pixels : (height, width) uint8 or uint16
-        Digital numbers, read only; 0 outside of the real image.
-    left, top, right, bottom : int
-        The part that the real image covers, px: columns left to right - 1, rows top to bottom - 1.
-    note : str
-        How the image was scaled, for the user; empty if it was not.
-    full_scale_dn : int or None
-        The largest digital number of its camera, if that is known: see `with_full_scale`.
-    """
-
-    pixels: Grey
-    left: int
+    pixels: Grey  # (height, width) uint8 or uint16: digital numbers, read only; 0 outside of the real image
+    left: int  # The part that the real image covers, px: columns left to right - 1, rows top to bottom - 1
     top: int
     right: int
     bottom: int
-    note: str = ""
+    note: str = ""  # How the image was scaled, for the user; empty if it was not
+    # The largest digital number of its camera, if that is known: see `with_full_scale`.
     full_scale_dn: int | None = None
 
     @property
@@ -53,36 +42,15 @@ class FittedImage:
     def with_full_scale(self, full_scale_dn: int) -> Self:
         """Return the image as one of a camera with this full scale, if it may be: 12 bits in a file of 16.
 
-        Parameters
-        ----------
-        full_scale_dn : int
-            The largest digital number of the simulated sensor.
-
-        Returns
-        -------
-        FittedImage
-            This one if it has 8 bits or the sensor has, or if a pixel exceeds the full scale.
+        `full_scale_dn`: the largest digital number of the simulated sensor.  Returns: this one if it has 8 bits or the
+        sensor has, or if a pixel exceeds the full scale.
         """
         is_deep = self.pixels.dtype == np.uint16 and full_scale_dn > np.iinfo(np.uint8).max
         return replace(self, full_scale_dn=full_scale_dn) if is_deep and self.pixels.max() <= full_scale_dn else self
 
 
 def is_image(path: Path) -> bool:
-    """Return whether a file begins like an image that glstar reads.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    """
+    """Return whether a file begins like an image that glstar reads; raises OSError if it cannot be read."""
     with path.open("rb") as file:
         return has_image_signature(file.read(_SIGNATURE_BYTES))
 
@@ -90,27 +58,12 @@ def is_image(path: Path) -> bool:
 def read_grey(path: Path) -> Grey:
     """Return an image file as grey digital numbers, as the sensor has them: unrotated, unscaled.
 
-    Parameters
-    ----------
-    path : Path
-        PNG, JPEG, TIFF or another format that OpenCV or tifffile reads, of 8 or 16 bits; DNG; HEIC; FITS of one
-        channel.
-
-    Returns
-    -------
-    (height, width) uint8 or uint16
-        Colour becomes grey by the value channel of HSV, the largest of red, green and blue.  Numbers that a grey PNG or
-        TIFF states to be shifted up (``[output] align``) are shifted back.
-
-    Raises
-    ------
-    ImagesError
-        If it cannot be read, is cut off, is larger than `glstar.system.imagefiles.MAX_MEGAPIXELS`, or holds other
-        numbers.
-
-    Notes
-    -----
-    Teague & Chahl, section 2.5: the value channel preserves the brightness of a star of any colour.
+    `path`: PNG, JPEG, TIFF or another format that OpenCV or tifffile reads, of 8 or 16 bits; DNG; HEIC; FITS of one
+    channel.  Returns (height, width) uint8 or uint16: colour becomes grey by the value channel of HSV, the largest of
+    red, green and blue; numbers that a grey PNG or TIFF states to be shifted up (``[output] align``) are shifted
+    back.  Raises ImagesError if it cannot be read, is cut off, is larger than
+    `glstar.system.imagefiles.MAX_MEGAPIXELS`, or holds other numbers.  Teague & Chahl, section 2.5: the value channel
+    preserves the brightness of a star of any colour.
     """
     try:
         content = path.read_bytes()
@@ -171,20 +124,9 @@ def _decoded(content: bytes) -> NDArray[Any] | None:
 def fit(pixels: Grey, width_px: int, height_px: int) -> FittedImage:
     """Return an image scaled to fit into another size, centred, with its aspect ratio unchanged.
 
-    Parameters
-    ----------
-    pixels : (h, w) uint8 or uint16
-    width_px, height_px : int
-        The requested size, px.
-
-    Returns
-    -------
-    FittedImage
-
-    Notes
-    -----
-    Scaling aligns the images' edges, as binning does, not the centres of their corner pixels.  Shrinking averages over
-    areas, so that no star is lost between samples; enlarging is bilinear.
+    `pixels` (h, w) uint8 or uint16; `width_px`, `height_px`: the requested size, px.  Scaling aligns the images'
+    edges, as binning does, not the centres of their corner pixels.  Shrinking averages over areas, so that no star is
+    lost between samples; enlarging is bilinear.
     """
     height, width = pixels.shape
     if (width, height) == (width_px, height_px):

@@ -34,30 +34,18 @@ _COMPANIONS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class RealImage:
-    """One real image, not yet decoded.
-
-    Attributes
-    ----------
-    path : Path
-    time : ImageTime
-        Its time on the camera's clock, with the source.
-    """
+    """One real image, not yet decoded."""
 
     path: Path
-    time: ImageTime
+    time: ImageTime  # Its time on the camera's clock, with the source
 
 
 class RealImages:
     """A folder of real images in the order of their times.
 
-    Attributes
-    ----------
-    folder : Path
-    problems : list of str
-        A line for each file that is not an image, is broken, or has no time.  Broken pixels are found when they are
-        decoded; the image then leaves the sequence.
-    time_sources : str
-        The sources of the times: ``12 images; times: 10 by EXIF, zone +09:30, 2 by name``.
+    `problems`: a line for each file that is not an image, is broken, or has no time; broken pixels are found when they
+    are decoded; the image then leaves the sequence; `time_sources`: the sources of the times: ``12 images; times: 10 by
+    EXIF, zone +09:30, 2 by name``.
     """
 
     def __init__(self, folder: Path, images: list[RealImage], problems: list[str]) -> None:
@@ -74,21 +62,9 @@ class RealImages:
     def open(cls, folder: str | Path, *, table: Path | None = None) -> "RealImages":
         """Find the images of a folder and their times.
 
-        Parameters
-        ----------
-        folder : path-like
-            Subfolders are not searched.
-        table : Path, optional
-            A CSV table of times; without it ``images.csv`` or ``times.csv`` in the folder, if there is one.
-
-        Returns
-        -------
-        RealImages
-
-        Raises
-        ------
-        ImagesError
-            If there is no such folder, the table cannot be used, or no image has a time.
+        `folder`: subfolders are not searched; `table`: a CSV table of times; without it ``images.csv`` or ``times.csv``
+        in the folder, if there is one.  Raises ImagesError if there is no such folder, the table cannot be used, or no
+        image has a time.
         """
         folder = Path(folder)
         images, problems = find_images(folder, table=table)
@@ -106,13 +82,7 @@ class RealImages:
         return self._images[index]
 
     def index(self, image: RealImage) -> int:
-        """Return the index of an image in the sequence.
-
-        Raises
-        ------
-        ValueError
-            If it is not, or no longer, among them.
-        """
+        """Return the index of an image in the sequence; raises ValueError if it is not, or no longer, among them."""
         # A bisection by time: the viewer calls it every frame, with thousands of images.
         index = bisect_left(self._utc_s, image.time.utc_s)
         while index < len(self) and self._utc_s[index] == image.time.utc_s:
@@ -136,15 +106,8 @@ class RealImages:
     def nearest(self, utc_s: float) -> RealImage | None:
         """Return the image nearest in time: the earlier one of two, and the first by name of equal times.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970, by the camera's clock.
-
-        Returns
-        -------
-        RealImage or None
-            None if all images are broken.  Nothing is decoded, and the call does not block.
+        `utc_s`: UTC seconds since 1970, by the camera's clock.  Returns: none if all images are broken; nothing is
+        decoded, and the call does not block.
         """
         if not self._images:
             return None
@@ -156,18 +119,9 @@ class RealImages:
     def fitted(self, image: RealImage, width_px: int, height_px: int) -> FittedImage | None:
         """Return an image's pixels if they are decoded, and start to decode them otherwise.
 
-        Call it once per frame; it never blocks.  It decodes the next image in advance.
-
-        Parameters
-        ----------
-        image : RealImage
-        width_px, height_px : int
-            The size of the simulated image, px.
-
-        Returns
-        -------
-        FittedImage or None
-            None while it is being decoded, or if it is broken: `problems` then has a new line, and `nearest` skips it.
+        Call it once per frame; it never blocks.  It decodes the next image in advance.  `width_px`, `height_px`: the
+        size of the simulated image, px.  Returns: none while it is being decoded, or if it is broken: `problems` then
+        has a new line, and `nearest` skips it.
         """
         self.collect()
         key = (image.path, width_px, height_px)
@@ -182,20 +136,7 @@ class RealImages:
     def read(self, image: RealImage, width_px: int, height_px: int) -> FittedImage:
         """Return an image's pixels, and wait for the decoder: for saving, where `fitted` serves the viewer.
 
-        Parameters
-        ----------
-        image : RealImage
-        width_px, height_px : int
-            The size of the simulated image, px.
-
-        Returns
-        -------
-        FittedImage
-
-        Raises
-        ------
-        ImagesError
-            If it cannot be decoded.
+        `width_px`, `height_px`: the size of the simulated image, px.  Raises ImagesError if it cannot be decoded.
         """
         decoded = self._decoded.get((image.path, width_px, height_px))
         return decoded if decoded is not None else fit(read_grey(image.path), width_px, height_px)
@@ -255,24 +196,9 @@ class RealImages:
 def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealImage], list[str]]:
     """Return the images of a folder that have a time, in the order of their names.
 
-    Parameters
-    ----------
-    folder : Path
-        Subfolders are not searched.
-    table : Path, optional
-        A CSV table of times; without it ``images.csv`` or ``times.csv`` in the folder, if there is one.
-
-    Returns
-    -------
-    images : list of RealImage
-        Empty if there is none.
-    problems : list of str
-        A line for each file that is not an image, is broken, or has no time.
-
-    Raises
-    ------
-    ImagesError
-        If there is no such folder, or the table cannot be used.
+    `folder`: subfolders are not searched; `table`: a CSV table of times; without it ``images.csv`` or ``times.csv`` in
+    the folder, if there is one.  Returns `images`: empty if there is none; `problems`: a line for each file that is not
+    an image, is broken, or has no time.  Raises ImagesError if there is no such folder, or the table cannot be used.
     """
     try:
         files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
@@ -298,24 +224,9 @@ def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealIm
 def choose_images(paths: Sequence[Path], *, table: Path | None = None) -> tuple[list[RealImage], list[str]]:
     """Return the images of folders and single files that have a time, in the order of their times.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Folders, and image files.
-    table : Path, optional
-        As `find_images` takes it.
-
-    Returns
-    -------
-    images : list of RealImage
-        Each once; empty if there is none.
-    problems : list of str
-        A line for each file among them that cannot be used.
-
-    Raises
-    ------
-    ImagesError
-        If there is no such folder or file, or the table cannot be used.
+    `paths`: folders, and image files; `table`: as `find_images` takes it.  Returns `images`: each once; empty if there
+    is none; `problems`: a line for each file among them that cannot be used.  Raises ImagesError if there is no such
+    folder or file, or the table cannot be used.
     """
     wanted: dict[Path, set[str] | None] = {}
     for path in paths:
@@ -379,23 +290,9 @@ def _nothing_usable(problems: list[str]) -> str:
 def triggered_images(paths: Sequence[Path], flight: Flight, *, delay_s: float = 0.0) -> list[RealImage]:
     """Return images with the times of the camera's triggers: the first by name was taken at the first trigger.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Folders, and image files.
-    flight : Flight
-    delay_s : float
-        Time from a trigger to the opening of the shutter, s.
-
-    Returns
-    -------
-    list of RealImage
-        In the order of the triggers.
-
-    Raises
-    ------
-    ImagesError
-        If there is no such folder or file, the log has no triggers, or their number is not that of the images.
+    `paths`: folders, and image files; `delay_s`: time from a trigger to the opening of the shutter, s.  Returns: in the
+    order of the triggers.  Raises ImagesError if there is no such folder or file, the log has no triggers, or their
+    number is not that of the images.
     """
     files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
     if missing := [path for path in files if not path.exists()]:

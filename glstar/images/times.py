@@ -75,58 +75,30 @@ _FRACTION_BEFORE: Final = {TimeReference.START: 0.0, TimeReference.MIDDLE: 0.5, 
 
 @dataclass(frozen=True, slots=True)
 class ImageTime:
-    """The time of an image, with its source.
+    """The time of an image, with its source."""
 
-    Attributes
-    ----------
-    utc_s : float
-        UTC seconds since 1970, by the camera's clock.
-    source : str
-        A label of the source: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``.
-    exposure_s : float or None
-        Exposure time, s; None if the source does not state it.
-    is_start : bool
-        Whether the time is known to be the start of the exposure; otherwise the user chooses a `TimeReference`.
-    """
-
-    utc_s: float
-    source: str
-    exposure_s: float | None = None
+    utc_s: float  # UTC seconds since 1970, by the camera's clock
+    source: str  # A label of the source: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``
+    exposure_s: float | None = None  # Exposure time, s; None if the source does not state it
+    # Whether the time is known to be the start of the exposure; otherwise the user chooses a `TimeReference`.
     is_start: bool = False
 
     def fraction_before(self, reference: TimeReference) -> float:
         """Return the fraction of the exposure that lies before this time, 0 to 1.
 
-        Parameters
-        ----------
-        reference : TimeReference
-            The instant that the time refers to, if the source does not state it.
-
-        Returns
-        -------
-        float
-            With a rolling shutter it is a fraction of the time from the first opening to the last closing.
+        `reference`: the instant that the time refers to, if the source does not state it.  Returns: with a rolling
+        shutter it is a fraction of the time from the first opening to the last closing.
         """
         return 0.0 if self.is_start else _FRACTION_BEFORE[reference]
 
 
 @dataclass(frozen=True, slots=True)
 class ExifTime:
-    """The time of an image in its EXIF.
+    """The time of an image in its EXIF."""
 
-    Attributes
-    ----------
-    utc_s : float or None
-        UTC seconds since 1970; without a zone, the camera's clock is taken as UTC.
-    zone : str or None
-        A label of the zone; None if it is unknown.
-    exposure_s : float or None
-        Exposure time, s.
-    """
-
-    utc_s: float | None = None
-    zone: str | None = None
-    exposure_s: float | None = None
+    utc_s: float | None = None  # UTC seconds since 1970; without a zone, the camera's clock is taken as UTC
+    zone: str | None = None  # A label of the zone; None if it is unknown
+    exposure_s: float | None = None  # Exposure time, s
 
 
 def exposure_of(
@@ -139,23 +111,11 @@ def exposure_of(
 ) -> Exposure:
     """Return the exposure to simulate for a real image.
 
-    Parameters
-    ----------
-    time : ImageTime
-    wanted : Exposure
-        The configured exposure: its rate, and its duration if the image's own is unknown or not used.  A stacked image
-        has the configured durations, because its own may be that of each short exposure, or of all.
-    reference : TimeReference
-        The instant that the image's time refers to, if the source does not state it.
-    ahead_s : float
-        By how much the camera's clock is ahead of the log's, s.
-    own_length : bool
-        Whether to use the image's own exposure time.
-
-    Returns
-    -------
-    Exposure
-        It may lie outside of the flight.
+    `wanted`: the configured exposure: its rate, and its duration if the image's own is unknown or not used; a stacked
+    image has the configured durations, because its own may be that of each short exposure, or of all; `reference`: the
+    instant that the image's time refers to, if the source does not state it; `ahead_s`: by how much the camera's clock
+    is ahead of the log's, s; `own_length`: whether to use the image's own exposure time.  Returns: it may lie outside
+    of the flight.
     """
     own_s = time.exposure_s if wanted.frames == 1 else None
     duration_s = own_s if own_length and own_s is not None else wanted.duration_s
@@ -168,15 +128,7 @@ def exposure_of(
 def time_of(path: Path) -> ImageTime | None:
     """Return the time of an image from its EXIF or its name.
 
-    Parameters
-    ----------
-    path : Path
-        An image file.
-
-    Returns
-    -------
-    ImageTime or None
-        None if neither has a time.
+    `path`: an image file.  Returns: none if neither has a time.
     """
     exif = read_exif(path)
     named_s = utc_from_name(path.name)
@@ -194,16 +146,9 @@ def time_of(path: Path) -> ImageTime | None:
 def utc_from_name(name: str) -> float | None:
     """Return the time in a file name.
 
-    Parameters
-    ----------
-    name : str
-        Such as ``2019-07-29T204726_Alt40.tiff``, ``IMG_20190729_204726_123.jpg``, ``2019-07-29T20:47:26.5Z.png``,
-        ``1564433246.5.png``, ``1564433246500.png``.
-
-    Returns
-    -------
-    float or None
-        UTC seconds since 1970; a name without a zone is UTC.  None if it has no time.
+    `name`: such as ``2019-07-29T204726_Alt40.tiff``, ``IMG_20190729_204726_123.jpg``, ``2019-07-29T20:47:26.5Z.png``,
+    ``1564433246.5.png``, ``1564433246500.png``.  Returns: UTC seconds since 1970; a name without a zone is UTC. None if
+    it has no time.
     """
     for found in _DATE_IN_NAME.finditer(name):
         with suppress(ValueError):
@@ -237,15 +182,7 @@ def _zone(text: str) -> timezone:
 def read_exif(path: Path) -> ExifTime:
     """Return the time and the exposure in an image's EXIF.
 
-    Parameters
-    ----------
-    path : Path
-        A JPEG, TIFF, PNG or WebP file.
-
-    Returns
-    -------
-    ExifTime
-        Each None if it is missing or invalid.
+    `path`: a JPEG, TIFF, PNG or WebP file.  Returns: each None if it is missing or invalid.
     """
     try:
         with path.open("rb") as file:
@@ -303,23 +240,10 @@ def _zone_by_gps_s(tags: dict[str, Any], local: datetime) -> int | None:
 def read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:
     """Return the times of files in a table.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with the columns ``file`` and ``utc`` (ISO 8601; without an offset UTC) or ``utc_s`` (seconds since 1970),
-        and optionally ``exposure_s``.  Separated by commas, semicolons or tabs; ``#`` begins a comment line.
-
-    Returns
-    -------
-    times : dict
-        File name to `ImageTime`.
-    problems : list of str
-        A line for each invalid row.
-
-    Raises
-    ------
-    ImagesError
-        If it cannot be read, or lacks these columns.
+    `path`: CSV with the columns ``file`` and ``utc`` (ISO 8601; without an offset UTC) or ``utc_s`` (seconds since
+    1970), and optionally ``exposure_s``; separated by commas, semicolons or tabs; ``#`` begins a comment line.  Returns
+    `times`: file name to `ImageTime`; `problems`: a line for each invalid row.  Raises ImagesError if it cannot be
+    read, or lacks these columns.
     """
     try:
         lines = [line for line in read_text(path, _LARGEST_BYTES).splitlines() if line.strip()[:1] not in ("", "#")]

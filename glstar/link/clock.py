@@ -39,23 +39,11 @@ _WRAP_S: Final = 2**32 / 1000
 class BootClock:
     """The clock of one autopilot, from boot to boot.
 
-    Parameters
-    ----------
-    utc_minus_host_s : float, optional
-        UTC minus `time.monotonic`, s, used if the autopilot has no UTC.
-    host_source : str
-        Where that comes from, for messages.
-    start_utc_s : float, optional
-        UTC of the first packet with a time since boot, seconds since 1970; it replaces the UTC of the autopilot.
-
-    Attributes
-    ----------
-    boot : int
-        Number of the boot, from 0.
-    utc_minus_boot_before_s : float or None
-        UTC minus the time since the previous boot, s, at the end of that boot; None if unknown.
-    has_two_clocks : bool
-        Whether times of two clocks are received, as from two autopilots with one system number; the first is used.
+    `utc_minus_host_s`: UTC minus `time.monotonic`, s, used if the autopilot has no UTC; `host_source`: where that comes
+    from, for messages; `start_utc_s`: UTC of the first packet with a time since boot, seconds since 1970; it replaces
+    the UTC of the autopilot.  `boot`: number of the boot, from 0; `utc_minus_boot_before_s`: UTC minus the time since
+    the previous boot, s, at the end of that boot; None if unknown; `has_two_clocks`: whether times of two clocks are
+    received, as from two autopilots with one system number; the first is used.
     """
 
     def __init__(
@@ -83,31 +71,15 @@ class BootClock:
         self._others_s: deque[float] = deque(maxlen=_READINGS)
 
     def use_computer_clock(self, utc_minus_host_s: float) -> None:
-        """Use the computer's clock if the autopilot has no UTC.
-
-        Parameters
-        ----------
-        utc_minus_host_s : float
-            UTC minus `time.monotonic`, s.
-        """
+        """Use the computer's clock if the autopilot has no UTC; `utc_minus_host_s`: UTC minus `time.monotonic`, s."""
         if not self._overrides:
             self._utc_minus_host_s, self._host_source = utc_minus_host_s, COMPUTER_CLOCK
 
     def add_packet(self, boot_s: float, arrival_s: float) -> float | None:
         """Add the time since boot of a packet.
 
-        Parameters
-        ----------
-        boot_s : float
-            Time since boot, s.
-        arrival_s : float
-            Arrival by `time.monotonic`, s.
-
-        Returns
-        -------
-        float or None
-            The time since boot, continued beyond 49.7 days; None if it is from another clock while the previous one is
-            still received.
+        `boot_s`: time since boot, s; `arrival_s`: arrival by `time.monotonic`, s.  Returns the time since boot,
+        continued beyond 49.7 days; None if it is from another clock while the previous one is still received.
         """
         unwrapped_s = boot_s + self._wraps * _WRAP_S
         if self._latest_s is not None:
@@ -132,12 +104,7 @@ class BootClock:
     def read_utc(self, boot_s: float, utc_s: float) -> None:
         """Add a UTC reading of the autopilot; invalid ones are ignored.
 
-        Parameters
-        ----------
-        boot_s : float
-            Time since boot without wraps, s.
-        utc_s : float
-            UTC seconds since 1970; 0 before a GPS fix.
+        `boot_s`: time since boot without wraps, s; `utc_s`: UTC seconds since 1970; 0 before a GPS fix.
         """
         if not YEAR_2010_S <= utc_s < YEAR_2100_S:
             return
@@ -149,12 +116,7 @@ class BootClock:
     def read_others_utc(self, utc_s: float, arrival_s: float) -> None:
         """Add a UTC reading of another system on the link, such as a ground station.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970.
-        arrival_s : float
-            Arrival by `time.monotonic`, s.
+        `utc_s`: UTC seconds since 1970; `arrival_s`: arrival by `time.monotonic`, s.
         """
         if YEAR_2010_S <= utc_s < YEAR_2100_S:
             self._others_s.append(utc_s - arrival_s)
@@ -167,15 +129,8 @@ class BootClock:
     def dated(self, boot_s: float | None, arrival_s: float | None) -> LatestAttitude | None:
         """Return the times of the latest attitude.
 
-        Parameters
-        ----------
-        boot_s, arrival_s : float or None
-            Its time since boot and its arrival by `time.monotonic`, s.
-
-        Returns
-        -------
-        LatestAttitude or None
-            None if there is no attitude, or no UTC.
+        `boot_s`, `arrival_s`: its time since boot and its arrival by `time.monotonic`, s.  Returns: none if there is no
+        attitude, or no UTC.
         """
         utc_minus_boot_s, utc_minus_host_s = self.utc_minus_boot_s, self.utc_minus_host_s
         if boot_s is None or arrival_s is None or utc_minus_boot_s is None or utc_minus_host_s is None:

@@ -49,47 +49,20 @@ _BAUDS: Final = (1200, 12_500_000)
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One end of a telemetry link.
+    """One end of a telemetry link."""
 
-    Attributes
-    ----------
-    kind : {"serial", "udpin", "udpout", "tcp", "tcpin"}
-    text : str
-        The connection string.
-    device : str
-        The serial port; empty for others.
-    baud : int
-        Its baud rate, bits/s; 0 for others.
-    host : str
-        Name or address; empty for a serial port.
-    port : int
-        UDP or TCP port; 0 for a serial port.
-    """
-
-    kind: EndpointKind
-    text: str
-    device: str = ""
-    baud: int = 0
-    host: str = ""
-    port: int = 0
+    kind: EndpointKind  # {"serial", "udpin", "udpout", "tcp", "tcpin"}
+    text: str  # The connection string
+    device: str = ""  # The serial port; empty for others
+    baud: int = 0  # Its baud rate, bits/s; 0 for others
+    host: str = ""  # Name or address; empty for a serial port
+    port: int = 0  # UDP or TCP port; 0 for a serial port
 
     @classmethod
     def parse(cls, text: str) -> Self:
         """Parse a connection string, without opening the link.
 
-        Parameters
-        ----------
-        text : str
-            See the table of this module.
-
-        Returns
-        -------
-        Endpoint
-
-        Raises
-        ------
-        ConfigError
-            If it is invalid, with advice.
+        `text`: see the table of this module.  Raises ConfigError if it is invalid, with advice.
 
         Examples
         --------

@@ -42,19 +42,9 @@ _Rank = tuple[int, bool, int]
 class LinkGimbal:
     """The attitudes of the gimbal of one autopilot.
 
-    Parameters
-    ----------
-    clock : BootClock
-        Of the autopilot.
-    keep_s : float
-        Duration of the history, s.
-
-    Attributes
-    ----------
-    latest_boot_s : float or None
-        Time since boot of the latest attitude that is not later than the aircraft's, s.
-    arrival_s : float or None
-        When that attitude and the aircraft's were both known, by `time.monotonic`, s.
+    `clock`: of the autopilot; `keep_s`: duration of the history, s.  `latest_boot_s`: time since boot of the latest
+    attitude that is not later than the aircraft's, s; `arrival_s`: when that attitude and the aircraft's were both
+    known, by `time.monotonic`, s.
     """
 
     def __init__(self, clock: BootClock, keep_s: float) -> None:
@@ -76,13 +66,7 @@ class LinkGimbal:
         return None if self._used is None else GIMBAL_MESSAGES[self._used[0]]
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the rate of the message over the last two seconds, Hz.
-
-        Parameters
-        ----------
-        now_s : float
-            Time by `time.monotonic`, s.
-        """
+        """Return the rate of the message over the last two seconds, Hz; `now_s`: time by `time.monotonic`, s."""
         while self._arrivals and self._arrivals[0] < now_s - _WINDOW_S:
             self._arrivals.popleft()
         return len(self._arrivals) / _WINDOW_S
@@ -90,10 +74,7 @@ class LinkGimbal:
     def is_silent(self, now_s: float) -> bool:
         """Return whether there is no attitude, or none of the last two seconds.
 
-        Parameters
-        ----------
-        now_s : float
-            Time by `time.monotonic`, s.
+        `now_s`: time by `time.monotonic`, s.
         """
         return self.arrival_s is None or now_s - self.arrival_s > _TIMEOUT_S
 
@@ -102,17 +83,9 @@ class LinkGimbal:
     ) -> None:
         """Process a message of a gimbal.
 
-        Parameters
-        ----------
-        number : int
-            One of `GIMBAL_NUMBERS`.
-        message : pymavlink message
-        arrival_s : float
-            Arrival by `time.monotonic`, s.
-        component, autopilot : int
-            The components that sent it and that is the autopilot.
-        boot_s : float or None
-            Its time since boot of the autopilot, s; None if it has none.
+        `number`: one of `GIMBAL_NUMBERS`; `arrival_s`: arrival by `time.monotonic`, s; `component`, `autopilot`: the
+        components that sent it and that is the autopilot; `boot_s`: its time since boot of the autopilot, s; None if it
+        has none.
         """
         rank = list(GIMBAL_NUMBERS).index(number), component != autopilot, component
         is_worse = self._used is not None and rank > self._used
@@ -132,12 +105,8 @@ class LinkGimbal:
     def pair(self, aircraft_s: float | None, arrival_s: float) -> None:
         """Add the attitudes that are not later than the aircraft's: with a later one, no exposure can end.
 
-        Parameters
-        ----------
-        aircraft_s : float or None
-            Time since boot of the latest attitude of the aircraft, s.
-        arrival_s : float
-            Its arrival by `time.monotonic`, s.
+        `aircraft_s`: time since boot of the latest attitude of the aircraft, s; `arrival_s`: its arrival by
+        `time.monotonic`, s.
         """
         if aircraft_s is None:
             return
@@ -152,10 +121,7 @@ class LinkGimbal:
     def begin_boot(self, utc_minus_boot_s: float | None) -> None:
         """Begin a new boot of the autopilot; attitudes from before are kept at their UTC.
 
-        Parameters
-        ----------
-        utc_minus_boot_s : float or None
-            UTC minus the time since the boot that has ended, s; None if unknown: they are then dropped.
+        `utc_minus_boot_s`: UTC minus the time since the boot that has ended, s; None if unknown: they are then dropped.
         """
         rows = self._rows.latest(-inf)
         if utc_minus_boot_s is not None and len(rows):
@@ -169,17 +135,8 @@ class LinkGimbal:
     def samples(self, utc_minus_boot_s: float, last_s: float = inf) -> GimbalSamples | None:
         """Return a copy of the attitudes over UTC.
 
-        Parameters
-        ----------
-        utc_minus_boot_s : float
-            UTC minus the time since boot, s.
-        last_s : float
-            Largest duration up to the latest attitude, s.
-
-        Returns
-        -------
-        GimbalSamples or None
-            None before the first one of this boot.
+        `utc_minus_boot_s`: UTC minus the time since boot, s; `last_s`: largest duration up to the latest attitude, s.
+        Returns: none before the first one of this boot.
         """
         if self.latest_boot_s is None or self.source is None:
             return None

@@ -44,13 +44,8 @@ _INITIAL_ROWS: Final = 4096
 class RowBuffer:
     """A buffer with the latest rows of numbers.
 
-    Parameters
-    ----------
-    columns : int
-    most : int
-        Largest number of rows.
-    span : float
-        Largest difference of the first column to that of the latest row; older rows are dropped when space is needed.
+    `most`: largest number of rows; `span`: largest difference of the first column to that of the latest row; older rows
+    are dropped when space is needed.
     """
 
     def __init__(self, columns: int, most: int, span: float = np.inf) -> None:
@@ -85,36 +80,19 @@ class RowBuffer:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What an autopilot estimates over a flight.
-
-    Attributes
-    ----------
-    attitude : AttitudeTrack
-    position : PositionTrack or None
-        None if it sends none.
-    attitude_source : str
-        Message and rate of the attitude.
-    """
+    """What an autopilot estimates over a flight."""
 
     attitude: AttitudeTrack
-    position: PositionTrack | None
-    attitude_source: str
+    position: PositionTrack | None  # None if it sends none
+    attitude_source: str  # Message and rate of the attitude
 
 
 @dataclass(frozen=True, slots=True)
 class PastBoot:
-    """The samples of a previous boot, by the UTC of that time.
+    """The samples of a previous boot, by the UTC of that time."""
 
-    Attributes
-    ----------
-    attitudes : (n, 5) float64
-        UTC seconds since 1970, and q_body_ned.
-    positions : (m, 4) float64
-        UTC seconds since 1970, latitude and longitude, rad, and height, m.
-    """
-
-    attitudes: Float
-    positions: Float
+    attitudes: Float  # (n, 5) UTC seconds since 1970, and q_body_ned
+    positions: Float  # (m, 4) UTC seconds since 1970, latitude and longitude, rad, and height, m
 
     def latest(self, first_utc_s: float) -> "PastBoot":
         """Return the attitudes from a time on, UTC seconds since 1970, and all positions."""
@@ -123,24 +101,12 @@ class PastBoot:
 
 @dataclass(frozen=True, slots=True)
 class HistorySnapshot:
-    """A copy of a history, from which a flight is made while the history continues.
+    """A copy of a history, from which a flight is made while the history continues."""
 
-    Attributes
-    ----------
-    attitudes : (n, 5) float64
-        Time since boot, s, and q_body_ned, in the order of arrival.
-    positions : (m, 4) float64
-        Time since boot, s, latitude and longitude, rad, and height, m.
-    past : tuple of PastBoot
-        Previous boots, oldest first.
-    last_s : float
-        Largest duration of the flight up to the latest attitude, s.
-    """
-
-    attitudes: Float
-    positions: Float
-    past: tuple[PastBoot, ...] = ()
-    last_s: float = np.inf
+    attitudes: Float  # (n, 5) time since boot, s, and q_body_ned, in the order of arrival
+    positions: Float  # (m, 4) time since boot, s, latitude and longitude, rad, and height, m
+    past: tuple[PastBoot, ...] = ()  # Previous boots, oldest first
+    last_s: float = np.inf  # Largest duration of the flight up to the latest attitude, s
 
     def flight(
         self,
@@ -154,19 +120,9 @@ class HistorySnapshot:
     ) -> Flight | None:
         """Convert the samples to a flight.
 
-        Parameters
-        ----------
-        utc_minus_boot_s : float
-            UTC minus the time since boot, s.
-        name, attitude_source, position_source, utc_source : str
-            Name and sources of the flight.
-        options : FlightOptions, optional
-            Without `utc_start`.
-
-        Returns
-        -------
-        Flight or None
-            None if there are fewer than two attitudes, or no position.
+        `utc_minus_boot_s`: UTC minus the time since boot, s; `name`, `attitude_source`, `position_source`,
+        `utc_source`: name and sources of the flight; `options`: without `utc_start`.  Returns: none if there are fewer
+        than two attitudes, or no position.
         """
         estimate = self.estimate(utc_minus_boot_s, attitude_source=attitude_source, options=options)
         site = options.site
@@ -189,18 +145,8 @@ class HistorySnapshot:
     ) -> Estimate | None:
         """Convert the samples to tracks over UTC.
 
-        Parameters
-        ----------
-        utc_minus_boot_s : float
-            UTC minus the time since boot, s.
-        attitude_source : str
-        options : FlightOptions, optional
-            Without `utc_start`.
-
-        Returns
-        -------
-        Estimate or None
-            None if there are fewer than two attitudes.
+        `utc_minus_boot_s`: UTC minus the time since boot, s; `options`: without `utc_start`.  Returns: none if there
+        are fewer than two attitudes.
         """
         boots = self._boots(utc_minus_boot_s)
         attitudes, positions = (np.concatenate(rows) for rows in zip(*boots, strict=True))
@@ -241,10 +187,7 @@ class HistorySnapshot:
 class History:
     """The last minutes of one autopilot, over its reboots.
 
-    Parameters
-    ----------
-    keep_s : float
-        Duration of the history, s; shorter for attitudes at more than 200 Hz.
+    `keep_s`: duration of the history, s; shorter for attitudes at more than 200 Hz.
     """
 
     def __init__(self, keep_s: float = 600.0) -> None:
@@ -256,26 +199,12 @@ class History:
         self._past: deque[PastBoot] = deque(maxlen=_MAX_BOOTS)
 
     def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:
-        """Add an attitude.
-
-        Parameters
-        ----------
-        boot_s : float
-            Its time since boot, s.
-        q_body_ned : (4,) float64
-        """
+        """Add an attitude; `boot_s`: its time since boot, s; `q_body_ned` (4,)."""
         self._attitudes.append((boot_s, *q_body_ned))
         self._latest_boot_s = boot_s if self._latest_boot_s is None else max(boot_s, self._latest_boot_s)
 
     def add_position(self, boot_s: float, latitude_rad: float, longitude_rad: float, height_m: float) -> None:
-        """Add a position.
-
-        Parameters
-        ----------
-        boot_s : float
-            Its time since boot, s.
-        latitude_rad, longitude_rad, height_m : float
-        """
+        """Add a position; `boot_s`: its time since boot, s."""
         self._positions.append((boot_s, latitude_rad, longitude_rad, height_m))
 
     @property
@@ -291,10 +220,8 @@ class History:
     def begin_boot(self, utc_minus_boot_s: float | None) -> None:
         """Begin a new boot; samples from before the reboot are kept at their UTC.
 
-        Parameters
-        ----------
-        utc_minus_boot_s : float or None
-            UTC minus the time since the boot that has ended, s; None if unknown: its samples are then dropped.
+        `utc_minus_boot_s`: UTC minus the time since the boot that has ended, s; None if unknown: its samples are then
+        dropped.
         """
         if utc_minus_boot_s is not None and self._latest_boot_s is not None:
             first_utc_s = self._latest_boot_s + utc_minus_boot_s - self._keep_s
@@ -309,14 +236,7 @@ class History:
     def snapshot(self, last_s: float = np.inf) -> HistorySnapshot:
         """Return a copy of the history.
 
-        Parameters
-        ----------
-        last_s : float
-            Largest duration up to the latest attitude, s; all positions are included.
-
-        Returns
-        -------
-        HistorySnapshot
+        `last_s`: largest duration up to the latest attitude, s; all positions are included.
         """
         last_s = min(last_s, self._keep_s)
         from_s = -np.inf if self._latest_boot_s is None else self._latest_boot_s - last_s
@@ -344,16 +264,7 @@ _Position = tuple[float, float, float]
 class SimulatorState:
     """The truth of one simulated autopilot.
 
-    Parameters
-    ----------
-    keep_s : float
-        Duration of the history, s.
-
-    Attributes
-    ----------
-    history : History
-    height_m : float or None
-        Height of the autopilot's latest position, for SIMSTATE, m.
+    `keep_s`: duration of the history, s.  `height_m`: height of the autopilot's latest position, for SIMSTATE, m.
     """
 
     def __init__(self, keep_s: float) -> None:
@@ -380,13 +291,7 @@ class SimulatorState:
         return "SIMSTATE, height 0 m" if self.height_m is None else "SIMSTATE, height of GLOBAL_POSITION_INT"
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the rate of the message over the last two seconds, Hz.
-
-        Parameters
-        ----------
-        now_s : float
-            Time by `time.monotonic`, s.
-        """
+        """Return the rate of the message over the last two seconds, Hz; `now_s`: time by `time.monotonic`, s."""
         while self._arrivals and self._arrivals[0] < now_s - _WINDOW_S:
             self._arrivals.popleft()
         return len(self._arrivals) / _WINDOW_S
@@ -394,13 +299,7 @@ class SimulatorState:
     def receive(self, number: int, message: Any, arrival_s: float) -> None:
         """Process a message of the simulator.
 
-        Parameters
-        ----------
-        number : int
-            One of `SIMULATOR_MESSAGES`.
-        message : pymavlink message
-        arrival_s : float
-            Arrival by `time.monotonic`, s.
+        `number`: one of `SIMULATOR_MESSAGES`; `arrival_s`: arrival by `time.monotonic`, s.
         """
         order = list(SIMULATOR_MESSAGES)
         is_worse = self._number is not None and order.index(number) > order.index(self._number)
@@ -417,12 +316,8 @@ class SimulatorState:
     def pair(self, boot_s: float, arrival_s: float) -> None:
         """Give the states since the previous attitude of the autopilot their time since boot.
 
-        Parameters
-        ----------
-        boot_s : float
-            Time since boot of the autopilot's latest attitude, s.
-        arrival_s : float
-            Its arrival by `time.monotonic`, s.
+        `boot_s`: time since boot of the autopilot's latest attitude, s; `arrival_s`: its arrival by `time.monotonic`,
+        s.
         """
         before = self._paired
         if before is not None and boot_s <= before[0]:
@@ -446,10 +341,7 @@ class SimulatorState:
     def begin_boot(self, utc_minus_boot_s: float | None) -> None:
         """Begin a new boot, as `History.begin_boot`.
 
-        Parameters
-        ----------
-        utc_minus_boot_s : float or None
-            UTC minus the time since the boot that has ended, s.
+        `utc_minus_boot_s`: UTC minus the time since the boot that has ended, s.
         """
         self.history.begin_boot(utc_minus_boot_s)
         self._pending.clear()

@@ -69,12 +69,8 @@ _STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SIM_STATE: 10, SYSTEM_TI
 class Requests:
     """Requests messages from one autopilot until they are received.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Requested rate of the attitude, Hz.
-    wants_gimbal : bool
-        Whether the attitude of a gimbal is requested as well.
+    `rate_hz`: requested rate of the attitude, Hz; `wants_gimbal`: whether the attitude of a gimbal is requested as
+    well.
     """
 
     def __init__(self, rate_hz: float, *, wants_gimbal: bool = False) -> None:
@@ -96,18 +92,8 @@ class Requests:
         """Return the packets to be sent now.
 
         All messages are requested again if the autopilot was restarted, or another one is listened to; the one before
-        gets its default rates.
-
-        Parameters
-        ----------
-        receiver : Receiver
-            Knows the autopilot and the rates of its messages.
-        now_s : float
-            Time by `time.monotonic`, s.
-
-        Returns
-        -------
-        list of bytes
+        gets its default rates.  `receiver`: knows the autopilot and the rates of its messages; `now_s`: time by
+        `time.monotonic`, s.
         """
         packets: list[bytes] = []
         served, self._served = self._served, (receiver, receiver.clock.boot)
@@ -205,45 +191,20 @@ _WRAP_S: Final = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class PositionFix:
-    """A position that a navigator found.
+    """A position that a navigator found."""
 
-    Attributes
-    ----------
-    latitude_rad, longitude_rad : float
-        WGS84.
-    utc_s : float
-        When the aircraft was there, UTC seconds since 1970.
-    sigma_m : float or None
-        Standard deviation of each horizontal component, m; None if unknown.
-    """
-
-    latitude_rad: float
+    latitude_rad: float  # WGS84
     longitude_rad: float
-    utc_s: float
-    sigma_m: float | None = None
+    utc_s: float  # When the aircraft was there, UTC seconds since 1970
+    sigma_m: float | None = None  # Standard deviation of each horizontal component, m; None if unknown
 
 
 class Injector:
     """A queue of position fixes for the autopilot of a link.
 
-    Parameters
-    ----------
-    endpoint : Endpoint
-        The link.
-    host : str, optional
-        Its host or serial port, named once more if it is not this computer.
-    message : {"external_position", "gps_input", "global_position_sensor"}
-        How a fix is sent.
-
-    Attributes
-    ----------
-    sent : int
-        Number of fixes sent.
-
-    Raises
-    ------
-    ConfigError
-        If the link leaves this computer and its host is not named, or another one is.
+    `endpoint`: the link; `host`: its host or serial port, named once more if it is not this computer; `message`
+    {"external_position", "gps_input", "global_position_sensor"}: how a fix is sent.  `sent`: number of fixes sent.
+    Raises ConfigError if the link leaves this computer and its host is not named, or another one is.
     """
 
     def __init__(
@@ -268,27 +229,11 @@ class Injector:
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
 
     def add(self, fix: PositionFix) -> None:
-        """Send a fix as soon as the autopilot and UTC are known; may be called from any thread.
-
-        Parameters
-        ----------
-        fix : PositionFix
-        """
+        """Send a fix as soon as the autopilot and UTC are known; may be called from any thread."""
         self._fixes.append(fix)
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
-        """Return the packets to be sent now.
-
-        Parameters
-        ----------
-        receiver : Receiver
-        now_s : float
-            Time by `time.monotonic`, s.
-
-        Returns
-        -------
-        list of bytes
-        """
+        """Return the packets to be sent now; `now_s`: time by `time.monotonic`, s."""
         utc_minus_host_s = receiver.clock.utc_minus_host_s
         if receiver.chosen is None or utc_minus_host_s is None:
             return []

@@ -46,14 +46,7 @@ _RATES_HZ: Final = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 4.0, 2.0, 1.0)
 def carried_rate_hz(endpoint: Endpoint) -> float:
     """Return the highest rate of attitude that a link can carry.
 
-    Parameters
-    ----------
-    endpoint : Endpoint
-
-    Returns
-    -------
-    float
-        Hz: 100 if the link is no serial radio, 50 at 57600 baud, at least 1.
+    Returns: hz: 100 if the link is no serial radio, 50 at 57600 baud, at least 1.
     """
     capacity = endpoint.bytes_per_s
     if capacity is None:
@@ -75,25 +68,13 @@ _SIGNED: Final = 1
 
 
 class Packet(NamedTuple):
-    """One packet.
+    """One packet."""
 
-    Attributes
-    ----------
-    number : int
-        Message number.
-    system, component : int
-        The sender.
-    sequence : int
-        Running number of the packets of its sender, 0 to 255.
-    content : bytes
-        The complete packet.
-    """
-
-    number: int
-    system: int
+    number: int  # Message number
+    system: int  # The sender
     component: int
-    sequence: int
-    content: bytes
+    sequence: int  # Running number of the packets of its sender, 0 to 255
+    content: bytes  # The complete packet
 
     @property
     def sender(self) -> tuple[int, int]:
@@ -115,12 +96,7 @@ class Packet(NamedTuple):
 class Framer:
     """Extracts complete packets with correct checksums from received bytes.
 
-    At most one incomplete packet is buffered.
-
-    Attributes
-    ----------
-    bad_bytes : int
-        Number of bytes that belong to no packet.
+    At most one incomplete packet is buffered.  `bad_bytes`: number of bytes that belong to no packet.
     """
 
     def __init__(self) -> None:
@@ -134,13 +110,7 @@ class Framer:
         self.bad_bytes = 0
 
     def feed(self, received: bytes) -> Iterator[Packet]:
-        """Yield the packets that are complete with further bytes.
-
-        Parameters
-        ----------
-        received : bytes
-            The next bytes of the stream.
-        """
+        """Yield the packets that are complete with further bytes; `received`: the next bytes of the stream."""
         stream, at = self._buffered + received, 0
         while at < len(stream):
             start = _next_magic(stream, at)
@@ -245,26 +215,10 @@ _FLUSH_EVERY_S: Final = 1.0
 class Recorder:
     """Writes packets to a ``.tlog``, each after its arrival time by the computer's clock.
 
-    Each write is one system call with complete packets: if the process is killed, the log ends with a complete packet.
-    A separate thread flushes the file to the disk once a second while packets are received.
-
-    Parameters
-    ----------
-    path : Path
-        A new file.
-    flush_every_s : float
-        Interval between flushes to the disk, s.
-
-    Attributes
-    ----------
-    path : Path
-    bytes : int
-        Size of the file.
-
-    Raises
-    ------
-    LinkError
-        If the file exists, or cannot be created.
+    Each write is one system call with complete packets: if the process is killed, the log ends with a complete
+    packet.  A separate thread flushes the file to the disk once a second while packets are received.  `path`: a new
+    file; `flush_every_s`: interval between flushes to the disk, s.  `bytes`: size of the file.  Raises LinkError if
+    the file exists, or cannot be created.
     """
 
     def __init__(self, path: Path, *, flush_every_s: float = _FLUSH_EVERY_S) -> None:
@@ -284,14 +238,7 @@ class Recorder:
     def write(self, packets: Iterable[Packet]) -> None:
         """Write packets that have just arrived.
 
-        Parameters
-        ----------
-        packets : iterable of Packet
-
-        Raises
-        ------
-        LinkError
-            If the file cannot be written, as on a full disk; nothing more is written.
+        Raises LinkError if the file cannot be written, as on a full disk; nothing more is written.
         """
         # If the clock is set back, arrival times stay the same instead of decreasing.
         self._stamp_us = max(time.time_ns() // 1000, self._stamp_us)
@@ -345,12 +292,7 @@ class Recorder:
 class LinkRecording:
     """The recording of a link, which can begin and end while the link is open; for any thread.
 
-    Parameters
-    ----------
-    recorder : Recorder or None
-        Takes the packets at first.
-    report : callable
-        Called with the message of each event.
+    `recorder`: takes the packets at first; `report`: called with the message of each event.
     """
 
     def __init__(self, recorder: Recorder | None, report: Callable[[str], None]) -> None:
@@ -372,14 +314,7 @@ class LinkRecording:
     def begin(self, path: Path) -> None:
         """Record to a new file from now on; a recording before that ends.
 
-        Parameters
-        ----------
-        path : Path
-
-        Raises
-        ------
-        LinkError
-            If the file exists, or cannot be created; a recording before that goes on.
+        Raises LinkError if the file exists, or cannot be created; a recording before that goes on.
         """
         recorder = Recorder(path)
         self.end()
@@ -397,12 +332,7 @@ class LinkRecording:
             self._report(f"recorded {recorder.bytes} bytes: {recorder.path}")
 
     def write(self, packets: Iterable[Packet]) -> None:
-        """Record packets that have just arrived; a file that cannot be written is reported, and ends.
-
-        Parameters
-        ----------
-        packets : iterable of Packet
-        """
+        """Record packets that have just arrived; a file that cannot be written is reported, and ends."""
         try:
             with self._lock:
                 if self._recorder is not None and self._records:

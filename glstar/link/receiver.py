@@ -61,35 +61,13 @@ _POSITIONS: Final = {POSITION: "GLOBAL_POSITION_INT", HIL_STATE: "HIL_STATE_QUAT
 class Receiver:
     """Processes the packets of one autopilot among all senders on a link.
 
-    Parameters
-    ----------
-    clock : BootClock
-    report : callable
-        Called with the message of each event.
-    sysid : int, optional
-        MAVLink system of the autopilot; by default the first one.
-    keep_s : float
-        Duration of the history, s.
-    with_simulator : bool
-        Whether a simulator's own state is kept beside the autopilot's estimates.
-
-    Attributes
-    ----------
-    clock : BootClock
-    history : History
-        What the autopilot estimates.
-    simulator : SimulatorState or None
-        The simulator's own state.
-    gimbal : LinkGimbal
-        The attitude of its gimbal.
-    packets, lost : int
-        Number of packets received, and of packets lost by the sequence numbers of all senders.
-    chosen : (int, int) or None
-        System and component of the autopilot; None before its first heartbeat.
-    attitude_arrival_s : float or None
-        Arrival of its latest attitude by `time.monotonic`, s.
-    ack : int or None
-        Its last reply to a request for a message interval: a MAV_RESULT.
+    `report`: called with the message of each event; `sysid`: MAVLink system of the autopilot; by default the first one;
+    `keep_s`: duration of the history, s; `with_simulator`: whether a simulator's own state is kept beside the
+    autopilot's estimates.  `history`: what the autopilot estimates; `simulator`: the simulator's own state; `gimbal`:
+    the attitude of its gimbal; `packets`, `lost`: number of packets received, and of packets lost by the sequence
+    numbers of all senders; `chosen` (int, int) or None: system and component of the autopilot; None before its first
+    heartbeat; `attitude_arrival_s`: arrival of its latest attitude by `time.monotonic`, s; `ack`: its last reply to a
+    request for a message interval: a MAV_RESULT.
     """
 
     def __init__(
@@ -142,14 +120,7 @@ class Receiver:
             }
 
     def receive(self, packet: Packet, arrival_s: float) -> None:
-        """Process a packet.
-
-        Parameters
-        ----------
-        packet : Packet
-        arrival_s : float
-            Arrival by `time.monotonic`, s.
-        """
+        """Process a packet; `arrival_s`: arrival by `time.monotonic`, s."""
         self.packets += 1
         self._count_lost(packet, arrival_s)
         number, sender = packet.number, packet.sender
@@ -180,12 +151,7 @@ class Receiver:
     def continue_from(self, other: "Receiver", now_s: float) -> None:
         """Continue to count packets and vehicles where another receiver of the link ended.
 
-        Parameters
-        ----------
-        other : Receiver
-            Of another autopilot.
-        now_s : float
-            Time by `time.monotonic`, s.
+        `other`: of another autopilot; `now_s`: time by `time.monotonic`, s.
         """
         self.packets, self.lost = other.packets, other.lost
         self._vehicles = other._vehicles  # noqa: SLF001 - of the same class, here and below
@@ -223,16 +189,7 @@ class Receiver:
     def rate_hz(self, number: int, now_s: float) -> float:
         """Return the rate of a message of the autopilot over the last two seconds, Hz.
 
-        Parameters
-        ----------
-        number : int
-            Message number.
-        now_s : float
-            Time by `time.monotonic`, s.
-
-        Returns
-        -------
-        float
+        `number`: message number; `now_s`: time by `time.monotonic`, s.
         """
         arrivals = self._arrivals[number]
         while arrivals and arrivals[0] < now_s - _WINDOW_S:

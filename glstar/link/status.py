@@ -17,74 +17,35 @@ GIMBAL_LACK: Final = f'no {GIMBAL_NAMES} now ([mount] gimbal = "level" or "none"
 
 @dataclass(frozen=True, slots=True)
 class LinkEvent:
-    """An event on a link.
+    """An event on a link."""
 
-    Attributes
-    ----------
-    number : int
-        Running number of the event.
-    utc_s : float
-        Time by the computer's clock, UTC seconds since 1970.
-    message : str
-    """
-
-    number: int
-    utc_s: float
+    number: int  # Running number of the event
+    utc_s: float  # Time by the computer's clock, UTC seconds since 1970
     message: str
 
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """The status of a link.
+    """The status of a link."""
 
-    Attributes
-    ----------
-    endpoint : str
-        As the user named it.
-    state : {"opening", "waiting", "live", "timeout", "closed"}
-        ``waiting``: open, without packets yet; ``timeout``: no packets for two seconds, after some had arrived.
-    problem : str or None
-        What is wrong, for the user.
-    vehicle : str or None
-        Kind of vehicle.
-    sysid : int or None
-        Its MAVLink system.
-    systems : tuple of int
-        MAVLink systems of all autopilots on the link.
-    rate_hz : float
-        Rate of the attitude over the last two seconds, Hz.
-    age_s : float or None
-        Time since the arrival of the latest attitude, s.
-    packets, lost, bad_bytes : int
-        Number of packets received and lost, and of bytes that belong to no packet.
-    utc_source : str or None
-        Where UTC comes from; None if it is unknown.
-    position_source : str or None
-        Where the position comes from; None if it is unknown.
-    recorded_bytes : int
-        Size of the recording, bytes.
-    lacks_simulator : bool
-        Whether the sky is drawn from a simulator's own state, and none was received.
-    lacks_gimbal : bool
-        Whether the camera is on a gimbal whose attitude is not received, or not any more.
-    """
-
-    endpoint: str
+    endpoint: str  # As the user named it
+    # {"opening", "waiting", "live", "timeout", "closed"}: ``waiting``: open, without packets yet; ``timeout``: no
+    # packets for two seconds, after some had arrived.
     state: str
-    problem: str | None
-    vehicle: str | None
-    sysid: int | None
-    systems: tuple[int, ...]
-    rate_hz: float
-    age_s: float | None
-    packets: int
+    problem: str | None  # What is wrong, for the user
+    vehicle: str | None  # Kind of vehicle
+    sysid: int | None  # Its MAVLink system
+    systems: tuple[int, ...]  # MAVLink systems of all autopilots on the link
+    rate_hz: float  # Rate of the attitude over the last two seconds, Hz
+    age_s: float | None  # Time since the arrival of the latest attitude, s
+    packets: int  # Number of packets received and lost, and of bytes that belong to no packet
     lost: int
     bad_bytes: int
-    utc_source: str | None
-    position_source: str | None
-    recorded_bytes: int
-    lacks_simulator: bool = False
-    lacks_gimbal: bool = False
+    utc_source: str | None  # Where UTC comes from; None if it is unknown
+    position_source: str | None  # Where the position comes from; None if it is unknown
+    recorded_bytes: int  # Size of the recording, bytes
+    lacks_simulator: bool = False  # Whether the sky is drawn from a simulator's own state, and none was received
+    lacks_gimbal: bool = False  # Whether the camera is on a gimbal whose attitude is not received, or not any more
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -105,39 +66,16 @@ class LinkStatus:
 
 @dataclass(frozen=True, slots=True)
 class LatestAttitude:
-    """Times of the latest attitude of a link.
+    """Times of the latest attitude of a link."""
 
-    Attributes
-    ----------
-    utc_s : float
-        Its time, UTC seconds since 1970.
-    arrival_s : float
-        Its arrival by `time.monotonic`, s.
-    utc_minus_boot_s : float
-        UTC minus the autopilot's time since boot, s; it changes if UTC is set, or after a reboot.
-    boot : int
-        Number of the boot, from 0.
-    utc_minus_host_s : float
-        UTC minus `time.monotonic`, s, without the delays of the link.
-    """
-
-    utc_s: float
-    arrival_s: float
-    utc_minus_boot_s: float
-    boot: int = 0
-    utc_minus_host_s: float = 0.0
+    utc_s: float  # Its time, UTC seconds since 1970
+    arrival_s: float  # Its arrival by `time.monotonic`, s
+    utc_minus_boot_s: float  # UTC minus the autopilot's time since boot, s; it changes if UTC is set, or after a reboot
+    boot: int = 0  # Number of the boot, from 0
+    utc_minus_host_s: float = 0.0  # UTC minus `time.monotonic`, s, without the delays of the link
 
     def utc_step_s(self, before: "LatestAttitude") -> float:
-        """Return by how much UTC was changed since an earlier attitude, s; a reboot by itself does not change it.
-
-        Parameters
-        ----------
-        before : LatestAttitude
-
-        Returns
-        -------
-        float
-        """
+        """Return by how much UTC was changed since an earlier attitude, s; a reboot by itself does not change it."""
         if self.boot == before.boot:
             return self.utc_minus_boot_s - before.utc_minus_boot_s
         return self.utc_minus_host_s - before.utc_minus_host_s
@@ -146,17 +84,7 @@ class LatestAttitude:
 def no_packets_message(endpoint: Endpoint, waited_s: float, noise_bytes: int) -> str:
     """Return what to check if no packets arrive.
 
-    Parameters
-    ----------
-    endpoint : Endpoint
-    waited_s : float
-        Time since the last packet, s.
-    noise_bytes : int
-        Number of bytes received since then.
-
-    Returns
-    -------
-    str
+    `waited_s`: time since the last packet, s; `noise_bytes`: number of bytes received since then.
     """
     if noise_bytes > _NOISE_BYTES:
         if endpoint.kind == "serial":
@@ -198,17 +126,8 @@ class Quality:
     def update(self, now_s: float, *, packets: int, lost: int, bytes_: int, bad_bytes: int) -> list[str]:
         """Evaluate the counters.
 
-        Parameters
-        ----------
-        now_s : float
-            Time by `time.monotonic`, s.
-        packets, lost, bytes_, bad_bytes : int
-            Totals since the link was opened.
-
-        Returns
-        -------
-        list of str
-            Messages to report.
+        `now_s`: time by `time.monotonic`, s; `packets`, `lost`, `bytes_`, `bad_bytes`: totals since the link was
+        opened.  Returns: messages to report.
         """
         counts = packets, lost, bytes_, bad_bytes
         if self._since_s is None:

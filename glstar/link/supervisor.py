@@ -35,49 +35,23 @@ from glstar.telemetry.source import GimbalSamples
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """The last minutes of one autopilot.
+    """The last minutes of one autopilot."""
 
-    Attributes
-    ----------
-    utc_minus_boot_s : float
-        UTC minus the time since boot, s.
-    utc_source, attitude_source, estimate_source : str
-        Where UTC, the attitude of the sky and that of the estimate come from.
-    sky : HistorySnapshot
-        What the sky is drawn from.
-    estimated : HistorySnapshot or None
-        What the autopilot estimates, if the sky is that of a simulator.
-    gimbal : GimbalSamples or None
-        The attitudes of its gimbal over UTC.
-    is_on_gimbal : bool
-        Whether the camera is on the gimbal.
-    """
-
-    utc_minus_boot_s: float
-    utc_source: str
+    utc_minus_boot_s: float  # UTC minus the time since boot, s
+    utc_source: str  # Where UTC, the attitude of the sky and that of the estimate come from
     attitude_source: str
     estimate_source: str
-    sky: HistorySnapshot
-    estimated: HistorySnapshot | None
-    gimbal: GimbalSamples | None
-    is_on_gimbal: bool
+    sky: HistorySnapshot  # What the sky is drawn from
+    estimated: HistorySnapshot | None  # What the autopilot estimates, if the sky is that of a simulator
+    gimbal: GimbalSamples | None  # The attitudes of its gimbal over UTC
+    is_on_gimbal: bool  # Whether the camera is on the gimbal
 
     @classmethod
     def of(cls, receiver: Receiver, last_s: float, *, with_gimbal: bool) -> Self | None:
         """Copy what a receiver holds.
 
-        Parameters
-        ----------
-        receiver : Receiver
-        last_s : float
-            Largest duration, s.
-        with_gimbal : bool
-            Whether the camera is on its gimbal.
-
-        Returns
-        -------
-        Received or None
-            None while UTC is not known.
+        `last_s`: largest duration, s; `with_gimbal`: whether the camera is on its gimbal.  Returns: none while UTC is
+        not known.
         """
         utc_minus_boot_s, simulator = receiver.clock.utc_minus_boot_s, receiver.simulator
         if utc_minus_boot_s is None:
@@ -96,16 +70,8 @@ class Received:
     def flight(self, name: str, position_source: str, options: FlightOptions) -> Flight | None:
         """Return the flight of the body that carries the camera.
 
-        Parameters
-        ----------
-        name, position_source : str
-        options : FlightOptions
-            Without `utc_start`.
-
-        Returns
-        -------
-        Flight or None
-            None if attitude, position or the attitude of the gimbal are not known.
+        `options`: without `utc_start`.  Returns: none if attitude, position or the attitude of the gimbal are not
+        known.
         """
         flight = self.sky.flight(
             self.utc_minus_boot_s,
@@ -128,14 +94,7 @@ class Received:
     def estimate(self, options: FlightOptions) -> Estimate | None:
         """Return what the autopilot estimates, if the sky is that of a simulator and its attitude is known.
 
-        Parameters
-        ----------
-        options : FlightOptions
-            Without `utc_start`.
-
-        Returns
-        -------
-        Estimate or None
+        `options`: without `utc_start`.
         """
         if self.estimated is None:
             return None
@@ -160,39 +119,15 @@ _EVENTS: Final = 200
 class Link:
     """A telemetry link in the background; a context manager, whose thread ends with it.
 
-    Parameters
-    ----------
-    endpoint : Endpoint
-    options : FlightOptions
-        How the received samples become a flight; `utc_start` is the UTC of the first packet.
-    sysid : int, optional
-        MAVLink system of the vehicle; by default the first autopilot.
-    utc_now : bool
-        Whether to use the computer's clock if the link has no UTC.
-    rate_hz : float, optional
-        Requested rate of the attitude, Hz; by default what the link can carry.
-    keep_s : float
-        Duration of the history, s.
-    recorder : Recorder, optional
-        Takes every packet; it is closed with the link, or before by `recording`.
-    truth : {"estimator", "sim_state"}
-        Source of the flight: what the autopilot estimates, or a simulator's own state.
-    injector : Injector, optional
-        Position fixes that are sent to the autopilot; without it only heartbeats and requests are sent.
-    retry : bool
-        Whether to try again if the link cannot be opened at first.
-    on_gimbal : bool
-        Whether the camera is on a gimbal, whose attitude is requested; see `follow_gimbal`.
-
-    Attributes
-    ----------
-    recording : LinkRecording
-        Begins and ends a recording while the link is open.
-
-    Raises
-    ------
-    ConfigError
-        If the interpolation is ``"gyro"``.
+    `options`: how the received samples become a flight; `utc_start` is the UTC of the first packet; `sysid`: MAVLink
+    system of the vehicle; by default the first autopilot; `utc_now`: whether to use the computer's clock if the link
+    has no UTC; `rate_hz`: requested rate of the attitude, Hz; by default what the link can carry; `keep_s`: duration of
+    the history, s; `recorder`: takes every packet; it is closed with the link, or before by `recording`; `truth`
+    {"estimator", "sim_state"}: source of the flight: what the autopilot estimates, or a simulator's own state;
+    `injector`: position fixes that are sent to the autopilot; without it only heartbeats and requests are sent;
+    `retry`: whether to try again if the link cannot be opened at first; `on_gimbal`: whether the camera is on a gimbal,
+    whose attitude is requested; see `follow_gimbal`.  `recording`: begins and ends a recording while the link is open.
+    Raises ConfigError if the interpolation is ``"gyro"``.
     """
 
     def __init__(
@@ -235,13 +170,7 @@ class Link:
         self._thread = Thread(target=self._run, name=f"glstar link {endpoint.text}", daemon=True)
 
     def __enter__(self) -> Self:
-        """Open the link.
-
-        Raises
-        ------
-        LinkError
-            If it cannot be opened, unless `retry` is set.
-        """
+        """Open the link; raises LinkError if it cannot be opened, unless `retry` is set."""
         self._thread.start()
         if not self._retry:
             self._tried.wait()
@@ -268,12 +197,7 @@ class Link:
     # --- for other threads --------------------------------------------------------------------------------------------
 
     def status(self) -> LinkStatus:
-        """Return the current status.
-
-        Returns
-        -------
-        LinkStatus
-        """
+        """Return the current status."""
         now_s = time.monotonic()
         with self._changed:
             receiver = self._receiver
@@ -300,17 +224,7 @@ class Link:
             )
 
     def events(self, after: int = 0) -> list[LinkEvent]:
-        """Return the latest events, 200 at most.
-
-        Parameters
-        ----------
-        after : int
-            Only events with larger numbers are returned.
-
-        Returns
-        -------
-        list of LinkEvent
-        """
+        """Return the latest events, 200 at most; `after`: only events with larger numbers are returned."""
         with self._changed:
             return [event for event in self._events if event.number > after]
 
@@ -323,10 +237,7 @@ class Link:
     def listen_to(self, sysid: int) -> None:
         """Listen to another vehicle: its samples are a flight of their own, and those of the one before are dropped.
 
-        Parameters
-        ----------
-        sysid : int
-            Its MAVLink system.
+        `sysid`: its MAVLink system.
         """
         with self._changed:
             clock = _new_clock(self._options, utc_now=self._uses_computer_clock)
@@ -334,55 +245,31 @@ class Link:
             self._receiver.continue_from(before, time.monotonic())
 
     def set_site(self, site: Site) -> None:
-        """Use a given position instead of that of the link.
-
-        Parameters
-        ----------
-        site : Site
-        """
+        """Use a given position instead of that of the link."""
         with self._changed:
             self._options = replace(self._options, site=site)
 
     def follow_gimbal(self, on_gimbal: bool) -> None:
         """Choose whether the camera is on a gimbal.
 
-        Parameters
-        ----------
-        on_gimbal : bool
-            Whether the flight ends at the latest attitude of the gimbal and is None without one; its `attitude` is then
-            that of the platform.
+        `on_gimbal`: whether the flight ends at the latest attitude of the gimbal and is None without one; its
+        `attitude` is then that of the platform.
         """
         self._requests.wants_gimbal = on_gimbal
 
     def flight(self, last_s: float = inf) -> Flight | None:
         """Return the last minutes as a flight, up to the latest attitude, estimated or true.
 
-        Parameters
-        ----------
-        last_s : float
-            Largest duration, s.
-
-        Returns
-        -------
-        Flight or None
-            None if attitude, UTC or position are not known yet; see `LinkStatus.missing`.
+        `last_s`: largest duration, s.  Returns: none if attitude, UTC or position are not known yet; see
+        `LinkStatus.missing`.
         """
         return self.flight_and_estimate(last_s)[0]
 
     def flight_and_estimate(self, last_s: float = inf) -> tuple[Flight | None, Estimate | None]:
         """Return the last minutes as a flight, and what the autopilot estimated in the meantime.
 
-        Parameters
-        ----------
-        last_s : float
-            Largest duration, s.
-
-        Returns
-        -------
-        Flight or None
-            As of `flight`.
-        Estimate or None
-            None if the flight itself is the autopilot's estimate, or its attitude is not known yet.
+        `last_s`: largest duration, s.  Returns: as of `flight`; none if the flight itself is the autopilot's estimate,
+        or its attitude is not known yet.
         """
         with self._changed:
             received = Received.of(self._receiver, last_s, with_gimbal=self._requests.wants_gimbal)
@@ -393,29 +280,14 @@ class Link:
         return received.flight(self.endpoint.text, position_source, options), received.estimate(options)
 
     def latest(self) -> LatestAttitude | None:
-        """Return the times of the latest attitude; None if there is none, or no UTC.
-
-        Returns
-        -------
-        LatestAttitude or None
-        """
+        """Return the times of the latest attitude; None if there is none, or no UTC."""
         with self._changed:
             return self._latest()
 
     def wait_for(self, utc_s: float, timeout_s: float) -> LatestAttitude | None:
         """Wait for an attitude at or after a time.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970.
-        timeout_s : float
-            Timeout, s.
-
-        Returns
-        -------
-        LatestAttitude or None
-            None after the timeout.
+        `utc_s`: UTC seconds since 1970.  Returns: none after the timeout.
         """
         until_s = time.monotonic() + timeout_s
         with self._changed:

@@ -28,12 +28,7 @@ _CONNECT_S: Final = 3.0
 
 
 class Transport(Protocol):
-    """An open link that carries bytes; a context manager.
-
-    Attributes
-    ----------
-    endpoint : Endpoint
-    """
+    """An open link that carries bytes; a context manager."""
 
     endpoint: Endpoint
 
@@ -41,35 +36,12 @@ class Transport(Protocol):
     def read(self, timeout_s: float) -> bytes:
         """Wait for bytes and return them.
 
-        Parameters
-        ----------
-        timeout_s : float
-            Timeout, s.
-
-        Returns
-        -------
-        bytes
-            Empty after the timeout.
-
-        Raises
-        ------
-        LinkError
-            If the link is lost.
+        Returns: empty after the timeout.  Raises LinkError if the link is lost.
         """
 
     @abstractmethod
     def write(self, packet: bytes) -> None:
-        """Send a packet; it is dropped if the other end is not connected yet.
-
-        Parameters
-        ----------
-        packet : bytes
-
-        Raises
-        ------
-        LinkError
-            If the link is lost.
-        """
+        """Send a packet; it is dropped if the other end is not connected yet; raises LinkError if the link is lost."""
 
     @abstractmethod
     def close(self) -> None:
@@ -87,19 +59,7 @@ class Transport(Protocol):
 def open_transport(endpoint: Endpoint) -> Transport:
     """Open a link.
 
-    Parameters
-    ----------
-    endpoint : Endpoint
-
-    Returns
-    -------
-    Transport
-        To be closed, or used in a ``with`` statement.
-
-    Raises
-    ------
-    LinkError
-        If it cannot be opened, with advice.
+    Returns: to be closed, or used in a ``with`` statement.  Raises LinkError if it cannot be opened, with advice.
     """
     transports: dict[str, Callable[[Endpoint], Transport]] = {
         "serial": _Serial,
@@ -115,27 +75,16 @@ def open_transport(endpoint: Endpoint) -> Transport:
 
 
 class SerialPort(Protocol):
-    """A serial port of this computer, as pyserial describes it.
+    """A serial port of this computer, as pyserial describes it."""
 
-    Attributes
-    ----------
-    device : str
-        ``/dev/ttyUSB0``.
-    description : str
-        The connected device.
-    """
-
-    device: str
-    description: str
+    device: str  # ``/dev/ttyUSB0``
+    description: str  # The connected device
 
 
 def serial_ports() -> list[SerialPort]:
     """Return the serial ports of this computer with a connected device.
 
-    Returns
-    -------
-    list of SerialPort
-        Without ports of the mainboard that do not exist physically.
+    Returns: without ports of the mainboard that do not exist physically.
     """
     from serial.tools.list_ports import comports  # noqa: PLC0415 - when it is needed
 

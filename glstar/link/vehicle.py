@@ -58,46 +58,20 @@ _EARTH_RADIUS_M: Final = 6371008.8
 
 @dataclass(frozen=True, slots=True)
 class PlayedFlight:
-    """Statistics of a played flight.
+    """Statistics of a played flight."""
 
-    Attributes
-    ----------
-    duration_s : float
-        Duration of the part that was played, s.
-    packets : int
-        Number of packets sent.
-    dropped : int
-        Number of packets that the link could not carry in time.
-    """
-
-    duration_s: float
-    packets: int
-    dropped: int
+    duration_s: float  # Duration of the part that was played, s
+    packets: int  # Number of packets sent
+    dropped: int  # Number of packets that the link could not carry in time
 
 
 class Vehicle:
     """Sends a flight over a link in real time.
 
-    Parameters
-    ----------
-    flight : Flight
-    transport : Transport
-        An open transport; it is not closed.
-    start_s : float
-        Start, s from the first attitude of the flight.
-    speed : float
-        Seconds of flight per second; message rates are per second of flight.
-    rate_hz : float
-        Rate of the attitude until a ground station requests another one, Hz.
-    loop : bool
-        Whether to begin again at the end, with the time since boot at 0 as after a reboot.
-    sysid : int
-        MAVLink system of the vehicle.
-
-    Raises
-    ------
-    ConfigError
-        If start, speed or rate is invalid.
+    `transport`: an open transport; it is not closed; `start_s`: start, s from the first attitude of the flight;
+    `speed`: seconds of flight per second; message rates are per second of flight; `rate_hz`: rate of the attitude until
+    a ground station requests another one, Hz; `loop`: whether to begin again at the end, with the time since boot at 0
+    as after a reboot; `sysid`: MAVLink system of the vehicle.  Raises ConfigError if start, speed or rate is invalid.
     """
 
     def __init__(
@@ -151,21 +125,8 @@ class Vehicle:
     def run(self, stop: Event | None = None, *, on_second: Callable[[float], None] | None = None) -> PlayedFlight:
         """Play until the end of the flight, or until stopped.
 
-        Parameters
-        ----------
-        stop : threading.Event, optional
-            Set by another thread to stop.
-        on_second : callable, optional
-            Called about once a second with the seconds of flight played.
-
-        Returns
-        -------
-        PlayedFlight
-
-        Raises
-        ------
-        LinkError
-            If the link is lost.
+        `stop`: set by another thread to stop; `on_second`: called about once a second with the seconds of flight
+        played.  Raises LinkError if the link is lost.
         """
         stop = stop or Event()
         played_s = 0.0

@@ -56,22 +56,12 @@ _MOST_BYTES: Final = 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class ErrorEllipse:
-    """The error ellipse that a navigator states for a position.
+    """The error ellipse that a navigator states for a position."""
 
-    Attributes
-    ----------
-    major_km, minor_km : float
-        Semi-axes.
-    azimuth_rad : float
-        Of the major axis, rad from north through east.
-    confidence : float
-        Probability that the ellipse states, 0 to 1.
-    """
-
-    major_km: float
+    major_km: float  # Semi-axes
     minor_km: float
-    azimuth_rad: float
-    confidence: float
+    azimuth_rad: float  # Of the major axis, rad from north through east
+    confidence: float  # Probability that the ellipse states, 0 to 1
 
     @property
     def sigma_km(self) -> float:
@@ -90,75 +80,36 @@ class ErrorEllipse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedStars:
-    """Stars that a navigator found on an image.
+    """Stars that a navigator found on an image."""
 
-    Attributes
-    ----------
-    xy_px : (n, 2) float64
-        Positions (x, y), px.
-    star_id : (n,) int64
-        Numbers in the catalogue of the truth; -1 if a star is not identified.
-    at : {"centroid", "start", "middle", "end"}
-        The point of the star trails that the positions refer to.
-    """
-
-    xy_px: Float
-    star_id: NDArray[np.int64]
-    at: str
+    xy_px: Float  # (n, 2) positions (x, y), px
+    star_id: NDArray[np.int64]  # (n,) int64: numbers in the catalogue of the truth; -1 if a star is not identified
+    at: str  # {"centroid", "start", "middle", "end"}: the point of the star trails that the positions refer to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """A navigator's answer for one frame.
+    """A navigator's answer for one frame."""
 
-    Attributes
-    ----------
-    line : int
-        Line of the file, from 1.
-    frame : int or None
-        The frame's number; None if the answer names its file instead.
-    file : str or None
-    solved : bool
-        False if the navigator refused to answer.
-    instant : {"start", "middle", "end"}
-        The time of the attitude.
-    C_camera_icrs : (3, 3) float64 or None
-    latitude_rad, longitude_rad : float or None
-    ellipse : ErrorEllipse or None
-    stars : ObservedStars or None
-    run_time_s : float or None
-    utc_s : float or None
-        UTC of the attitude by the camera's clock, seconds since 1970.
-    """
-
-    line: int
-    frame: int | None
+    line: int  # Line of the file, from 1
+    frame: int | None  # The frame's number; None if the answer names its file instead
     file: str | None
-    solved: bool
-    instant: str
-    C_camera_icrs: Float | None
+    solved: bool  # False if the navigator refused to answer
+    instant: str  # {"start", "middle", "end"}: the time of the attitude
+    C_camera_icrs: Float | None  # (3, 3) or None
     latitude_rad: float | None
     longitude_rad: float | None
     ellipse: ErrorEllipse | None
     stars: ObservedStars | None
     run_time_s: float | None
-    utc_s: float | None = None
+    utc_s: float | None = None  # UTC of the attitude by the camera's clock, seconds since 1970
 
 
 def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
     """Return the rotation from ICRS to a camera with a given optical axis and roll.
 
-    Parameters
-    ----------
-    ra_rad, dec_rad : float
-        ICRS right ascension and declination of the optical axis, rad.
-    roll_rad : float
-        Position angle of the image's up (minus y), rad from north through east.
-
-    Returns
-    -------
-    (3, 3) float64
-        C_camera_icrs.
+    `ra_rad`, `dec_rad`: ICRS right ascension and declination of the optical axis, rad; `roll_rad`: position angle of
+    the image's up (minus y), rad from north through east.  Returns (3, 3) c_camera_icrs.
     """
     # First the axes along the boresight, east and north, then the camera's right, down and forward.
     C_sight_icrs = about_y(-dec_rad) @ about_z(ra_rad)
@@ -170,19 +121,8 @@ def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Flo
 def read_answers(path: Path) -> list[Answer]:
     """Read a file of answers.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with a header, or JSON lines; detected from the content.
-
-    Returns
-    -------
-    list of Answer
-
-    Raises
-    ------
-    AnswersError
-        If the file cannot be read, or a line is not a valid answer; the message names the line and the field.
+    `path`: CSV with a header, or JSON lines; detected from the content.  Raises AnswersError if the file cannot be
+    read, or a line is not a valid answer; the message names the line and the field.
     """
     text = _content(path)
     rows = _json_rows(path, text) if text.lstrip()[:1] in {"{", "["} else _csv_rows(path, text)
@@ -203,22 +143,8 @@ def read_answers(path: Path) -> list[Answer]:
 def parse_answer(source: Path, line: int, text: str) -> Answer:
     """Read one JSON line.
 
-    Parameters
-    ----------
-    source : Path
-        Where it comes from, for messages.
-    line : int
-        Its number, from 1.
-    text : str
-
-    Returns
-    -------
-    Answer
-
-    Raises
-    ------
-    AnswersError
-        If it is not a valid answer.
+    `source`: where it comes from, for messages; `line`: its number, from 1.  Raises AnswersError if it is not a valid
+    answer.
     """
     return _answer(source, line, _json_row(source, line, text))
 

@@ -47,34 +47,7 @@ _LEAST_STARS: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTruth:
-    """The truth of one frame.
-
-    Attributes
-    ----------
-    frame : int
-    file : str
-    utc_mid_s : float
-    duration_s : float
-    latitude_rad, longitude_rad, height_m : float
-    yaw_rad : float
-        Heading of the aircraft, mid-exposure, rad from north through east.
-    C_camera_icrs : (3, 3) float64
-        Mid-exposure.
-    camera : Camera
-    catalogue : str
-    star_id : (n,) int64
-    flux_dn : (n,) float64
-    xy_px : dict of str to (n, 2) float64
-        Positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if unknown.
-    is_detectable : (n,) bool
-        Stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
-    run : (str, int)
-        Name of the flight and number of the sample, in a data set: frames of one run follow each other.
-    settings : mapping
-        Settings of the sample of a sweep, by dotted key.
-    conditions : mapping of str to float
-        Those of `CONDITIONS` that the truth has, as far as they are simulated.
-    """
+    """The truth of one frame."""
 
     frame: int
     file: str
@@ -83,16 +56,21 @@ class FrameTruth:
     latitude_rad: float
     longitude_rad: float
     height_m: float
-    yaw_rad: float
-    C_camera_icrs: Float
+    yaw_rad: float  # Heading of the aircraft, mid-exposure, rad from north through east
+    C_camera_icrs: Float  # (3, 3) mid-exposure
     camera: Camera
     catalogue: str
-    star_id: NDArray[np.int64]
-    flux_dn: Float
+    star_id: NDArray[np.int64]  # (n,) int64
+    flux_dn: Float  # (n,)
+    # Dict of str to (n, 2) float64: positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if
+    # unknown.
     xy_px: dict[str, Float]
+    # (n,) bool: stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
     is_detectable: NDArray[np.bool_]
+    # (str, int) name of the flight and number of the sample, in a data set: frames of one run follow each other.
     run: tuple[str, int] = ("", 0)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)  # Settings of the sample of a sweep, by dotted key
+    # Those of `CONDITIONS` that the truth has, as far as they are simulated.
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -104,19 +82,10 @@ class FrameTruth:
     def attitude(self, instant: str) -> Float | None:
         """Return the rotation from ICRS to the camera at an instant of the exposure.
 
-        Parameters
-        ----------
-        instant : {"start", "middle", "end"}
-
-        Returns
-        -------
-        (3, 3) float64 or None
-            None at start and end of a frame with fewer than three stars.
-
-        Notes
-        -----
-        The truth has the attitude of mid-exposure. The attitudes at start and end follow from the rotation of the
-        stars' directions in the camera, in which refraction and aberration cancel except for their change.
+        `instant` {"start", "middle", "end"}.  Returns (3, 3) or None: none at start and end of a frame with fewer than
+        three stars.  The truth has the attitude of mid-exposure. The attitudes at start and end follow from the
+        rotation of the stars' directions in the camera, in which refraction and aberration cancel except for their
+        change.
         """
         if instant == "middle":
             return self.C_camera_icrs
@@ -130,14 +99,8 @@ class FrameTruth:
     def plain_fit(self, instant: str) -> Float | None:
         """Return the rotation that fits catalogue directions to the true pixels, without refraction or aberration.
 
-        Parameters
-        ----------
-        instant : {"start", "middle", "end"}
-
-        Returns
-        -------
-        (3, 3) float64 or None
-            None if fewer than three detectable stars are on the image.
+        `instant` {"start", "middle", "end"}.  Returns (3, 3) or None: none if fewer than three detectable stars are on
+        the image.
         """
         seen = self.directions(instant)
         used = self.is_detectable & np.isfinite(seen).all(axis=1)
@@ -169,23 +132,9 @@ def _opened(catalogue: str) -> Any:
 def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     """Read the truth of an export.
 
-    Parameters
-    ----------
-    directory : Path
-        With ``truth.jsonl`` and ``manifest.json``, or the truth file itself.
-    least_snr : float
-        Signal-to-noise ratio from which a star is detectable: its flux over the noise of the sky under its trail.
-
-    Returns
-    -------
-    list of FrameTruth
-
-    Raises
-    ------
-    AnswersError
-        If there is no truth, or the manifest does not describe the sensor.
-    ExportError
-        If a line of the truth cannot be read.
+    `directory`: with ``truth.jsonl`` and ``manifest.json``, or the truth file itself; `least_snr`: signal-to-noise
+    ratio from which a star is detectable: its flux over the noise of the sky under its trail.  Raises AnswersError if
+    there is no truth, or the manifest does not describe the sensor; ExportError if a line of the truth cannot be read.
     """
     truth = directory / _TRUTH if directory.is_dir() else directory
     if not truth.is_file():
@@ -286,36 +235,20 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits beyond which an answer is false.
+    """Limits beyond which an answer is false."""
 
-    Attributes
-    ----------
-    boresight_rad : float
-        Error of the optical axis, rad.
-    position_km : float
-    star_px : float
-        Distance within which an observed star is the true one, px.
-    """
-
-    boresight_rad: float = float(np.deg2rad(1.0))
+    boresight_rad: float = float(np.deg2rad(1.0))  # Error of the optical axis, rad
     position_km: float = 200.0
-    star_px: float = 3.0
+    star_px: float = 3.0  # Distance within which an observed star is the true one, px
 
 
 @dataclass(frozen=True, slots=True)
 class PositionError:
-    """The error of a position.
-
-    Attributes
-    ----------
-    north_km, east_km : float
-    in_ellipse : bool or None
-        Whether the stated error ellipse contains the truth; None without an ellipse.
-    """
+    """The error of a position."""
 
     north_km: float
     east_km: float
-    in_ellipse: bool | None
+    in_ellipse: bool | None  # Whether the stated error ellipse contains the truth; None without an ellipse
 
     @property
     def distance_km(self) -> float:
@@ -325,68 +258,32 @@ class PositionError:
 
 @dataclass(frozen=True, slots=True)
 class StarScore:
-    """The score of identified and measured stars.
+    """The score of identified and measured stars."""
 
-    Attributes
-    ----------
-    identified, correct : int
-        Stars with an identifier, and those with a correct identifier and position.
-    detectable, found : int
-        Detectable stars of the truth, and those of them that were identified correctly.
-    centroid_rms_px : float or None
-        RMS position error of the correct stars, px.
-    """
-
-    identified: int
+    identified: int  # Stars with an identifier, and those with a correct identifier and position
     correct: int
-    detectable: int
+    detectable: int  # Detectable stars of the truth, and those of them that were identified correctly
     found: int
-    centroid_rms_px: float | None
+    centroid_rms_px: float | None  # RMS position error of the correct stars, px
 
 
 @dataclass(frozen=True, slots=True)
 class FrameScore:
-    """The score of one frame.
-
-    Attributes
-    ----------
-    truth : FrameTruth
-    answer : Answer or None
-    outcome : Outcome
-    attitude : AttitudeError or None
-    floor : AttitudeError or None
-        Error of a rotation fit to the true pixels, which is the error of a solver that ignores refraction and
-        aberration.
-    above_floor : AttitudeError or None
-        Error of the answer against that fit.
-    position : PositionError or None
-    stars : StarScore or None
-    """
+    """The score of one frame."""
 
     truth: FrameTruth
     answer: Answer | None
     outcome: Outcome
     attitude: AttitudeError | None = None
+    # Error of a rotation fit to the true pixels, which is the error of a solver that ignores refraction and aberration.
     floor: AttitudeError | None = None
-    above_floor: AttitudeError | None = None
+    above_floor: AttitudeError | None = None  # Error of the answer against that fit
     position: PositionError | None = None
     stars: StarScore | None = None
 
 
 def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> FrameScore:
-    """Return the score of an answer to one frame.
-
-    Parameters
-    ----------
-    truth : FrameTruth
-    answer : Answer or None
-        None without an answer.
-    limits : Limits
-
-    Returns
-    -------
-    FrameScore
-    """
+    """Return the score of an answer to one frame; `answer`: none without an answer."""
     if answer is None or not answer.solved:
         return FrameScore(truth, answer, Outcome.REFUSED)
     attitude = floor = above_floor = None

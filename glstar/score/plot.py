@@ -20,14 +20,7 @@ _COLOURS = {Outcome.SOLVED: "tab:blue", Outcome.FALSE: "tab:red"}
 
 
 def draw_score(score: Score, path: Path) -> None:
-    """Draw errors of attitude and position as an image file.
-
-    Parameters
-    ----------
-    score : Score
-    path : Path
-        Output file; its suffix selects the format.
-    """
+    """Draw errors of attitude and position as an image file; `path`: output file; its suffix selects the format."""
     import matplotlib as mpl  # noqa: PLC0415 - slow to import
 
     mpl.use("Agg")

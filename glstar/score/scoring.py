@@ -28,27 +28,15 @@ DETECTABLE_SNR = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """The score of a file of answers.
+    """The score of a file of answers."""
 
-    Attributes
-    ----------
-    frames : tuple of FrameScore
-        One for each frame of the truth, in its order.
-    summary : Summary
-    bins : tuple of (str, tuple of (str, Summary))
-        The same by exposure, trail length, number of stars, transmission of cloud, Moon, Sun and each setting of a
-        sweep, where frames occupy two bins.
-    runs : tuple of Run
-        One for each flight and sample of a data set.
-    drawn : frozenset of str
-        Names of the bins that are ranges of a setting that was drawn at random.
-    """
-
-    frames: tuple[FrameScore, ...]
+    frames: tuple[FrameScore, ...]  # One for each frame of the truth, in its order
     summary: Summary
+    # Tuple of (str, tuple of (str, Summary)): the same by exposure, trail length, number of stars, transmission of
+    # cloud, Moon, Sun and each setting of a sweep, where frames occupy two bins.
     bins: tuple[tuple[str, tuple[tuple[str, Summary], ...]], ...]
-    runs: tuple[Run, ...]
-    drawn: frozenset[str] = frozenset()
+    runs: tuple[Run, ...]  # One for each flight and sample of a data set
+    drawn: frozenset[str] = frozenset()  # Names of the bins that are ranges of a setting that was drawn at random
 
     @property
     def orbits(self) -> tuple[Orbit, ...]:
@@ -89,25 +77,9 @@ class Score:
 def score(directory: Path, answers: Path, *, limits: Limits | None = None, least_snr: float = DETECTABLE_SNR) -> Score:
     """Score a navigator's answers against the truth of an export.
 
-    Parameters
-    ----------
-    directory : Path
-        The export: its ``truth.jsonl`` and ``manifest.json``.
-    answers : Path
-        See `glstar.score.answers`.
-    limits : Limits, optional
-        Limits beyond which an answer is false.
-    least_snr : float
-        Signal-to-noise ratio from which a star counts as detectable.
-
-    Returns
-    -------
-    Score
-
-    Raises
-    ------
-    AnswersError
-        If a file cannot be read, or an answer refers to a missing frame.
+    `directory`: the export: its ``truth.jsonl`` and ``manifest.json``; `answers`: see `glstar.score.answers`; `limits`:
+    limits beyond which an answer is false; `least_snr`: signal-to-noise ratio from which a star counts as detectable.
+    Raises AnswersError if a file cannot be read, or an answer refers to a missing frame.
     """
     truths = read_frame_truths(directory, least_snr=least_snr)
     matched = _matched(answers, truths, read_answers(answers))

@@ -25,17 +25,10 @@ _LEAST_FIXES: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """The spread of an error.
-
-    Attributes
-    ----------
-    count : int
-    median, rms, p90 : float
-        The median, the root mean square and the 90 % quantile.
-    """
+    """The spread of an error."""
 
     count: int
-    median: float
+    median: float  # The median, the root mean square and the 90 % quantile
     rms: float
     p90: float
 
@@ -60,73 +53,41 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Orbit:
-    """The positions of one full turn of the heading.
+    """The positions of one full turn of the heading."""
 
-    Attributes
-    ----------
-    frames : int
-        Solved positions in it.
-    mean_km : float
-        Distance of their mean from the mean of the truth.
-    weighted_mean_km : float
-        The same, weighted by the range of headings of each answer: a systematic error of the mount cancels.
-    circle_km : float or None
-        Distance of the centre of the circle fitted to their errors; None with fewer than four.
-    radius_km : float or None
-        That circle's radius.
-    """
-
-    frames: int
-    mean_km: float
+    frames: int  # Solved positions in it
+    mean_km: float  # Distance of their mean from the mean of the truth
+    # The same, weighted by the range of headings of each answer: a systematic error of the mount cancels.
     weighted_mean_km: float
-    circle_km: float | None
-    radius_km: float | None
+    circle_km: float | None  # Distance of the centre of the circle fitted to their errors; None with fewer than four
+    radius_km: float | None  # That circle's radius
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Summary of all frames or of the frames of a bin.
-
-    Attributes
-    ----------
-    frames, solved, refused, false : int
-    boresight_rad, roll_rad : Spread or None
-        Of solved frames.
-    boresight_floor_rad, boresight_above_floor_rad : Spread or None
-        Errors of the rotation fit to the true pixels, and of the answers against this fit.
-    position_km : Spread or None
-    in_ellipse, with_ellipse : int
-        Number of positions whose error ellipse contains the truth, and of those with an ellipse.
-    stated_confidence : float or None
-        Mean confidence of those ellipses.
-    precision, recall : float or None
-        Fraction of identified stars that are correct, and fraction of detectable stars that were found.
-    centroid_px : Spread or None
-        Of each frame's root mean square.
-    run_time_s : Spread or None
-    lost_rate : float or None
-        Fraction of the frames with identified stars in which two or more are right and none is wrong, as LOST counts.
-    kelvins : float or None
-        Mean over frames of max((found - 2 wrong) / max(detectable, 1), -1), as ESA's Star Trackers: First Contact.
-    """
+    """Summary of all frames or of the frames of a bin."""
 
     frames: int
     solved: int
     refused: int
     false: int
-    boresight_rad: Spread | None
+    boresight_rad: Spread | None  # Of solved frames
     roll_rad: Spread | None
+    # Errors of the rotation fit to the true pixels, and of the answers against this fit.
     boresight_floor_rad: Spread | None
     boresight_above_floor_rad: Spread | None
     position_km: Spread | None
-    in_ellipse: int
+    in_ellipse: int  # Number of positions whose error ellipse contains the truth, and of those with an ellipse
     with_ellipse: int
-    stated_confidence: float | None
+    stated_confidence: float | None  # Mean confidence of those ellipses
+    # Fraction of identified stars that are correct, and fraction of detectable stars that were found.
     precision: float | None
     recall: float | None
-    centroid_px: Spread | None
+    centroid_px: Spread | None  # Of each frame's root mean square
     run_time_s: Spread | None
+    # Fraction of the frames with identified stars in which two or more are right and none is wrong, as LOST counts.
     lost_rate: float | None
+    # Mean over frames of max((found - 2 wrong) / max(detectable, 1), -1), as ESA's Star Trackers: First Contact.
     kelvins: float | None
 
     @property
@@ -137,21 +98,11 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """A quantity by which frames are grouped.
+    """A quantity by which frames are grouped."""
 
-    Attributes
-    ----------
-    name : str
-        With its unit.
-    of : callable
-        Returns the quantity of a frame's score; NaN if it has none.
-    edges : tuple of float
-        Lower edge of each bin except the first.
-    """
-
-    name: str
-    of: Callable[[FrameScore], float]
-    edges: tuple[float, ...]
+    name: str  # With its unit
+    of: Callable[[FrameScore], float]  # Returns the quantity of a frame's score; NaN if it has none
+    edges: tuple[float, ...]  # Lower edge of each bin except the first
 
     def grouped(self, scores: Sequence[FrameScore]) -> list[tuple[str, list[FrameScore]]]:
         """Return the labels and frames of the bins that are not empty; frames without the quantity are in none."""
@@ -190,16 +141,7 @@ BINS: Final = (
 
 
 def summarized(scores: Sequence[FrameScore]) -> Summary:
-    """Return the summary of frames.
-
-    Parameters
-    ----------
-    scores : sequence of FrameScore
-
-    Returns
-    -------
-    Summary
-    """
+    """Return the summary of frames."""
     solved = [score for score in scores if score.outcome == Outcome.SOLVED]
     answered = [score for score in scores if score.outcome != Outcome.REFUSED]
     stars = [score.stars for score in answered if score.stars is not None]
@@ -243,15 +185,8 @@ def _part(error: AttitudeError | None, part: str) -> float | None:
 def orbits(scores: Sequence[FrameScore]) -> list[Orbit]:
     """Return the positions of each full turn of the heading.
 
-    Parameters
-    ----------
-    scores : sequence of FrameScore
-        Of one flight, sorted by time.
-
-    Returns
-    -------
-    list of Orbit
-        Empty if the heading makes no full turn, or without answered positions.
+    `scores`: of one flight, sorted by time.  Returns: empty if the heading makes no full turn, or without answered
+    positions.
     """
     placed = [score for score in scores if score.outcome == Outcome.SOLVED and score.position is not None]
     if len(placed) < _LEAST_FIXES:
@@ -312,63 +247,32 @@ _RANGES: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One flight under one sample of a sweep: a repetition of an experiment, where only seeds vary.
+    """One flight under one sample of a sweep: a repetition of an experiment, where only seeds vary."""
 
-    Attributes
-    ----------
-    flight : str
-        Its name; empty for an export of one flight.
-    sample : int
-    settings : dict
-        The settings of the sample, by dotted key.
-    summary : Summary
-    orbits : tuple of Orbit
-    """
-
-    flight: str
+    flight: str  # Its name; empty for an export of one flight
     sample: int
-    settings: dict[str, Any]
+    settings: dict[str, Any]  # The settings of the sample, by dotted key
     summary: Summary
     orbits: tuple[Orbit, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class RunSpread:
-    """The spread of the runs' results: how far one result may be off by chance.
-
-    Attributes
-    ----------
-    runs : int
-    solved_fraction : Spread
-        Fraction of its frames that each run solved.
-    boresight_rad, roll_rad, position_km : Spread or None
-        Of the runs' medians.
-    orbit_mean_km, orbit_weighted_km, orbit_circle_km : Spread or None
-        Of all orbits of all runs: the mean position, weighted by heading, and the centre of the circle.
-    """
+    """The spread of the runs' results: how far one result may be off by chance."""
 
     runs: int
-    solved_fraction: Spread | None
-    boresight_rad: Spread | None
+    solved_fraction: Spread | None  # Fraction of its frames that each run solved
+    boresight_rad: Spread | None  # Of the runs' medians
     roll_rad: Spread | None
     position_km: Spread | None
+    # Of all orbits of all runs: the mean position, weighted by heading, and the centre of the circle.
     orbit_mean_km: Spread | None
     orbit_weighted_km: Spread | None
     orbit_circle_km: Spread | None
 
 
 def runs_of(scores: Sequence[FrameScore]) -> list[Run]:
-    """Return the runs of a score, in the order of the truth.
-
-    Parameters
-    ----------
-    scores : sequence of FrameScore
-
-    Returns
-    -------
-    list of Run
-        One for an export of one flight.
-    """
+    """Return the runs of a score, in the order of the truth; returns one for an export of one flight."""
     grouped: dict[tuple[str, int], list[FrameScore]] = {}
     for score in scores:
         grouped.setdefault(score.truth.run, []).append(score)
@@ -379,16 +283,7 @@ def runs_of(scores: Sequence[FrameScore]) -> list[Run]:
 
 
 def spread_of_runs(runs: Sequence[Run]) -> RunSpread | None:
-    """Return the spread of several runs; None for one.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-
-    Returns
-    -------
-    RunSpread or None
-    """
+    """Return the spread of several runs; None for one."""
     if len(runs) < 2:
         return None
     flown = [orbit for run in runs for orbit in run.orbits]
@@ -411,16 +306,8 @@ def _medians(spreads: Sequence[Spread | None]) -> Spread | None:
 def settings_bins(scores: Sequence[FrameScore]) -> Iterator[tuple[str, list[tuple[str, list[FrameScore]]]]]:
     """Yield the frames grouped by each setting of a sweep that varies, except seeds.
 
-    Parameters
-    ----------
-    scores : sequence of FrameScore
-
-    Yields
-    ------
-    name : str
-        The dotted key.
-    groups : list of (str, list of FrameScore)
-        Label and frames of each value, or of ranges of a setting with many values.
+    Yields `name`: the dotted key; `groups` list of (str, list of FrameScore): label and frames of each value, or of
+    ranges of a setting with many values.
     """
     for key in dict.fromkeys(key for score in scores for key in score.truth.settings):
         known = [score for score in scores if key in score.truth.settings]
@@ -434,16 +321,7 @@ def settings_bins(scores: Sequence[FrameScore]) -> Iterator[tuple[str, list[tupl
 
 
 def drawn_settings(scores: Sequence[FrameScore]) -> frozenset[str]:
-    """Return the settings of a sweep that `settings_bins` groups into ranges, because they were drawn at random.
-
-    Parameters
-    ----------
-    scores : sequence of FrameScore
-
-    Returns
-    -------
-    frozenset of str
-    """
+    """Return the settings of a sweep that `settings_bins` groups into ranges, because they were drawn at random."""
     keys = dict.fromkeys(key for score in scores for key in score.truth.settings)
     values = {key: {score.truth.settings[key] for score in scores if key in score.truth.settings} for key in keys}
     return frozenset(key for key, different in values.items() if len(different) > _MOST_VALUES)

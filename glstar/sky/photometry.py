@@ -25,19 +25,9 @@ from glstar.system.userinput import read_bytes
 def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
     """Return the brightness ratio of a star and its reference, B_x / B_r.
 
-    Parameters
-    ----------
-    magnitude_difference : (...) array_like
-        m_x - m_r, magnitudes: positive for a star fainter than the reference.
-
-    Returns
-    -------
-    (...) float64
-
-    Notes
-    -----
-    Teague & Chahl, eq. (37).  Departs from eq. (37), which is printed without the minus sign: a star one magnitude
-    fainter is 0.398 times as bright, not 2.51 times.
+    `magnitude_difference` (...): m_x - m_r, magnitudes: positive for a star fainter than the reference.  Returns
+    (...).  Teague & Chahl, eq. (37).  Departs from eq. (37), which is printed without the minus sign: a star one
+    magnitude fainter is 0.398 times as bright, not 2.51 times.
 
     Examples
     --------
@@ -50,19 +40,8 @@ def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
 def magnitude_difference(brightness_ratio: ArrayLike) -> NDArray[np.float64]:
     """Return the magnitude difference of a star and its reference, m_x - m_r.
 
-    Parameters
-    ----------
-    brightness_ratio : (...) array_like
-        B_x / B_r, above 0.
-
-    Returns
-    -------
-    (...) float64
-        Magnitudes, positive for a star fainter than the reference.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (36).
+    `brightness_ratio` (...): b_x / B_r, above 0.  Returns (...) magnitudes, positive for a star fainter than the
+    reference.  Teague & Chahl, eq. (36).
     """
     return -2.5 * np.log10(np.asarray(brightness_ratio, dtype=np.float64))
 
@@ -80,16 +59,8 @@ Float = NDArray[np.float64]
 def star_colours(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> Float:
     """Return the colours B - V of stars.
 
-    Parameters
-    ----------
-    stars : StarField
-    some : slice or (n,) int
-        Which of them.
-
-    Returns
-    -------
-    (n,) float64
-        Magnitudes; NaN where neither the catalogue nor Hipparcos has a colour.
+    `some` slice or (n,) int: which of them.  Returns (n,) magnitudes; NaN where neither the catalogue nor Hipparcos has
+    a colour.
     """
     star_id = stars.star_id[some]
     bv = np.full(len(star_id), np.nan) if stars.bv is None else stars.bv[some].astype(np.float64)
@@ -124,28 +95,14 @@ class StarBrightness:
 
     A camera that is more sensitive to red than V measures smaller magnitudes for red stars, and it does not resolve
     close pairs.
-
-    Attributes
-    ----------
-    path : Path
-    sha256 : str
-        SHA-256 of the file.
-    catalogue : str
-        The catalogue used for the calibration; empty if the table does not name it.
-    star_id : (n,) int32
-        The stars' numbers in that catalogue.
-    vmag : (n,) float64
-        The stars' V magnitudes in that catalogue.
-    camera_mag : (n,) float64
-        The stars' magnitudes in the band of the camera, with the zero point of ``[sensor]``.
     """
 
     path: Path
-    sha256: str
-    catalogue: str
-    star_id: NDArray[np.int32]
-    vmag: Float
-    camera_mag: Float
+    sha256: str  # SHA-256 of the file
+    catalogue: str  # The catalogue used for the calibration; empty if the table does not name it
+    star_id: NDArray[np.int32]  # (n,) int32: the stars' numbers in that catalogue
+    vmag: Float  # (n,) the stars' V magnitudes in that catalogue
+    camera_mag: Float  # (n,) the stars' magnitudes in the band of the camera, with the zero point of ``[sensor]``
 
     def __post_init__(self) -> None:
         for array in (self.star_id, self.vmag, self.camera_mag):
@@ -164,20 +121,9 @@ class StarBrightness:
     def open(cls, path: str | PathLike[str]) -> Self:
         """Read a table from a file.
 
-        Parameters
-        ----------
-        path : path-like
-            CSV with a header, as written by ``glstar calibrate``.  The columns ``catalogue``, ``star_id`` (``hr`` in
-            older tables), ``vmag`` and ``camera_mag`` are read.
-
-        Returns
-        -------
-        StarBrightness
-
-        Raises
-        ------
-        CalibrationError
-            If the file cannot be read, lacks a column, contains a value that is not a number, or a star twice.
+        `path`: CSV with a header, as written by ``glstar calibrate``; the columns ``catalogue``, ``star_id`` (``hr`` in
+        older tables), ``vmag`` and ``camera_mag`` are read.  Raises CalibrationError if the file cannot be read, lacks
+        a column, contains a value that is not a number, or a star twice.
         """
         path = Path(path)
         try:
@@ -219,24 +165,10 @@ class StarBrightness:
     def magnitudes(self, catalogue: str, star_id: NDArray[np.int32], vmag: Float) -> Float:
         """Return the magnitudes with which stars of a catalogue are rendered.
 
-        Parameters
-        ----------
-        catalogue : str
-            The catalogue, as in `glstar.sky.catalogue.reading.StarCatalogue`.
-        star_id : (m,) int32
-            The stars' numbers in that catalogue.
-        vmag : (m,) float64
-            The stars' V magnitudes in that catalogue.
-
-        Returns
-        -------
-        (m,) float64
-            The table's magnitudes; the catalogue's for stars that are not in the table.
-
-        Raises
-        ------
-        CalibrationError
-            If the table belongs to another catalogue.
+        `catalogue`: the catalogue, as in `glstar.sky.catalogue.reading.StarCatalogue`; `star_id` (m,) int32: the stars'
+        numbers in that catalogue; `vmag` (m,): the stars' V magnitudes in that catalogue.  Returns (m,) the table's
+        magnitudes; the catalogue's for stars that are not in the table.  Raises CalibrationError if the table belongs
+        to another catalogue.
         """
         if self.catalogue and catalogue and self.catalogue != catalogue:
             raise CalibrationError(
@@ -252,19 +184,7 @@ class StarBrightness:
     def applied(self, stars: StarField) -> StarField:
         """Return stars with the magnitudes of the table.
 
-        Parameters
-        ----------
-        stars : StarField
-            With V magnitudes.
-
-        Returns
-        -------
-        StarField
-
-        Raises
-        ------
-        CalibrationError
-            If the table belongs to another catalogue.
+        `stars`: with V magnitudes.  Raises CalibrationError if the table belongs to another catalogue.
         """
         magnitudes = self.magnitudes(stars.catalogue, stars.star_id, stars.vmag)
         is_measured = np.zeros(len(stars), dtype=np.bool_)

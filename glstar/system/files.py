@@ -39,57 +39,26 @@ _NO_FLUSH: Final = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def temporary_path(path: Path) -> Path:
-    """Return a temporary name in the directory of a file, different for each process that writes the file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Path
-    """
+    """Return a temporary name in the directory of a file, different for each process that writes the file."""
     return path.with_name(f"{TEMPORARY}{token_hex(4)}-{path.name}")
 
 
 @dataclass(frozen=True, slots=True)
 class StagedFile:
-    """A file under a temporary name, to be flushed and renamed.
+    """A file under a temporary name, to be flushed and renamed."""
 
-    Attributes
-    ----------
-    temporary, path : Path
-        Its current and its final name.
-    """
-
-    temporary: Path
+    temporary: Path  # Its current and its final name
     path: Path
 
     @classmethod
     def beside(cls, path: Path) -> Self:
-        """Return a staged file with a new temporary name in the directory of `path`; nothing is written yet.
-
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        StagedFile
-        """
+        """Return a staged file with a new temporary name in the directory of `path`; nothing is written yet."""
         return cls(temporary_path(path), path)
 
     def write(self, content: bytes) -> None:
         """Write the content under the temporary name.
 
-        Parameters
-        ----------
-        content : bytes
-
-        Raises
-        ------
-        OSError
-            If it cannot be written; the temporary file is removed.
+        Raises OSError if it cannot be written; the temporary file is removed.
         """
         try:
             self.temporary.write_bytes(content)
@@ -110,10 +79,7 @@ class StagedFile:
 def remove_staged(path: Path) -> None:
     """Remove the temporary files that processes have left that were killed while they wrote a file.
 
-    Parameters
-    ----------
-    path : Path
-        The final name of the file.  No other process may be writing it.
+    `path`: the final name of the file; no other process may be writing it.
     """
     pattern = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-" + re.escape(path.name))
     with suppress(OSError):
@@ -125,15 +91,7 @@ def remove_staged(path: Path) -> None:
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that after a power failure it has its old content or the new one, completely.
 
-    Parameters
-    ----------
-    path : Path
-    content : bytes
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; an existing file keeps its content.
+    Raises OSError if it cannot be written; an existing file keeps its content.
     """
     staged = StagedFile.beside(path)
     staged.write(content)
@@ -143,15 +101,8 @@ def write_atomically(path: Path, content: bytes) -> None:
 def publish(temporary: Path, path: Path) -> None:
     """Flush a file that was written under a temporary name, and rename it to its final name.
 
-    Parameters
-    ----------
-    temporary, path : Path
-        In the same directory.
-
-    Raises
-    ------
-    OSError
-        If it cannot be flushed or renamed; the temporary file is removed.
+    `temporary`, `path`: in the same directory.  Raises OSError if it cannot be flushed or renamed; the temporary file
+    is removed.
     """
     try:
         flush([temporary])
@@ -177,18 +128,9 @@ def _replace(temporary: Path, path: Path) -> None:
 def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
     """Flush the content of files to the disk.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        A few files; all are open at the same time.
-    executor : Executor, optional
-        Threads that flush concurrently, so that the drive's cache is flushed once for several files.  On ext4 eight
-        files take 2 to 5 ms instead of 23.
-
-    Raises
-    ------
-    OSError
-        If content did not reach the disk.
+    `paths`: a few files; all are open at the same time; `executor`: threads that flush concurrently, so that the
+    drive's cache is flushed once for several files; on ext4 eight files take 2 to 5 ms instead of 23.  Raises OSError
+    if content did not reach the disk.
     """
     with ExitStack() as opened:
         handles = []
@@ -211,15 +153,7 @@ def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
 def flush_handle(handle: int) -> None:
     """Flush the content of an open file to the disk.
 
-    Parameters
-    ----------
-    handle : int
-        Its descriptor, open for writing.
-
-    Raises
-    ------
-    OSError
-        If the content did not reach the disk.
+    `handle`: its descriptor, open for writing.  Raises OSError if the content did not reach the disk.
     """
     _synchronize(handle)
     _flush_drive_cache(handle)
@@ -243,18 +177,7 @@ def _flush_drive_cache(handle: int) -> None:
 def flush_directory(directory: Path) -> None:
     """Flush a directory, so that created, renamed and removed names are durable.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Raises
-    ------
-    OSError
-        If the names did not reach the disk.
-
-    Notes
-    -----
-    Does nothing on Windows, where NTFS journals names in order.
+    Raises OSError if the names did not reach the disk.  Does nothing on Windows, where NTFS journals names in order.
     """
     if sys.platform == "win32":
         return
@@ -269,17 +192,7 @@ def flush_directory(directory: Path) -> None:
 
 
 def make_directory(directory: Path) -> None:
-    """Create a directory and its missing parents, durably.
-
-    Parameters
-    ----------
-    directory : Path
-
-    Raises
-    ------
-    OSError
-        If one cannot be created.
-    """
+    """Create a directory and its missing parents, durably; raises OSError if one cannot be created."""
     missing = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
     for made in missing:
@@ -300,13 +213,7 @@ _MAX_TEXT_BYTES: Final = 20
 
 
 class LockHeldError(Exception):
-    """Another process holds a lock.
-
-    Attributes
-    ----------
-    process : str
-        Its process number; "unknown" if the lock file holds none.
-    """
+    """Another process holds a lock; `process`: its process number; "unknown" if the lock file holds none."""
 
     def __init__(self, process: str) -> None:
         super().__init__(f"process {process} holds the lock")
@@ -316,28 +223,10 @@ class LockHeldError(Exception):
 def lock_handle(handle: int, *, shared: bool = False, wait: bool = False) -> bool:
     """Lock an open file or directory until it is closed.
 
-    Parameters
-    ----------
-    handle : int
-        Its descriptor.
-    shared : bool
-        Whether other processes may hold shared locks at the same time.
-    wait : bool
-        Whether to wait until conflicting locks are released.
-
-    Returns
-    -------
-    bool
-        False if another process holds a conflicting lock.  True also if the file system has no locks.
-
-    Raises
-    ------
-    OSError
-        If it cannot be locked for another reason.
-
-    Notes
-    -----
-    Windows has no shared locks here: a shared lock excludes no process, and `wait` is ignored.
+    `handle`: its descriptor; `shared`: whether other processes may hold shared locks at the same time; `wait`: whether
+    to wait until conflicting locks are released.  Returns: false if another process holds a conflicting lock; true
+    also if the file system has no locks.  Raises OSError if it cannot be locked for another reason.  Windows has no
+    shared locks here: a shared lock excludes no process, and `wait` is ignored.
     """
     try:
         if sys.platform == "win32":
@@ -360,17 +249,8 @@ def lock_handle(handle: int, *, shared: bool = False, wait: bool = False) -> boo
 class LockFile:
     """A file that is locked while its owner lives and holds the owner's process number.
 
-    Parameters
-    ----------
-    path : Path
-        Created if it does not exist; a symbolic link is not followed.
-
-    Raises
-    ------
-    LockHeldError
-        If another owner, in this process or another, holds the lock.
-    OSError
-        If the file cannot be opened or locked.
+    `path`: created if it does not exist; a symbolic link is not followed.  Raises LockHeldError if another owner, in
+    this process or another, holds the lock; OSError if the file cannot be opened or locked.
     """
 
     def __init__(self, path: Path) -> None:

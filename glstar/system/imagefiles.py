@@ -42,15 +42,8 @@ _BARE_MARKERS: Final = frozenset({0x01, *range(0xD0, 0xD9)})
 def image_size(content: bytes) -> tuple[int, int] | None:
     """Return the width and height that an image file's header declares.
 
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
-
-    Returns
-    -------
-    tuple of int, or None
-        Width and height, px, of the first image; None if it is no PNG, JPEG, TIFF or BMP, or the header is damaged.
+    `content`: the whole file.  Returns: width and height, px, of the first image; None if it is no PNG, JPEG, TIFF or
+    BMP, or the header is damaged.
     """
     try:
         if content.startswith(_PNG):
@@ -70,15 +63,7 @@ def image_size(content: bytes) -> tuple[int, int] | None:
 def size_error(content: bytes) -> str | None:
     """Return why an image file is too large to decode.
 
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
-
-    Returns
-    -------
-    str or None
-        A message without the file's name; None if the image may be decoded.
+    `content`: the whole file.  Returns a message without the file's name; None if the image may be decoded.
     """
     size = image_size(content)
     if size is None or size[0] * size[1] <= MAX_MEGAPIXELS * 1_000_000:
@@ -135,22 +120,11 @@ _SAMPLED_ROWS: Final = 64
 def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = None) -> bytes:
     """Return an image as the bytes of a greyscale PNG file.
 
-    Parameters
-    ----------
-    pixels : (height, width) uint8 or uint16
-        Digital numbers; 8 or 16 bits per pixel in the file.
-    significant_bits : int, optional
-        Number of the highest bits that have the digital number, if it is shifted up; the file states it (sBIT).
-
-    Returns
-    -------
-    bytes
-
-    Notes
-    -----
-    Noise has no pattern that a row filter or a string search could find: Huffman coding alone makes a file that is a
-    tenth smaller than OpenCV's, in a third of the time.  Images with long runs of equal pixels, such as those without
-    noise, are coded with runs.
+    `pixels` (height, width) uint8 or uint16: digital numbers; 8 or 16 bits per pixel in the file; `significant_bits`:
+    number of the highest bits that have the digital number, if it is shifted up; the file states it (sBIT).  Noise has
+    no pattern that a row filter or a string search could find: Huffman coding alone makes a file that is a tenth
+    smaller than OpenCV's, in a third of the time.  Images with long runs of equal pixels, such as those without noise,
+    are coded with runs.
     """
     height_px, width_px = pixels.shape
     rows = pixels.astype(">u2").view(np.uint8).reshape(height_px, -1) if pixels.dtype == np.uint16 else pixels
@@ -191,15 +165,7 @@ _TIMEOUT_S = 5.0
 def copy_png(content: bytes) -> str:
     """Copy an image to the clipboard with a program of the system.
 
-    Parameters
-    ----------
-    content : bytes
-        A PNG file.
-
-    Returns
-    -------
-    str
-        Why it could not be copied; empty if it was.
+    `content`: a PNG file.  Returns: why it could not be copied; empty if it was.
     """
     if sys.platform in {"win32", "darwin"}:
         with TemporaryDirectory() as folder:

@@ -36,10 +36,7 @@ _MACOS_14 = {"imgui-bundle"}
 def library_versions() -> dict[str, str | None]:
     """Return the versions of the libraries that glstar needs.
 
-    Returns
-    -------
-    dict of str to (str or None)
-        By the library's name; None if it is not installed.
+    Returns: dict of str to (str or None): by the library's name; None if it is not installed.
     """
     found: dict[str, str | None] = {}
     for name in _LIBRARIES:
@@ -53,21 +50,10 @@ def library_versions() -> dict[str, str | None]:
 def install_command(extra: str = "") -> str:
     """Return the command that installs glstar with an extra, from the same source as the current installation.
 
-    Parameters
-    ----------
-    extra : str
-        An extra of ``pyproject.toml``, such as ``"solve"``; none if empty.
-
-    Returns
-    -------
-    str
-        A command for a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout,
-        ``pip install 'glstar[solve]'`` for a package index.  If the source no longer exists, the command installs the
-        requirements of the extra.
-
-    Notes
-    -----
-    pip records the source of packages that it installs from a path or URL in ``direct_url.json`` (PEP 610).
+    `extra`: an extra of ``pyproject.toml``, such as ``"solve"``; none if empty.  Returns a command for a POSIX shell:
+    ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install 'glstar[solve]'`` for a package index; if
+    the source no longer exists, the command installs the requirements of the extra.  pip records the source of
+    packages that it installs from a path or URL in ``direct_url.json`` (PEP 610).
     """
     wanted = f"[{extra}]" if extra else ""
     try:
@@ -93,14 +79,7 @@ def install_command(extra: str = "") -> str:
 def missing_library(name: str) -> str:
     """Return a message about a required package that is not installed, with the remedy.
 
-    Parameters
-    ----------
-    name : str
-        Of the package, such as ``"imgui-bundle"``.
-
-    Returns
-    -------
-    str
+    `name`: of the package, such as ``"imgui-bundle"``.
     """
     major = platform.mac_ver()[0].partition(".")[0] if sys.platform == "darwin" else ""
     if name in _MACOS_14 and major.isdigit() and int(major) < 14:

@@ -60,16 +60,7 @@ def _stop(*_: Any) -> None:
 
 
 def is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an exception is a KeyboardInterrupt or was raised while one was handled.
-
-    Parameters
-    ----------
-    error : exception or None
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether an exception is a KeyboardInterrupt or was raised while one was handled."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True
@@ -97,10 +88,7 @@ _CHOSEN: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUN
 def keep_freed_memory() -> bool:
     """Let the C library keep up to 64 MiB of freed memory for this process instead of returning it to the system.
 
-    Returns
-    -------
-    bool
-        Whether it does: only glibc, and not where the environment chooses otherwise.
+    Returns whether it does: only glibc, and not where the environment chooses otherwise.
     """
     if any(name in os.environ for name in _CHOSEN):
         return False
@@ -111,10 +99,7 @@ def keep_freed_memory() -> bool:
 def share_one_heap() -> bool:
     """Let threads that begin from now on share one heap, so that what is kept is a limit of the process.
 
-    Returns
-    -------
-    bool
-        Whether they do: only with glibc, and not where the environment chooses otherwise.
+    Returns whether they do: only with glibc, and not where the environment chooses otherwise.
     """
     if any(name in os.environ for name in ("MALLOC_ARENA_MAX", "GLIBC_TUNABLES")):
         return False

@@ -29,49 +29,24 @@ def asset(name: str) -> Path:
 
 
 def bundled_flight() -> Path:
-    """Return the log of the bundled flight over Adelaide.
-
-    Returns
-    -------
-    pathlib.Path
-    """
+    """Return the log of the bundled flight over Adelaide."""
     return asset("adelaide.BIN")
 
 
 def manual_pages() -> dict[str, Path]:
-    """Return the pages of the manual.
-
-    Returns
-    -------
-    dict of str to pathlib.Path
-        Markdown files by topic (the file name without ``.md``), sorted.
-    """
+    """Return the pages of the manual; returns: markdown files by topic (the file name without ``.md``), sorted."""
     return {page.stem: page for page in sorted(asset("manual").glob("*.md"))}
 
 
 def shader(name: str) -> str:
     """Return the GLSL source of a shader.
 
-    Parameters
-    ----------
-    name : str
-        File name inside ``shaders/``, such as ``"star.vert"``.
-
-    Returns
-    -------
-    str
-        The source text.
+    `name`: file name inside ``shaders/``, such as ``"star.vert"``.  Returns the source text.
     """
     return _inside("shaders", name).read_text(encoding="utf-8")
 
 
 def shader_paths() -> list[Path]:
-    """Return the paths of all shaders.
-
-    Returns
-    -------
-    list of pathlib.Path
-        Sorted by name.
-    """
+    """Return the paths of all shaders; returns: sorted by name."""
     folder = _inside("shaders", "star.vert").parent
     return sorted(path for path in folder.iterdir() if path.suffix in {".vert", ".frag", ".glsl"})

@@ -25,15 +25,8 @@ _KINDS: Final = (
 def refuse_irregular(mode: int) -> None:
     """Raise unless a file is a regular file.
 
-    Parameters
-    ----------
-    mode : int
-        Its ``st_mode``.
-
-    Raises
-    ------
-    ValueError
-        If it is a directory, a pipe, a device or a socket; the message continues "PATH: ".
+    `mode`: its ``st_mode``.  Raises ValueError if it is a directory, a pipe, a device or a socket; the message
+    continues "PATH: ".
     """
     for is_kind, message in _KINDS:
         if is_kind(mode):
@@ -43,21 +36,9 @@ def refuse_irregular(mode: int) -> None:
 def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
     """Return the content of a small file.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; symbolic links are followed.
-    largest_bytes : int
-        Larger files are refused as mistakes (a flight log, for example), bytes.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    ValueError
-        If it is no regular file, too large, or cannot be read; the message continues "PATH: ".
+    `path`: the file; symbolic links are followed; `largest_bytes`: larger files are refused as mistakes (a flight log,
+    for example), bytes.  Raises ValueError if it is no regular file, too large, or cannot be read; the message
+    continues "PATH: ".
     """
     try:
         refuse_irregular(os.stat(path).st_mode)  # noqa: PTH116 - before it is opened: a device may act on that
@@ -78,21 +59,8 @@ def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
 def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
     """Return the text of a small file.
 
-    Parameters
-    ----------
-    path : path-like
-    largest_bytes : int
-        As for `read_bytes`.
-
-    Returns
-    -------
-    str
-        Without a byte order mark.
-
-    Raises
-    ------
-    ValueError
-        As `read_bytes`, and if it is no UTF-8 text.
+    `largest_bytes`: as for `read_bytes`.  Returns: without a byte order mark.  Raises ValueError: as `read_bytes`, and
+    if it is no UTF-8 text.
     """
     content = read_bytes(path, largest_bytes)
     try:
@@ -102,16 +70,7 @@ def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Return whether a cell of a table holds a number, rather than a name of its header.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a cell of a table holds a number, rather than a name of its header."""
     try:
         float(text)
     except ValueError:
@@ -122,17 +81,7 @@ def is_number(text: str) -> bool:
 def nearest_word(word: str, known: Iterable[str], *, cutoff: float = 0.6) -> str | None:
     """Return the known word that is most similar to a misspelt one.
 
-    Parameters
-    ----------
-    word : str
-    known : iterable of str
-    cutoff : float
-        Smallest similarity, from 0 to 1; see `difflib.get_close_matches`.
-
-    Returns
-    -------
-    str or None
-        None if no word is similar.
+    `cutoff`: smallest similarity, from 0 to 1; see `difflib.get_close_matches`.  Returns: none if no word is similar.
     """
     return next(iter(get_close_matches(word, list(known), n=1, cutoff=cutoff)), None)
 
@@ -140,20 +89,8 @@ def nearest_word(word: str, known: Iterable[str], *, cutoff: float = 0.6) -> str
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "", or_else: str | None = None) -> str:
     """Return a question with the most similar known word, in parentheses after a space.
 
-    Parameters
-    ----------
-    word : str
-        The misspelt word; its case is ignored.
-    known : iterable of str
-    quote : str
-        Put before and after the known word.
-    or_else : str, optional
-        The text if no word is similar; by default all known words.
-
-    Returns
-    -------
-    str
-        Such as " (did you mean seed?)".
+    `word`: the misspelt word; its case is ignored; `quote`: put before and after the known word; `or_else`: the text if
+    no word is similar; by default all known words.  Returns: such as " (did you mean seed?)".
     """
     known = list(known)
     near = nearest_word(word.lower(), known)

@@ -103,15 +103,7 @@ class _Boot:
 def within(position: Integer, spans: Sequence[Span]) -> NDArray[np.bool_]:
     """Return which positions in a file are within any of some spans.
 
-    Parameters
-    ----------
-    position : (n,) int64
-    spans : sequence of (int, int)
-        Half-open ranges.
-
-    Returns
-    -------
-    (n,) bool
+    `position` (n,) int64; `spans` sequence of (int, int): half-open ranges.  Returns (n,) bool.
     """
     inside = np.zeros(position.shape, dtype=np.bool_)
     for start, stop in spans:
@@ -132,32 +124,17 @@ def find_boots(
 ) -> tuple[Boot, ...]:
     """Return the boots of a log.
 
-    Parameters
-    ----------
-    series : sequence of ((n,) int64, (n,) float64)
-        For each kind of record the positions in the file, increasing, and the clock, s; NaN for damaged records.
-    readings : ((m,) int64, (m,) float64, (m,) float64)
-        Positions of UTC readings in the file, the clock, s, and UTC, s since 1970.
-    heads : sequence of int
-        Positions at which another log file begins.
-    alike : callable
-        Whether records at two positions have the same layouts, as records of one boot do.
-    knows_utc : bool, optional
-        Whether the log has UTC, so that a piece without readings is not assigned by its order; by default whether there
-        are readings.
-    arrivals : ((k,) int64, (k,) float64, (k,) float64), optional
-        Positions of records with an arrival time in the file, the clock, s, and the recorder's clock, s.  They separate
-        boots without UTC readings.
-    back_s : float
-        The smallest step back of the clock of one kind of record that begins another boot, s.
-    checked : bool
-        Whether records have checksums.  Without them, the first half of a record before a cut and the second half of
-        another one after it may look like a record: the records beside a cut are then assigned to no boot.
-
-    Returns
-    -------
-    tuple of Boot
-        At least one; a single boot without damage spans all positions.
+    `series` sequence of ((n,) int64, (n,) float64): for each kind of record the positions in the file, increasing, and
+    the clock, s; NaN for damaged records; `readings` ((m,) int64, (m,) float64, (m,) float64): positions of UTC
+    readings in the file, the clock, s, and UTC, s since 1970; `heads`: positions at which another log file begins;
+    `alike`: whether records at two positions have the same layouts, as records of one boot do; `knows_utc`: whether the
+    log has UTC, so that a piece without readings is not assigned by its order; by default whether there are readings;
+    `arrivals` ((k,) int64, (k,) float64, (k,) float64), optional: positions of records with an arrival time in the
+    file, the clock, s, and the recorder's clock, s; they separate boots without UTC readings; `back_s`: the smallest
+    step back of the clock of one kind of record that begins another boot, s; `checked`: whether records have checksums;
+    without them, the first half of a record before a cut and the second half of another one after it may look like a
+    record: the records beside a cut are then assigned to no boot.  Returns: at least one; a single boot without damage
+    spans all positions.
     """
     valid = [one for positions, clock_s in series if (one := _valid_series(positions, clock_s, back_s))[0].size]
     readings = _finite_readings(*readings)

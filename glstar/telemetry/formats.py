@@ -77,17 +77,8 @@ _PRINTED: Final = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
 def other_file(head: bytes, name: str) -> str | None:
     """Return what a file is that glstar does not read.
 
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file, some thousands.
-    name : str
-        The file.
-
-    Returns
-    -------
-    str or None
-        For messages: ``"a PNG image"``; None if the file is text and may be a table.
+    `head`: the first bytes of the file, some thousands; `name`: the file.  Returns: for messages: ``"a PNG image"``;
+    None if the file is text and may be a table.
     """
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     for magic, kind in _BY_MAGIC.items():
@@ -168,15 +159,7 @@ READABLE: Final = _readable()
 def log_format(head: bytes) -> LogFormat | None:
     """Return the format of a file.
 
-    Parameters
-    ----------
-    head : bytes
-        The first 4096 bytes of the file.
-
-    Returns
-    -------
-    LogFormat or None
-        None if glstar does not read the file.
+    `head`: the first 4096 bytes of the file.  Returns: none if glstar does not read the file.
     """
     return next((one for one in LOG_FORMATS if one.recognises(head)), None)
 
@@ -193,14 +176,7 @@ _PIECE_BYTES: Final = 1 << 20
 def is_packed(head: bytes) -> bool:
     """Return whether a file is gzipped or a zip archive, but no Excel workbook and no KMZ.
 
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file, some thousands.
-
-    Returns
-    -------
-    bool
+    `head`: the first bytes of the file, some thousands.
     """
     return head.startswith(_GZIP) or (head.startswith(_ZIP) and not is_office_file(head) and _KMZ not in head[:200])
 
@@ -221,22 +197,8 @@ _DAMAGED: Final = (
 def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
     """Unpack the log of a gzip file or a zip archive into a temporary directory.
 
-    Parameters
-    ----------
-    name : str
-        The file.
-
-    Returns
-    -------
-    TemporaryDirectory
-        Removed by its `cleanup`, or when it is no longer referenced.
-    Path
-        The log in it; other files of the archive are beside it.
-
-    Raises
-    ------
-    LogFormatError
-        If it is damaged, or does not hold exactly one log.
+    `name`: the file.  Returns: removed by its `cleanup`, or when it is no longer referenced; the log in it; other files
+    of the archive are beside it.  Raises LogFormatError if it is damaged, or does not hold exactly one log.
     """
     folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
     try:

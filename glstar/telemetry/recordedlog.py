@@ -43,71 +43,31 @@ def read_flight(source: TelemetrySource, options: FlightOptions = DEFAULT_OPTION
 
 @dataclass(frozen=True, slots=True)
 class BootSummary:
-    """Summary of one boot of a log.
+    """Summary of one boot of a log."""
 
-    Attributes
-    ----------
-    number : int
-        From 1, in the order of the file.
-    duration_s : float
-        From the first attitude to the last.
-    samples : int
-        Number of attitudes.
-    utc_first, utc_last : str or None
-        UTC of the first and the last attitude, ISO 8601; None if unknown.
-    attitude_source : str
-        Empty if there is no attitude.
-    left_out : str
-        Why it is not part of the flight; empty if it is.
-    """
-
-    number: int
-    duration_s: float
-    samples: int
-    utc_first: str | None
+    number: int  # From 1, in the order of the file
+    duration_s: float  # From the first attitude to the last
+    samples: int  # Number of attitudes
+    utc_first: str | None  # UTC of the first and the last attitude, ISO 8601; None if unknown
     utc_last: str | None
-    attitude_source: str
-    left_out: str
+    attitude_source: str  # Empty if there is no attitude
+    left_out: str  # Why it is not part of the flight; empty if it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedLog:
-    """All samples of a source, boot by boot.
+    """All samples of a source, boot by boot."""
 
-    Attributes
-    ----------
-    name : str
-        The log.
-    boots : tuple of Boot
-        All boots of the source, or the requested one.
-    recordings : dict of int to Recording
-        The samples of each boot with two attitudes or more, by its number.
-    one_clock : bool
-        Whether the clock continues through all boots.
-    """
-
-    name: str
-    boots: tuple[Boot, ...]
-    recordings: dict[int, Recording]
-    one_clock: bool
+    name: str  # The log
+    boots: tuple[Boot, ...]  # All boots of the source, or the requested one
+    recordings: dict[int, Recording]  # The samples of each boot with two attitudes or more, by its number
+    one_clock: bool  # Whether the clock continues through all boots
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
         """Read a source to its end.
 
-        Parameters
-        ----------
-        source : TelemetrySource
-            An open source; it is not closed.
-
-        Returns
-        -------
-        RecordedLog
-
-        Raises
-        ------
-        LogFormatError
-            If no boot has two attitudes.
+        `source`: an open source; it is not closed.  Raises LogFormatError if no boot has two attitudes.
         """
         batches: defaultdict[int, list[Samples]] = defaultdict(list)
         for batch in source.samples():
@@ -132,49 +92,17 @@ class RecordedLog:
 
         Boots that do not fit are left out, with a remark in the notes of the flight: boots without UTC if others have
         it, boots that overlap with a longer one, boots more than a day away from the longest sequence of boots.
-
-        Parameters
-        ----------
-        options : FlightOptions, optional
-
-        Returns
-        -------
-        Flight
-
-        Raises
-        ------
-        LogFormatError
-            If there is no UTC or no position, or no rates for ``"gyro"``.
+        Raises LogFormatError if there is no UTC or no position, or no rates for ``"gyro"``.
         """
         flight, left_out = self._flight_of_boots(options)
         return replace(flight, notes=(*flight.notes, *self._notes(left_out)))
 
     def recordings_of_flight(self, site: PositionTrack | None = None) -> list[Recording]:
-        """Return the boots of the flight, sorted by time.
-
-        Parameters
-        ----------
-        site : PositionTrack, optional
-            The given position.
-
-        Returns
-        -------
-        list of Recording
-        """
+        """Return the boots of the flight, sorted by time; `site`: the given position."""
         return [self.recordings[number] for number in self._boots_of_flight(site)[0]]
 
     def summaries(self, *, site: PositionTrack | None = None) -> tuple[BootSummary, ...]:
-        """Return a summary of each boot.
-
-        Parameters
-        ----------
-        site : PositionTrack, optional
-            The given position.
-
-        Returns
-        -------
-        tuple of BootSummary
-        """
+        """Return a summary of each boot; `site`: the given position."""
         _, left_out = self._boots_of_flight(site)
         return tuple(self._summary(boot, left_out) for boot in self.boots)
 

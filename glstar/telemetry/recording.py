@@ -38,31 +38,18 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FlightOptions:
-    """How the samples of a log become a flight.
+    """How the samples of a log become a flight."""
 
-    Attributes
-    ----------
-    time_offset_s : float
-        Camera clock minus log clock, s: positive if the camera's clock is ahead.  The flight keeps the UTC of the log;
-        see `Flight`.
-    utc_start : float or None
-        UTC of the first attitude sample, seconds since 1970; it replaces the UTC of the log.
-    site : Site or None
-        Position of the flight; it replaces the positions of the log.
-    max_gap_s : float or None
-        Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`.
-    interpolation : {"slerp", "spline", "gyro"}
-        How attitude is interpolated between samples; see `AttitudeTrack`.
-    track : GivenTrack or None
-        Positions of the flight from another file; they replace the positions of the log.
-    """
-
+    # Camera clock minus log clock, s: positive if the camera's clock is ahead; the flight keeps the UTC of the log; see
+    # `Flight`.
     time_offset_s: float = 0.0
+    # UTC of the first attitude sample, seconds since 1970; it replaces the UTC of the log.
     utc_start: float | None = None
-    site: Site | None = None
-    max_gap_s: float | None = None
+    site: Site | None = None  # Position of the flight; it replaces the positions of the log
+    max_gap_s: float | None = None  # Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`
+    # {"slerp", "spline", "gyro"}: how attitude is interpolated between samples; see `AttitudeTrack`.
     interpolation: Interpolation = "slerp"
-    track: GivenTrack | None = None
+    track: GivenTrack | None = None  # Positions of the flight from another file; they replace the positions of the log
 
     @property
     def position(self) -> PositionTrack | None:
@@ -79,21 +66,8 @@ class FlightOptions:
     def notes(self, attitude: AttitudeTrack, name: str) -> tuple[str, ...]:
         """Return remarks on a track that does not cover a whole flight.
 
-        Parameters
-        ----------
-        attitude : AttitudeTrack
-            The attitude of the flight.
-        name : str
-            The log, for messages.
-
-        Returns
-        -------
-        tuple of str
-
-        Raises
-        ------
-        LogFormatError
-            If the track has no fix during the flight.
+        `attitude`: the attitude of the flight; `name`: the log, for messages.  Raises LogFormatError if the track has
+        no fix during the flight.
         """
         if self.track is None:
             return ()
@@ -116,55 +90,23 @@ DEFAULT_OPTIONS: Final = FlightOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """The samples of one boot, by kind, timed by the clock of that boot.
+    """The samples of one boot, by kind, timed by the clock of that boot."""
 
-    Attributes
-    ----------
-    name : str
-        The log.
-    attitude : AttitudeSamples
-    position : PositionSamples
-        Empty if there is none; `source` then says why.
-    clock : ClockSamples
-        Empty if there is none; `source` then says why.
-    rates : RateSamples
-        Empty if there is none.
-    boot : int
-        Number of the boot, from 1.
-    triggers : TriggerSamples or None
-        None if the log has none.
-    gimbal : GimbalSamples or None
-        None if the log has none.
-    events : tuple of EventSamples
-    """
-
-    name: str
+    name: str  # The log
     attitude: AttitudeSamples
-    position: PositionSamples
-    clock: ClockSamples
-    rates: RateSamples
-    boot: int = 1
-    triggers: TriggerSamples | None = None
-    gimbal: GimbalSamples | None = None
+    position: PositionSamples  # Empty if there is none; `source` then says why
+    clock: ClockSamples  # Empty if there is none; `source` then says why
+    rates: RateSamples  # Empty if there is none
+    boot: int = 1  # Number of the boot, from 1
+    triggers: TriggerSamples | None = None  # None if the log has none
+    gimbal: GimbalSamples | None = None  # None if the log has none
     events: tuple[EventSamples, ...] = ()
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
         """Read all samples of a source with a single boot.
 
-        Parameters
-        ----------
-        source : TelemetrySource
-            An open source; it is read, not closed.
-
-        Returns
-        -------
-        Recording
-
-        Raises
-        ------
-        LogFormatError
-            If there are fewer than two attitudes.
+        `source`: an open source; it is read, not closed.  Raises LogFormatError if there are fewer than two attitudes.
         """
         recording = cls.of(source.name, list(source.samples()))
         recording.require_two_attitudes()
@@ -172,20 +114,7 @@ class Recording:
 
     @classmethod
     def of(cls, name: str, batches: Iterable[Samples], boot: int = 1) -> Self:
-        """Sort batches of samples of one boot by kind.
-
-        Parameters
-        ----------
-        name : str
-            The log.
-        batches : iterable of Samples
-        boot : int
-            Number of the boot, from 1.
-
-        Returns
-        -------
-        Recording
-        """
+        """Sort batches of samples of one boot by kind; `name`: the log; `boot`: number of the boot, from 1."""
         attitudes: list[AttitudeSamples] = []
         positions: list[PositionSamples] = []
         clocks: list[ClockSamples] = []
@@ -222,12 +151,7 @@ class Recording:
         )
 
     def require_two_attitudes(self) -> None:
-        """Raise an error if there are fewer than two attitudes.
-
-        Raises
-        ------
-        LogFormatError
-        """
+        """Raise an error if there are fewer than two attitudes; raises LogFormatError."""
         if (count := np.unique(self.attitude.clock_s).size) < 2:
             raise LogFormatError(self.name, f"a flight needs two attitude samples or more; this log has {count}")
 
@@ -256,18 +180,7 @@ class Recording:
     def flight(self, options: FlightOptions = DEFAULT_OPTIONS) -> Flight:
         """Convert the samples to a flight.
 
-        Parameters
-        ----------
-        options : FlightOptions, optional
-
-        Returns
-        -------
-        Flight
-
-        Raises
-        ------
-        LogFormatError
-            If there is no UTC or no position, or no rates for ``"gyro"``.
+        Raises LogFormatError if there is no UTC or no position, or no rates for ``"gyro"``.
         """
         utc_start, given, interpolation = options.utc_start, options.position, options.interpolation
         self.require_utc_and_position(utc_start, given)
@@ -298,17 +211,8 @@ class Recording:
     def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
         """Return when the camera was triggered.
 
-        Parameters
-        ----------
-        utc_minus_clock_s : float
-            UTC minus the clock of the boot, s.
-        by_log : bool
-            Whether UTC in the triggers themselves is used; not if the user gave another UTC.
-
-        Returns
-        -------
-        CameraTriggers or None
-            None if the log has none.
+        `utc_minus_clock_s`: UTC minus the clock of the boot, s; `by_log`: whether UTC in the triggers themselves is
+        used; not if the user gave another UTC.  Returns: none if the log has none.
         """
         if self.triggers is None:
             return None
@@ -327,23 +231,9 @@ class Recording:
     ) -> AttitudeTrack:
         """Return the attitude over UTC.
 
-        Parameters
-        ----------
-        utc_minus_clock_s : float
-            UTC minus the clock of the boot, s.
-        max_gap_s : float, optional
-            Longest data gap to interpolate across, s.
-        interpolation : {"slerp", "spline", "gyro"}
-            How attitude is interpolated between samples.
-
-        Returns
-        -------
-        AttitudeTrack
-
-        Raises
-        ------
-        TelemetryError
-            If fewer than two samples are valid, or there are no rates for ``"gyro"``.
+        `utc_minus_clock_s`: UTC minus the clock of the boot, s; `max_gap_s`: longest data gap to interpolate across, s;
+        `interpolation` {"slerp", "spline", "gyro"}: how attitude is interpolated between samples.  Raises
+        TelemetryError if fewer than two samples are valid, or there are no rates for ``"gyro"``.
         """
         return AttitudeTrack.from_samples(
             self.attitude.clock_s + utc_minus_clock_s,
@@ -360,16 +250,7 @@ class Recording:
         return self.rates.clock_s.size > 1
 
     def attitude_source(self, interpolation: Interpolation) -> str:
-        """Return where the attitude comes from, for messages.
-
-        Parameters
-        ----------
-        interpolation : {"slerp", "spline", "gyro"}
-
-        Returns
-        -------
-        str
-        """
+        """Return where the attitude comes from, for messages; `interpolation` {"slerp", "spline", "gyro"}."""
         source = f"{self.attitude.source}, {_rate_hz(self.attitude.clock_s):.1f} Hz"
         if interpolation == "gyro":
             return (
@@ -380,19 +261,7 @@ class Recording:
     def position_track(self, utc_minus_clock_s: float) -> PositionTrack:
         """Return the position over UTC.
 
-        Parameters
-        ----------
-        utc_minus_clock_s : float
-            UTC minus the clock of the boot, s.
-
-        Returns
-        -------
-        PositionTrack
-
-        Raises
-        ------
-        TelemetryError
-            If no sample is valid.
+        `utc_minus_clock_s`: UTC minus the clock of the boot, s.  Raises TelemetryError if no sample is valid.
         """
         samples = self.position
         return PositionTrack.from_samples(
@@ -400,17 +269,7 @@ class Recording:
         )
 
     def require_utc_and_position(self, utc_start: float | None, given: PositionTrack | None) -> None:
-        """Raise one error for everything that neither the log nor the user provides.
-
-        Parameters
-        ----------
-        utc_start : float or None
-        given : PositionTrack or None
-
-        Raises
-        ------
-        LogFormatError
-        """
+        """Raise one error for everything that neither the log nor the user provides; raises LogFormatError."""
         lacks: dict[Literal["UTC", "position"], str] = {}
         needed: list[str] = []
         if utc_start is None and not self.clock.clock_s.size:
@@ -433,14 +292,7 @@ def _rate_hz(clock_s: Float) -> float:
 def given_utc(utc_start: float) -> str:
     """Return the UTC source for a UTC given by the user, for messages.
 
-    Parameters
-    ----------
-    utc_start : float
-        UTC of the first attitude, seconds since 1970.
-
-    Returns
-    -------
-    str
+    `utc_start`: UTC of the first attitude, seconds since 1970.
     """
     return f"given: the first attitude at {format_utc(utc_start)}"
 

@@ -93,45 +93,20 @@ _RELATIVE: Final = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
 
 @dataclass(frozen=True, slots=True)
 class BagOptions:
-    """How the topics of a bag are read.
+    """How the topics of a bag are read."""
 
-    Attributes
-    ----------
-    position : str
-        Topic with the position; by default the most frequent NavSatFix.
-    rates : str
-        Topic with the gyro rates; by default that of the attitude, or the most frequent Imu.
-    utc : str
-        Topic with TimeReference; by default the most frequent one.
-    world : {"auto", "ENU", "NED", "NWU"}
-        Axes that orientations refer to; "auto" is ENU, or NED if the frame_id contains "ned".
-    body : {"auto", "FLU", "FRD"}
-        Axes of the body; "auto" is FLU, or FRD with NED.
-    """
-
-    position: str = ""
-    rates: str = ""
-    utc: str = ""
+    position: str = ""  # Topic with the position; by default the most frequent NavSatFix
+    rates: str = ""  # Topic with the gyro rates; by default that of the attitude, or the most frequent Imu
+    utc: str = ""  # Topic with TimeReference; by default the most frequent one
+    # Axes that orientations refer to; "auto" is ENU, or NED if the frame_id contains "ned".
     world: Literal["auto", "ENU", "NED", "NWU"] = "auto"
-    body: Literal["auto", "FLU", "FRD"] = "auto"
+    body: Literal["auto", "FLU", "FRD"] = "auto"  # Axes of the body; "auto" is FLU, or FRD with NED
 
     @classmethod
     def of(cls, text: str | None) -> Self:
         """Return the options that ``--columns`` gives for a bag.
 
-        Parameters
-        ----------
-        text : str or None
-            Such as ``world=NED,body=FRD,position=/gps/fix``.
-
-        Returns
-        -------
-        BagOptions
-
-        Raises
-        ------
-        ConfigError
-            If a key or a value is unknown.
+        `text`: such as ``world=NED,body=FRD,position=/gps/fix``.  Raises ConfigError if a key or a value is unknown.
         """
         values: dict[str, Any] = {}
         hints = get_type_hints(cls)
@@ -188,21 +163,9 @@ class _Topic:
 class BagReader(TelemetrySource):
     """A ROS bag as a telemetry source; its clock is that of the header stamps.
 
-    Parameters
-    ----------
-    path : path-like
-        A ``.bag``, ``.mcap`` or ``.db3`` file, or the directory of a ROS 2 bag.
-    attitude : str
-        The topic with the attitude; ``"auto"`` takes the most frequent one of the first kind of the table above.
-    boot : int, optional
-        Only 1.
-    columns : str, optional
-        Topics and frames; see `BagOptions`.
-
-    Raises
-    ------
-    LogFormatError
-        If the bag cannot be read, or has no such topic.
+    `path`: a ``.bag``, ``.mcap`` or ``.db3`` file, or the directory of a ROS 2 bag; `attitude`: the topic with the
+    attitude; ``"auto"`` takes the most frequent one of the first kind of the table above; `boot`: only 1; `columns`:
+    topics and frames; see `BagOptions`.  Raises LogFormatError if the bag cannot be read, or has no such topic.
     """
 
     one_clock = True
@@ -223,10 +186,7 @@ class BagReader(TelemetrySource):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position, UTC and rates, a batch each.
 
-        Raises
-        ------
-        LogFormatError
-            If the bag has no attitude, or not the requested one.
+        Raises LogFormatError if the bag has no attitude, or not the requested one.
         """
         name = self._attitude_topic()
         yield self._attitude_of(name)
@@ -370,27 +330,11 @@ class BagReader(TelemetrySource):
 def is_bag(head: bytes) -> bool:
     """Return whether a file is a ROS bag, an MCAP recording, or the database of a ROS 2 bag.
 
-    Parameters
-    ----------
-    head : bytes
-        Its first bytes.
-
-    Returns
-    -------
-    bool
+    `head`: its first bytes.
     """
     return head.startswith(_MAGICS)
 
 
 def is_bag_directory(path: str | PathLike[str]) -> bool:
-    """Return whether a directory is a ROS 2 bag.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a directory is a ROS 2 bag."""
     return (Path(path) / _METADATA).is_file()

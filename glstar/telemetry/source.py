@@ -42,21 +42,11 @@ EVERYWHERE: Final = 1 << 62
 
 @dataclass(frozen=True, slots=True)
 class Boot:
-    """One boot of an autopilot in a log, or the part of it that was recorded.
+    """One boot of an autopilot in a log, or the part of it that was recorded."""
 
-    Attributes
-    ----------
-    number : int
-        From 1, in the order of the file.
-    spans : tuple of (int, int)
-        Half-open ranges of positions in the file.
-    doubt : str
-        Why its UTC is unreliable, for messages; empty if it is reliable.
-    """
-
-    number: int
-    spans: tuple[Span, ...] = ((0, EVERYWHERE),)
-    doubt: str = ""
+    number: int  # From 1, in the order of the file
+    spans: tuple[Span, ...] = ((0, EVERYWHERE),)  # Tuple of (int, int): half-open ranges of positions in the file
+    doubt: str = ""  # Why its UTC is unreliable, for messages; empty if it is reliable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,59 +135,26 @@ class ClockSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateSamples:
-    """Recorded gyro rates.
+    """Recorded gyro rates."""
 
-    Attributes
-    ----------
-    clock_s : (n,) float64
-        Sample times by the clock of the source, s; in any order.
-    rate_rad_per_s : (n, 3) float64
-        Turn rates about the body axes forward, right, down, rad/s.
-    source : str
-        Where they come from, for messages.
-    boot : int
-        Number of the boot, and so of its clock; from 1.
-    """
-
-    clock_s: Float
-    rate_rad_per_s: Float
-    source: str
-    boot: int = 1
+    clock_s: Float  # (n,) sample times by the clock of the source, s; in any order
+    rate_rad_per_s: Float  # (n, 3) turn rates about the body axes forward, right, down, rad/s
+    source: str  # Where they come from, for messages
+    boot: int = 1  # Number of the boot, and so of its clock; from 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriggerSamples:
-    """When a camera was triggered.
+    """When a camera was triggered."""
 
-    Attributes
-    ----------
-    clock_s : (n,) float64
-        Times by the clock of the source, s; NaN where only UTC is known.
-    utc_s : (n,) float64
-        UTC seconds since 1970 by the log itself; NaN where it is not recorded.
-    source : str
-        The message, for messages.
-    boot : int
-        Number of the boot, and so of its clock; from 1.
-    """
-
-    clock_s: Float
-    utc_s: Float
-    source: str
-    boot: int = 1
+    clock_s: Float  # (n,) times by the clock of the source, s; NaN where only UTC is known
+    utc_s: Float  # (n,) UTC seconds since 1970 by the log itself; NaN where it is not recorded
+    source: str  # The message, for messages
+    boot: int = 1  # Number of the boot, and so of its clock; from 1
 
     @classmethod
     def joined(cls, batches: Sequence[Self]) -> Self | None:
-        """Return the triggers of several batches; None if there are none.
-
-        Parameters
-        ----------
-        batches : sequence of TriggerSamples
-
-        Returns
-        -------
-        TriggerSamples or None
-        """
+        """Return the triggers of several batches; None if there are none."""
         if not batches:
             return None
         clock_s, utc_s = (np.concatenate([getattr(one, name) for one in batches]) for name in ("clock_s", "utc_s"))
@@ -206,39 +163,20 @@ class TriggerSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GimbalSamples:
-    """Recorded attitudes of the platform of a gimbal.
+    """Recorded attitudes of the platform of a gimbal."""
 
-    Attributes
-    ----------
-    clock_s : (n,) float64
-        Sample times by the clock of the source, s; in any order.
-    q_gimbal_reference : (n, 4) float64
-        Unit quaternions (w, x, y, z) from the frame of reference to the platform.
-    is_earth : (n,) bool
-        Whether the frame of reference is NED; otherwise it is level, with its first axis along the aircraft's heading.
-    source : str
-        The message, for messages.
-    boot : int
-        Number of the boot, and so of its clock; from 1.
-    """
-
-    clock_s: Float
-    q_gimbal_reference: Float
+    clock_s: Float  # (n,) sample times by the clock of the source, s; in any order
+    q_gimbal_reference: Float  # (n, 4) unit quaternions (w, x, y, z) from the frame of reference to the platform
+    # (n,) bool: whether the frame of reference is NED; otherwise it is level, with its first axis along the aircraft's
+    # heading.
     is_earth: NDArray[np.bool_]
-    source: str
-    boot: int = 1
+    source: str  # The message, for messages
+    boot: int = 1  # Number of the boot, and so of its clock; from 1
 
     def over_utc(self, utc_minus_clock_s: float) -> GimbalAttitude:
         """Return the attitudes sorted by time, each time once.
 
-        Parameters
-        ----------
-        utc_minus_clock_s : float
-            UTC minus the clock of the source, s.
-
-        Returns
-        -------
-        GimbalAttitude
+        `utc_minus_clock_s`: UTC minus the clock of the source, s.
         """
         clock_s, first = np.unique(self.clock_s, return_index=True)
         return GimbalAttitude(
@@ -248,39 +186,18 @@ class GimbalSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventSamples:
-    """Recorded flight modes and messages.
+    """Recorded flight modes and messages."""
 
-    Attributes
-    ----------
-    clock_s : (n,) float64
-        Times by the clock of the source, s; in any order.
-    kinds : tuple of EventKind
-    texts : tuple of str
-    boot : int
-        Number of the boot, and so of its clock; from 1.
-    """
-
-    clock_s: Float
+    clock_s: Float  # (n,) times by the clock of the source, s; in any order
     kinds: tuple[EventKind, ...]
     texts: tuple[str, ...]
-    boot: int = 1
+    boot: int = 1  # Number of the boot, and so of its clock; from 1
 
     @classmethod
     def of(cls, kind: EventKind, clock_s: Float, texts: Sequence[str], boot: int = 1) -> Self:
         """Return events of one kind, without those that repeat the text before.
 
-        Parameters
-        ----------
-        kind : EventKind
-        clock_s : (n,) float64
-            s.
-        texts : sequence of str
-            Of each; those without a printable letter are left out.
-        boot : int
-
-        Returns
-        -------
-        EventSamples
+        `clock_s` (n,): s; `texts`: of each; those without a printable letter are left out.
         """
         printable = ["".join(filter(str.isprintable, text)).strip() for text in texts]
         kept = [
@@ -293,17 +210,7 @@ class EventSamples:
         )
 
     def over_utc(self, utc_minus_clock_s: float) -> FlightEvents:
-        """Return the events over UTC.
-
-        Parameters
-        ----------
-        utc_minus_clock_s : float
-            UTC minus the clock of the source, s.
-
-        Returns
-        -------
-        FlightEvents
-        """
+        """Return the events over UTC; `utc_minus_clock_s`: UTC minus the clock of the source, s."""
         return FlightEvents(self.clock_s + utc_minus_clock_s, self.kinds, self.texts)
 
 
@@ -312,26 +219,13 @@ Samples = GimbalSamples | AttitudeSamples | PositionSamples | ClockSamples | Rat
 
 @dataclass(frozen=True, slots=True)
 class LogFacts:
-    """Facts about a log and its vehicle.
+    """Facts about a log and its vehicle."""
 
-    Attributes
-    ----------
-    format : str
-        Format of the log: ``"ArduPilot DataFlash"``.
-    vehicle : str or None
-        ``"ArduPlane"``.
-    firmware : str or None
-        ``"ArduPlane V4.5.1 (1a2b3c4d)"``.
-    estimator : str or None
-        The estimator whose attitude the autopilot used: ``"EKF3"``, ``"DCM"``.
-    unread_bytes : int
-        Bytes of the file that belong to no valid message: damage, or data of another format.
-    """
-
-    format: str
-    vehicle: str | None = None
-    firmware: str | None = None
-    estimator: str | None = None
+    format: str  # Format of the log: ``"ArduPilot DataFlash"``
+    vehicle: str | None = None  # ``"ArduPlane"``
+    firmware: str | None = None  # ``"ArduPlane V4.5.1 (1a2b3c4d)"``
+    estimator: str | None = None  # The estimator whose attitude the autopilot used: ``"EKF3"``, ``"DCM"``
+    # Bytes of the file that belong to no valid message: damage, or data of another format.
     unread_bytes: int = field(default=0, compare=False)
 
 
@@ -401,23 +295,8 @@ class TelemetrySource(Protocol):
 def chosen_boots(name: str, boots: Sequence[Boot], number: int | None) -> tuple[Boot, ...]:
     """Return the requested boot, or all boots.
 
-    Parameters
-    ----------
-    name : str
-        The log, for messages.
-    boots : sequence of Boot
-        All boots of the log.
-    number : int, optional
-        Number of the requested boot; by default all.
-
-    Returns
-    -------
-    tuple of Boot
-
-    Raises
-    ------
-    LogFormatError
-        If the log has no such boot.
+    `name`: the log, for messages; `boots`: all boots of the log; `number`: number of the requested boot; by default
+    all.  Raises LogFormatError if the log has no such boot.
     """
     if number is None:
         return tuple(boots)
@@ -431,17 +310,8 @@ def chosen_boots(name: str, boots: Sequence[Boot], number: int | None) -> tuple[
 def check_only_boot(name: str, number: int | None) -> None:
     """Refuse the number of a boot that a log of a single one does not have.
 
-    Parameters
-    ----------
-    name : str
-        The log, for messages.
-    number : int, optional
-        Number of the requested boot.
-
-    Raises
-    ------
-    LogFormatError
-        If it is neither 1 nor None.
+    `name`: the log, for messages; `number`: number of the requested boot.  Raises LogFormatError if it is neither 1 nor
+    None.
     """
     if number not in {None, 1}:
         raise LogFormatError(name, f"the log has no boot {number} (--boot): it has 1 boot")
@@ -470,15 +340,7 @@ _MAX_DURATION_S = 30 * 86400.0
 def spikes(values: Float, limit: float) -> Mask:
     """Return which values differ from the median of themselves and their two neighbours by more than a limit.
 
-    Parameters
-    ----------
-    values : (n,) float64
-    limit : float
-        Largest difference, in the unit of the values.
-
-    Returns
-    -------
-    (n,) bool
+    `values` (n,); `limit`: largest difference, in the unit of the values.  Returns (n,) bool.
     """
     if values.size < 3:
         return np.zeros(values.size, dtype=bool)
@@ -492,15 +354,8 @@ def spikes(values: Float, limit: float) -> Mask:
 def valid_times(clock_s: Float) -> Mask:
     """Return which times of a log are valid.
 
-    Parameters
-    ----------
-    clock_s : (n,) float64
-        Times in the order of the log, s.
-
-    Returns
-    -------
-    (n,) bool
-        False for times that are not finite, that are spikes, or that differ from the median by a month or more.
+    `clock_s` (n,): times in the order of the log, s.  Returns (n,) bool: false for times that are not finite, that are
+    spikes, or that differ from the median by a month or more.
     """
     return valid_rare_times(clock_s) & ~spikes(clock_s, _CLOCK_SPIKE_S)
 
@@ -508,15 +363,8 @@ def valid_times(clock_s: Float) -> Mask:
 def valid_rare_times(clock_s: Float) -> Mask:
     """Return which times of rare events, with any intervals, are valid.
 
-    Parameters
-    ----------
-    clock_s : (n,) float64
-        Times in the order of the log, s.
-
-    Returns
-    -------
-    (n,) bool
-        False for times that are not finite, or that differ from the median by a month or more.
+    `clock_s` (n,): times in the order of the log, s.  Returns (n,) bool: false for times that are not finite, or that
+    differ from the median by a month or more.
     """
     finite = np.isfinite(clock_s)
     if not finite.any():
@@ -530,16 +378,8 @@ def position_samples(
 ) -> PositionSamples:
     """Return the valid positions of a log.
 
-    Parameters
-    ----------
-    clock_s, latitude_deg, longitude_deg, height_m : (n,) float64
-        Samples in the order of the log; s, deg, m.
-    source : str
-        Where they come from, for messages.
-
-    Returns
-    -------
-    PositionSamples
+    `clock_s`, `latitude_deg`, `longitude_deg`, `height_m` (n,): samples in the order of the log; s, deg, m; `source`:
+    where they come from, for messages.
     """
     with np.errstate(invalid="ignore"):
         valid = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180)
@@ -555,14 +395,7 @@ def position_samples(
 def is_zero_position(latitude_deg: Float, longitude_deg: Float) -> Mask:
     """Return which positions are 0 N 0 E, as receivers without a fix report.
 
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : (n,) float64
-
-    Returns
-    -------
-    (n,) bool
-        Within 0.001 deg.
+    `latitude_deg`, `longitude_deg` (n,).  Returns (n,) bool: within 0.001 deg.
     """
     with np.errstate(invalid="ignore"):
         mask: Mask = (np.abs(latitude_deg) <= _ZERO_POSITION_DEG) & (np.abs(longitude_deg) <= _ZERO_POSITION_DEG)
@@ -572,31 +405,14 @@ def is_zero_position(latitude_deg: Float, longitude_deg: Float) -> Mask:
 def quaternion_lengths(q: Float) -> Float:
     """Return the lengths of quaternions, among them damaged ones.
 
-    Parameters
-    ----------
-    q : (..., 4) float64
-
-    Returns
-    -------
-    (...) float64
-        Infinite where the square of a component has no float64.
+    `q` (..., 4).  Returns (...) infinite where the square of a component has no float64.
     """
     with np.errstate(over="ignore"):
         return np.asarray(np.linalg.norm(q, axis=-1))
 
 
 def no_position_samples(source: str) -> PositionSamples:
-    """Return an empty batch of positions.
-
-    Parameters
-    ----------
-    source : str
-        Why there are none, for messages.
-
-    Returns
-    -------
-    PositionSamples
-    """
+    """Return an empty batch of positions; `source`: why there are none, for messages."""
     nothing = np.empty(0)
     return PositionSamples(nothing, nothing, nothing, nothing, source)
 
@@ -604,15 +420,8 @@ def no_position_samples(source: str) -> PositionSamples:
 def valid_rates(rate_rad_per_s: Float) -> Mask:
     """Return which gyro rates are valid.
 
-    Parameters
-    ----------
-    rate_rad_per_s : (n, 3) float64
-        Turn rates, rad/s.
-
-    Returns
-    -------
-    (n,) bool
-        False for rates that are not finite, or exceed the range of autopilot gyros.
+    `rate_rad_per_s` (n, 3): turn rates, rad/s.  Returns (n,) bool: false for rates that are not finite, or exceed the
+    range of autopilot gyros.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         valid: Mask = (np.abs(rate_rad_per_s) < _MAX_GYRO_RATE_RAD_PER_S).all(axis=-1)
@@ -625,19 +434,9 @@ Unpack = Callable[[str], tuple["tempfile.TemporaryDirectory[str]", Path]]
 class UnpackedSource(TelemetrySource):
     """A log in a temporary directory as a telemetry source, under the name of the file that it was made from.
 
-    Parameters
-    ----------
-    name : str
-        The archive.
-    unpack : callable
-        Writes its log into a temporary directory: ``folder, path = unpack(name)``.
-    opener : callable
-        Opens that log: ``opener(path)``.
-
-    Raises
-    ------
-    LogFormatError
-        If the archive cannot be unpacked, or its log cannot be read.
+    `name`: the archive; `unpack`: writes its log into a temporary directory: ``folder, path = unpack(name)``; `opener`:
+    opens that log: ``opener(path)``.  Raises LogFormatError if the archive cannot be unpacked, or its log cannot be
+    read.
     """
 
     def __init__(self, name: str, unpack: Unpack, opener: Callable[[str], TelemetrySource]) -> None:

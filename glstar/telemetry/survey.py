@@ -36,57 +36,29 @@ _UNREAD_FRACTION: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class AttitudeSurvey:
-    """An attitude in a log.
+    """An attitude in a log."""
 
-    Attributes
-    ----------
-    name : str
-        Value for ``attitude=``.
-    samples : int
-    rate_hz : float
-        Inverse of the median interval.
-    duration_s : float
-        From the first sample to the last.
-    gaps : int
-    longest_gap_s : float
-    largest_rate_deg_per_s : float
-        Fastest turn between two samples, without gaps.
-    """
-
-    name: str
+    name: str  # Value for ``attitude=``
     samples: int
-    rate_hz: float
-    duration_s: float
+    rate_hz: float  # Inverse of the median interval
+    duration_s: float  # From the first sample to the last
     gaps: int
     longest_gap_s: float
-    largest_rate_deg_per_s: float
+    largest_rate_deg_per_s: float  # Fastest turn between two samples, without gaps
 
 
 @dataclass(frozen=True, slots=True)
 class GapSurvey:
-    """A gap in the attitude of the flight.
+    """A gap in the attitude of the flight."""
 
-    Attributes
-    ----------
-    start_s, duration_s : float
-        Start, from the first attitude, and length.
-    reason : str
-    """
-
-    start_s: float
+    start_s: float  # Start, from the first attitude, and length
     duration_s: float
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class GyroSurvey:
-    """The gyro rates in a log.
-
-    Attributes
-    ----------
-    source : str
-    rate_hz : float
-    """
+    """The gyro rates in a log."""
 
     source: str
     rate_hz: float
@@ -94,96 +66,45 @@ class GyroSurvey:
 
 @dataclass(frozen=True, slots=True)
 class TriggerSurvey:
-    """The triggers of a camera in a log.
+    """The triggers of a camera in a log."""
 
-    Attributes
-    ----------
-    source : str
-        The message.
-    count : int
-    first_s, last_s : float
-        Time of the first and the last, s from the first attitude.
-    """
-
-    source: str
+    source: str  # The message
     count: int
-    first_s: float
+    first_s: float  # Time of the first and the last, s from the first attitude
     last_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What a log holds, and the flight that glstar reads from it.
-
-    Attributes
-    ----------
-    file : str
-    file_bytes : int
-    format : str
-    vehicle, firmware : str or None
-        None if the log does not name them.
-    duration_s : float
-        From the first attitude to the last.
-    utc_first, utc_last : str or None
-        UTC of both, ISO 8601; None for a log without UTC.
-    utc_source : str
-        Where UTC comes from, or why there is none.
-    latitude_deg, longitude_deg, height_m : float or None
-        Position in the middle of the flight; None for a log without positions.
-    position_source : str
-        Where the position comes from, or why there is none.
-    sun_altitude_deg : float or None
-        Altitude of the Sun in the middle of the flight.
-    light : str or None
-        ``"day"``, ``"night"``, or which twilight.
-    attitude_source : str
-        The attitude of the flight.
-    attitudes : tuple of AttitudeSurvey
-        All attitudes in the log.
-    gaps : tuple of GapSurvey
-        Gaps in the attitude of the flight.
-    gyros : GyroSurvey or None
-    command : str
-        A suggested command.
-    estimator : str or None
-        The estimator whose attitude the autopilot used; None if the log does not name it.
-    boots : tuple of BootSummary
-        All boots, if there are several.
-    clocks : tuple of ClockQuality
-        Quality of UTC, for each boot of the flight; empty if the user gave UTC, or if it is the clock of the log.
-    notes : tuple of str
-        Remarks for the user on how the log was read.
-    triggers : TriggerSurvey or None
-        When the camera was triggered.
-    moon_altitude_deg, moon_illuminated_fraction : float or None
-        Altitude of the Moon in the middle of the flight, and the lit fraction of its disc.
-    """
+    """What a log holds, and the flight that glstar reads from it."""
 
     file: str
     file_bytes: int
     format: str
-    vehicle: str | None
+    vehicle: str | None  # None if the log does not name them
     firmware: str | None
-    duration_s: float
-    utc_first: str | None
+    duration_s: float  # From the first attitude to the last
+    utc_first: str | None  # UTC of both, ISO 8601; None for a log without UTC
     utc_last: str | None
-    utc_source: str
-    latitude_deg: float | None
+    utc_source: str  # Where UTC comes from, or why there is none
+    latitude_deg: float | None  # Position in the middle of the flight; None for a log without positions
     longitude_deg: float | None
     height_m: float | None
-    position_source: str
-    sun_altitude_deg: float | None
-    light: str | None
-    attitude_source: str
-    attitudes: tuple[AttitudeSurvey, ...]
-    gaps: tuple[GapSurvey, ...]
+    position_source: str  # Where the position comes from, or why there is none
+    sun_altitude_deg: float | None  # Altitude of the Sun in the middle of the flight
+    light: str | None  # ``"day"``, ``"night"``, or which twilight
+    attitude_source: str  # The attitude of the flight
+    attitudes: tuple[AttitudeSurvey, ...]  # All attitudes in the log
+    gaps: tuple[GapSurvey, ...]  # Gaps in the attitude of the flight
     gyros: GyroSurvey | None
-    command: str
-    estimator: str | None = None
-    boots: tuple[BootSummary, ...] = ()
+    command: str  # A suggested command
+    estimator: str | None = None  # The estimator whose attitude the autopilot used; None if the log does not name it
+    boots: tuple[BootSummary, ...] = ()  # All boots, if there are several
+    # Quality of UTC, for each boot of the flight; empty if the user gave UTC, or if it is the clock of the log.
     clocks: tuple[ClockQuality, ...] = ()
-    notes: tuple[str, ...] = ()
-    triggers: TriggerSurvey | None = None
+    notes: tuple[str, ...] = ()  # Remarks for the user on how the log was read
+    triggers: TriggerSurvey | None = None  # When the camera was triggered
+    # Altitude of the Moon in the middle of the flight, and the lit fraction of its disc.
     moon_altitude_deg: float | None = None
     moon_illuminated_fraction: float | None = None
 
@@ -201,24 +122,9 @@ def survey(
 ) -> tuple[Survey, Flight]:
     """Report what a log holds, and return its flight.
 
-    Parameters
-    ----------
-    source : TelemetrySource
-        An open source; it is not closed.
-    options : FlightOptions, optional
-    flags : mapping of str to object
-        The same options as command-line flags, for the suggested command.
-
-    Returns
-    -------
-    Survey
-    Flight
-        Without UTC it starts at 1970-01-01, without position it is at 0 N 0 E.
-
-    Raises
-    ------
-    LogFormatError
-        If the log has no attitude.
+    `source`: an open source; it is not closed; `flags`: the same options as command-line flags, for the suggested
+    command.  Returns: without UTC it starts at 1970-01-01, without position it is at 0 N 0 E.  Raises LogFormatError if
+    the log has no attitude.
     """
     log = RecordedLog.read(source)
     recordings = log.recordings_of_flight(options.position)

@@ -81,21 +81,11 @@ def _vibration(text: str) -> tuple[VibrationLine, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One key of a described flight.
+    """One key of a described flight."""
 
-    Attributes
-    ----------
-    read : callable
-        Parses the text of a value; raises ValueError if the text is invalid.
-    default : str
-        The default as text; empty if it depends on the path.
-    help : str
-        Description with unit, for ``--help``.
-    """
-
-    read: Callable[[str], Any]
-    default: str
-    help: str
+    read: Callable[[str], Any]  # Parses the text of a value; raises ValueError if the text is invalid
+    default: str  # The default as text; empty if it depends on the path
+    help: str  # Description with unit, for ``--help``
 
     @property
     def is_number(self) -> bool:
@@ -154,35 +144,15 @@ _ANGLES: Final = {"heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate
 
 
 def is_flight_description(name: str) -> bool:
-    """Return whether a FLIGHT is a description instead of a file name.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a FLIGHT is a description instead of a file name."""
     return name.startswith(PREFIX)
 
 
 def parse_description(text: str) -> SyntheticFlight:
     """Return the flight of a description.
 
-    Parameters
-    ----------
-    text : str
-        Such as ``"fly:orbit?radius_m=300"``.
-
-    Returns
-    -------
-    SyntheticFlight
-
-    Raises
-    ------
-    ConfigError
-        If the path or a key is unknown, a key is repeated, or a value is impossible.
+    `text`: such as ``"fly:orbit?radius_m=300"``.  Raises ConfigError if the path or a key is unknown, a key is
+    repeated, or a value is impossible.
     """
     path, _, query = text.removeprefix(PREFIX).partition("?")
     try:
@@ -198,21 +168,8 @@ def parse_description(text: str) -> SyntheticFlight:
 def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
     """Return the flight that keys of `KEYS` describe.
 
-    Parameters
-    ----------
-    path : str
-        One of `FLIGHT_PATHS`.
-    settings : mapping of str to str
-        Values as text, by key.
-
-    Returns
-    -------
-    SyntheticFlight
-
-    Raises
-    ------
-    ConfigError
-        If the path or a key is unknown, or a value is impossible.
+    `path`: one of `FLIGHT_PATHS`; `settings`: values as text, by key.  Raises ConfigError if the path or a key is
+    unknown, or a value is impossible.
     """
     if path not in FLIGHT_PATHS:
         near = did_you_mean(path, FLIGHT_PATHS, or_else="")
@@ -249,15 +206,7 @@ def _value(key: str, text: str) -> Any:
 class SyntheticSource(TelemetrySource):
     """A described flight as a telemetry source; its clock is UTC.
 
-    Parameters
-    ----------
-    name : str
-        The description.
-
-    Raises
-    ------
-    LogFormatError
-        If it describes no flight.
+    `name`: the description.  Raises LogFormatError if it describes no flight.
     """
 
     one_clock = True

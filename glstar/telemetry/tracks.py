@@ -29,35 +29,17 @@ _Fix = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenTrack:
-    """Positions that the user gives beside a log.
-
-    Attributes
-    ----------
-    track : PositionTrack
-    source : str
-        File, format and number of fixes, for messages.
-    """
+    """Positions that the user gives beside a log."""
 
     track: PositionTrack
-    source: str
+    source: str  # File, format and number of fixes, for messages
 
 
 def read_track(path: str) -> GivenTrack:
     """Read a track.
 
-    Parameters
-    ----------
-    path : str
-        A GPX, KML, KMZ, NMEA or IGC file; its content determines the format.
-
-    Returns
-    -------
-    GivenTrack
-
-    Raises
-    ------
-    LogFormatError
-        If it cannot be read, or has no places with times.
+    `path`: a GPX, KML, KMZ, NMEA or IGC file; its content determines the format.  Raises LogFormatError if it cannot be
+    read, or has no places with times.
     """
     try:
         content = read_bytes(path, _LARGEST_BYTES)

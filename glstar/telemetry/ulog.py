@@ -71,16 +71,7 @@ from glstar.telemetry.ulogfile import CsvTopics, LogTopics, Topics, joined_logs
 
 
 def gimbal_of_topics(log: Topics) -> Iterator[GimbalSamples]:
-    """Yield the attitude of the gimbal of a PX4 log, from the first topic that has one.
-
-    Parameters
-    ----------
-    log : Topics
-
-    Yields
-    ------
-    GimbalSamples
-    """
+    """Yield the attitude of the gimbal of a PX4 log, from the first topic that has one."""
     for _, topic in log["gimbal_device_attitude_status"]:
         names = ("device_flags", "q[0]", "q[1]", "q[2]", "q[3]")
         if set(names) <= set(topic):
@@ -128,21 +119,10 @@ _SAMPLED_BEFORE_US = 1e6
 class ULogReader(TelemetrySource):
     """A PX4 log as a telemetry source; its clock is the autopilot's time since boot.
 
-    Of a truncated or damaged log, every complete message is read.
-
-    Parameters
-    ----------
-    path : path-like
-        The log.
-    attitude : str
-        ``"auto"``: vehicle_attitude.  Or a topic by name, or one instance of it as ``"estimator_attitude[1]"``.
-    boot : int, optional
-        Number of the boot, from 1, in a file of several logs; by default all.
-
-    Raises
-    ------
-    LogFormatError
-        If the file is truncated within its head, or a newer version of ULog.
+    Of a truncated or damaged log, every complete message is read.  `path`: the log; `attitude`: ``"auto"``:
+    vehicle_attitude; or a topic by name, or one instance of it as ``"estimator_attitude[1]"``; `boot`: number of the
+    boot, from 1, in a file of several logs; by default all.  Raises LogFormatError if the file is truncated within its
+    head, or a newer version of ULog.
     """
 
     format = "PX4 ULog"
@@ -158,12 +138,8 @@ class ULogReader(TelemetrySource):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position and UTC of the log, a batch each; the gyro rates last.
 
-        Topics are decoded on demand: the first three batches do not wait for the gyro rates.
-
-        Raises
-        ------
-        LogFormatError
-            If the log has no attitude, or not the requested one.
+        Topics are decoded on demand: the first three batches do not wait for the gyro rates.  Raises LogFormatError if
+        the log has no attitude, or not the requested one.
         """
         boots = [(boot.number, log) for boot in self.boots() for log in self._of_boot(boot)]
         refusals: list[LogFormatError] = []
@@ -189,25 +165,12 @@ class ULogReader(TelemetrySource):
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the autopilot in the file, or the requested one.
 
-        Raises
-        ------
-        LogFormatError
-            If the file has no such boot.
+        Raises LogFormatError if the file has no such boot.
         """
         return chosen_boots(self.name, self._found_boots, self._boot)
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:
-        """Return the vehicle and its firmware.
-
-        Parameters
-        ----------
-        boots : collection of int
-            Numbers of the boots; by default all.
-
-        Returns
-        -------
-        LogFacts
-        """
+        """Return the vehicle and its firmware; `boots`: numbers of the boots; by default all."""
         found = [
             _facts(self.format, log)
             for boot in self.boots()
@@ -491,17 +454,7 @@ _FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")
 
 
 def is_ulog2csv(header: str) -> bool:
-    """Return whether a table was exported by ulog2csv.
-
-    Parameters
-    ----------
-    header : str
-        First line of the table.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a table was exported by ulog2csv; `header`: first line of the table."""
     first, mark, rest = header.strip().partition("timestamp")
     if first or not mark or not rest:
         return False
@@ -512,18 +465,8 @@ def is_ulog2csv(header: str) -> bool:
 class Ulog2csvReader(ULogReader):
     """The files of ulog2csv as a telemetry source; its clock is the autopilot's time since boot.
 
-    Parameters
-    ----------
-    path : path-like
-        One of the files.
-    attitude : str
-        ``"auto"``: the attitude in the opened file, else vehicle_attitude in the directory.  Or a topic by name; see
-        `ULogReader`.
-
-    Raises
-    ------
-    LogFormatError
-        If the file cannot be read.
+    `path`: one of the files; `attitude`: ``"auto"``: the attitude in the opened file, else vehicle_attitude in the
+    directory; or a topic by name; see `ULogReader`.  Raises LogFormatError if the file cannot be read.
     """
 
     format = "CSV of PX4 ULog, by ulog2csv"
@@ -537,10 +480,7 @@ class Ulog2csvReader(ULogReader):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position, UTC and gyro rates of the log, a batch each.
 
-        Raises
-        ------
-        LogFormatError
-            If the log has no attitude, or not the requested one.
+        Raises LogFormatError if the log has no attitude, or not the requested one.
         """
         for batch in super().samples():
             yield replace(batch, notes=self._notes) if isinstance(batch, AttitudeSamples) else batch

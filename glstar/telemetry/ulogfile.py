@@ -33,21 +33,12 @@ Integer = NDArray[np.int64]
 
 
 class Topics(Protocol):
-    """Topics by name: the instances of each, and the columns of each instance.
+    """Topics by name: the instances of each, and the columns of each instance."""
 
-    Attributes
-    ----------
-    about : mapping of str to str or int
-        Facts about the autopilot: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``.
-    whole_bytes : int
-        End of the last complete message in the file.
-    unread_bytes : int
-        Bytes of the file that belong to no message.
-    """
-
+    # Facts about the autopilot: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``.
     about: Mapping[str, str | int]
-    whole_bytes: int
-    unread_bytes: int
+    whole_bytes: int  # End of the last complete message in the file
+    unread_bytes: int  # Bytes of the file that belong to no message
 
     @property
     @abstractmethod
@@ -95,17 +86,8 @@ class Topics(Protocol):
 class LogTopics(Topics):
     """The topics of a ULog file.
 
-    Parameters
-    ----------
-    path : str
-        The log.
-    start, stop : int
-        Begin and end of the log in the file, bytes; see `joined_logs`.
-
-    Raises
-    ------
-    LogFormatError
-        If the file ends within its head, or is a newer version of ULog.
+    `path`: the log; `start`, `stop`: begin and end of the log in the file, bytes; see `joined_logs`.  Raises
+    LogFormatError if the file ends within its head, or is a newer version of ULog.
     """
 
     def __init__(self, path: str, start: int = 0, stop: int | None = None) -> None:
@@ -277,13 +259,7 @@ class _Index:
 def joined_logs(path: str) -> list[tuple[int, int]]:
     """Return begin and end of each log in a file, bytes; logs that were joined have a head each.
 
-    Parameters
-    ----------
-    path : str
-
-    Returns
-    -------
-    list of (int, int)
+    Returns: list of (int, int).
     """
     with Path(path).open("rb") as file:
         if os.fstat(file.fileno()).st_size < _FILE_HEAD_BYTES:

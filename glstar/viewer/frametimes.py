@@ -23,12 +23,7 @@ class FrameTimes:
     simulation are measured in processor time, which other programs do not lengthen; the rest in wall-clock time,
     because OpenGL has threads of its own.
 
-    Parameters
-    ----------
-    clock : callable
-        Returns seconds from any origin.
-    work_clock : callable
-        Returns the processor time of the calling thread, s.
+    `clock`: returns seconds from any origin; `work_clock`: returns the processor time of the calling thread, s.
     """
 
     def __init__(
@@ -47,10 +42,7 @@ class FrameTimes:
     def span(self, name: str) -> Iterator[None]:
         """Measure the time inside as a part of this frame.
 
-        Parameters
-        ----------
-        name : str
-            ``"simulation"``, ``"drawing"`` or ``"presenting"``.
+        `name`: ``"simulation"``, ``"drawing"`` or ``"presenting"``.
         """
         clock = self._work_clock if name == "simulation" else self._clock
         began_s, worked_s = clock(), self._work_clock()
@@ -93,12 +85,7 @@ class FrameTimes:
         return (len(self._ends) - 1) / (self._ends[-1] - self._ends[0])
 
     def report(self) -> dict[str, Any]:
-        """Return the recorded times: milliseconds, median and 95th percentile of each part, for JSON.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the recorded times: milliseconds, median and 95th percentile of each part, for JSON."""
         frames = self._frames[1:] or self._frames
         parts: dict[str, Any] = {}
         for name in ("frame", "python", "simulation", "drawing", "presenting"):

@@ -38,23 +38,11 @@ from glstar.viewer.ui.theme import resized_text
 class Surface(Protocol):
     """A framebuffer to draw on, with its events.
 
-    Attributes
-    ----------
-    context : Context
-        Current on the thread that made the surface.
-    size : tuple of int
-        Width and height, px.
-    window_size : tuple of int
-        Width and height of the window when it does not fill the screen, screen units.
-    target : Framebuffer
-    scale : float
-        Of the screen.
-    native_dialogs : bool
-        Whether files are chosen in the system's dialogs.
-    should_close : bool
+    `size`: width and height, px; `window_size`: width and height of the window when it does not fill the screen, screen
+    units; `scale`: of the screen; `native_dialogs`: whether files are chosen in the system's dialogs.
     """
 
-    context: Context
+    context: Context  # Current on the thread that made the surface
 
     @property
     def scale(self) -> float: ...  # noqa: D102 - documented above
@@ -121,50 +109,22 @@ _MAX_ELAPSED_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """Options of a viewer that runs without a user.
+    """Options of a viewer that runs without a user."""
 
-    Attributes
-    ----------
-    at_s : float or None
-        Initial position of the play head, s from the flight's first attitude.
-    mode : Mode or None
-    overlays : frozenset of Overlay or None
-        What to draw over the image; None for the default.
-    screenshot : Path or None
-        Where to save a picture of the window when the image has been drawn, or after playing.
-    play_s : float or None
-        How long to play, s of the clock.
-    asks : bool
-        Whether a user can enter the UTC and the site that a log lacks; otherwise that is an error.
-    """
-
-    at_s: float | None = None
+    at_s: float | None = None  # Initial position of the play head, s from the flight's first attitude
     mode: Mode | None = None
-    overlays: frozenset[Overlay] | None = None
+    overlays: frozenset[Overlay] | None = None  # What to draw over the image; None for the default
+    # Where to save a picture of the window when the image has been drawn, or after playing.
     screenshot: Path | None = None
-    play_s: float | None = None
-    asks: bool = False
+    play_s: float | None = None  # How long to play, s of the clock
+    asks: bool = False  # Whether a user can enter the UTC and the site that a log lacks; otherwise that is an error
 
 
 class Viewer:
     """A session with its interface on a surface.
 
-    Parameters
-    ----------
-    surface : Surface
-        It stays the caller's.
-    config : Config
-    layout : Path, optional
-        The file that stores the layout of the panels.
-    output : Path, optional
-        Where frames and pictures are saved.
-    memory : WindowMemory, optional
-        What is remembered from one start to the next.
-
-    Attributes
-    ----------
-    session : Session
-    interface : Interface
+    `surface`: it stays the caller's; `layout`: the file that stores the layout of the panels; `output`: where frames
+    and pictures are saved; `memory`: what is remembered from one start to the next.
     """
 
     def __init__(
@@ -214,34 +174,18 @@ class Viewer:
         self._video_px: tuple[int, int, int, int] | None = None
 
     def open(self, path: Path) -> None:
-        """Begin to read a flight.
-
-        Parameters
-        ----------
-        path : Path
-        """
+        """Begin to read a flight."""
         self.session.open_flight(path)
 
     def follow(self, link: Link, *, on_event: Callable[[str], None] | None = None) -> None:
         """Show the flight that a link receives.
 
-        Parameters
-        ----------
-        link : Link
-            Open; it stays the caller's.
-        on_event : callable, optional
-            Called with the message of each of its events.
+        `link`: open; it stays the caller's; `on_event`: called with the message of each of its events.
         """
         self.session.follow(LiveFlight(link, on_event=on_event))
 
     def frame(self, elapsed_s: float | None = None) -> None:
-        """Draw one frame.
-
-        Parameters
-        ----------
-        elapsed_s : float, optional
-            Time since the last frame, s; by default measured.
-        """
+        """Draw one frame; `elapsed_s`: time since the last frame, s; by default measured."""
         now_s = time.perf_counter()
         if elapsed_s is None:
             elapsed_s = min(now_s - self._last_frame_s, _MAX_ELAPSED_S)
@@ -323,10 +267,7 @@ class Viewer:
     def pace(self, began_s: float) -> None:
         """Wait until the next frame is due; live, also for the next attitude.
 
-        Parameters
-        ----------
-        began_s : float
-            When the last frame began, by `time.perf_counter`.
+        `began_s`: when the last frame began, by `time.perf_counter`.
         """
         left_s = _FRAME_S - (time.perf_counter() - began_s)
         if left_s > 0:
@@ -350,19 +291,8 @@ class Viewer:
     def play(self, script: Script) -> dict[str, Any]:
         """Run a script, and return how long the frames took.
 
-        Parameters
-        ----------
-        script : Script
-
-        Returns
-        -------
-        dict
-            `FrameTimes.report`, and properties of the image.
-
-        Raises
-        ------
-        GlstarError
-            If the flight cannot be replayed, the image cannot be drawn or the picture cannot be written.
+        Returns `FrameTimes.report`, and properties of the image.  Raises GlstarError if the flight cannot be replayed,
+        the image cannot be drawn or the picture cannot be written.
         """
         session = self.session
         # Before any frame: a key may be pressed as soon as the flight has been read.
@@ -499,13 +429,7 @@ class Viewer:
 
 
 class HeadlessSurface:
-    """A surface that is not displayed.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, px.
-    """
+    """A surface that is not displayed; `size`: width and height, px."""
 
     scale = 1.0
     should_close = False

@@ -44,44 +44,25 @@ _TIMES_AT_ONCE: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class ObjectPlace:
-    """An object with respect to one exposure.
+    """An object with respect to one exposure."""
 
-    Attributes
-    ----------
-    altitude_rad, azimuth_rad : float
-        Apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
-    x_px, y_px : float
-        Position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
-        behind the camera.
-    on_image : bool
-        Whether it is on the image, above the horizon, at the middle of the exposure.
-    right, down : float
-        Unit vector in the image from its centre towards the object, also for an object behind the camera.
-    from_axis_rad : float
-        Angle from the optical axis, rad.
-    """
-
+    # Apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
     altitude_rad: float
     azimuth_rad: float
+    # Position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
+    # behind the camera.
     x_px: float
     y_px: float
-    on_image: bool
-    right: float
+    on_image: bool  # Whether it is on the image, above the horizon, at the middle of the exposure
+    right: float  # Unit vector in the image from its centre towards the object, also for an object behind the camera
     down: float
-    from_axis_rad: float
+    from_axis_rad: float  # Angle from the optical axis, rad
 
     def message(self, name: str) -> str:
         """Return where the object is, in one line.
 
-        Parameters
-        ----------
-        name : str
-            Of the object.
-
-        Returns
-        -------
-        str
-            Such as ``"Sirius is outside the image, 34.2 deg to the left and 12.0 deg above"``.
+        `name`: of the object.  Returns: such as ``"Sirius is outside the image, 34.2 deg to the left and 12.0 deg
+        above"``.
         """
         if self.altitude_rad < 0:
             return f"{name} is {-degrees(self.altitude_rad):.1f} deg below the horizon"
@@ -102,15 +83,7 @@ class ObjectPlace:
 def object_place(scene: Scene, direction_eq: Float) -> ObjectPlace:
     """Return where an object is with respect to an exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (3,) float64
-        Apparent unit vector, true equator and equinox.
-
-    Returns
-    -------
-    ObjectPlace
+    `direction_eq` (3,): apparent unit vector, true equator and equinox.
     """
     middle = scene.shutter[1:2]
     in_camera = middle.to_camera(direction_eq[np.newaxis], below_horizon=True)[0, 0]
@@ -136,18 +109,8 @@ def object_place(scene: Scene, direction_eq: Float) -> ObjectPlace:
 def time_in_image_s(simulator: Simulator, direction_eq: Float, after_utc_s: float) -> float | None:
     """Return when an object is on the image next, or first if it is not any more after a given time.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    direction_eq : (3,) float64
-        Apparent unit vector, true equator and equinox.
-    after_utc_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    float or None
-        UTC seconds since 1970, to a quarter of a second; None if the object is never on the image.
+    `direction_eq` (3,): apparent unit vector, true equator and equinox; `after_utc_s`: UTC seconds since 1970.
+    Returns: UTC seconds since 1970, to a quarter of a second; None if the object is never on the image.
     """
     attitude = simulator.flight.attitude
     times_s = np.arange(attitude.first_s, attitude.last_s, _SEARCH_STEP_S)
@@ -179,31 +142,17 @@ _DISTANCE_PER_MAGNITUDE: Final = 0.1
 
 
 class StarUnderCursor(NamedTuple):
-    """A star near the mouse.
+    """A star near the mouse."""
 
-    Attributes
-    ----------
-    catalogue : str
-        The catalogue that numbers it.
-    star_id : int
-        Its number there.
-    name : str
-        Its name; empty if it has none.
-    vmag : float
-        Its magnitude.
-    altitude_rad, azimuth_rad : float
-        Its apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
-    x_px, y_px : float
-        Its position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
-        if it is behind the camera or below the horizon then.
-    """
-
-    catalogue: str
-    star_id: int
-    name: str
-    vmag: float
+    catalogue: str  # The catalogue that numbers it
+    star_id: int  # Its number there
+    name: str  # Its name; empty if it has none
+    vmag: float  # Its magnitude
+    # Its apparent direction in the middle of the exposure, with refraction; azimuth from north through east.
     altitude_rad: float
     azimuth_rad: float
+    # Its position on the image in the middle of the exposure, with a rolling shutter of that of its own rows, px; NaN
+    # if it is behind the camera or below the horizon then.
     x_px: float
     y_px: float
 
@@ -211,18 +160,8 @@ class StarUnderCursor(NamedTuple):
 def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> StarUnderCursor | None:
     """Return the star whose trail passes near a position on the image.
 
-    Parameters
-    ----------
-    scene : Scene
-    x_px, y_px : float
-        The position, px.
-    within_px : float
-        The largest distance of the trail, px.  Of several stars the nearest is returned; one magnitude counts as a
-        tenth of this distance.
-
-    Returns
-    -------
-    StarUnderCursor or None
+    `x_px`, `y_px`: the position, px; `within_px`: the largest distance of the trail, px; of several stars the nearest
+    is returned; one magnitude counts as a tenth of this distance.
     """
     position = np.array([x_px, y_px])
     # First a few sub-exposures, with a margin for the camera's rotation between them; then all, for the stars nearby.
@@ -296,26 +235,13 @@ class ObjectKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SkyObject:
-    """An object of the sky.
-
-    Attributes
-    ----------
-    kind : ObjectKind
-    name : str
-        Proper name, or designation, or catalogue number: never empty.
-    other_names : tuple of str
-        Its other designations, such as ``"α CMa"`` and ``"HR 2491"``.
-    star_id : int
-        Number of a star in its catalogue; 0 for other objects.
-    vmag : float
-        V magnitude of a star; NaN for other objects.
-    """
+    """An object of the sky."""
 
     kind: ObjectKind
-    name: str
-    other_names: tuple[str, ...] = ()
-    star_id: int = 0
-    vmag: float = float("nan")
+    name: str  # Proper name, or designation, or catalogue number: never empty
+    other_names: tuple[str, ...] = ()  # Its other designations, such as ``"α CMa"`` and ``"HR 2491"``
+    star_id: int = 0  # Number of a star in its catalogue; 0 for other objects
+    vmag: float = float("nan")  # V magnitude of a star; NaN for other objects
 
     @property
     def label(self) -> str:
@@ -324,13 +250,7 @@ class SkyObject:
 
 
 class SkySearch:
-    """Finds objects by their names.
-
-    Parameters
-    ----------
-    catalogue : StarCatalogue
-        The stars that can be found.
-    """
+    """Finds objects by their names; `catalogue`: the stars that can be found."""
 
     def __init__(self, catalogue: StarCatalogue) -> None:
         self._objects = [*_bodies(), *_constellations(), *_stars(catalogue)]
@@ -340,19 +260,10 @@ class SkySearch:
     def matches(self, query: str, *, limit: int = 12) -> list[SkyObject]:
         """Return the objects whose names match a query, the best first.
 
-        Parameters
-        ----------
-        query : str
-            A name or the beginning of one of its words, a designation with a Greek letter or its name (``"α cma"``,
-            ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"2491"``).  Case and accents are
-            ignored.
-        limit : int
-            The largest number of objects returned.
-
-        Returns
-        -------
-        list of SkyObject
-            Sorted by match (complete name, beginning of a name, of a word, anywhere), kind and magnitude.
+        `query`: a name or the beginning of one of its words, a designation with a Greek letter or its name (``"α
+        cma"``, ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"2491"``); case and accents are
+        ignored; `limit`: the largest number of objects returned.  Returns: sorted by match (complete name, beginning of
+        a name, of a word, anywhere), kind and magnitude.
         """
         wanted = _normalized(query)
         if not wanted:
@@ -369,42 +280,16 @@ class SkySearch:
         return found
 
     def star(self, star_id: int) -> SkyObject | None:
-        """Return a star by its catalogue number; None if the catalogue lacks it.
-
-        Parameters
-        ----------
-        star_id : int
-
-        Returns
-        -------
-        SkyObject or None
-        """
+        """Return a star by its catalogue number; None if the catalogue lacks it."""
         return self._by_number.get(star_id)
 
 
 def object_direction_eq(found: SkyObject, sky: Sky, stars: StarField, utc_s: float, site: Site) -> NDArray[np.float64]:
     """Return the direction of an object.
 
-    Parameters
-    ----------
-    found : SkyObject
-        Of a `SkySearch` of the same catalogue.
-    sky : Sky
-    stars : StarField
-        Of that sky.
-    utc_s : float
-        UTC seconds since 1970; it matters for the Sun, the Moon and planets.
-    site : Site
-
-    Returns
-    -------
-    (3,) float64
-        Apparent unit vector, true equator and equinox of date; of a constellation, the position of its label.
-
-    Raises
-    ------
-    KeyError
-        If the star is not one of `stars`.
+    `found`: of a `SkySearch` of the same catalogue; `stars`: of that sky; `utc_s`: UTC seconds since 1970; it matters
+    for the Sun, the Moon and planets.  Returns (3,) apparent unit vector, true equator and equinox of date; of a
+    constellation, the position of its label.  Raises KeyError if the star is not one of `stars`.
     """
     if found.kind is ObjectKind.BODY:
         return observed_bodies(sky, utc_s, site, (found.name,))[0].direction_eq
@@ -476,12 +361,7 @@ _SPEED_FRACTION: Final = 0.01
 
 
 class Selection:
-    """The selected object.
-
-    Attributes
-    ----------
-    selected : SkyObject or None
-    """
+    """The selected object."""
 
     def __init__(self) -> None:
         self.selected: SkyObject | None = None
@@ -490,16 +370,7 @@ class Selection:
         self._truth: tuple[tuple[object, ...], dict[str, Any] | None] | None = None
 
     def search(self, catalogue: StarCatalogue) -> SkySearch:
-        """Return the search of a catalogue, made when it is first needed.
-
-        Parameters
-        ----------
-        catalogue : StarCatalogue
-
-        Returns
-        -------
-        SkySearch
-        """
+        """Return the search of a catalogue, made when it is first needed."""
         if self._search is None or self._search[0] is not catalogue:
             self._search = catalogue, SkySearch(catalogue)
         return self._search[1]
@@ -507,17 +378,7 @@ class Selection:
     def select(self, found: SkyObject | None, simulator: Simulator, scene: Scene) -> str:
         """Select an object, or none.
 
-        Parameters
-        ----------
-        found : SkyObject or None
-        simulator : Simulator
-        scene : Scene
-            The exposure shown.
-
-        Returns
-        -------
-        str
-            Where the object is, as a message; empty if nothing was selected.
+        `scene`: the exposure shown.  Returns: where the object is, as a message; empty if nothing was selected.
         """
         self.selected = found
         if found is None or (place := self.place(simulator, scene)) is None:
@@ -527,16 +388,8 @@ class Selection:
     def direction_eq(self, simulator: Simulator, scene: Scene) -> Float | None:
         """Return the direction of the selected object in the exposure shown.
 
-        Parameters
-        ----------
-        simulator : Simulator
-        scene : Scene
-
-        Returns
-        -------
-        (3,) float64 or None
-            Apparent unit vector, true equator and equinox; None without a selection, and for a star that is fainter
-            than the magnitude limit or belongs to another catalogue.
+        Returns (3,) or None: apparent unit vector, true equator and equinox; None without a selection, and for a star
+        that is fainter than the magnitude limit or belongs to another catalogue.
         """
         if self.selected is None:
             return None
@@ -552,32 +405,14 @@ class Selection:
         return self._direction[1]
 
     def place(self, simulator: Simulator, scene: Scene) -> ObjectPlace | None:
-        """Return where the selected object is in the exposure shown; None if that is not known.
-
-        Parameters
-        ----------
-        simulator : Simulator
-        scene : Scene
-
-        Returns
-        -------
-        ObjectPlace or None
-        """
+        """Return where the selected object is in the exposure shown; None if that is not known."""
         direction_eq = self.direction_eq(simulator, scene)
         return None if direction_eq is None else object_place(scene, direction_eq)
 
     def next_in_image_s(self, simulator: Simulator, scene: Scene) -> float | None:
         """Return when the selected object is on the image next: see `time_in_image_s`.
 
-        Parameters
-        ----------
-        simulator : Simulator
-        scene : Scene
-
-        Returns
-        -------
-        float or None
-            UTC seconds since 1970.
+        Returns: UTC seconds since 1970.
         """
         direction_eq = self.direction_eq(simulator, scene)
         if direction_eq is None:
@@ -587,16 +422,8 @@ class Selection:
     def star_truth(self, scene: Scene, pixels: Pixels) -> dict[str, Any] | None:
         """Return the line of truth of the selected star in the exposure shown.
 
-        Parameters
-        ----------
-        scene : Scene
-        pixels : (height, width) uint8 or uint16
-            The image.
-
-        Returns
-        -------
-        dict or None
-            The keys of a star in `frame_truth`; None if the selection is no star or its flux does not touch the image.
+        `pixels` (height, width) uint8 or uint16: the image.  Returns the keys of a star in `frame_truth`; None if the
+        selection is no star or its flux does not touch the image.
         """
         found = self.selected
         if found is None or found.kind is not ObjectKind.STAR:
@@ -613,16 +440,7 @@ class Selection:
 def star_signal_to_noise(scene: Scene, star_id: int) -> float:
     """Return the expected signal-to-noise ratio of a star in an exposure, as truth has it.
 
-    Parameters
-    ----------
-    scene : Scene
-    star_id : int
-        In the catalogue.
-
-    Returns
-    -------
-    float
-        NaN if its flux does not touch the image.
+    `star_id`: in the catalogue.  Returns: NaN if its flux does not touch the image.
     """
     index = np.flatnonzero(scene.stars.star_id[scene.visible] == star_id)
     if not index.size:
@@ -635,37 +453,21 @@ def star_signal_to_noise(scene: Scene, star_id: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutOut:
-    """The pixels around a star, and its profile across the trail.
+    """The pixels around a star, and its profile across the trail."""
 
-    Attributes
-    ----------
-    pixels : (n, m) uint8 or uint16
-    left_px, top_px : int
-        Column and row of its first pixel.
-    offset_px : (k,) float64
-        Distances from the trail, px.
-    measured_dn : (k,) float64
-        The image there, interpolated bilinearly, DN.
-    expected_dn : (k,) float64
-        The median of the cut-out plus the star as a straight trail with the point spread function's width, DN.
-    """
-
-    pixels: Pixels
-    left_px: int
+    pixels: Pixels  # (n, m) uint8 or uint16
+    left_px: int  # Column and row of its first pixel
     top_px: int
-    offset_px: Float
-    measured_dn: Float
+    offset_px: Float  # (k,) distances from the trail, px
+    measured_dn: Float  # (k,) the image there, interpolated bilinearly, DN
+    # (k,) the median of the cut-out plus the star as a straight trail with the point spread function's width, DN.
     expected_dn: Float
 
     def saturated(self, tested: Pixels, saturation_dn: int) -> NDArray[np.bool_]:
         """Return which of its pixels are saturated, (n, m).
 
-        Parameters
-        ----------
-        tested : (height, width) uint8, uint16 or bool
-            The image, or of a stacked one where a short exposure is saturated.
-        saturation_dn : int
-            The largest digital number of the sensor.
+        `tested` (height, width) uint8, uint16 or bool: the image, or of a stacked one where a short exposure is
+        saturated; `saturation_dn`: the largest digital number of the sensor.
         """
         rows, columns = self.pixels.shape
         around = tested[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns]
@@ -675,23 +477,9 @@ class CutOut:
 def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
     """Return the surroundings of a star in the middle of its exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    pixels : (height, width) uint8 or uint16
-    direction_eq : (3,) float64
-        Of the star.
-    flux_dn : float
-        Sum of its flux over the image, DN.
-
-    Returns
-    -------
-    CutOut or None
-        None if the star is then outside the image.
-
-    Notes
-    -----
-    The expected profile is that of a star that moves uniformly on a straight line.
+    `pixels` (height, width) uint8 or uint16; `direction_eq` (3,): of the star; `flux_dn`: sum of its flux over the
+    image, DN.  Returns: none if the star is then outside the image.  The expected profile is that of a star that
+    moves uniformly on a straight line.
     """
     # Of a stacked image, in the short exposure nearest to the middle: between two of them the star jumps.
     count = max(len(scene.shorts), 1)

@@ -21,15 +21,7 @@ _ALTERNATIVES: Final = "glstar view --headless --screenshot FILE draws without a
 class WindowSurface:
     """A window with an OpenGL 3.3 context, current on this thread.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, screen px.
-
-    Raises
-    ------
-    ContextError
-        If there is no display, or its OpenGL is older than 3.3.
+    `size`: width and height, screen px.  Raises ContextError if there is no display, or its OpenGL is older than 3.3.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -114,15 +106,7 @@ class WindowSurface:
     def wait(self, timeout_s: float) -> bool:
         """Process events, waiting for the first of them.
 
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait; 0 for none.
-
-        Returns
-        -------
-        bool
-            Whether there was an event; always True without waiting.
+        `timeout_s`: longest wait; 0 for none.  Returns whether there was an event; always True without waiting.
         """
         if timeout_s <= 0:
             glfw.poll_events()
@@ -137,12 +121,7 @@ class WindowSurface:
         return paths
 
     def set_full_screen(self, full: bool) -> None:
-        """Fill the screen, or return to the window's former position and size.
-
-        Parameters
-        ----------
-        full : bool
-        """
+        """Fill the screen, or return to the window's former position and size."""
         if full == (self._windowed is not None):
             return
         if full:
@@ -155,12 +134,7 @@ class WindowSurface:
             self._library.set_window_monitor(self._window, None, *windowed, 0)
 
     def set_title(self, title: str) -> None:
-        """Set the text of the title bar.
-
-        Parameters
-        ----------
-        title : str
-        """
+        """Set the text of the title bar."""
         glfw.set_window_title(self._window, title)
 
     def present(self) -> None:
@@ -186,18 +160,7 @@ def text_scale(content_scale: float, framebuffer_px: int, window_units: int) -> 
     """Return the scale of text in the window's units.
 
     On macOS and Wayland a unit is several pixels, and the content scale includes this factor; on X11 and Windows a unit
-    is a pixel.
-
-    Parameters
-    ----------
-    content_scale : float
-        Of the system.
-    framebuffer_px, window_units : int
-        The window's width.
-
-    Returns
-    -------
-    float
+    is a pixel.  `content_scale`: of the system; `framebuffer_px`, `window_units`: the window's width.
     """
     return content_scale / (framebuffer_px / window_units) if framebuffer_px and window_units else content_scale
 

@@ -36,19 +36,11 @@ _CRITERIA: Final = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
 
 @dataclass(frozen=True, slots=True)
 class Chessboard:
-    """A chessboard.
+    """A chessboard."""
 
-    Attributes
-    ----------
-    columns, rows : int
-        Number of inner corners.
-    square_mm : float
-        Side of a square, mm.
-    """
-
-    columns: int
+    columns: int  # Number of inner corners
     rows: int
-    square_mm: float
+    square_mm: float  # Side of a square, mm
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3:
@@ -71,22 +63,13 @@ class Chessboard:
 
 @dataclass(frozen=True, slots=True)
 class CharucoBoard:
-    """A chessboard with ArUco markers in its white squares; an image may show part of it.
+    """A chessboard with ArUco markers in its white squares; an image may show part of it."""
 
-    Attributes
-    ----------
-    columns, rows : int
-        Number of squares.
-    square_mm, marker_mm : float
-        Sides of a square and of a marker, mm.
-    dictionary : str
-        OpenCV's name of the markers' dictionary: ``"DICT_4X4_50"``, ``"DICT_5X5_100"`` ...
-    """
-
-    columns: int
+    columns: int  # Number of squares
     rows: int
-    square_mm: float
+    square_mm: float  # Sides of a square and of a marker, mm
     marker_mm: float
+    # OpenCV's name of the markers' dictionary: ``"DICT_4X4_50"``, ``"DICT_5X5_100"`` ....
     dictionary: str = "DICT_4X4_50"
 
     def __post_init__(self) -> None:
@@ -123,44 +106,23 @@ class CharucoBoard:
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """One image of a board.
-
-    Attributes
-    ----------
-    path : Path
-    corners : int
-        Number of corners found.
-    rms_px : float or None
-        Root mean square distance between detected and predicted corners, px; None for a rejected image.
-    refused : str
-        Reason for rejecting it; empty if it was used.
-    """
+    """One image of a board."""
 
     path: Path
-    corners: int
+    corners: int  # Number of corners found
+    # Root mean square distance between detected and predicted corners, px; None for a rejected image.
     rms_px: float | None
-    refused: str = ""
+    refused: str = ""  # Reason for rejecting it; empty if it was used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardFit:
-    """A camera calibrated with images of a board.
-
-    Attributes
-    ----------
-    camera : Camera
-    rms_px : float
-        Over all corners of all images used.
-    views : tuple of BoardView
-        In the order of the images.
-    standard_error : dict of str to float
-        Of ``fx_px``, ``fy_px``, ``cx_px``, ``cy_px`` and the lens's coefficients.
-    """
+    """A camera calibrated with images of a board."""
 
     camera: Camera
-    rms_px: float
-    views: tuple[BoardView, ...]
-    standard_error: dict[str, float]
+    rms_px: float  # Over all corners of all images used
+    views: tuple[BoardView, ...]  # In the order of the images
+    standard_error: dict[str, float]  # Of ``fx_px``, ``fy_px``, ``cx_px``, ``cy_px`` and the lens's coefficients
 
 
 def camera_from_boards(
@@ -172,23 +134,9 @@ def camera_from_boards(
 ) -> BoardFit:
     """Calibrate a camera with images of a board.
 
-    Parameters
-    ----------
-    paths : sequence of path-like
-        Ten or more images of one camera, the board in all parts of the image and at many angles.
-    board : Chessboard or CharucoBoard
-    model : {"plumb_bob", "rational", "fisheye"}
-    on_image : callable
-        Called with the number of images done and the number of all images.
-
-    Returns
-    -------
-    BoardFit
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than three images can be used; the message names the reasons.
+    `paths`: ten or more images of one camera, the board in all parts of the image and at many angles; `model`
+    {"plumb_bob", "rational", "fisheye"}; `on_image`: called with the number of images done and the number of all
+    images.  Raises CalibrationError if fewer than three images can be used; the message names the reasons.
     """
     views, refused, size = _find_corners(list(map(Path, paths)), board, on_image)
     if size is None or len(views) < _LIMITS.min_images:

@@ -36,26 +36,14 @@ _ZENITH_REFRACTION: Final = 2.8e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeometryCalibration:
-    """The camera and the attitude of one photograph.
-
-    Attributes
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-    method : str
-        How the stars were identified.
-    notes : tuple of str
-        Remarks for the user.
-    """
+    """The camera and the attitude of one photograph."""
 
     image: Photograph
     detected: DetectedStars
     reference: ReferenceStars
     matches: Matches
-    method: str
-    notes: tuple[str, ...]
+    method: str  # How the stars were identified
+    notes: tuple[str, ...]  # Remarks for the user
 
     @property
     def boresight_rad(self) -> tuple[float, float]:
@@ -118,13 +106,7 @@ class GeometryCalibration:
         }
 
     def to_toml(self) -> str:
-        """Return the camera as TOML, for ``--config``.
-
-        Returns
-        -------
-        str
-            ``[camera]``; its origin is a comment.
-        """
+        """Return the camera as TOML, for ``--config``; returns ``[camera]``; its origin is a comment."""
         head = [
             f"Camera by glstar {__version__} from {self.image.path.name}: {len(self.matches)} stars identified"
             f" ({self.method}).  Geometry only: no sensor.",
@@ -135,20 +117,14 @@ class GeometryCalibration:
     def to_json(self) -> dict[str, Any]:
         """Return all numbers as JSON-serialisable values.
 
-        Returns
-        -------
-        dict
-            As `glstar.calibrate.Calibration.to_json`, with ``sensor`` None.
+        Returns: as `glstar.calibrate.Calibration.to_json`, with ``sensor`` None.
         """
         return {"schema": 2, "glstar": __version__, **self.facts, "sensor": None, "notes": list(self.notes)}
 
     def to_csv(self) -> str:
         """Return the list of identified stars.
 
-        Returns
-        -------
-        str
-            One line per star, in the order of catalogue brightness; lengths in px.
+        Returns one line per star, in the order of catalogue brightness; lengths in px.
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -175,20 +151,7 @@ def calibrate_geometry(
 ) -> GeometryCalibration:
     """Return the camera of one photograph with identified stars, which may be blurred or saturated.
 
-    Parameters
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-    method : str
-        How the stars were identified.
-    notes : tuple of str
-        Other remarks for the user.
-
-    Returns
-    -------
-    GeometryCalibration
+    `method`: how the stars were identified; `notes`: other remarks for the user.
     """
     all_notes = (
         *notes,
@@ -206,17 +169,7 @@ def calibrate_geometry(
 
 
 def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, ...]:
-    """Return a note on a zenith from refraction, or where refraction is ignored and the focal length would show it.
-
-    Parameters
-    ----------
-    reference : ReferenceStars
-    matches : Matches
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Return a note on a zenith from refraction, or where refraction is ignored and the focal length would show it."""
     if reference.zenith_error_rad is not None:
         from_axis = np.arccos(np.clip(matches.solution.C_camera_eq[2] @ reference.zenith_eq, -1, 1))
         declination_deg, error_deg = np.rad2deg([np.arcsin(reference.zenith_eq[2]), reference.zenith_error_rad])
@@ -237,18 +190,7 @@ def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, 
 
 
 def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
-    """Return remarks on a doubtful camera.
-
-    Parameters
-    ----------
-    matches : Matches
-    psf_sigma_px : float
-        Width of the stars, px.
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Return remarks on a doubtful camera; `psf_sigma_px`: width of the stars, px."""
     notes = camera_warnings(matches.solution.camera)
     if not matches.solution.camera.is_drawable:
         notes = (
@@ -296,21 +238,8 @@ def calibration_toml(
 ) -> str:
     """Return a calibration as TOML: ``[sensor]``, if there is one, and ``[camera]``.
 
-    Parameters
-    ----------
-    head : list of str
-        Comments at the top.
-    sensor : Sensor or None
-    matches : Matches
-        Their solution holds the camera, and k1 if it has no lens.
-    sensor_error : dict of str to float, optional
-        Standard errors of the sensor's numbers, for a comment.
-    star_brightness : str, optional
-        The file of measured star brightness.
-
-    Returns
-    -------
-    str
+    `head`: comments at the top; `matches`: their solution holds the camera, and k1 if it has no lens; `sensor_error`:
+    standard errors of the sensor's numbers, for a comment; `star_brightness`: the file of measured star brightness.
     """
     solution = matches.solution
     camera = solution.camera
@@ -352,20 +281,11 @@ def _errors_comment(standard_error: dict[str, float]) -> list[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedGeometry:
-    """The camera that several photographs share, and the attitude of each.
+    """The camera that several photographs share, and the attitude of each."""
 
-    Attributes
-    ----------
-    parts : tuple of GeometryCalibration
-        One per photograph, all with the same camera.
-    shared_lens : SharedLensFit
-    notes : tuple of str
-        Remarks for the user.
-    """
-
-    parts: tuple[GeometryCalibration, ...]
+    parts: tuple[GeometryCalibration, ...]  # One per photograph, all with the same camera
     shared_lens: SharedLensFit
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # Remarks for the user
 
     @property
     def best(self) -> GeometryCalibration:
@@ -397,16 +317,8 @@ class SharedGeometry:
 def share_geometry(parts: tuple[GeometryCalibration, ...], shared_lens: SharedLensFit) -> SharedGeometry:
     """Return the camera that several photographs share.
 
-    Parameters
-    ----------
-    parts : tuple of GeometryCalibration
-        With the matches of `shared_lens`.
-    shared_lens : SharedLensFit
-
-    Returns
-    -------
-    SharedGeometry
-        Its notes are those of all images, each once, with the names of the images.
+    `parts`: with the matches of `shared_lens`.  Returns: its notes are those of all images, each once, with the names
+    of the images.
     """
     names: dict[str, list[str]] = {}
     for part in parts:

@@ -93,62 +93,30 @@ _SELECTION: Final = _Selection()
 
 @dataclass(frozen=True, slots=True)
 class LensTrial:
-    """A lens model that was tried.
+    """A lens model that was tried."""
 
-    Attributes
-    ----------
-    label : str
-        The model and its free parameters.
-    parameters : int
-        Number of free parameters, the attitudes included.
-    rms_px : float
-        Root mean square distance between detected and predicted positions, px.
-    criterion : float
-        Bayes' information criterion; smaller is better.
-    """
-
-    label: str
-    parameters: int
-    rms_px: float
-    criterion: float
+    label: str  # The model and its free parameters
+    parameters: int  # Number of free parameters, the attitudes included
+    rms_px: float  # Root mean square distance between detected and predicted positions, px
+    criterion: float  # Bayes' information criterion; smaller is better
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BestLens:
-    """The lens that identified stars justify.
+    """The lens that identified stars justify."""
 
-    Attributes
-    ----------
-    poses : CameraPoses
-        The camera with the lens, and its attitude in each image.
-    chosen : LensTrial
-    candidate : LensCandidate
-        The chosen model and its free coefficients.
-    trials : tuple of (LensTrial, model or None)
-        All trials, the simplest first.
-    sd : dict of str to float
-        Standard errors of the fitted parameters of the camera.
-    """
-
-    poses: CameraPoses
+    poses: CameraPoses  # The camera with the lens, and its attitude in each image
     chosen: LensTrial
-    candidate: LensCandidate
+    candidate: LensCandidate  # The chosen model and its free coefficients
+    # Tuple of (LensTrial, model or None): all trials, the simplest first.
     trials: tuple[tuple[LensTrial, LensModel | None], ...]
-    sd: dict[str, float]
+    sd: dict[str, float]  # Standard errors of the fitted parameters of the camera
 
 
 def simple_lens(stars: IdentifiedStars, solution: PlateSolution, choice: LensChoice) -> PlateSolution:
     """Return the solution with a lens of few parameters that fits well enough to match more stars.
 
-    Parameters
-    ----------
-    stars : IdentifiedStars
-    solution : PlateSolution
-    choice : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-
-    Returns
-    -------
-    PlateSolution
+    `choice` {"auto", "none", "plumb_bob", "rational", "fisheye"}.
     """
     camera = _with_k1_as_lens((stars,), solution.camera, (solution.C_camera_eq,), solution.k1)
     is_fisheye = camera.lens is not None and camera.lens.model == "fisheye"
@@ -183,23 +151,9 @@ def simple_lens(stars: IdentifiedStars, solution: PlateSolution, choice: LensCho
 def best_lens(stars: tuple[IdentifiedStars, ...], solutions: tuple[PlateSolution, ...], choice: LensChoice) -> BestLens:
     """Return the lens that the stars of one or more images of a camera justify.
 
-    Parameters
-    ----------
-    stars : tuple of IdentifiedStars
-        One for each image.
-    solutions : tuple of PlateSolution
-        One for each image; the fit starts from the camera of the first.
-    choice : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-        The model; with ``"auto"`` any, with ``"none"`` a pinhole.
-
-    Returns
-    -------
-    BestLens
-
-    Raises
-    ------
-    CalibrationError
-        If there are too few stars for any lens of that model, or if none fits.
+    `stars`: one for each image; `solutions`: one for each image; the fit starts from the camera of the first; `choice`
+    {"auto", "none", "plumb_bob", "rational", "fisheye"}: the model; with ``"auto"`` any, with ``"none"`` a pinhole.
+    Raises CalibrationError if there are too few stars for any lens of that model, or if none fits.
     """
     first, attitudes = solutions[0], tuple(solution.C_camera_eq for solution in solutions)
     camera = _with_k1_as_lens(stars, first.camera, attitudes, first.k1)
@@ -240,19 +194,7 @@ def fit_candidate(
 ) -> tuple[Camera, dict[str, float]] | None:
     """Return the camera with one lens model fitted to one image, and its standard errors.
 
-    Parameters
-    ----------
-    candidate : LensCandidate
-    stars : IdentifiedStars
-    solution : PlateSolution
-        The fit starts from it.
-
-    Returns
-    -------
-    camera : Camera
-    standard_error : dict of str to float
-
-    None if there are too few stars, or if the lens is not one-to-one.
+    `solution`: the fit starts from it.
     """
     if candidate.parameters(1) * _SELECTION.stars_per_parameter > len(stars):
         return None
@@ -313,16 +255,7 @@ def _try_candidate(
 def scatter_px(stars: IdentifiedStars, camera: Camera, C_camera_eq: Float) -> float:
     """Return the scatter of the residuals about a smooth polynomial of the position, which no lens reduces.
 
-    Parameters
-    ----------
-    stars : IdentifiedStars
-    camera : Camera
-    C_camera_eq : (3, 3) float64
-
-    Returns
-    -------
-    float
-        px.
+    `C_camera_eq` (3, 3).  Returns: px.
     """
     residual = np.nan_to_num(stars.residual_px(camera, C_camera_eq))
     if len(residual) < _SELECTION.stars_for_polynomial:

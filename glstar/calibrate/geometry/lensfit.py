@@ -44,19 +44,8 @@ _MOST_FAR_FRACTION: Final = 0.2
 def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> float:
     """Return the median standard deviation of the centroids of detected stars in x and in y, px.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    detection : (k,) intp
-        Indices of the stars.
-
-    Returns
-    -------
-    float
-
-    Notes
-    -----
-    The Cramer-Rao bound of a Gaussian of amplitude A in noise s is s / A sqrt(2 / pi) px, independent of its width.
+    `detection` (k,) intp: indices of the stars.  The Cramer-Rao bound of a Gaussian of amplitude A in noise s is s / A
+    sqrt(2 / pi) px, independent of its width.
     """
     noise_px = np.sqrt(2 / np.pi) / detected.signal_to_noise[detection]
     noise_px = np.hypot(noise_px, _LEAST_NOISE_PX)
@@ -70,24 +59,10 @@ def require_explained(
 ) -> None:
     """Raise an error if a camera's residuals are far above the noise of the centroids.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    identified : Matches
-        The stars identified before the camera was fitted.
-    matches : Matches
-        The matches with the fitted camera.
-    lens : str
-        The fitted model, for the message: ``a pinhole``.
-    advice : str
-        The advice in the message.
-
-    Raises
-    ------
-    CalibrationError
-        If the typical residual is more than five times the noise, and more than a pixel and the width of a star, or if
-        many of the identified stars have residuals above that limit.
+    `identified`: the stars identified before the camera was fitted; `matches`: the matches with the fitted camera;
+    `lens`: the fitted model, for the message: ``a pinhole``; `advice`: the advice in the message.  Raises
+    CalibrationError if the typical residual is more than five times the noise, and more than a pixel and the width of a
+    star, or if many of the identified stars have residuals above that limit.
     """
     noise_px = centroid_noise_px(detected, matches.detection)
     most_px = max(_MOST_NOISE * noise_px, _MOST_PX, detected.psf_sigma_px)
@@ -123,29 +98,16 @@ _STARS_FOR_A_LENS: Final = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFit:
-    """The camera of an image, fitted to its identified stars.
+    """The camera of an image, fitted to its identified stars."""
 
-    Attributes
-    ----------
-    matches : Matches
-        With the refined solution: its camera has the lens, and its `k1` is 0.
-    trials : tuple of LensTrial
-        All lenses tried, the simplest first.
-    chosen : LensTrial
-    pinhole_rms_px : float
-        Residual of the best pinhole, px; infinite if no pinhole projects all stars.
-    sd : dict
-        Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
-    corner_fraction : float
-        Distance of the outermost star from the principal point, over that of the farthest corner, or over the radius
-        of the image circle if that is smaller.
-    """
-
-    matches: Matches
-    trials: tuple[LensTrial, ...]
+    matches: Matches  # With the refined solution: its camera has the lens, and its `k1` is 0
+    trials: tuple[LensTrial, ...]  # All lenses tried, the simplest first
     chosen: LensTrial
-    pinhole_rms_px: float
+    pinhole_rms_px: float  # Residual of the best pinhole, px; infinite if no pinhole projects all stars
+    # Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
     sd: dict[str, float]
+    # Distance of the outermost star from the principal point, over that of the farthest corner, or over the radius of
+    # the image circle if that is smaller.
     corner_fraction: float
 
     @property
@@ -168,15 +130,9 @@ class CameraFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Indices of matched catalogue stars and detections, with the expected number of false pairs.
+    """Indices of matched catalogue stars and detections, with the expected number of false pairs."""
 
-    Attributes
-    ----------
-    star, detection : (n,) intp
-    expected_by_chance : float
-    """
-
-    star: Index
+    star: Index  # (n,) intp
     detection: Index
     expected_by_chance: float
 
@@ -193,24 +149,10 @@ def fit_camera(
 ) -> CameraFit:
     """Return the camera fitted to the identified stars of an image.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-        Stars identified with a pinhole, or with a pinhole and k1; more are matched with the fitted lens.
-    lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-        The model; with ``"auto"`` the one that the stars justify, with ``"none"`` a pinhole.
-
-    Returns
-    -------
-    CameraFit
-        By a robust loss (soft L1): a false match has little influence.
-
-    Raises
-    ------
-    CalibrationError
-        If there are too few stars for any lens of that model.
+    `matches`: stars identified with a pinhole, or with a pinhole and k1; more are matched with the fitted lens; `lens`
+    {"auto", "none", "plumb_bob", "rational", "fisheye"}: the model; with ``"auto"`` the one that the stars justify,
+    with ``"none"`` a pinhole.  Returns: by a robust loss (soft L1): a false match has little influence.  Raises
+    CalibrationError if there are too few stars for any lens of that model.
     """
     apparent = reference.to_camera(np.eye(3))
     pairs, solution = Pairs(matches.star, matches.detection, matches.expected_by_chance), matches.solution
@@ -254,24 +196,9 @@ def fit_lens(
 ) -> Matches:
     """Return the matches with the lens that the stars justify, or with the chosen model, if the residuals allow it.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-        As for `fit_camera`.
-    lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-        With ``"auto"`` and fewer than twelve stars the camera is unchanged.
-
-    Returns
-    -------
-    Matches
-        Its notes name the lens.
-
-    Raises
-    ------
-    CalibrationError
-        If the residuals of such a lens are too large.
+    `matches`: as for `fit_camera`; `lens` {"auto", "none", "plumb_bob", "rational", "fisheye"}: with ``"auto"`` and
+    fewer than twelve stars the camera is unchanged.  Returns: its notes name the lens.  Raises CalibrationError if the
+    residuals of such a lens are too large.
     """
     identified = matches
     if lens == "auto" and len(matches) < _STARS_FOR_A_LENS:
@@ -304,22 +231,8 @@ def matches_of(
 ) -> Matches:
     """Return matches with a fitted camera, its predictions and residuals.
 
-    Parameters
-    ----------
-    reference : ReferenceStars
-    matches : Matches
-        Those that the fit started from.
-    solution : PlateSolution
-        The fitted one.
-    pairs : Pairs
-    stars : IdentifiedStars
-        The stars of the pairs.
-    sd : dict of str to float
-        Standard errors of the camera's parameters.
-
-    Returns
-    -------
-    Matches
+    `matches`: those that the fit started from; `solution`: the fitted one; `stars`: the stars of the pairs; `sd`:
+    standard errors of the camera's parameters.
     """
     predicted, predicted_xy = solution.stars_on_image(reference)
     residual = stars.residual_px(solution.camera, solution.C_camera_eq)
@@ -343,19 +256,8 @@ def match_again(
 ) -> Pairs:
     """Return the significant pairs of predicted and detected stars with a fitted camera.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    apparent : (n, 3) float64
-        Apparent directions of all reference stars.
-    solution : PlateSolution
-    before : (k,) intp
-        The stars matched before; they limit the magnitude of the new matches.
-
-    Returns
-    -------
-    Pairs
+    `apparent` (n, 3): apparent directions of all reference stars; `before` (k,) intp: the stars matched before; they
+    limit the magnitude of the new matches.
     """
     xy = solution.placed(apparent, reference.rows)
     faintest = reference.stars.vmag[before].max() + _FAINTER_MAG
@@ -383,38 +285,21 @@ _FOCAL_TOLERANCE: Final = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleImageFit:
-    """The same lens model fitted to a single image.
-
-    Attributes
-    ----------
-    camera : Camera
-    standard_error : dict of str to float
-        Of the fitted parameters.
-    """
+    """The same lens model fitted to a single image."""
 
     camera: Camera
-    standard_error: dict[str, float]
+    standard_error: dict[str, float]  # Of the fitted parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedLensFit:
-    """One lens fitted to several images of a camera.
+    """One lens fitted to several images of a camera."""
 
-    Attributes
-    ----------
-    matches : tuple of Matches
-        One for each image, all with the shared camera and each with its own attitude.
-    chosen : LensTrial
-        The lens model, with the residual over all images.
-    standard_error : dict of str to float
-        Of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were fitted.
-    single : tuple of SingleImageFit or None
-        The same model fitted to each image separately; None if an image has too few stars.
-    """
-
-    matches: tuple[Matches, ...]
-    chosen: LensTrial
+    matches: tuple[Matches, ...]  # One for each image, all with the shared camera and each with its own attitude
+    chosen: LensTrial  # The lens model, with the residual over all images
+    # Of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were fitted.
     standard_error: dict[str, float]
+    # The same model fitted to each image separately; None if an image has too few stars.
     single: tuple[SingleImageFit | None, ...]
 
     @property
@@ -435,17 +320,7 @@ class SharedLensFit:
         )
 
     def to_json(self, names: Sequence[str]) -> dict[str, Any]:
-        """Return the fit as JSON-serialisable values.
-
-        Parameters
-        ----------
-        names : sequence of str
-            The images' file names.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the fit as JSON-serialisable values; `names`: the images' file names."""
         names_of_fitted = tuple(self.standard_error)
         return {
             "lens": self.chosen.label,
@@ -476,28 +351,12 @@ def fit_shared_lens(
 ) -> SharedLensFit:
     """Fit one camera with one lens to several images, each with an attitude of its own.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The images' names, for error messages.
-    detected, reference, identified : sequence
-        Detections, reference stars and identified stars of each image.
-    lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-        The model; ``"auto"`` chooses the one that all stars together justify, ``"none"`` is a pinhole.
-
-    Returns
-    -------
-    SharedLensFit
-
-    Raises
-    ------
-    CalibrationError
-        If the images are not of one camera, or if the residuals of such a lens are too large.
-
-    Notes
-    -----
-    Least squares over focal length, principal point, distortion coefficients and three rotation parameters for each
-    image, with a robust loss (soft L1).  Positions are weighted by the noise of their image.
+    `names`: the images' names, for error messages; `detected`, `reference`, `identified`: detections, reference stars
+    and identified stars of each image; `lens` {"auto", "none", "plumb_bob", "rational", "fisheye"}: the model;
+    ``"auto"`` chooses the one that all stars together justify, ``"none"`` is a pinhole.  Raises CalibrationError if
+    the images are not of one camera, or if the residuals of such a lens are too large.  Least squares over focal
+    length, principal point, distortion coefficients and three rotation parameters for each image, with a robust loss
+    (soft L1).  Positions are weighted by the noise of their image.
     """
     single = [fit_lens(d, r, m, lens=lens) for d, r, m in zip(detected, reference, identified, strict=True)]
     require_one_camera(names, [matches.solution.camera for matches in single])
@@ -547,15 +406,7 @@ def _fit_jointly(
 def require_one_camera(names: Sequence[str], cameras: Sequence[Camera]) -> None:
     """Raise an error for images of different size or focal length.
 
-    Parameters
-    ----------
-    names : sequence of str
-    cameras : sequence of Camera
-
-    Raises
-    ------
-    CalibrationError
-        If any two cannot be of one camera.
+    Raises CalibrationError if any two cannot be of one camera.
     """
     first = cameras[0]
     for name, camera in zip(names[1:], cameras[1:], strict=True):

@@ -62,20 +62,11 @@ _LIMITS: Final = _Limits()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadoutFit:
-    """The readout time of a rolling shutter, fitted to one or more images.
-
-    Attributes
-    ----------
-    time : ReadoutTime
-    reference : tuple of ReferenceStars
-        Of each image, with this readout time.
-    matches : tuple of Matches
-        The identified stars of each image, matched again with this readout time.
-    """
+    """The readout time of a rolling shutter, fitted to one or more images."""
 
     time: ReadoutTime
-    reference: tuple[ReferenceStars, ...]
-    matches: tuple[Matches, ...]
+    reference: tuple[ReferenceStars, ...]  # Of each image, with this readout time
+    matches: tuple[Matches, ...]  # The identified stars of each image, matched again with this readout time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,16 +82,9 @@ def search_readout(
 ) -> float:
     """Return the readout time with which most stars match, to start a fit from.
 
-    Parameters
-    ----------
-    detected, reference, identified : sequence
-        Detections, reference stars with the turns of their rows, and identified stars of some images; the readout time
-        in `reference` need not be right.
-
-    Returns
-    -------
-    float
-        s; negative if the rows open against the given direction.  That of `reference` if no other matches more stars.
+    `detected`, `reference`, `identified`: detections, reference stars with the turns of their rows, and identified
+    stars of some images; the readout time in `reference` need not be right.  Returns: s; negative if the rows open
+    against the given direction; that of `reference` if no other matches more stars.
     """
     images = [
         (d, r, m, r.rows.rate_rad_per_s(LONGEST_READOUT_S) * m.solution.camera.fx_px)
@@ -135,23 +119,11 @@ def fit_readout(
 ) -> ReadoutFit:
     """Fit the readout time of a rolling shutter to one or more images of one camera on a turning aircraft.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The images' names, for error messages.
-    detected, reference, identified : sequence
-        Detections, reference stars with the turns of their rows, and identified stars of each image; all with a readout
-        time that shifts no star by more than 1 % of the image's width (`search_readout`).
-    lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-
-    Returns
-    -------
-    ReadoutFit
-
-    Raises
-    ------
-    CalibrationError
-        If the aircraft turned too little to measure the readout time, or if the images are not of one camera.
+    `names`: the images' names, for error messages; `detected`, `reference`, `identified`: detections, reference stars
+    with the turns of their rows, and identified stars of each image; all with a readout time that shifts no star by
+    more than 1 % of the image's width (`search_readout`); `lens` {"auto", "none", "plumb_bob", "rational", "fisheye"}.
+    Raises CalibrationError if the aircraft turned too little to measure the readout time, or if the images are not of
+    one camera.
     """
     turns = [part.rows for part in reference if part.rows is not None]
     readout_s = turns[0].readout_s

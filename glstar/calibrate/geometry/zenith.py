@@ -53,26 +53,14 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False)
 class _RefractedStars:
-    """Identified stars of one image, whose refraction depends on the zenith.
+    """Identified stars of one image, whose refraction depends on the zenith."""
 
-    Attributes
-    ----------
-    direction_eq : (k, 3) float64
-    xy_px : (k, 2) float64
-    solution : PlateSolution
-    refraction_scale : float
-    noise_px : float
-        The scatter of the stars; refraction hardly changes it.
-    plain_candidate : LensCandidate
-        The lens that the stars justify without refraction.
-    """
-
-    direction_eq: Float
-    xy_px: Float
+    direction_eq: Float  # (k, 3)
+    xy_px: Float  # (k, 2)
     solution: PlateSolution
     refraction_scale: float
-    noise_px: float
-    plain_candidate: LensCandidate
+    noise_px: float  # The scatter of the stars; refraction hardly changes it
+    plain_candidate: LensCandidate  # The lens that the stars justify without refraction
 
     @classmethod
     def of(cls, identified: IdentifiedStars, solution: PlateSolution, refraction_scale: float) -> Self:
@@ -167,25 +155,10 @@ def find_zenith(
 ) -> ReferenceStars:
     """Return the reference stars with the zenith that the refraction of a photograph shows, if it shows one.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-        Identified stars.
-    refraction_scale : float
-        The result of `glstar.sky.air.refraction.refraction_scale` for the air; 0 for no refraction.
-
-    Returns
-    -------
-    ReferenceStars
-        As it was if it has a zenith already; with fewer than 30 stars; and if Bayes' information criterion prefers a
-        lens without refraction or much thinner air, or does not distinguish the zenith from one on the opposite side of
-        the image.
-
-    Notes
-    -----
-    The refraction is that of Teague & Chahl, eq. (25).
+    `matches`: identified stars; `refraction_scale`: the result of `glstar.sky.air.refraction.refraction_scale` for the
+    air; 0 for no refraction.  Returns: as it was if it has a zenith already; with fewer than 30 stars; and if Bayes'
+    information criterion prefers a lens without refraction or much thinner air, or does not distinguish the zenith from
+    one on the opposite side of the image.  The refraction is that of Teague & Chahl, eq. (25).
     """
     if not refraction_scale or reference.zenith_eq.any() or reference.rows is not None or len(matches) < _LEAST_STARS:
         return reference

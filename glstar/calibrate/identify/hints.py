@@ -53,29 +53,11 @@ def identify_near(
 ) -> Matches:
     """Identify stars with an attitude that is right to 10 degrees.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    solution : PlateSolution
-        The given attitude, right to 10 deg, and the camera; upright and unmirrored.
-    focal_known : bool
-        Whether the focal length is right to 1 %; otherwise it may be off by 15 %.
-
-    Returns
-    -------
-    Matches
-        Its notes report a mirrored or rotated image.
-
-    Raises
-    ------
-    CalibrationError
-        If the stars of that part of the sky are not on the image.
-
-    Notes
-    -----
-    The brightest predicted and detected stars vote for a shift and a roll, and the winner is refined.  If that fails
-    and the field of view is wide, the vote is repeated with typical wide-angle lenses.
+    `solution`: the given attitude, right to 10 deg, and the camera; upright and unmirrored; `focal_known`: whether the
+    focal length is right to 1 %; otherwise it may be off by 15 %.  Returns: its notes report a mirrored or rotated
+    image.  Raises CalibrationError if the stars of that part of the sky are not on the image.  The brightest
+    predicted and detected stars vote for a shift and a roll, and the winner is refined.  If that fails and the field
+    of view is wide, the vote is repeated with typical wide-angle lenses.
     """
     pinholes = () if exceeds_pinhole(solution.camera) else (solution,)
     best = _best_orientation(detected, reference, pinholes, refine, focal_known=focal_known)
@@ -98,22 +80,8 @@ def identify_near(
 def identify_again(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches:
     """Identify the stars of an image that has been solved before, with other detections.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-        Such as those that the user has left.
-    reference : ReferenceStars
-    solution : PlateSolution
-        Of that image.
-
-    Returns
-    -------
-    Matches
-
-    Raises
-    ------
-    CalibrationError
-        If chance may explain the matches that are left.
+    `detected`: such as those that the user has left; `solution`: of that image.  Raises CalibrationError if chance may
+    explain the matches that are left.
     """
     return require_significant(detected, refine(detected, reference, solution))
 
@@ -210,19 +178,11 @@ _FOVS_TRIED_RAD: Final = np.deg2rad(np.geomspace(2.0, 140.0, 200))
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A star that the user has labelled on an image.
+    """A star that the user has labelled on an image."""
 
-    Attributes
-    ----------
-    x_px, y_px : float
-        Its position to a few pixels, px.
-    star_id : int
-        Its number in the catalogue.
-    """
-
-    x_px: float
+    x_px: float  # Its position to a few pixels, px
     y_px: float
-    star_id: int
+    star_id: int  # Its number in the catalogue
 
 
 def identify_by_labels(
@@ -230,25 +190,9 @@ def identify_by_labels(
 ) -> Matches:
     """Identify all stars of an image from a few labelled ones.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    labels : sequence of Label
-        Three or more.
-    camera : Camera
-        Its size and, if `focal_known`, its focal length.
-    focal_known : bool
-        Whether the camera's focal length is approximately known; otherwise it is searched for.
-
-    Returns
-    -------
-    Matches
-
-    Raises
-    ------
-    CalibrationError
-        If there are fewer than three labels, if they contradict each other, or if the catalogue lacks their stars.
+    `labels`: three or more; `camera`: its size and, if `focal_known`, its focal length; `focal_known`: whether the
+    camera's focal length is approximately known; otherwise it is searched for.  Raises CalibrationError if there are
+    fewer than three labels, if they contradict each other, or if the catalogue lacks their stars.
     """
     star = _labelled_stars(reference, labels)
     xy = np.array([[label.x_px, label.y_px] for label in labels])

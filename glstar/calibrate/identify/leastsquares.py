@@ -37,23 +37,12 @@ _STATE_STEP: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum(Generic[State]):
-    """A minimum of a robust sum of squares.
+    """A minimum of a robust sum of squares."""
 
-    Attributes
-    ----------
-    state : object
-        The fitted state.
-    residual : (n,) float64
-    slopes : (n, k) float64
-        Jacobian of the residuals by the free parameters.
-    scale : (n,) float64
-        Residuals beyond this have a reduced influence.
-    """
-
-    state: State
-    residual: Float
-    slopes: Float
-    scale: Float
+    state: State  # The fitted state
+    residual: Float  # (n,)
+    slopes: Float  # (n, k) Jacobian of the residuals by the free parameters
+    scale: Float  # (n,) residuals beyond this have a reduced influence
 
     @property
     def root(self) -> Float:
@@ -82,21 +71,9 @@ def minimise(
 ) -> Minimum[State]:
     """Return the state that minimises the robust sum of squares, starting from a given one.
 
-    Parameters
-    ----------
-    start : object
-    measured : callable
-        Returns the residuals of a state (n,), and their Jacobian (n, k) by the step of `moved`, at 0.
-    moved : callable
-        Returns the state a step (k,) away from a state.
-    scale : (n,) array_like
-        Scale of SciPy's ``soft_l1`` loss: larger residuals count linearly.  Infinity for least squares.
-    most_steps : int
-        Largest number of steps.
-
-    Returns
-    -------
-    Minimum
+    `measured`: returns the residuals of a state (n,), and their Jacobian (n, k) by the step of `moved`, at 0; `moved`:
+    returns the state a step (k,) away from a state; `scale` (n,): scale of SciPy's ``soft_l1`` loss: larger residuals
+    count linearly; infinity for least squares; `most_steps`: largest number of steps.
     """
     residual, slopes = measured(start)
     scale = np.broadcast_to(np.asarray(scale, dtype=np.float64), residual.shape)
@@ -123,20 +100,10 @@ def minimise(
 def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
     """Return distorted positions of directions, and their derivatives.
 
-    Parameters
-    ----------
-    camera : Camera
-    direction_camera : (n, 3) float64
-        In the camera frame.
-
-    Returns
-    -------
-    bent : (n, 2) float64
-        Distorted positions in the normalised image plane: the camera matrix maps them to pixels.
-    by_position : (n, 2, 2) float64
-        Derivatives of pixels by undistorted normalised positions.
-    by_turn : (n, 2, 3) float64
-        Derivatives of pixels by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad.
+    `direction_camera` (n, 3): in the camera frame.  Returns `bent` (n, 2): distorted positions in the normalised image
+    plane: the camera matrix maps them to pixels; `by_position` (n, 2, 2): derivatives of pixels by undistorted
+    normalised positions; `by_turn` (n, 2, 3): derivatives of pixels by the rotation vector of
+    `glstar.rotation.quaternion_from_turn`, px/rad.
     """
     plane = direction_camera[:, :2] / np.where(direction_camera[:, 2:] > 1e-9, direction_camera[:, 2:], np.nan)
     matrix = camera.K[:2, :2]
@@ -170,20 +137,11 @@ _BORDER_FACTOR: Final = 1.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedStars:
-    """Identified stars of one image.
+    """Identified stars of one image."""
 
-    Attributes
-    ----------
-    apparent : (n, 3) float64
-        Apparent unit vectors, true equator and equinox of date.
-    xy_px : (n, 2) float64
-        Detected positions on the unmirrored image, px.
-    by_readout : (n, 3) float64 or None
-        Derivative of `apparent` by the readout time of a rolling shutter, 1/s.
-    """
-
-    apparent: Float
-    xy_px: Float
+    apparent: Float  # (n, 3) apparent unit vectors, true equator and equinox of date
+    xy_px: Float  # (n, 2) detected positions on the unmirrored image, px
+    # (n, 3) or None: derivative of `apparent` by the readout time of a rolling shutter, 1/s.
     by_readout: Float | None = None
 
     @staticmethod
@@ -197,22 +155,9 @@ class IdentifiedStars:
     ) -> "IdentifiedStars":
         """Return the matched stars of an image.
 
-        Parameters
-        ----------
-        detected : DetectedStars
-        apparent : (m, 3) float64
-            Apparent directions of all reference stars.
-        solution : PlateSolution
-            States whether the image is mirrored.
-        star, detection : (n,) intp
-            Indices of the pairs.
-        rows : RowTurns or None
-            With a rolling shutter, how the aircraft turned between the rows: directions are turned to the attitude of
-            the middle row.
-
-        Returns
-        -------
-        IdentifiedStars
+        `apparent` (m, 3): apparent directions of all reference stars; `solution`: states whether the image is mirrored;
+        `star`, `detection` (n,) intp: indices of the pairs; `rows`: with a rolling shutter, how the aircraft turned
+        between the rows: directions are turned to the attitude of the middle row.
         """
         xy = detected.xy_px[detection].copy()
         direction, by_readout = apparent[star], None
@@ -256,16 +201,10 @@ class IdentifiedStars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPoses:
-    """One camera and its attitude in each image.
-
-    Attributes
-    ----------
-    camera : Camera
-    C_camera_eq : tuple of (3, 3) float64
-        One for each image: true equator and equinox of date to the camera frame.
-    """
+    """One camera and its attitude in each image."""
 
     camera: Camera
+    # Tuple of (3, 3) float64: one for each image: true equator and equinox of date to the camera frame.
     C_camera_eq: tuple[Float, ...]
 
 
@@ -275,26 +214,13 @@ class FreeParameters:
 
     A step holds three rotation components for each image, then ln f, the principal point over the image's width (if it
     is free) and the free coefficients.
-
-    Attributes
-    ----------
-    stars : tuple of IdentifiedStars
-        One for each image.
-    prior : Camera
-        The principal point has a prior at this camera's.
-    noise_px : tuple of float
-        Standard deviation of the detected positions of each image, px.
-    coefficients : tuple of int
-        Indices of the lens's free coefficients.
-    principal_point : bool
-        Whether the principal point is free.
     """
 
-    stars: tuple[IdentifiedStars, ...]
-    prior: Camera
-    noise_px: tuple[float, ...]
-    coefficients: tuple[int, ...]
-    principal_point: bool
+    stars: tuple[IdentifiedStars, ...]  # One for each image
+    prior: Camera  # The principal point has a prior at this camera's
+    noise_px: tuple[float, ...]  # Standard deviation of the detected positions of each image, px
+    coefficients: tuple[int, ...]  # Indices of the lens's free coefficients
+    principal_point: bool  # Whether the principal point is free
 
     @property
     def focal_column(self) -> int:
@@ -384,17 +310,8 @@ class FreeParameters:
 def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | None) -> Minimum[CameraPoses] | None:
     """Return the camera with a lens of a model, and the attitudes, that fit the stars best.
 
-    Parameters
-    ----------
-    free : FreeParameters
-    start : CameraPoses
-    model : {"plumb_bob", "rational", "fisheye"} or None
-        None for a pinhole.
-
-    Returns
-    -------
-    Minimum of CameraPoses, or None
-        None if no minimum was found.  The lens need not be one-to-one over the image; see `is_one_to_one`.
+    `model` {"plumb_bob", "rational", "fisheye"} or None: none for a pinhole.  Returns: none if no minimum was found;
+    the lens need not be one-to-one over the image; see `is_one_to_one`.
     """
     given = start.camera
     tangent = max(stars.largest_tangent(C) for stars, C in zip(free.stars, start.C_camera_eq, strict=True))
@@ -419,15 +336,7 @@ def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | 
 def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str, float]:
     """Return the standard errors of the fitted parameters of the camera.
 
-    Parameters
-    ----------
-    fit : Minimum of CameraPoses
-    free : FreeParameters
-
-    Returns
-    -------
-    dict of str to float
-        Of ``fx_px``, and of those of ``cx_px``, ``cy_px`` and the coefficients that were free.
+    Returns: of ``fx_px``, and of those of ``cx_px``, ``cy_px`` and the coefficients that were free.
     """
     camera, f = fit.state.camera, free.focal_column
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)

@@ -51,25 +51,10 @@ def identify_lost(
 ) -> Matches:
     """Identify stars by their pattern alone.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    catalogue : StarCatalogue
-        The stars of `reference`, J2000.
-    camera : Camera
-        The image's size, and a focal length right to 15 %; its lens, if it is known.  For a wide field of
-        view without a lens, other lenses of the same horizontal field of view are tried too.
-
-    Returns
-    -------
-    Matches
-        Its notes say if the image is mirrored.
-
-    Raises
-    ------
-    CalibrationError
-        If tetra3rs is not installed, or no part of the sky has this pattern.
+    `catalogue`: the stars of `reference`, J2000; `camera`: the image's size, and a focal length right to 15 %; its
+    lens, if it is known; for a wide field of view without a lens, other lenses of the same horizontal field of view are
+    tried too.  Returns: its notes say if the image is mirrored.  Raises CalibrationError if tetra3rs is not installed,
+    or no part of the sky has this pattern.
     """
     if len(detected) < MIN_STARS:
         message = (

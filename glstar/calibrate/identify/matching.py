@@ -58,17 +58,7 @@ _TAIL_SCALE: Final = 3.0
 def chance_pairs(stars: int, detections: int, radius_px: float, area_px2: float) -> float:
     """Return the expected number of chance pairs of a catalogue star and a detection within a radius.
 
-    Parameters
-    ----------
-    stars, detections : int
-        Their numbers within the area.
-    radius_px : float
-    area_px2 : float
-
-    Returns
-    -------
-    float
-        Expected number of pairs.
+    `stars`, `detections`: their numbers within the area.  Returns: expected number of pairs.
     """
     return stars * detections * np.pi * radius_px**2 / area_px2
 
@@ -76,26 +66,11 @@ def chance_pairs(stars: int, detections: int, radius_px: float, area_px2: float)
 def match_probability(separation_px: Float, scatter_px: Float, density_per_px2: float, radius_px: float) -> Float:
     """Return the probability that each catalogue star's nearest detection is the star itself.
 
-    Parameters
-    ----------
-    separation_px : (n,) float64
-        Distance from each predicted star, the brightest first, to its match; infinite for a star without one.
-    scatter_px : (n,) float64
-        Standard deviation of a match's position in x and in y, if it is real.
-    density_per_px2 : float
-        Detections per square pixel.
-    radius_px : float
-        Matching radius, px.
-
-    Returns
-    -------
-    (n,) float64
-        0 for stars without a match.
-
-    Notes
-    -----
-    Bayes' theorem: a real match has a Gaussian separation (with a tail), and a prior, the fraction of stars of this
-    brightness that are matched in excess of chance; a chance match has a uniform position.
+    `separation_px` (n,): distance from each predicted star, the brightest first, to its match; infinite for a star
+    without one; `scatter_px` (n,): standard deviation of a match's position in x and in y, if it is real;
+    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,) 0 for stars without
+    a match.  Bayes' theorem: a real match has a Gaussian separation (with a tail), and a prior, the fraction of stars
+    of this brightness that are matched in excess of chance; a chance match has a uniform position.
     """
     matched = np.isfinite(separation_px)
     prior = _completeness(matched, float(-np.expm1(-density_per_px2 * np.pi * radius_px**2)))
@@ -110,14 +85,7 @@ def match_probability(separation_px: Float, scatter_px: Float, density_per_px2: 
 def significant(probability: Float) -> Mask:
     """Return which matches are kept: the most probable ones, with a bound on the number of false ones among them.
 
-    Parameters
-    ----------
-    probability : (n,) float64
-        From `match_probability`.
-
-    Returns
-    -------
-    (n,) bool
+    `probability` (n,): from `match_probability`.  Returns (n,) bool.
     """
     order = np.argsort(-probability, kind="stable")
     false_so_far = np.cumsum(1 - probability[order])
@@ -213,16 +181,7 @@ _REFINEMENT: Final = _Refinement()
 def refine(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
     """Match and refine a solution with an error of at most 1 % of the image's width, with shrinking radii.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    solution : PlateSolution
-
-    Returns
-    -------
-    Matches or None
-        None if fewer than three stars match, or if the matches are insignificant.
+    Returns: none if fewer than three stars match, or if the matches are insignificant.
     """
     radius_px = max(_REFINEMENT.first_radius * solution.camera.width_px, 3 * _REFINEMENT.min_radius_px)
     for number in range(_REFINEMENT.rounds):
@@ -248,22 +207,9 @@ def match_stars(
 ) -> Matches:
     """Return pairs of predicted stars and detections that are each other's nearest within a radius.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    solution : PlateSolution
-    radius_px : float
-        Matching radius, px.
-    deep : bool
-        Match all predicted stars, with as many detections as possible without an expected false match, and keep the
-        significant pairs; otherwise match about as many of the brightest detections as there are predicted stars.
-    within_px : float
-        Ignore stars and detections farther from the principal point than this, px.
-
-    Returns
-    -------
-    Matches
+    `radius_px`: matching radius, px; `deep`: match all predicted stars, with as many detections as possible without an
+    expected false match, and keep the significant pairs; otherwise match about as many of the brightest detections as
+    there are predicted stars; `within_px`: ignore stars and detections farther from the principal point than this, px.
     """
     predicted, xy = solution.stars_on_image(reference)
     centre = solution.project(np.array([[0.0, 0.0, 1.0]]))
@@ -301,21 +247,10 @@ def match_stars(
 def mutual_nearest(star_xy: Float, detection_xy: Float, psf_sigma_px: float) -> tuple[Index, Float]:
     """Return the predicted stars and detections that are each other's nearest.
 
-    Parameters
-    ----------
-    star_xy : (n, 2) float64
-        Predicted positions, px, the brightest star first.
-    detection_xy : (m, 2) float64
-        Detected positions, px; m >= 1.
-    psf_sigma_px : float
-        Stars closer than this, and than a pixel, are unresolved; the brightest of them counts.
-
-    Returns
-    -------
-    detection : (n,) intp
-        The detection nearest to each star.
-    distance_px : (n,) float64
-        Its distance, px; infinite if another star is nearer to that detection.
+    `star_xy` (n, 2): predicted positions, px, the brightest star first; `detection_xy` (m, 2): detected positions, px;
+    m >= 1; `psf_sigma_px`: stars closer than this, and than a pixel, are unresolved; the brightest of them counts.
+    Returns `detection` (n,) intp: the detection nearest to each star; `distance_px` (n,): its distance, px; infinite if
+    another star is nearer to that detection.
     """
     distance_px, detection = KDTree(detection_xy).query(star_xy)
     count = min(_MATCHING.unresolved_neighbours, len(star_xy))
@@ -331,23 +266,10 @@ def offset_probability(
 ) -> Float:
     """Return the probability that each match is real, with the scatter measured on the matches themselves.
 
-    Parameters
-    ----------
-    offset_px : (n, 2) float64
-        Detected minus predicted position, px, the brightest star of the catalogue first.
-    matched : (n,) bool
-        Whether the star has a match.
-    scale : (n,) float64
-        Standard deviation of a star's position over that of the others.
-    density_per_px2 : float
-        Detections per square pixel.
-    radius_px : float
-        Matching radius, px.
-
-    Returns
-    -------
-    (n,) float64
-        0 for stars without a match.
+    `offset_px` (n, 2): detected minus predicted position, px, the brightest star of the catalogue first; `matched` (n,)
+    bool: whether the star has a match; `scale` (n,): standard deviation of a star's position over that of the others;
+    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,) 0 for stars without
+    a match.
     """
     separation_px = np.where(matched, np.linalg.norm(offset_px, axis=1), np.inf)
     probability = matched.astype(np.float64)
@@ -498,16 +420,7 @@ def _residuals_and_jacobian(
 def without_k1(solution: PlateSolution, prior: Camera) -> PlateSolution:
     """Return the solution with another principal point and without k1; stars near the middle stay where they are.
 
-    Parameters
-    ----------
-    solution : PlateSolution
-    prior : Camera
-        It has the principal point.
-
-    Returns
-    -------
-    PlateSolution
-        Its prior camera is `prior`.
+    `prior`: it has the principal point.  Returns: its prior camera is `prior`.
     """
     camera = solution.camera
     right_px, down_px = camera.cx_px - prior.cx_px, camera.cy_px - prior.cy_px
@@ -540,18 +453,9 @@ _GROWTH: Final = _Growth()
 def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
     """Match and refine a solution that is right near the middle of the image and has an approximate lens.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    reference : ReferenceStars
-    solution : PlateSolution
-        Its camera has a fisheye lens, and the focal length and attitude that fit the middle of the image.
-
-    Returns
-    -------
-    Matches or None
-        With a fisheye that fits up to the corners; None if fewer than four stars match towards the corners, or if
-        the matches are insignificant.
+    `solution`: its camera has a fisheye lens, and the focal length and attitude that fit the middle of the image.
+    Returns: with a fisheye that fits up to the corners; None if fewer than four stars match towards the corners, or if
+    the matches are insignificant.
     """
     camera, apparent = solution.camera, reference.to_camera(np.eye(3))
     assert camera.lens is not None

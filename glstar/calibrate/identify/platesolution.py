@@ -32,48 +32,26 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceStars:
-    """Catalogue stars with the refraction and the aberration that act on their directions.
+    """Catalogue stars with the refraction and the aberration that act on their directions."""
 
-    Attributes
-    ----------
-    stars : StarField
-        The brightest first.
-    zenith_eq, velocity_eq : (3,) float64
-        The direction of the zenith, and the observer's velocity over the speed of light; zeros if the site is unknown.
-        The zenith may be known from the refraction of the photograph alone; see `glstar.calibrate.geometry.zenith`.
-    refraction_scale : float
-        The result of `glstar.sky.air.refraction.refraction_scale`; 0 if the site is unknown.
-    C_ned_eq : (3, 3) float64 or None
-        Rotation from the true equator and equinox of date to north, east, down; None if site or time is unknown.
-    rows : RowTurns or None
-        How the aircraft turned while a rolling shutter read the image; None if one attitude holds for all rows.
-    zenith_error_rad : float or None
-        Standard error of a zenith from refraction, rad; None if time and site state it, or if it is unknown.
-    """
-
-    stars: StarField
+    stars: StarField  # The brightest first
+    # (3,) the direction of the zenith, and the observer's velocity over the speed of light; zeros if the site is
+    # unknown; the zenith may be known from the refraction of the photograph alone; see
+    # `glstar.calibrate.geometry.zenith`.
     zenith_eq: Float
     velocity_eq: Float
-    refraction_scale: float
+    refraction_scale: float  # The result of `glstar.sky.air.refraction.refraction_scale`; 0 if the site is unknown
+    # (3, 3) or None: rotation from the true equator and equinox of date to north, east, down; None if site or time is
+    # unknown.
     C_ned_eq: Float | None
+    # How the aircraft turned while a rolling shutter read the image; None if one attitude holds for all rows.
     rows: RowTurns | None = None
+    # Standard error of a zenith from refraction, rad; None if time and site state it, or if it is unknown.
     zenith_error_rad: float | None = None
 
     @staticmethod
     def over(sky: Sky, utc_s: float, site: Site) -> "ReferenceStars":
-        """Return the stars over a site at a time.
-
-        Parameters
-        ----------
-        sky : Sky
-        utc_s : float
-            UTC seconds since 1970.
-        site : Site
-
-        Returns
-        -------
-        ReferenceStars
-        """
+        """Return the stars over a site at a time; `utc_s`: UTC seconds since 1970."""
         C = sky.C_ned_eq([utc_s], [site.latitude_rad], [site.longitude_rad])[0]
         speed = diurnal_aberration_rad(site.latitude_rad, site.height_m)
         return ReferenceStars(sky.star_field(utc_s), -C[2], speed * C[1], sky.refraction_scale(site), C)
@@ -82,30 +60,15 @@ class ReferenceStars:
     def anywhere(sky: Sky, utc_s: float) -> "ReferenceStars":
         """Return the stars of the whole sphere, without a horizon and without refraction.
 
-        Parameters
-        ----------
-        sky : Sky
-        utc_s : float
-            UTC seconds since 1970, for proper motion; an error of a few years is negligible.
-
-        Returns
-        -------
-        ReferenceStars
+        `utc_s`: UTC seconds since 1970, for proper motion; an error of a few years is negligible.
         """
         return ReferenceStars(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
 
     def to_camera(self, C_camera_eq: Float) -> Float:
         """Return the apparent directions in the camera frame.
 
-        Parameters
-        ----------
-        C_camera_eq : (3, 3) float64
-            Rotation from the true equator and equinox of date to the camera frame.
-
-        Returns
-        -------
-        (n, 3) float64
-            NaN below the horizon.
+        `C_camera_eq` (3, 3): rotation from the true equator and equinox of date to the camera frame.  Returns (n, 3)
+        NaN below the horizon.
         """
         pointing = Pointing(
             C_camera_eq[np.newaxis], self.zenith_eq[np.newaxis], self.velocity_eq[np.newaxis], self.refraction_scale
@@ -115,21 +78,9 @@ class ReferenceStars:
     def recorded(self, C_camera_eq: Float, star: Index, xy_px: Float, camera: Camera) -> Float:
         """Return the directions of stars on an image in the camera frame, with a rolling shutter each in its own row.
 
-        Parameters
-        ----------
-        C_camera_eq : (3, 3) float64
-            As for `to_camera`; with a rolling shutter in the middle of the exposure of the middle row.
-        star : (k,) intp
-            Indices of the stars.
-        xy_px : (k, 2) float64
-            Where they are on the image as it was recorded, px.
-        camera : Camera
-            Of the size of the image.
-
-        Returns
-        -------
-        (k, 3) float64
-            NaN below the horizon.
+        `C_camera_eq` (3, 3): as for `to_camera`; with a rolling shutter in the middle of the exposure of the middle
+        row; `star` (k,) intp: indices of the stars; `xy_px` (k, 2): where they are on the image as it was recorded, px;
+        `camera`: of the size of the image.  Returns (k, 3) NaN below the horizon.
         """
         if self.rows is None:
             return np.asarray(self.to_camera(C_camera_eq)[star])
@@ -149,38 +100,19 @@ CENTRAL_RADIUS_RAD: Final = np.deg2rad(20.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlateSolution:
-    """The camera and the attitude that map the sky to an image.
-
-    Attributes
-    ----------
-    camera : Camera
-    C_camera_eq : (3, 3) float64
-        Rotation from the true equator and equinox of date to the camera frame.
-    mirrored : bool
-        Whether left and right are exchanged on the image.
-    k1 : float
-        Radial distortion of the lowest order in addition to the camera's lens, as OpenCV's k1.
-    prior_camera : Camera or None
-        The camera before refinement, if there was one: parameters that the stars do not determine stay at its values.
-    """
+    """The camera and the attitude that map the sky to an image."""
 
     camera: Camera
-    C_camera_eq: Float
-    mirrored: bool = False
-    k1: float = 0.0
+    C_camera_eq: Float  # (3, 3) rotation from the true equator and equinox of date to the camera frame
+    mirrored: bool = False  # Whether left and right are exchanged on the image
+    k1: float = 0.0  # Radial distortion of the lowest order in addition to the camera's lens, as OpenCV's k1
+    # The camera before refinement, if there was one: parameters that the stars do not determine stay at its values.
     prior_camera: Camera | None = None
 
     def project(self, direction_camera: Float) -> Float:
         """Return the pixel positions of directions in the camera frame.
 
-        Parameters
-        ----------
-        direction_camera : (n, 3) float64
-
-        Returns
-        -------
-        (n, 2) float64
-            px; NaN behind the camera.
+        `direction_camera` (n, 3).  Returns (n, 2) px; NaN behind the camera.
         """
         camera = self.camera
         centre = np.array([camera.cx_px, camera.cy_px])
@@ -196,14 +128,7 @@ class PlateSolution:
     def predicted(self, reference: ReferenceStars) -> Float:
         """Return where catalogue stars are on the image, of a rolling shutter each in its own row.
 
-        Parameters
-        ----------
-        reference : ReferenceStars
-
-        Returns
-        -------
-        (n, 2) float64
-            px; NaN behind the camera and below the horizon.
+        Returns (n, 2) px; NaN behind the camera and below the horizon.
         """
         if reference.rows is None:
             return self.project(reference.to_camera(self.C_camera_eq))
@@ -212,16 +137,7 @@ class PlateSolution:
     def placed(self, apparent: Float, rows: RowTurns | None) -> Float:
         """Return where apparent directions are on the image, of a rolling shutter each in its own row.
 
-        Parameters
-        ----------
-        apparent : (n, 3) float64
-            True equator and equinox of date.
-        rows : RowTurns or None
-
-        Returns
-        -------
-        (n, 2) float64
-            px; NaN behind the camera.
+        `apparent` (n, 3): true equator and equinox of date.  Returns (n, 2) px; NaN behind the camera.
         """
 
         def project(apparent: Float) -> Float:
@@ -232,16 +148,7 @@ class PlateSolution:
     def stars_on_image(self, reference: ReferenceStars) -> tuple[Index, Float]:
         """Return the catalogue stars predicted on the image.
 
-        Parameters
-        ----------
-        reference : ReferenceStars
-
-        Returns
-        -------
-        index : (k,) intp
-            Into `reference.stars`, the brightest first.
-        xy_px : (k, 2) float64
-            Predicted positions, px.
+        Returns `index` (k,) intp: into `reference.stars`, the brightest first; `xy_px` (k, 2): predicted positions, px.
         """
         xy = self.predicted(reference)
         on_image = np.flatnonzero(self.camera.contains(xy))
@@ -251,15 +158,8 @@ class PlateSolution:
 def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
     """Return cameras with typical wide-angle lenses and the horizontal field of view of a given pinhole camera.
 
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    tuple of Camera
-        Empty for a camera with a known lens and for a narrow field of view.  For a field too wide for a pinhole it
-        includes cameras whose image circle fits the shorter side of the image.
+    Returns: empty for a camera with a known lens and for a narrow field of view; for a field too wide for a pinhole it
+    includes cameras whose image circle fits the shorter side of the image.
     """
     tangent = camera.width_px / 2 / camera.fx_px
     if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
@@ -282,19 +182,8 @@ def exceeds_pinhole(camera: Camera) -> bool:
 def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) -> Float:
     """Return the sidereal motion of stars over the image of a camera at rest on the ground.
 
-    Parameters
-    ----------
-    solution : PlateSolution
-        The camera and attitude at mid-exposure.
-    xy_px : (n, 2) float64
-        Positions at mid-exposure.
-    exposure_s : float
-        Exposure, s.
-
-    Returns
-    -------
-    (n, 2) float64
-        From the start of each trail to its end, px; zeros outside the lens's domain.
+    `solution`: the camera and attitude at mid-exposure; `xy_px` (n, 2): positions at mid-exposure.  Returns (n, 2) from
+    the start of each trail to its end, px; zeros outside the lens's domain.
     """
     camera = solution.camera
     x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
@@ -327,52 +216,24 @@ SIGNIFICANCE: Final = _Significance()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Catalogue stars matched with detections.
+    """Catalogue stars matched with detections."""
 
-    Attributes
-    ----------
-    solution : PlateSolution
-        Refined on these matches.
-    star : (k,) intp
-        Indices into the reference stars, the brightest first.
-    detection : (k,) intp
-        Indices into the detected stars.
-    residual_px : (k, 2) float64
-        Detected minus predicted position, px.
-    predicted : (m,) intp
-        All reference stars predicted on the image.
-    predicted_xy_px : (m, 2) float64
-        Their predicted positions, px.
-    chance : float
-        Expected number of wrong solutions with as many matches, over all solutions tried.
-    false_alarm : float
-        Probability that any wrong solution matches as many stars, besides those of its pattern; from the density of
-        detections around the stars.
-    needed : int
-        Number of matches at which the false-alarm probability is small enough; 0 if it was not computed.
-    expected_by_chance : float
-        Expected number of false matches, which are unrelated detections near a star.
-    notes : tuple of str
-        Remarks for the user: a mirrored image, an attitude far off.
-    standard_error : dict of str to float
-        Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, of those that were fitted.
-    readout : ReadoutTime or None
-        The readout time of a rolling shutter, if it was fitted.
-    """
-
-    solution: PlateSolution
-    star: Index
-    detection: Index
-    residual_px: Float
-    predicted: Index
-    predicted_xy_px: Float
-    chance: float
+    solution: PlateSolution  # Refined on these matches
+    star: Index  # (k,) intp: indices into the reference stars, the brightest first
+    detection: Index  # (k,) intp: indices into the detected stars
+    residual_px: Float  # (k, 2) detected minus predicted position, px
+    predicted: Index  # (m,) intp: all reference stars predicted on the image
+    predicted_xy_px: Float  # (m, 2) their predicted positions, px
+    chance: float  # Expected number of wrong solutions with as many matches, over all solutions tried
+    # Probability that any wrong solution matches as many stars, besides those of its pattern; from the density of
+    # detections around the stars.
     false_alarm: float = 1.0
-    needed: int = 0
-    expected_by_chance: float = 0.0
-    notes: tuple[str, ...] = ()
+    needed: int = 0  # Number of matches at which the false-alarm probability is small enough; 0 if it was not computed
+    expected_by_chance: float = 0.0  # Expected number of false matches, which are unrelated detections near a star
+    notes: tuple[str, ...] = ()  # Remarks for the user: a mirrored image, an attitude far off
+    # Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, of those that were fitted.
     standard_error: dict[str, float] = field(default_factory=dict)
-    readout: ReadoutTime | None = None
+    readout: ReadoutTime | None = None  # The readout time of a rolling shutter, if it was fitted
 
     def __len__(self) -> int:
         return len(self.star)
@@ -384,16 +245,7 @@ class Matches:
 
 
 def is_significant(matches: Matches) -> bool:
-    """Return whether chance cannot explain the matches.
-
-    Parameters
-    ----------
-    matches : Matches
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether chance cannot explain the matches."""
     if len(matches) < MIN_STARS:
         return False
     # Among as many of the brightest predicted stars as were matched, most must be matched, ...
@@ -407,19 +259,7 @@ def is_significant(matches: Matches) -> bool:
 def require_significant(detected: DetectedStars, matches: Matches | None) -> Matches:
     """Return the matches with notes on the image's orientation, if chance cannot explain them.
 
-    Parameters
-    ----------
-    detected : DetectedStars
-    matches : Matches or None
-
-    Returns
-    -------
-    Matches
-
-    Raises
-    ------
-    CalibrationError
-        If chance may explain the matches, or if bright stars are missing among them.
+    Raises CalibrationError if chance may explain the matches, or if bright stars are missing among them.
     """
     if matches is None or not is_significant(matches):
         matched = 0 if matches is None else len(matches)
@@ -436,16 +276,8 @@ def require_significant(detected: DetectedStars, matches: Matches | None) -> Mat
 def orientation_notes(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
     """Return notes for the user on an image that is turned or mirrored.
 
-    Parameters
-    ----------
-    turned_rad : float
-        Rotation against the given attitude and mount, rad; 0 for an upright image.
-    mirrored : bool
-
-    Returns
-    -------
-    tuple of str
-        Empty for an upright, unmirrored image.
+    `turned_rad`: rotation against the given attitude and mount, rad; 0 for an upright image.  Returns: empty for an
+    upright, unmirrored image.
     """
     notes = []
     if mirrored:

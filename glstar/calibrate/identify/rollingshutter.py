@@ -27,27 +27,15 @@ _STEP_S: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowTurns:
-    """The turn of the aircraft between the middle of an exposure and that of each row.
-
-    Attributes
-    ----------
-    attitude : AttitudeTrack
-    utc_s : float
-        UTC at the middle of the exposure of the middle row, by the log's clock, seconds since 1970.
-    C_ned_eq : (3, 3) float64
-        Rotation from the true equator and equinox of date to north, east, down.  The turn of the sky itself while the
-        rows are read (15 arcsec/s) is neglected.
-    readout_s : float
-        Readout time, s, from the first row to the last; negative if the rows open against `readout`.
-    readout : {"down", "up", "left", "right"}
-        Direction in which the rows open.
-    """
+    """The turn of the aircraft between the middle of an exposure and that of each row."""
 
     attitude: AttitudeTrack
-    utc_s: float
+    utc_s: float  # UTC at the middle of the exposure of the middle row, by the log's clock, seconds since 1970
+    # (3, 3) rotation from the true equator and equinox of date to north, east, down; the turn of the sky itself while
+    # the rows are read (15 arcsec/s) is neglected.
     C_ned_eq: Float
-    readout_s: float
-    readout: Readout = "down"
+    readout_s: float  # Readout time, s, from the first row to the last; negative if the rows open against `readout`
+    readout: Readout = "down"  # {"down", "up", "left", "right"}: direction in which the rows open
 
     def with_readout_s(self, readout_s: float) -> "RowTurns":
         """Return the turns with another readout time, s; negative for the opposite direction."""
@@ -66,15 +54,8 @@ class RowTurns:
     def require_covered(self, span_s: float) -> None:
         """Raise an error unless the log has the attitude of a time around the middle of the exposure.
 
-        Parameters
-        ----------
-        span_s : float
-            Length of that time, s.
-
-        Raises
-        ------
-        CalibrationError
-            If the log begins later, ends earlier or has a gap in it.
+        `span_s`: length of that time, s.  Raises CalibrationError if the log begins later, ends earlier or has a gap in
+        it.
         """
         first_s, last_s = self.utc_s - span_s / 2, self.utc_s + span_s / 2
         if first_s < self.attitude.first_s or last_s > self.attitude.last_s:
@@ -93,12 +74,8 @@ class RowTurns:
     def offset_s(self, xy_px: Float, camera: Camera) -> Float:
         """Return the middle of the exposure of the rows at positions, against the middle row, (n,) float64, s.
 
-        Parameters
-        ----------
-        xy_px : (n, 2) float64
-            On the image as it was recorded; beyond its border as at the border.
-        camera : Camera
-            Of the size of the image.
+        `xy_px` (n, 2): on the image as it was recorded; beyond its border as at the border; `camera`: of the size of
+        the image.
         """
         axis, pixels = (1, camera.height_px) if self.readout in {"down", "up"} else (0, camera.width_px)
         share = np.clip(xy_px[:, axis] / max(pixels - 1, 1), 0, 1) - 0.5
@@ -107,24 +84,11 @@ class RowTurns:
     def turned(self, apparent: Float, xy_px: Float, camera: Camera) -> Float:
         """Return directions as an aircraft that keeps the attitude of the middle row would see them.
 
-        Parameters
-        ----------
-        apparent : (n, 3) float64
-            Apparent directions of stars, true equator and equinox of date.
-        xy_px : (n, 2) float64
-            Their positions on the image as it was recorded, px.
-        camera : Camera
-            Of the size of the image.
-
-        Returns
-        -------
-        (n, 3) float64
-
-        Notes
-        -----
-        A camera fixed to the aircraft sees the direction d at the time t as C_camera_body C_body_ned(t) C_ned_eq d.
-        With the attitude C_body_ned(t0) of the middle row that is the direction
-        C_ned_eq' C_body_ned(t0)' C_body_ned(t) C_ned_eq d, whatever the mount.
+        `apparent` (n, 3): apparent directions of stars, true equator and equinox of date; `xy_px` (n, 2): their
+        positions on the image as it was recorded, px; `camera`: of the size of the image.  Returns (n, 3).  A camera
+        fixed to the aircraft sees the direction d at the time t as C_camera_body C_body_ned(t) C_ned_eq d.  With the
+        attitude C_body_ned(t0) of the middle row that is the direction C_ned_eq' C_body_ned(t0)' C_body_ned(t) C_ned_eq
+        d, whatever the mount.
         """
         C_body_ned = matrix_from_quaternion(self.attitude.at(self.utc_s + self.offset_s(xy_px, camera)))
         C_body_eq = matrix_from_quaternion(self.attitude.at([self.utc_s]))[0] @ self.C_ned_eq
@@ -141,18 +105,9 @@ class RowTurns:
     def positions(self, project: Callable[[Float], Float], apparent: Float, camera: Camera) -> Float:
         """Return where stars are on the image, each in the row that is open when it is there.
 
-        Parameters
-        ----------
-        project : callable
-            Returns the positions (k, 2), px, of directions (k, 3) in the attitude of the middle row.
-        apparent : (n, 3) float64
-            Apparent directions of the stars, true equator and equinox of date.
-        camera : Camera
-
-        Returns
-        -------
-        (n, 2) float64
-            px; NaN for stars that cross the image faster than its rows are read, which may be in several rows or none.
+        `project`: returns the positions (k, 2), px, of directions (k, 3) in the attitude of the middle row; `apparent`
+        (n, 3): apparent directions of the stars, true equator and equinox of date.  Returns (n, 2) px; NaN for stars
+        that cross the image faster than its rows are read, which may be in several rows or none.
         """
         xy = project(apparent)
         ends_s = self.utc_s + np.array([-0.5, 0.5]) * self.readout_s
@@ -172,31 +127,16 @@ class RowTurns:
 
 @dataclass(frozen=True, slots=True)
 class ReadoutTime:
-    """A fitted readout time.
+    """A fitted readout time."""
 
-    Attributes
-    ----------
-    readout_s : float
-        From the opening of the first row to that of the last, s; 0 or more.
-    std_s : float
-        Its standard error, s, by the scatter of the stars; an error of the log's turn rates adds in proportion.
-    direction : {"down", "up", "left", "right"}
-        Direction in which the rows open.
-    opposite : bool
-        Whether that is against the direction that was given.
-    stars, images : int
-        Number of stars and of images that it was fitted to.
-    turn_rad : float
-        Largest turn of the aircraft while the rows of one image were read, rad.
-    """
-
-    readout_s: float
+    readout_s: float  # From the opening of the first row to that of the last, s; 0 or more
+    # Its standard error, s, by the scatter of the stars; an error of the log's turn rates adds in proportion.
     std_s: float
-    direction: Readout
-    opposite: bool
-    stars: int
+    direction: Readout  # {"down", "up", "left", "right"}: direction in which the rows open
+    opposite: bool  # Whether that is against the direction that was given
+    stars: int  # Number of stars and of images that it was fitted to
     images: int
-    turn_rad: float
+    turn_rad: float  # Largest turn of the aircraft while the rows of one image were read, rad
 
     @property
     def summary(self) -> str:

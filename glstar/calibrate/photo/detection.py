@@ -38,54 +38,29 @@ _MIN_PIXELS: Final = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """The background at each pixel.
+    """The background at each pixel."""
 
-    Attributes
-    ----------
-    level_dn : (height, width) float64
-        DN.
-    noise_dn : (height, width) float64
-        Standard deviation of the noise, DN.
-    """
-
-    level_dn: Float
-    noise_dn: Float
+    level_dn: Float  # (height, width) DN
+    noise_dn: Float  # (height, width) standard deviation of the noise, DN
 
 
 @dataclass(frozen=True, slots=True)
 class SkyLevel:
-    """The background of a whole image, as in `glstar.camera.sensor.sensor.Sensor`.
+    """The background of a whole image, as in `glstar.camera.sensor.sensor.Sensor`."""
 
-    Attributes
-    ----------
-    mean_dn, std_dn : float
-        The Gaussian of eq. (40), before rounding and clipping at 0, DN.
-    unevenness_dn : float
-        Standard deviation of the level over the image, DN: gradients and vignetting, which the sensor model lacks.
-    pixels : int
-        Number of pixels that were measured.
-    clipped_fraction : float
-        Fraction of them that are 0.
-    """
-
-    mean_dn: float
+    mean_dn: float  # The Gaussian of eq. (40), before rounding and clipping at 0, DN
     std_dn: float
+    # Standard deviation of the level over the image, DN: gradients and vignetting, which the sensor model lacks.
     unevenness_dn: float
-    pixels: int
-    clipped_fraction: float
+    pixels: int  # Number of pixels that were measured
+    clipped_fraction: float  # Fraction of them that are 0
 
 
 def background_of(image_dn: Float) -> Background:
     """Return the level and the noise of the background at each pixel.
 
-    Parameters
-    ----------
-    image_dn : (height, width) float64
-
-    Returns
-    -------
-    Background
-        Clipped means of tiles, median-filtered over neighbouring tiles and interpolated.
+    `image_dn` (height, width).  Returns: clipped means of tiles, median-filtered over neighbouring tiles and
+    interpolated.
     """
     level, noise = tile_statistics(image_dn)
     return Background(_spread(level, image_dn.shape), np.maximum(_spread(noise, image_dn.shape), 0.05))
@@ -94,13 +69,7 @@ def background_of(image_dn: Float) -> Background:
 def tile_statistics(image: Float) -> tuple[Float, Float]:
     """Return the clipped mean and standard deviation of each tile of an image.
 
-    Parameters
-    ----------
-    image : (height, width) float64
-
-    Returns
-    -------
-    mean, std : (rows, columns) float64
+    `image` (height, width).  Returns `mean, std` (rows, columns).
     """
     side = _tile_px(image.shape)
     rows, columns = (-(-length // side) for length in image.shape)
@@ -141,22 +110,10 @@ def _quantile(ordered: NDArray[np.float32], fraction: float) -> float:
 def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLevel:
     """Return the mean and the standard deviation of the sky between the stars.
 
-    Parameters
-    ----------
-    image_dn : (height, width) float64
-    background : Background
-    starless : (height, width) bool
-        Pixels without a star.
-
-    Returns
-    -------
-    SkyLevel
-
-    Notes
-    -----
-    Teague & Chahl, eq. (40).  Departs from section 2.5: the noise is measured about the local background,
-    so that a gradient does not count as noise; undetected stars are clipped; and if the background is clipped at
-    0 DN, a truncated Gaussian is fitted, because the simulator clips it again.
+    `image_dn` (height, width); `starless` (height, width) bool: pixels without a star.  Teague & Chahl, eq. (40).
+    Departs from section 2.5: the noise is measured about the local background, so that a gradient does not count as
+    noise; undetected stars are clipped; and if the background is clipped at 0 DN, a truncated Gaussian is fitted,
+    because the simulator clips it again.
     """
     if starless.sum() < _MIN_PIXELS:
         starless = np.ones_like(starless)
@@ -260,44 +217,20 @@ _DETECTION: Final = _Detection()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedStars:
-    """Detected stars, the brightest first.
+    """Detected stars, the brightest first."""
 
-    Attributes
-    ----------
-    xy_px : (n, 2) float64
-        Centres (x, y); pixel (0, 0) is the centre of the top-left pixel.
-    peak_dn : (n,) float64
-        Amplitudes above the sky of Gaussians of width `psf_sigma_px`, DN; lower limits for saturated stars.
-    sigma_px : (n,) float64
-        The width of each star, fitted on its own, px.
-    noise_dn : (n,) float64
-        Noise of the sky around each star, DN.
-    saturated : (n,) bool
-        Whether a pixel of the star is saturated.
-    psf_sigma_px : float
-        The median width, px; in place of eq. (39).
-    background : Background
-    sky : SkyLevel
-        Of the starless pixels.
-    drawn_out_px : float
-        Length of the stars' trails, px; 0 if the stars are round.
-    saturated_fraction : float
-        Fraction of the image's pixels that are saturated.
-    hot_pixels, at_the_edge, shapeless : int
-        Number of rejected peaks: too narrow for a star, too close to the edge, or not Gaussian.
-    """
-
-    xy_px: Float
+    xy_px: Float  # (n, 2) centres (x, y); pixel (0, 0) is the centre of the top-left pixel
+    # (n,) amplitudes above the sky of Gaussians of width `psf_sigma_px`, DN; lower limits for saturated stars.
     peak_dn: Float
-    sigma_px: Float
-    noise_dn: Float
-    saturated: Mask
-    psf_sigma_px: float
+    sigma_px: Float  # (n,) the width of each star, fitted on its own, px
+    noise_dn: Float  # (n,) noise of the sky around each star, DN
+    saturated: Mask  # (n,) bool: whether a pixel of the star is saturated
+    psf_sigma_px: float  # The median width, px; in place of eq. (39)
     background: Background
-    sky: SkyLevel
-    drawn_out_px: float
-    saturated_fraction: float
-    hot_pixels: int
+    sky: SkyLevel  # Of the starless pixels
+    drawn_out_px: float  # Length of the stars' trails, px; 0 if the stars are round
+    saturated_fraction: float  # Fraction of the image's pixels that are saturated
+    hot_pixels: int  # Number of rejected peaks: too narrow for a star, too close to the edge, or not Gaussian
     at_the_edge: int
     shapeless: int
 
@@ -305,16 +238,7 @@ class DetectedStars:
         return len(self.peak_dn)
 
     def without(self, removed: NDArray[np.bool_]) -> "DetectedStars":
-        """Return the detections without some of them.
-
-        Parameters
-        ----------
-        removed : (n,) bool
-
-        Returns
-        -------
-        DetectedStars
-        """
+        """Return the detections without some of them; `removed` (n,) bool."""
         names = ("xy_px", "peak_dn", "sigma_px", "noise_dn", "saturated")
         return replace(self, **{name: getattr(self, name)[~removed] for name in names})
 
@@ -341,20 +265,9 @@ class DetectedStars:
 def detect_stars(image: Photograph) -> DetectedStars:
     """Detect the stars of an image.
 
-    Parameters
-    ----------
-    image : Photograph
-
-    Returns
-    -------
-    DetectedStars
-        Possibly empty.
-
-    Notes
-    -----
-    Detections are significant peaks of the image smoothed with its PSF.  The renderer's Gaussian
-    (`glstar.calibrate.photo.psf`) is fitted to each, first with an individual width and then with the median width of
-    all stars, which stabilises the amplitudes of faint stars.
+    Returns: possibly empty.  Detections are significant peaks of the image smoothed with its PSF.  The renderer's
+    Gaussian (`glstar.calibrate.photo.psf`) is fitted to each, first with an individual width and then with the median
+    width of all stars, which stabilises the amplitudes of faint stars.
     """
     pixels = image.pixels_dn
     background = background_of(pixels)

@@ -40,32 +40,17 @@ _LEAST_SIDE_PX: Final = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """A photograph of the sky.
-
-    Attributes
-    ----------
-    path : Path
-    pixels_dn : (height, width) float64
-        Digital numbers, upright; row 0 is the top.
-    bit_depth : int
-        Bits of a digital number: it saturates at 2**bit_depth - 1.
-    channel : {"value", "red", "green", "blue", "mean", "grey"}
-        The colour channel; ``"grey"`` for a monochrome image.
-    exposure_s : float or None
-        Exposure stated in the file, s.
-    gamma : str or float
-        The tone curve of the file, if `pixels_dn` are the light before it: see `linearised`.
-    recorded_bits : int
-        Bits of the file, if it has a tone curve.
-    """
+    """A photograph of the sky."""
 
     path: Path
-    pixels_dn: NDArray[np.float64]
-    bit_depth: int
+    pixels_dn: NDArray[np.float64]  # (height, width) digital numbers, upright; row 0 is the top
+    bit_depth: int  # Bits of a digital number: it saturates at 2**bit_depth - 1
+    # {"value", "red", "green", "blue", "mean", "grey"}: the colour channel; ``"grey"`` for a monochrome image.
     channel: str
-    exposure_s: float | None
+    exposure_s: float | None  # Exposure stated in the file, s
+    # The tone curve of the file, if `pixels_dn` are the light before it: see `linearised`.
     gamma: str | float = "linear"
-    recorded_bits: int = 8
+    recorded_bits: int = 8  # Bits of the file, if it has a tone curve
 
     @property
     def output_keys(self) -> dict[str, str | float | bool]:
@@ -85,33 +70,15 @@ def read_image(
 ) -> Photograph:
     """Return an image as one channel.
 
-    Parameters
-    ----------
-    path : path-like
-        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; DNG, HEIC;
-        or FITS of one channel.
-    channel : {"value", "red", "green", "blue", "mean"}
-        Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
-    bit_depth : int, optional
-        Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits, whether its
-        numbers are in the lowest bits or, left-aligned, in the highest.  By default 8;
-        for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG states it, and so does a
-        grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits.
-    demosaiced : bool
-        Whether a DNG's mosaic becomes a colour image.
-
-    Returns
-    -------
-    Photograph
-
-    Raises
-    ------
-    CalibrationError
-        If it cannot be read, is cut off, is too large (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.
-
-    Notes
-    -----
-    Teague & Chahl, section 2.5: the value channel.
+    `path`: JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; DNG,
+    HEIC; or FITS of one channel; `channel` {"value", "red", "green", "blue", "mean"}: channel of a colour image:
+    ``"value"`` is the V of HSV, the brightest of the three; `bit_depth`: bit depth of the converter if it is smaller
+    than that of the file: 12 for a raw image in 16 bits, whether its numbers are in the lowest bits or, left-aligned,
+    in the highest; by default 8; for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG
+    states it, and so does a grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits; `demosaiced`:
+    whether a DNG's mosaic becomes a colour image.  Raises CalibrationError if it cannot be read, is cut off, is too
+    large (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.  Teague & Chahl, section 2.5: the value
+    channel.
     """
     path = Path(path)
     try:
@@ -200,23 +167,9 @@ _LIGHT_BITS: Final = 16
 def linearised(image: Photograph, gamma: str | float) -> Photograph:
     """Return the light of a photograph that a tone curve has processed.
 
-    Parameters
-    ----------
-    image : Photograph
-        As recorded.
-    gamma : str or float
-        As in ``[output] gamma``: ``"srgb"``, ``"rpi"``, or g for a recorded value that grows as the light to the power
-        of 1 / g.
-
-    Returns
-    -------
-    Photograph
-        Of 16 bits, proportional to the light; the same where `gamma` is ``"linear"``.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such curve.
+    `image`: as recorded; `gamma`: as in ``[output] gamma``: ``"srgb"``, ``"rpi"``, or g for a recorded value that grows
+    as the light to the power of 1 / g.  Returns: of 16 bits, proportional to the light; the same where `gamma` is
+    ``"linear"``.  Raises ConfigError if there is no such curve.
     """
     if gamma == "linear":
         return image
@@ -230,16 +183,8 @@ def linearised(image: Photograph, gamma: str | float) -> Photograph:
 def recorded_again(image: Photograph, pixels: NDArray[Any]) -> NDArray[Any]:
     """Return raw pixels as the camera of a photograph records them.
 
-    Parameters
-    ----------
-    image : Photograph
-    pixels : (height, width) uint8 or uint16
-        Raw, with the bits of `image`.
-
-    Returns
-    -------
-    (height, width) uint8 or uint16
-        Processed with its tone curve, with the bits of its file.
+    `pixels` (height, width) uint8 or uint16: raw, with the bits of `image`.  Returns (height, width) uint8 or uint16:
+    processed with its tone curve, with the bits of its file.
     """
     if image.gamma == "linear":
         return pixels

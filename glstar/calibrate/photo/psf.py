@@ -32,36 +32,18 @@ _FAINTEST_SD: Final = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedStars:
-    """Gaussians fitted to the stars of an image.
+    """Gaussians fitted to the stars of an image."""
 
-    Attributes
-    ----------
-    xy_px : (n, 2) float64
-        Centres (x, y).
-    peak_dn : (n,) float64
-        Amplitudes of the point spread functions above the sky, as in `glstar.camera.sensor.sensor.Sensor.peak_dn`, DN.
-    peak_sd_dn : (n,) float64
-        Their standard errors, DN.
-    sigma_px : (n,) float64
-        Their standard deviations, px, without the pixel's own width.
-    ln_sigma_sd : (n,) float64
-        The standard errors of their logarithms; 0 if the width was fixed.
-    sky_dn : (n,) float64
-        The level under each star, DN.
-    misfit_dn : (n,) float64
-        Root mean square residual of the fit, DN.
-    converged : (n,) bool
-        Whether the fit converged inside the star's stamp.
-    """
-
-    xy_px: Float
+    xy_px: Float  # (n, 2) centres (x, y)
+    # (n,) amplitudes of the point spread functions above the sky, as in `glstar.camera.sensor.sensor.Sensor.peak_dn`,
+    # DN.
     peak_dn: Float
-    peak_sd_dn: Float
-    sigma_px: Float
-    ln_sigma_sd: Float
-    sky_dn: Float
-    misfit_dn: Float
-    converged: Mask
+    peak_sd_dn: Float  # (n,) their standard errors, DN
+    sigma_px: Float  # (n,) their standard deviations, px, without the pixel's own width
+    ln_sigma_sd: Float  # (n,) the standard errors of their logarithms; 0 if the width was fixed
+    sky_dn: Float  # (n,) the level under each star, DN
+    misfit_dn: Float  # (n,) root mean square residual of the fit, DN
+    converged: Mask  # (n,) bool: whether the fit converged inside the star's stamp
 
     def __len__(self) -> int:
         return len(self.peak_dn)
@@ -88,22 +70,10 @@ class FittedStars:
 def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
     """Return one axis of a Gaussian of peak 1, integrated over pixels.
 
-    Parameters
-    ----------
-    offset_px : (...) array_like
-        Pixel centre minus star centre, px.
-    sigma_px : float
-        Standard deviation of the point spread function, px.
-
-    Returns
-    -------
-    (...) float64
-        The image of a star is its amplitude times the profiles of both axes.
-
-    Notes
-    -----
-    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 1.1 px up a
-    widened Gaussian approximates that integral, here as in the renderer, so that a fit recovers the sensor's sigma.
+    `offset_px` (...): pixel centre minus star centre, px; `sigma_px`: standard deviation of the point spread function,
+    px.  Returns (...) the image of a star is its amplitude times the profiles of both axes.  Teague & Chahl, eqs
+    (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 1.1 px up a widened Gaussian
+    approximates that integral, here as in the renderer, so that a fit recovers the sensor's sigma.
     """
     offset = np.asarray(offset_px, dtype=np.float64)
     return _axis(offset, np.array(sigma_px), widened=sigma_px >= MIN_WIDENED_SIGMA_PX)[0]
@@ -112,17 +82,8 @@ def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
 def dilution(trail_px: Float, sigma_px: float) -> Float:
     """Return the peak of a star's trail over the amplitude of the star at rest.
 
-    Parameters
-    ----------
-    trail_px : (n, 2) float64
-        Vector from one end of the trail to the other, px.
-    sigma_px : float
-        Standard deviation of the point spread function, px.
-
-    Returns
-    -------
-    (n,) float64
-        1 for a star at rest.
+    `trail_px` (n, 2): vector from one end of the trail to the other, px; `sigma_px`: standard deviation of the point
+    spread function, px.  Returns (n,) 1 for a star at rest.
     """
     length = np.maximum(np.linalg.norm(trail_px, axis=1), 1e-6 * sigma_px)
     return np.asarray(sigma_px * np.sqrt(2 * np.pi) / length * erf(length / (2 * np.sqrt(2) * sigma_px)))
@@ -133,28 +94,10 @@ def draw_stars(
 ) -> Float:
     """Return the noiseless signal of stars, without background.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the image, px.
-    xy_px : (n, 2) float64
-        Their positions, px.
-    peak_dn : (n,) float64
-        Their amplitudes, DN.
-    sigma_px : float or (n,) array_like
-        Standard deviation of the point spread function, px.
-    trail_px : (n, 2) float64, optional
-        Uniform motion of each star during the exposure; `xy_px` is the middle of its path.  By default the stars are at
-        rest.
-
-    Returns
-    -------
-    (height, width) float64
-        DN.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (43).
+    `shape` (int, int): height and width of the image, px; `xy_px` (n, 2): their positions, px; `peak_dn` (n,): their
+    amplitudes, DN; `sigma_px` float or (n,) array_like: standard deviation of the point spread function, px; `trail_px`
+    (n, 2): uniform motion of each star during the exposure; `xy_px` is the middle of its path; by default the stars are
+    at rest.  Returns (height, width) DN.  Teague & Chahl, eq. (43).
     """
     light = np.zeros(shape)
     each_sigma_px = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(xy_px))
@@ -187,34 +130,14 @@ def fit_stars(
 ) -> FittedStars:
     """Return Gaussians fitted to stars by least squares, all at once.
 
-    Parameters
-    ----------
-    image_dn : (height, width) float64
-        The image.
-    usable : (height, width) bool
-        Pixels that count: not saturated.
-    xy_px : (n, 2) float64
-        Positions of the stars to 1 or 2 px; each pixel belongs to the nearest star.
-    start_sigma_px : float
-        Approximate width of the stars, px.
-    sigma_px : float, optional
-        Fixed width; by default the width is fitted.
-    trail_px : (n, 2) float64, optional
-        Uniform motion of each star during the exposure; the amplitude is then that of the star at rest.  By default the
-        stars are at rest.
-    stamp_trail_px : (n, 2) float64, optional
-        Size the stamps for trails of these lengths, whatever `trail_px` is, so that fits can be compared.
-    only : (k,) intp, optional
-        Fit and return only these; the others keep the pixels nearest to them.
-
-    Returns
-    -------
-    FittedStars
-
-    Notes
-    -----
-    Levenberg-Marquardt on amplitude, position, ln sigma and sky, with the renderer's model.  Departs from
-    Teague & Chahl, eq. (39): the standard deviation of a set of intensities is not a length; the fitted sigma is.
+    `image_dn` (height, width): the image; `usable` (height, width) bool: pixels that count: not saturated; `xy_px` (n,
+    2): positions of the stars to 1 or 2 px; each pixel belongs to the nearest star; `start_sigma_px`: approximate width
+    of the stars, px; `sigma_px`: fixed width; by default the width is fitted; `trail_px` (n, 2): uniform motion of each
+    star during the exposure; the amplitude is then that of the star at rest; by default the stars are at rest;
+    `stamp_trail_px` (n, 2): size the stamps for trails of these lengths, whatever `trail_px` is, so that fits can be
+    compared; `only` (k,) intp: fit and return only these; the others keep the pixels nearest to them.
+    Levenberg-Marquardt on amplitude, position, ln sigma and sky, with the renderer's model.  Departs from Teague &
+    Chahl, eq. (39): the standard deviation of a set of intensities is not a length; the fitted sigma is.
     """
     start = start_sigma_px if sigma_px is None else sigma_px
     trail = np.zeros_like(xy_px) if trail_px is None else trail_px
@@ -456,25 +379,10 @@ _VARIANCE_FRACTION: Final = 1 / 11
 def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float:
     """Return the approximate length of the stars' trails, px; 0 if they are round.
 
-    Parameters
-    ----------
-    above_dn : (height, width) float64
-        The image without its sky, DN.
-    usable : (height, width) bool
-        Mask of the usable pixels.
-    xy_px : (n, 2) float64
-        Positions of bright stars, the brightest first.
-    sigma_px : float
-        Approximate width of the stars, px.
-
-    Returns
-    -------
-    float
-        The median trail length of the brightest stars without unusable pixels, px.
-
-    Notes
-    -----
-    Second moments under a Gaussian window that is adapted to the star's shape until both agree.
+    `above_dn` (height, width): the image without its sky, DN; `usable` (height, width) bool: mask of the usable pixels;
+    `xy_px` (n, 2): positions of bright stars, the brightest first; `sigma_px`: approximate width of the stars, px.
+    Returns the median trail length of the brightest stars without unusable pixels, px.  Second moments under a
+    Gaussian window that is adapted to the star's shape until both agree.
     """
     xx, yy, xy = star_shapes(above_dn, usable, xy_px, sigma_px)
     if len(xx) < _LEAST_SHAPES:
@@ -487,22 +395,10 @@ def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -
 def star_shapes(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> tuple[Float, Float, Float]:
     """Return the second moments of stars under a Gaussian window that adapts to each star's shape.
 
-    Parameters
-    ----------
-    above_dn : (height, width) float64
-        The image without its sky, DN.
-    usable : (height, width) bool
-        Mask of the usable pixels.
-    xy_px : (n, 2) float64
-        Positions of bright stars, the brightest first.
-    sigma_px : float
-        Approximate width of the stars, px.
-
-    Returns
-    -------
-    xx, yy, xy : (k,) float64
-        Variances along x and y and their covariance, pixel included, px^2: of at most 120 stars that touch neither
-        the edge nor unusable pixels.
+    `above_dn` (height, width): the image without its sky, DN; `usable` (height, width) bool: mask of the usable pixels;
+    `xy_px` (n, 2): positions of bright stars, the brightest first; `sigma_px`: approximate width of the stars, px.
+    Returns `xx, yy, xy` (k,): variances along x and y and their covariance, pixel included, px^2: of at most 120 stars
+    that touch neither the edge nor unusable pixels.
     """
     half = int(np.ceil(max(_WINDOW_PX, _WINDOW_SIGMA * sigma_px)))
     height, width = above_dn.shape

@@ -43,51 +43,25 @@ _CLIPPED_FRACTION: Final = 0.002
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkyMap:
-    """The level of the sky over an image.
+    """The level of the sky over an image."""
 
-    Attributes
-    ----------
-    texels_dn : (rows, columns) float64
-        Level on a grid that covers the image, black level included, DN.
-    level_dn : (height, width) float64
-        The same at each pixel, as the renderer interpolates it.
-    residual_dn : (height, width) float64
-        The image minus that.
-    is_sky : (height, width) bool
-        Pixels without stars.
-    error_dn : float
-        Standard error of a texel, DN.
-    """
-
-    texels_dn: Float
-    level_dn: Float
-    residual_dn: Float
-    is_sky: Mask
-    error_dn: float
+    texels_dn: Float  # (rows, columns) level on a grid that covers the image, black level included, DN
+    level_dn: Float  # (height, width) the same at each pixel, as the renderer interpolates it
+    residual_dn: Float  # (height, width) the image minus that
+    is_sky: Mask  # (height, width) bool: pixels without stars
+    error_dn: float  # Standard error of a texel, DN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseAgainstLevel:
-    """Variance of the pixels of a sky against its level: photon transfer inside one image.
+    """Variance of the pixels of a sky against its level: photon transfer inside one image."""
 
-    Attributes
-    ----------
-    level_dn, variance_dn2 : (n,) float64
-        Medians of blocks, by level; DN and DN^2, without the rounding.
-    variance_error_dn2 : (n,) float64
-        Standard errors.
-    dn_per_e, dn_per_e_error : float
-        Slope of the fitted line and its standard error, DN/e.
-    at_zero_dn2 : float
-        The line at 0 DN.
-    """
-
-    level_dn: Float
+    level_dn: Float  # (n,) medians of blocks, by level; DN and DN^2, without the rounding
     variance_dn2: Float
-    variance_error_dn2: Float
-    dn_per_e: float
+    variance_error_dn2: Float  # (n,) standard errors
+    dn_per_e: float  # Slope of the fitted line and its standard error, DN/e
     dn_per_e_error: float
-    at_zero_dn2: float
+    at_zero_dn2: float  # The line at 0 DN
 
     @property
     def is_shot_noise(self) -> bool:
@@ -102,16 +76,7 @@ class NoiseAgainstLevel:
 def starless_pixels(image: Photograph, detected: DetectedStars, more_px: Float) -> Mask:
     """Return the pixels away from all stars.
 
-    Parameters
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    more_px : (n, 2) float64
-        Positions of other stars, such as those of the catalogue, px.
-
-    Returns
-    -------
-    (height, width) bool
+    `more_px` (n, 2): positions of other stars, such as those of the catalogue, px.  Returns (height, width) bool.
     """
     hidden = np.zeros(image.pixels_dn.shape, np.uint8)
     sigma_px = max(detected.psf_sigma_px, 0.7)
@@ -128,21 +93,9 @@ def starless_pixels(image: Photograph, detected: DetectedStars, more_px: Float) 
 def measure_sky(image: Photograph, detected: DetectedStars, more_px: Float) -> SkyMap:
     """Return the level of the sky over an image.
 
-    Parameters
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    more_px : (n, 2) float64
-        Positions of undetected stars, px.
-
-    Returns
-    -------
-    SkyMap
-
-    Notes
-    -----
-    A mean of the starless pixels around each texel, weighted with a Gaussian of half a texel, clipped at 3.5 standard
-    deviations.  Where the sky is cut off at 0 DN, the level is that of the Gaussian whose cut-off mean was measured.
+    `more_px` (n, 2): positions of undetected stars, px.  A mean of the starless pixels around each texel, weighted
+    with a Gaussian of half a texel, clipped at 3.5 standard deviations.  Where the sky is cut off at 0 DN, the level
+    is that of the Gaussian whose cut-off mean was measured.
     """
     pixels = image.pixels_dn
     is_sky = starless_pixels(image, detected, more_px)
@@ -178,15 +131,7 @@ def _at_pixels(texels: Float, shape: tuple[int, int]) -> Float:
 def before_clipping(cut_mean: Float, cut_std: Float) -> tuple[Float, Float]:
     """Return mean and standard deviation of Gaussians whose values below 0 became 0, from those of what is left.
 
-    Parameters
-    ----------
-    cut_mean, cut_std : (...) float64
-        DN.
-
-    Returns
-    -------
-    mean, std : (...) float64
-        DN; the mean is at least -2 standard deviations.
+    `cut_mean`, `cut_std` (...): DN.  Returns `mean, std` (...): DN; the mean is at least -2 standard deviations.
     """
     z = np.linspace(-2.0, 6.0, 801)
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
@@ -200,19 +145,9 @@ def before_clipping(cut_mean: Float, cut_std: Float) -> tuple[Float, Float]:
 def measure_noise(sky: SkyMap) -> NoiseAgainstLevel | None:
     """Return the noise of the sky against its level.
 
-    Parameters
-    ----------
-    sky : SkyMap
-
-    Returns
-    -------
-    NoiseAgainstLevel or None
-        None if there is too little sky.
-
-    Notes
-    -----
-    EMVA 1288, eq. (9): the variance grows by the gain K for each DN.  A line is fitted to the variances of blocks of
-    pixels, clipped at 3.5 standard deviations, with weights from their scatter.
+    Returns: none if there is too little sky.  EMVA 1288, eq. (9): the variance grows by the gain K for each DN.  A
+    line is fitted to the variances of blocks of pixels, clipped at 3.5 standard deviations, with weights from their
+    scatter.
     """
     height, width = (length // _BLOCK_PX * _BLOCK_PX for length in sky.level_dn.shape)
     blocks = [
@@ -269,34 +204,15 @@ _LEVEL_VARIANCE_ERROR: Final = 0.05
 
 
 class GammaFit(NamedTuple):
-    """The gamma of a tone curve by the noise of an image.
+    """The gamma of a tone curve by the noise of an image."""
 
-    Attributes
-    ----------
-    value : float
-        The one nearest to 1 that the noise allows, within one standard error; 1 if it allows a linear image.
-    low, high : float
-        The range that it allows, within two standard errors.
-    """
-
-    value: float
-    low: float
+    value: float  # The one nearest to 1 that the noise allows, within one standard error; 1 if it allows a linear image
+    low: float  # The range that it allows, within two standard errors
     high: float
 
 
 def fit_gamma(image: Photograph, detected: DetectedStars) -> GammaFit:
-    """Return the gamma of a photograph's tone curve, by the noise of its sky.
-
-    Parameters
-    ----------
-    image : Photograph
-        As recorded.
-    detected : DetectedStars
-
-    Returns
-    -------
-    GammaFit
-    """
+    """Return the gamma of a photograph's tone curve, by the noise of its sky; `image`: as recorded."""
     noise = measure_noise(measure_sky(image, detected, np.zeros((0, 2))))
     return _ANY_GAMMA if noise is None else gamma_of_noise(noise, image.saturation_dn)
 
@@ -304,22 +220,9 @@ def fit_gamma(image: Photograph, detected: DetectedStars) -> GammaFit:
 def gamma_of_noise(noise: NoiseAgainstLevel, white_dn: float) -> GammaFit:
     """Return the gamma with which the variance of the light grows linearly with the light.
 
-    Parameters
-    ----------
-    noise : NoiseAgainstLevel
-        As recorded.
-    white_dn : float
-        The largest digital number.
-
-    Returns
-    -------
-    GammaFit
-
-    Notes
-    -----
-    Photon transfer, EMVA 1288 eq. (9), in the light x = (DN / white)^g: the variance of DN times (dx / dDN)^2 is a line
-    with an intercept, the read noise, and a slope, the gain, that are not negative.  Read noise and gamma bend the line
-    alike: that with the least gamma is taken.
+    `noise`: as recorded; `white_dn`: the largest digital number.  Photon transfer, EMVA 1288 eq. (9), in the light x =
+    (DN / white)^g: the variance of DN times (dx / dDN)^2 is a line with an intercept, the read noise, and a slope, the
+    gain, that are not negative.  Read noise and gamma bend the line alike: that with the least gamma is taken.
     """
     used = (noise.variance_dn2 > _LEAST_VARIANCE_DN2) & (noise.level_dn > 0)
     if used.sum() < _LEAST_LEVELS_OF_GAMMA:

@@ -41,38 +41,19 @@ _HUBER: Final = 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightnessTerms:
-    """Instrumental magnitudes as zero + V + slope (B - V) + curvature (B - V)^2 + loss r^2.
+    """Instrumental magnitudes as zero + V + slope (B - V) + curvature (B - V)^2 + loss r^2."""
 
-    Attributes
-    ----------
-    zero_mag : float
-        -2.5 log10 of the flux in DN of a star of V 0 and B - V 0 on the axis.
-    zero_error_mag : float
-    colour : Measurement or None
-        Slope over B - V; None if it is not significant.
-    curvature : Measurement or None
-        Of the square of B - V: giants of type M are far brighter to a camera that sees red light.  None if it is not
-        significant.
-    loss_mag : Measurement or None
-        Loss at half the diagonal from the axis; None if it is not significant.
-    magnitude_slope : Measurement or None
-        Slope over V minus 1, of a fit of its own: 0 for a linear sensor.
-    scatter_mag : float
-        Robust standard deviation of the stars about the fit.
-    stars : int
-    residual_mag : (n,) float64
-        Measured minus fitted, of all stars; NaN where there is no measurement.
-    """
-
-    zero_mag: float
+    zero_mag: float  # -2.5 log10 of the flux in DN of a star of V 0 and B - V 0 on the axis
     zero_error_mag: float
-    colour: Measurement | None
+    colour: Measurement | None  # Slope over B - V; None if it is not significant
+    # Of the square of B - V: giants of type M are far brighter to a camera that sees red light; none if it is not
+    # significant.
     curvature: Measurement | None
-    loss_mag: Measurement | None
-    magnitude_slope: Measurement | None
-    scatter_mag: float
+    loss_mag: Measurement | None  # Loss at half the diagonal from the axis; None if it is not significant
+    magnitude_slope: Measurement | None  # Slope over V minus 1, of a fit of its own: 0 for a linear sensor
+    scatter_mag: float  # Robust standard deviation of the stars about the fit
     stars: int
-    residual_mag: Float
+    residual_mag: Float  # (n,) measured minus fitted, of all stars; NaN where there is no measurement
 
 
 def fit_brightness_terms(
@@ -80,23 +61,8 @@ def fit_brightness_terms(
 ) -> BrightnessTerms:
     """Return the terms that the stars support.
 
-    Parameters
-    ----------
-    flux_dn, error_dn : (n,) float64
-        Fluxes and standard errors, DN.
-    vmag, bv : (n,) float64
-        V and B - V; NaN where the colour is unknown.
-    distance : (n,) float64
-        From the principal point over half the diagonal.
-    used : (n,) bool
-        Stars to use.
-
-    Returns
-    -------
-    BrightnessTerms
-
-    Notes
-    -----
+    `flux_dn`, `error_dn` (n,): fluxes and standard errors, DN; `vmag`, `bv` (n,): V and B - V; NaN where the colour is
+    unknown; `distance` (n,): from the principal point over half the diagonal; `used` (n,) bool: stars to use.
     Weighted least squares with Huber's weights; terms that chance explains (F tests with the weights of the larger
     model: 1 % for all together, 5 % for each) are left out, the least significant first.
     """
@@ -184,22 +150,9 @@ def robust_fit(
 ) -> tuple[Float, Float, float]:
     """Return the parameters of a weighted least-squares fit with Huber's weights.
 
-    Parameters
-    ----------
-    design : (n, m) float64
-    values, noise : (n,) float64
-        Magnitudes, and their standard errors besides the scatter.
-    same : (n,) array, optional
-        Equal for measurements of one star, whose deviations are its own; by default all stars differ.
-
-    Returns
-    -------
-    (m,) float64
-        Parameters.
-    (m,) float64
-        Their standard errors.
-    float
-        Robust standard deviation about the fit.
+    `design` (n, m); `values`, `noise` (n,): magnitudes, and their standard errors besides the scatter; `same` (n,):
+    equal for measurements of one star, whose deviations are its own; by default all stars differ.  Returns (m,)
+    parameters; (m,) their standard errors; robust standard deviation about the fit.
     """
     scatter = 0.15
     p: Float = np.zeros(design.shape[1])
@@ -230,22 +183,11 @@ _STARS_PER_AIR_TERM: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class AirTerm:
-    """The extinction that was taken out of a calibration.
+    """The extinction that was taken out of a calibration."""
 
-    Attributes
-    ----------
-    zenith_mag : float
-        Extinction per air mass, mag.
-    error_mag : float or None
-        Its standard error; None if it was given.
-    lowest_mass, highest_mass : float
-        Air masses of the stars used.
-    stars : int
-    """
-
-    zenith_mag: float
-    error_mag: float | None
-    lowest_mass: float
+    zenith_mag: float  # Extinction per air mass, mag
+    error_mag: float | None  # Its standard error; None if it was given
+    lowest_mass: float  # Air masses of the stars used
     highest_mass: float
     stars: int
 
@@ -273,24 +215,8 @@ class AirTerm:
 def above_air(calibration: Calibration, zenith_mag: float | None = None) -> Calibration:
     """Return a calibration whose reference brightness is that above the air.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of an image whose site, time and attitude are known.
-    zenith_mag : float, optional
-        Extinction per air mass, mag; by default it is fitted.
-
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    CalibrationError
-        If the zenith is unknown, or the stars do not show the extinction.
-
-    Notes
-    -----
+    `calibration`: of an image whose site, time and attitude are known; `zenith_mag`: extinction per air mass, mag; by
+    default it is fitted.  Raises CalibrationError if the zenith is unknown, or the stars do not show the extinction.
     As `above_air_together` with one image.
     """
     return above_air_together((calibration,), zenith_mag)[0]
@@ -299,28 +225,11 @@ def above_air(calibration: Calibration, zenith_mag: float | None = None) -> Cali
 def above_air_together(parts: Sequence[Calibration], zenith_mag: float | None = None) -> tuple[Calibration, ...]:
     """Return calibrations of photographs of one night, whose reference brightness is that above the air.
 
-    Parameters
-    ----------
-    parts : sequence of Calibration
-        Of images whose site, time and attitude are known.
-    zenith_mag : float, optional
-        Extinction per air mass, mag; by default one value is fitted to the stars of all images.
-
-    Returns
-    -------
-    tuple of Calibration
-        In the order of the images.
-
-    Raises
-    ------
-    CalibrationError
-        If a zenith is unknown, or the stars do not show the extinction.
-
-    Notes
-    -----
-    Magnitudes measured minus fitted are a + k X + b (B - V) + c r^2, with X the air mass; b and c, which are centred
-    on the stars, keep band and vignetting out of k.  Each image has an a of its own, for haze, and exposures that are
-    not quite those given.
+    `parts`: of images whose site, time and attitude are known; `zenith_mag`: extinction per air mass, mag; by default
+    one value is fitted to the stars of all images.  Returns: in the order of the images.  Raises CalibrationError if
+    a zenith is unknown, or the stars do not show the extinction.  Magnitudes measured minus fitted are a + k X + b (B
+    - V) + c r^2, with X the air mass; b and c, which are centred on the stars, keep band and vignetting out of k.
+    Each image has an a of its own, for haze, and exposures that are not quite those given.
     """
     masses = [_air_masses(part) for part in parts]
     used = [part.brightness.used & (part.stars.peak_dn > 0) for part in parts]
@@ -440,26 +349,11 @@ def recorded_brightness(
 ) -> StarTable:
     """Return the magnitudes of the matched stars in the camera's band.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    terms : BrightnessTerms
-        What their brightness depends on.
-    colour : ColourBand
-        The camera's band.
-    flux_dn, error_dn : (n,) float64
-        Of the matched stars, with standard errors, DN.
-
-    Returns
-    -------
-    StarTable
-        Of the stars that are neither saturated nor blended.
-
-    Notes
-    -----
-    A star differs from the catalogue because it varies, because its light is that of several stars or of a nebula, or
-    because of air and cloud before it.  The deviations are shrunk towards their median, as those of several
-    photographs are: a star whose noise is as large as the spread of all stars keeps half of its deviation.
+    `terms`: what their brightness depends on; `colour`: the camera's band; `flux_dn`, `error_dn` (n,): of the matched
+    stars, with standard errors, DN.  Returns: of the stars that are neither saturated nor blended.  A star differs
+    from the catalogue because it varies, because its light is that of several stars or of a nebula, or because of air
+    and cloud before it.  The deviations are shrunk towards their median, as those of several photographs are: a star
+    whose noise is as large as the spread of all stars keeps half of its deviation.
     """
     stars, reference = calibration.stars, calibration.reference.stars
     measured = np.isfinite(terms.residual_mag) & (flux_dn > _LEAST_SNR * error_dn)

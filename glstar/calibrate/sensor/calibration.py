@@ -37,28 +37,7 @@ _MANY_SATURATED: Final = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """The calibration of a sensor from one photograph.
-
-    Attributes
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-    sensor : Sensor
-    brightness : BrightnessFit
-    stars : MeasuredStars
-    method : str
-        How the stars were identified.
-    notes : tuple of str
-        Remarks for the user.
-    misfit : Misfit
-        Effects in the photograph that the sensor model lacks.
-    extinction_mag : (n,) float64 or None
-        What the air took from each star, if the reference brightness is above the air.
-    air : dict or None
-        The extinction that was taken out, for JSON; None if the reference brightness has the air in it.
-    """
+    """The calibration of a sensor from one photograph."""
 
     image: Photograph
     detected: DetectedStars
@@ -67,10 +46,12 @@ class Calibration:
     sensor: Sensor
     brightness: BrightnessFit
     stars: MeasuredStars
-    method: str
-    notes: tuple[str, ...]
-    misfit: Misfit
+    method: str  # How the stars were identified
+    notes: tuple[str, ...]  # Remarks for the user
+    misfit: Misfit  # Effects in the photograph that the sensor model lacks
+    # (n,) or None: what the air took from each star, if the reference brightness is above the air.
     extinction_mag: Float | None = None
+    # The extinction that was taken out, for JSON; None if the reference brightness has the air in it.
     air: dict[str, Any] | None = None
 
     @property
@@ -105,10 +86,7 @@ class Calibration:
     def to_toml(self) -> str:
         """Return the calibration as TOML, for ``[sensor] file`` or ``--config``.
 
-        Returns
-        -------
-        str
-            ``[sensor]`` and ``[camera]``; their origin is a comment.
+        Returns ``[sensor]`` and ``[camera]``; their origin is a comment.
         """
         head = [
             f"Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
@@ -119,12 +97,7 @@ class Calibration:
         return calibration_toml(head, self.sensor, self.matches, sensor_error=self.sensor_standard_error)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers of the calibration as JSON-serialisable values.
-
-        Returns
-        -------
-        dict
-        """
+        """Return all numbers of the calibration as JSON-serialisable values."""
         fit, sky = self.brightness, self.detected.sky
         geometry = self.geometry.facts
         return {
@@ -163,10 +136,7 @@ class Calibration:
     def to_csv(self) -> str:
         """Return the list of identified stars.
 
-        Returns
-        -------
-        str
-            One line per star, in the order of catalogue brightness; lengths in px, brightness in DN.
+        Returns one line per star, in the order of catalogue brightness; lengths in px, brightness in DN.
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -205,31 +175,8 @@ def calibrate(
 ) -> Calibration:
     """Return the calibration of a camera from one photograph with identified stars.
 
-    Parameters
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-    method : str
-        How the stars were identified.
-    exposure_s : float
-        Exposure, s.
-    criterion : {"median", "paper"}
-        How the reference brightness is found.
-
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    CalibrationError
-        If too few stars can be measured.
-
-    Notes
-    -----
-    Teague & Chahl, section 2.5.
+    `method`: how the stars were identified; `criterion` {"median", "paper"}: how the reference brightness is found.
+    Raises CalibrationError if too few stars can be measured.  Teague & Chahl, section 2.5.
     """
     sensor, fit, stars = fit_sensor(image, detected, reference, matches, exposure_s=exposure_s, criterion=criterion)
     misfit = measure_misfit(image, detected, matches, sensor, fit, stars)
@@ -304,15 +251,8 @@ _EXPLAINED: Final = ("the stars have wings", "the stars are elliptical", "the st
 def with_point_spread(calibration: Calibration) -> Calibration:
     """Return a calibration whose sensor has the shape of the stars besides their width.
 
-    Parameters
-    ----------
-    calibration : Calibration
-
-    Returns
-    -------
-    Calibration
-        Ellipticity and growth only where they are significant.  Width and amplitude are those of the Moffat profile on
-        the axis.
+    Returns: ellipticity and growth only where they are significant; width and amplitude are those of the Moffat profile
+    on the axis.
     """
     sensor, misfit = calibration.sensor, calibration.misfit
     effects: dict[str, EffectValue] = dict(sensor.effects)
@@ -348,22 +288,9 @@ def with_point_spread(calibration: Calibration) -> Calibration:
 def fit_moffat(stacked: RadialProfile) -> tuple[float, float, float]:
     """Fit a Moffat profile to the median profile of the stars.
 
-    Parameters
-    ----------
-    stacked : RadialProfile
-
-    Returns
-    -------
-    beta : float
-        Exponent, 2 to 20.
-    width : float
-        Width at half maximum over that of the Gaussian fit of the same stars.
-    amplitude : float
-        Amplitude over that of the Gaussian fit.
-
-    Notes
-    -----
-    Least squares over the bins up to 8 sigma, weighted with the square root of their area, so that wings count.
+    Returns `beta`: exponent, 2 to 20; `width`: width at half maximum over that of the Gaussian fit of the same stars;
+    `amplitude`: amplitude over that of the Gaussian fit.  Least squares over the bins up to 8 sigma, weighted with the
+    square root of their area, so that wings count.
     """
     radius, brightness = stacked.radius_sigma, stacked.brightness
     known = np.isfinite(brightness)

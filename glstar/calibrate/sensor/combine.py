@@ -43,61 +43,31 @@ _STAR_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", "camera_mag", "o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """Measurements of stars on images.
+    """Measurements of stars on images."""
 
-    Attributes
-    ----------
-    image, star : (n,) intp
-        Indices of the image and of the star.
-    off_mag : (n,) float64
-        Measured minus catalogue magnitude, up to a constant.
-    error_mag : (n,) float64
-        Its standard deviation due to noise.
-    """
-
-    image: Index
+    image: Index  # (n,) intp: indices of the image and of the star
     star: Index
-    off_mag: Float
-    error_mag: Float
+    off_mag: Float  # (n,) measured minus catalogue magnitude, up to a constant
+    error_mag: Float  # (n,) its standard deviation due to noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarTable:
-    """The brightness of each star as the camera records it.
+    """The brightness of each star as the camera records it."""
 
-    Attributes
-    ----------
-    catalogue : str
-        The catalogue that numbers the stars.
-    star_id : (k,) int32
-    name : tuple of str
-    vmag : (k,) float64
-    off_mag : (k,) float64
-        Camera magnitude minus V; shrunk towards 0 according to the uncertainty of the measurement.
-    error_mag : (k,) float64
-        Its standard error.
-    images : (k,) intp
-        Number of images on which it was measured.
-    """
-
-    catalogue: str
-    star_id: NDArray[np.int32]
+    catalogue: str  # The catalogue that numbers the stars
+    star_id: NDArray[np.int32]  # (k,) int32
     name: tuple[str, ...]
-    vmag: Float
-    off_mag: Float
-    error_mag: Float
-    images: Index
+    vmag: Float  # (k,)
+    off_mag: Float  # (k,) camera magnitude minus V; shrunk towards 0 according to the uncertainty of the measurement
+    error_mag: Float  # (k,) its standard error
+    images: Index  # (k,) intp: number of images on which it was measured
 
     def __len__(self) -> int:
         return len(self.vmag)
 
     def to_csv(self) -> str:
-        """Return the table as `glstar.sky.photometry.StarBrightness` reads it.
-
-        Returns
-        -------
-        str
-        """
+        """Return the table as `glstar.sky.photometry.StarBrightness` reads it."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_STAR_COLUMNS)
@@ -119,35 +89,17 @@ class StarTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CombinedCalibration:
-    """The calibration of a camera from several photographs.
+    """The calibration of a camera from several photographs."""
 
-    Attributes
-    ----------
-    parts : tuple of Calibration
-        One per photograph, each with its own sky.
-    sensor : Sensor
-        The common sensor; its exposure is that of the first photograph.
-    table : StarTable
-    fainter_mag : (images,) float64
-        How much fainter each image is than the sensor predicts, magnitudes.
-    spread_mag : float
-        Intrinsic standard deviation of stars about the catalogue, magnitudes.
-    repeat_mag : float
-        Repeatability of a star between images, standard deviation, magnitudes; NaN if no star is on two.
-    notes : tuple of str
-        Remarks for the user.
-    shared_lens : SharedLensFit or None
-        The lens fitted to all images together, if requested.
-    """
-
-    parts: tuple[Calibration, ...]
-    sensor: Sensor
+    parts: tuple[Calibration, ...]  # One per photograph, each with its own sky
+    sensor: Sensor  # The common sensor; its exposure is that of the first photograph
     table: StarTable
-    fainter_mag: Float
-    spread_mag: float
+    fainter_mag: Float  # (images,) how much fainter each image is than the sensor predicts, magnitudes
+    spread_mag: float  # Intrinsic standard deviation of stars about the catalogue, magnitudes
+    # Repeatability of a star between images, standard deviation, magnitudes; NaN if no star is on two.
     repeat_mag: float
-    notes: tuple[str, ...]
-    shared_lens: SharedLensFit | None = None
+    notes: tuple[str, ...]  # Remarks for the user
+    shared_lens: SharedLensFit | None = None  # The lens fitted to all images together, if requested
 
     @property
     def best(self) -> Calibration:
@@ -157,14 +109,7 @@ class CombinedCalibration:
     def to_toml(self, star_brightness: str) -> str:
         """Return the calibration as TOML, for ``[sensor] file`` or ``--config``.
 
-        Parameters
-        ----------
-        star_brightness : str
-            The name of the table's file, beside this one.
-
-        Returns
-        -------
-        str
+        `star_brightness`: the name of the table's file, beside this one.
         """
         names = ", ".join(part.image.path.name for part in self.parts)
         head = [
@@ -185,13 +130,7 @@ class CombinedCalibration:
         return {"shared_lens": self.shared_lens.to_json([part.image.path.name for part in self.parts])}
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers, ready for JSON.
-
-        Returns
-        -------
-        dict
-            ``images`` holds `Calibration.to_json` of each part.
-        """
+        """Return all numbers, ready for JSON; returns ``images`` holds `Calibration.to_json` of each part."""
         return {
             "schema": 2,
             "glstar": __version__,
@@ -210,26 +149,10 @@ class CombinedCalibration:
 def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None = None) -> CombinedCalibration:
     """Return one sensor from several photographs of one camera.
 
-    Parameters
-    ----------
-    parts : tuple of Calibration
-        Two or more, each calibrated on its own, all above the air or all below it; their exposures may differ.
-    shared_lens : SharedLensFit, optional
-        The lens fitted to all of them together.
-
-    Returns
-    -------
-    CombinedCalibration
-
-    Raises
-    ------
-    CalibrationError
-        If they are not of one camera.
-
-    Notes
-    -----
-    Teague & Chahl, section 4, propose it as future work: the brightness of individual stars is biased by their
-    colour and by the catalogue, and several images measure this bias.
+    `parts`: two or more, each calibrated on its own, all above the air or all below it; their exposures may differ;
+    `shared_lens`: the lens fitted to all of them together.  Raises CalibrationError if they are not of one camera.
+    Teague & Chahl, section 4, propose it as future work: the brightness of individual stars is biased by their colour
+    and by the catalogue, and several images measure this bias.
     """
     _require_one_camera(parts)
     first = parts[0]
@@ -268,21 +191,10 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
 def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float, Float, Float, float]:
     """Separate the brightness offsets of stars from those of images.
 
-    Parameters
-    ----------
-    seen : Observations
-    stars, images : int
-        Number of stars and of images.
-
-    Returns
-    -------
-    off_mag, error_mag : (stars,) float64
-        Camera magnitude minus catalogue magnitude of each star, with the common spread of all stars as its prior, and
-        its standard error; 0 and the spread for stars without a measurement.
-    zero_mag : (images,) float64
-        Magnitude offset of each image: the median over its stars.
-    spread_mag : float
-        Standard deviation of stars about the catalogue.
+    `stars`, `images`: number of stars and of images.  Returns `off_mag, error_mag` (stars,): camera magnitude minus
+    catalogue magnitude of each star, with the common spread of all stars as its prior, and its standard error; 0 and
+    the spread for stars without a measurement; `zero_mag` (images,): magnitude offset of each image: the median over
+    its stars; `spread_mag`: standard deviation of stars about the catalogue.
     """
     off = np.zeros(stars)
     zero = np.zeros(images)
@@ -415,15 +327,8 @@ _MOST_NAMED: Final = 10
 def draw_combined(combined: CombinedCalibration) -> bytes:
     """Return the report of several photographs as a PNG.
 
-    Parameters
-    ----------
-    combined : CombinedCalibration
-
-    Returns
-    -------
-    bytes
-        Brightness against magnitude on all images; measured minus catalogue magnitude of each star on one image
-        against the other images; the residuals without and with the table; the magnitude offset of each image.
+    Returns: brightness against magnitude on all images; measured minus catalogue magnitude of each star on one image
+    against the other images; the residuals without and with the table; the magnitude offset of each image.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415

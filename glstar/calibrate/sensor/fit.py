@@ -54,34 +54,17 @@ _BLENDED_MAG: Final = 3.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightnessFit:
-    """Brightness against magnitude.
+    """Brightness against magnitude."""
 
-    Attributes
-    ----------
-    criterion : {"median", "paper"}
-        The criterion of the reference brightness.
-    reference_vmag, reference_peak_dn : float
-        Magnitude and amplitude of the reference star, DN: B_r and m_r of eq. (37).
-    used : (n,) bool
-        The stars used in the fit.
-    scatter_mag : float
-        Robust standard deviation of the used stars about the fit, magnitudes.
-    error_mag : float
-        Standard error of the reference's brightness, magnitudes.
-    slope_dex_per_mag : float
-        Measured slope of log10 of the amplitude over magnitude (Theil and Sen); -0.4 for a linear sensor.
-    slope_low_dex_per_mag, slope_high_dex_per_mag : float
-        Its 95 % confidence interval.
-    """
-
-    criterion: Criterion
-    reference_vmag: float
+    criterion: Criterion  # {"median", "paper"}: the criterion of the reference brightness
+    reference_vmag: float  # Magnitude and amplitude of the reference star, DN: B_r and m_r of eq. (37)
     reference_peak_dn: float
-    used: Mask
-    scatter_mag: float
-    error_mag: float
+    used: Mask  # (n,) bool: the stars used in the fit
+    scatter_mag: float  # Robust standard deviation of the used stars about the fit, magnitudes
+    error_mag: float  # Standard error of the reference's brightness, magnitudes
+    # Measured slope of log10 of the amplitude over magnitude (Theil and Sen); -0.4 for a linear sensor.
     slope_dex_per_mag: float
-    slope_low_dex_per_mag: float
+    slope_low_dex_per_mag: float  # Its 95 % confidence interval
     slope_high_dex_per_mag: float
 
     @property
@@ -97,45 +80,22 @@ class BrightnessFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredStars:
-    """Identified stars with their measurements, in the order of catalogue brightness.
+    """Identified stars with their measurements, in the order of catalogue brightness."""
 
-    Attributes
-    ----------
-    catalogue : str
-        The catalogue that numbers the stars.
-    star_id : (n,) int32
-    name : tuple of str
-    vmag : (n,) float64
-    xy_px : (n, 2) float64
-        Detected positions.
-    residual_px : (n, 2) float64
-        Detected minus predicted positions.
-    peak_dn : (n,) float64
-        Amplitudes above the sky, for the sensor's width and referred to the optical axis, DN.
-    sigma_px : (n,) float64
-        The width of each star, referred to the optical axis, px.
-    noise_dn : (n,) float64
-    saturated, blended : (n,) bool
-        Whether a pixel is saturated, and whether another catalogue star is too close.
-    psf_sigma_error_px : float
-        Standard error of their typical width, px.
-    trail_px : (n, 2) float64
-        Sidereal motion of each star during the exposure, px; zeros if the camera tracked the sky or the motion is too
-        small to be detected.
-    """
-
-    catalogue: str
-    star_id: NDArray[np.int32]
+    catalogue: str  # The catalogue that numbers the stars
+    star_id: NDArray[np.int32]  # (n,) int32
     name: tuple[str, ...]
-    vmag: Float
-    xy_px: Float
-    residual_px: Float
-    peak_dn: Float
-    sigma_px: Float
-    noise_dn: Float
-    saturated: Mask
+    vmag: Float  # (n,)
+    xy_px: Float  # (n, 2) detected positions
+    residual_px: Float  # (n, 2) detected minus predicted positions
+    peak_dn: Float  # (n,) amplitudes above the sky, for the sensor's width and referred to the optical axis, DN
+    sigma_px: Float  # (n,) the width of each star, referred to the optical axis, px
+    noise_dn: Float  # (n,)
+    saturated: Mask  # (n,) bool: whether a pixel is saturated, and whether another catalogue star is too close
     blended: Mask
-    psf_sigma_error_px: float
+    psf_sigma_error_px: float  # Standard error of their typical width, px
+    # (n, 2) sidereal motion of each star during the exposure, px; zeros if the camera tracked the sky or the motion is
+    # too small to be detected.
     trail_px: Float
 
     @property
@@ -163,34 +123,12 @@ def fit_sensor(
 ) -> tuple[Sensor, BrightnessFit, MeasuredStars]:
     """Return the sensor fitted to a photograph.
 
-    Parameters
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    reference : ReferenceStars
-    matches : Matches
-    exposure_s : float
-        Exposure time, s.
-    criterion : {"median", "paper"}
-        The criterion of the reference brightness; see `fit_brightness`.
-
-    Returns
-    -------
-    Sensor
-    BrightnessFit
-    MeasuredStars
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than three stars are unsaturated and isolated, or if their trails are longer than sidereal motion
-        explains.
-
-    Notes
-    -----
-    Teague & Chahl, section 2.5, eqs (36)-(40).  If the image shows sidereal trails, because the camera did not
-    track the sky, width and amplitude are corrected to stars at rest.  With a lens they are referred to the optical
-    axis: barrel distortion makes stars narrower and brighter towards the corners, as in the renderer.
+    `exposure_s`: exposure time, s; `criterion` {"median", "paper"}: the criterion of the reference brightness; see
+    `fit_brightness`.  Raises CalibrationError if fewer than three stars are unsaturated and isolated, or if their
+    trails are longer than sidereal motion explains.  Teague & Chahl, section 2.5, eqs (36)-(40).  If the image shows
+    sidereal trails, because the camera did not track the sky, width and amplitude are corrected to stars at rest.
+    With a lens they are referred to the optical axis: barrel distortion makes stars narrower and brighter towards the
+    corners, as in the renderer.
     """
     measured, sigma_px = _measure_stars(image, detected, reference, matches, exposure_s)
     sky = detected.sky
@@ -277,28 +215,13 @@ def fit_brightness(
 ) -> BrightnessFit:
     """Return the reference brightness of stars.
 
-    Parameters
-    ----------
-    vmag, peak_dn : (n,) float64
-        Magnitudes, and amplitudes above the sky, DN.
-    used : (n,) bool
-        The stars to use: neither saturated nor below the noise.
-    criterion : {"median", "paper"}
-        ``"paper"``: eq. (38), the one star from which eq. (37) predicts the others best, by the sum of squares in DN.
-        ``"median"``: the median of the stars' brightness, each reduced to the reference's magnitude, in log space.
-
-    sloping : (n,) bool, optional
-        Stars for the slope of brightness over magnitude; by default the same.
-
-    Returns
-    -------
-    BrightnessFit
-
-    Notes
-    -----
-    Teague & Chahl, eqs (36)-(38).  Departs from eq. (38) by default: with magnitudes wrong by 0.42 mag, as in the
-    paper, and 40 stars, eq. (38) is 0.11 mag too faint with a scatter of 0.17, because the brightest stars dominate
-    the sum; the median is unbiased and scatters by 0.09.
+    `vmag`, `peak_dn` (n,): magnitudes, and amplitudes above the sky, DN; `used` (n,) bool: the stars to use: neither
+    saturated nor below the noise; `criterion` {"median", "paper"}: ``"paper"``: eq. (38), the one star from which eq.
+    (37) predicts the others best, by the sum of squares in DN. ``"median"``: the median of the stars' brightness, each
+    reduced to the reference's magnitude, in log space; `sloping` (n,) bool: stars for the slope of brightness over
+    magnitude; by default the same.  Teague & Chahl, eqs (36)-(38).  Departs from eq. (38) by default: with magnitudes
+    wrong by 0.42 mag, as in the paper, and 40 stars, eq. (38) is 0.11 mag too faint with a scatter of 0.17, because the
+    brightest stars dominate the sum; the median is unbiased and scatters by 0.09.
     """
     m, peak = vmag[used], peak_dn[used]
     if criterion == "paper":
@@ -363,16 +286,7 @@ def _median_error(values: Float, weights: Float) -> float:
 def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
     """Return the widths of stars behind a lens over those on the axis, along its two principal directions.
 
-    Parameters
-    ----------
-    solution : PlateSolution
-    xy_px : (n, 2) float64
-        Pixel positions.
-
-    Returns
-    -------
-    (n, 2) float64
-        1 without a lens, and for a lens too wide for the renderer.
+    `xy_px` (n, 2): pixel positions.  Returns (n, 2) 1 without a lens, and for a lens too wide for the renderer.
     """
     camera = solution.camera
     if camera.lens is None or not camera.is_drawable:

@@ -23,36 +23,18 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarStamps:
-    """Pixels around stars.
+    """Pixels around stars."""
 
-    Attributes
-    ----------
-    corner_px : (n, 2) float64
-        First column and row of each stamp.
-    values_dn : (n, m, m) float64
-        Above the sky.
-    variance_dn2 : (n, m, m) float64
-        Of the sky and the sensor, without the star's own light; infinite for pixels that do not count.
-    xy_px : (n, 2) float64
-        Positions of the stars.
-    trail_px : (n, 2) float64
-        Motion during the exposure.
-    offset : (n, 2) float64
-        Position (x, y) minus the principal point, over half the diagonal.
-    bv : (n,) float64
-        Colours B - V.
-    dn_per_e : float
-        Gain: the variance of a star's light over its level, DN.  It acts on the fitted light: the recorded one would
-        give pixels that are too dark by chance more weight, and make stars narrower and fainter than they are.
-    """
-
-    corner_px: Float
-    values_dn: Float
+    corner_px: Float  # (n, 2) first column and row of each stamp
+    values_dn: Float  # (n, m, m) above the sky
+    # (n, m, m) of the sky and the sensor, without the star's own light; infinite for pixels that do not count.
     variance_dn2: Float
-    xy_px: Float
-    trail_px: Float
-    offset: Float
-    bv: Float
+    xy_px: Float  # (n, 2) positions of the stars
+    trail_px: Float  # (n, 2) motion during the exposure
+    offset: Float  # (n, 2) position (x, y) minus the principal point, over half the diagonal
+    bv: Float  # (n,) colours B - V
+    # Gain: the variance of a star's light over its level, DN. It acts on the fitted light: the recorded one would give
+    # pixels that are too dark by chance more weight, and make stars narrower and fainter than they are.
     dn_per_e: float = 0.0
 
     def __len__(self) -> int:
@@ -101,30 +83,11 @@ def cut_stamps(
 ) -> tuple[StarStamps, Index]:
     """Return the stamps of stars that lie wholly on the image, and which stars these are.
 
-    Parameters
-    ----------
-    above_dn, variance_dn2 : (height, width) float64
-        The image above its sky, DN, and the variance of its pixels without the light of stars, DN^2.
-    usable : (height, width) bool
-        Pixels that are not saturated.
-    xy_px : (n, 2) float64
-        Positions, px.
-    others_px : (k, 2) float64
-        Positions of all stars: pixels that are nearer to another star do not count.
-    trail_px : (n, 2) float64
-    offset : (n, 2) float64
-        From the principal point, over half the diagonal.
-    bv : (n,) float64
-        Colours B - V.
-    half_px : int
-        Half the side of a stamp.
-    dn_per_e : float
-        Variance of the light of stars over its level, DN.
-
-    Returns
-    -------
-    StarStamps
-    (k,) intp
+    `above_dn`, `variance_dn2` (height, width): the image above its sky, DN, and the variance of its pixels without the
+    light of stars, DN^2; `usable` (height, width) bool: pixels that are not saturated; `xy_px` (n, 2): positions, px;
+    `others_px` (k, 2): positions of all stars: pixels that are nearer to another star do not count; `trail_px` (n, 2);
+    `offset` (n, 2): from the principal point, over half the diagonal; `bv` (n,): colours B - V; `half_px`: half the
+    side of a stamp; `dn_per_e`: variance of the light of stars over its level, DN.  Returns (k,) intp.
     """
     height, width = above_dn.shape
     corner = np.rint(xy_px).astype(np.intp) - half_px
@@ -197,50 +160,23 @@ _STARTS: Final = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPsf:
-    """A point spread function with the standard errors of its parameters.
-
-    Attributes
-    ----------
-    psf : PointSpread
-    sigma_px : float
-        ``psf_sigma_px``.
-    standard_error : dict of str to float
-        By key of ``[sensor]``.
-    stars : int
-        Number of stars it was fitted to.
-    misfit : float
-        Root mean square of the residuals over their expected noise.
-    """
+    """A point spread function with the standard errors of its parameters."""
 
     psf: PointSpread
-    sigma_px: float
-    standard_error: dict[str, float]
-    stars: int
-    misfit: float
+    sigma_px: float  # ``psf_sigma_px``
+    standard_error: dict[str, float]  # By key of ``[sensor]``
+    stars: int  # Number of stars it was fitted to
+    misfit: float  # Root mean square of the residuals over their expected noise
 
 
 def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, StarStamps]:
     """Return the point spread function of stars, and their stamps with fitted positions.
 
-    Parameters
-    ----------
-    stamps : StarStamps
-        Of isolated stars, most of them not saturated.
-    start_sigma_px : float
-        Approximate width, px.
-
-    Returns
-    -------
-    JointPsf
-        A Gaussian; with a Moffat exponent, wings, growth, tilt, colour and ellipticity each only where they lower the
-        residuals clearly.
-    StarStamps
-
-    Notes
-    -----
-    Weighted least squares on all pixels of all stars with the renderer's own sums of Gaussians, integrated over pixels
-    and along the sidereal trails; flux and sky of each star are solved for each shape (variable projection, Golub &
-    Pereyra 1973), positions in turns with the shape.
+    `stamps`: of isolated stars, most of them not saturated; `start_sigma_px`: approximate width, px.  Returns a
+    Gaussian; with a Moffat exponent, wings, growth, tilt, colour and ellipticity each only where they lower the
+    residuals clearly.  Weighted least squares on all pixels of all stars with the renderer's own sums of Gaussians,
+    integrated over pixels and along the sidereal trails; flux and sky of each star are solved for each shape (variable
+    projection, Golub & Pereyra 1973), positions in turns with the shape.
     """
     names: tuple[str, ...] = ("sigma",)
     fitted, stamps, cost = _fitted(stamps, names, _Shape(start_sigma_px))
@@ -268,15 +204,7 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
 def measure_fluxes(stamps: StarStamps, joint: JointPsf) -> tuple[Float, Float, StarStamps]:
     """Return the fluxes of stars with a known point spread function, their standard errors, and moved stamps.
 
-    Parameters
-    ----------
-    stamps : StarStamps
-    joint : JointPsf
-
-    Returns
-    -------
-    flux_dn, error_dn : (n,) float64
-    StarStamps
+    Returns `flux_dn, error_dn` (n,).
     """
     shape = _Shape(joint.sigma_px, fixed=joint.psf)
     weight = _weights(stamps, shape, np.zeros(len(stamps)))

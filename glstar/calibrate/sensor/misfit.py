@@ -43,15 +43,9 @@ _GAUSSIAN_WING: Final = float(np.exp(-(WING_RADIUS_SIGMA**2) / 2))
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """A measured number.
+    """A measured number."""
 
-    Attributes
-    ----------
-    value, standard_error : float
-        In the same unit.
-    """
-
-    value: float
+    value: float  # In the same unit
     standard_error: float
 
     def exceeds(self, limit: float) -> bool:
@@ -61,66 +55,33 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadialProfile:
-    """The median profile of the bright stars, each divided by its amplitude.
+    """The median profile of the bright stars, each divided by its amplitude."""
 
-    Attributes
-    ----------
-    radius_sigma : (k,) float64
-        Distance from the centre over the standard deviation that the pixels record.
-    brightness : (k,) float64
-        Over the amplitude that the pixels record: 1 at the centre of a Gaussian star.
-    """
-
-    radius_sigma: Float
-    brightness: Float
+    radius_sigma: Float  # (k,) distance from the centre over the standard deviation that the pixels record
+    brightness: Float  # (k,) over the amplitude that the pixels record: 1 at the centre of a Gaussian star
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """Differences of a photograph from the sensor model; None if there are too few stars or pixels.
+    """Differences of a photograph from the sensor model; None if there are too few stars or pixels."""
 
-    Attributes
-    ----------
-    wing_fraction : Measurement or None
-        Flux between 3 and 8 sigma beyond that of the fitted Gaussian, over the flux of the Gaussian.
-    stacked : RadialProfile or None
-    corner_loss_mag : Measurement or None
-        Loss of stars in the farthest corner against the axis, magnitudes.
-    mean_loss_mag : float
-        The same for the mean of the stars in the brightness fit.
-    brightness_map_mag : (3, 4) float64
-        Median brightness residual in parts of the image, positive for faint stars; NaN where no star is.
-    gradient_dn : Measurement
-        Change of the background from one side or corner of the image to the other, DN.
-    gradient_towards_rad : float
-        Direction in which the sky brightens, rad from the right, clockwise.
-    rest_dn, rest_without_bowl_dn : float
-        Standard deviation of the background without that gradient, and without a centred paraboloid too, DN.
-    ellipticity : Measurement or None
-        (a^2 - b^2) / (a^2 + b^2) of the axes a, b of the mean star.
-    long_axis_rad : float
-        Direction of its long axis, rad from the horizontal, clockwise, 0 to pi.
-    corner_growth : Measurement or None
-        Relative growth of the PSF's width from the axis to the farthest corner.
-    neighbour_correlation : Measurement or None
-        Correlation of the noise of neighbouring pixels.
-    lattice_excess : Measurement or None
-        Largest over smallest standard deviation of the noise on the 2 x 2 lattice, minus 1.
-    """
-
+    # Flux between 3 and 8 sigma beyond that of the fitted Gaussian, over the flux of the Gaussian.
     wing_fraction: Measurement | None
     stacked: RadialProfile | None
-    corner_loss_mag: Measurement | None
-    mean_loss_mag: float
+    corner_loss_mag: Measurement | None  # Loss of stars in the farthest corner against the axis, magnitudes
+    mean_loss_mag: float  # The same for the mean of the stars in the brightness fit
+    # (3, 4) median brightness residual in parts of the image, positive for faint stars; NaN where no star is.
     brightness_map_mag: Float
-    gradient_dn: Measurement
-    gradient_towards_rad: float
+    gradient_dn: Measurement  # Change of the background from one side or corner of the image to the other, DN
+    gradient_towards_rad: float  # Direction in which the sky brightens, rad from the right, clockwise
+    # Standard deviation of the background without that gradient, and without a centred paraboloid too, DN.
     rest_dn: float
     rest_without_bowl_dn: float
-    ellipticity: Measurement | None
-    long_axis_rad: float
-    corner_growth: Measurement | None
-    neighbour_correlation: Measurement | None
+    ellipticity: Measurement | None  # (a^2 - b^2) / (a^2 + b^2) of the axes a, b of the mean star
+    long_axis_rad: float  # Direction of its long axis, rad from the horizontal, clockwise, 0 to pi
+    corner_growth: Measurement | None  # Relative growth of the PSF's width from the axis to the farthest corner
+    neighbour_correlation: Measurement | None  # Correlation of the noise of neighbouring pixels
+    # Largest over smallest standard deviation of the noise on the 2 x 2 lattice, minus 1.
     lattice_excess: Measurement | None
 
     @property
@@ -144,15 +105,7 @@ class Misfit:
     def unexplained_unevenness(self, sky: SkyLevel) -> tuple[float, str]:
         """Return the unevenness of the sky beyond effects that have notes of their own, and a label for it.
 
-        Parameters
-        ----------
-        sky : SkyLevel
-
-        Returns
-        -------
-        float
-            Standard deviation, DN.
-        str
+        Returns: standard deviation, DN.
         """
         if self.has_vignetting:
             return self.rest_without_bowl_dn, "besides a gradient and the vignetting"
@@ -163,16 +116,8 @@ class Misfit:
     def notes(self, sensor: Sensor, *, linear: bool = True) -> tuple[str, ...]:
         """Return notes for the user, one for each significant and relevant effect.
 
-        Parameters
-        ----------
-        sensor : Sensor
-        linear : bool
-            Whether pixel values are proportional to the light; otherwise the response distorts the profiles of stars,
-            and neither wings nor a change of width are reported.
-
-        Returns
-        -------
-        tuple of str
+        `linear`: whether pixel values are proportional to the light; otherwise the response distorts the profiles of
+        stars, and neither wings nor a change of width are reported.
         """
         of_lens = (self._wings(), self._growth()) if linear else ()
         notes = (*of_lens, self._vignetting(), self._gradient(sensor), self._ellipse(), self._processing())
@@ -261,12 +206,7 @@ class Misfit:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers as JSON-serialisable values; None where unknown.
-
-        Returns
-        -------
-        dict
-        """
+        """Return all numbers as JSON-serialisable values; None where unknown."""
 
         def number(estimate: Measurement | None) -> dict[str, float] | None:
             if estimate is None:

@@ -233,22 +233,7 @@ def measure_misfit(
     fit: BrightnessFit,
     stars: MeasuredStars,
 ) -> Misfit:
-    """Measure how a photograph differs from its fitted sensor.
-
-    Parameters
-    ----------
-    image : Photograph
-    detected : DetectedStars
-    matches : Matches
-    sensor : Sensor
-    fit : BrightnessFit
-    stars : MeasuredStars
-        The matched stars, in the same order.
-
-    Returns
-    -------
-    Misfit
-    """
+    """Measure how a photograph differs from its fitted sensor; `stars`: the matched stars, in the same order."""
     axis_px = _axis_px(matches)
     lone = ~stars.saturated & ~stars.blended
     signal = stars.peak_dn / stars.noise_dn
@@ -290,15 +275,7 @@ def measure_misfit(
 def corner_distance(image: Photograph, matches: Matches, xy_px: Float) -> Float:
     """Return the distances of pixel positions from the principal point over that of the farthest corner.
 
-    Parameters
-    ----------
-    image : Photograph
-    matches : Matches
-    xy_px : (n, 2) float64
-
-    Returns
-    -------
-    (n,) float64
+    `xy_px` (n, 2).  Returns (n,).
     """
     return np.asarray(np.linalg.norm(_offsets(xy_px, image.pixels_dn.shape, _axis_px(matches)), axis=1))
 

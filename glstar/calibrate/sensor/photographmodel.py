@@ -40,19 +40,11 @@ _NEIGHBOURS: Final = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HotPixels:
-    """Single bright pixels; in one photograph, tracks of particles across one pixel look the same.
+    """Single bright pixels; in one photograph, tracks of particles across one pixel look the same."""
 
-    Attributes
-    ----------
-    x_px, y_px : (n,) intp
-        Columns and rows.
-    excess_dn : (n,) float64
-        Above the sky; a saturated pixel has at least that.
-    """
-
-    x_px: Index
+    x_px: Index  # (n,) intp: columns and rows
     y_px: Index
-    excess_dn: Float
+    excess_dn: Float  # (n,) above the sky; a saturated pixel has at least that
 
     def __len__(self) -> int:
         return len(self.x_px)
@@ -60,15 +52,7 @@ class HotPixels:
     def dark_frame_dn(self, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return a map for ``dark_frame``: the excess at the hot pixels and 0 elsewhere.
 
-        Parameters
-        ----------
-        shape : tuple of int
-            Rows and columns of the image.
-
-        Returns
-        -------
-        (height, width) float32
-            DN.
+        `shape`: rows and columns of the image.  Returns (height, width) float32: DN.
         """
         frame = np.zeros(shape, np.float32)
         frame[self.y_px, self.x_px] = self.excess_dn
@@ -78,27 +62,12 @@ class HotPixels:
 def find_hot_pixels(above_dn: Float, variance_dn2: Float, dn_per_e: float, joint: JointPsf) -> HotPixels:
     """Return the single bright pixels that are narrower than any star.
 
-    Parameters
-    ----------
-    above_dn : (height, width) float64
-        The image above its sky, DN.
-    variance_dn2 : (height, width) float64
-        Of the sky and the sensor, DN^2.
-    dn_per_e : float
-        Variance of further light over its level, DN; 0 for the paper's noise.
-    joint : JointPsf
-        Shape of the stars.
-
-    Returns
-    -------
-    HotPixels
-        None of them at the edge.
-
-    Notes
-    -----
-    A star's light in the four neighbours of its brightest pixel, over that pixel, is least where the star is centred on
-    the pixel.  Beside a hot pixel there is less than that, beyond the noise of all five pixels.  Stars much narrower
-    than a pixel, sigma below 0.3 px, look like hot pixels, and none is found among them.
+    `above_dn` (height, width): the image above its sky, DN; `variance_dn2` (height, width): of the sky and the sensor,
+    DN^2; `dn_per_e`: variance of further light over its level, DN; 0 for the paper's noise; `joint`: shape of the
+    stars.  Returns: none of them at the edge.  A star's light in the four neighbours of its brightest pixel, over
+    that pixel, is least where the star is centred on the pixel.  Beside a hot pixel there is less than that, beyond
+    the noise of all five pixels.  Stars much narrower than a pixel, sigma below 0.3 px, look like hot pixels, and none
+    is found among them.
     """
     least = light_beside_star(joint)
     beside = cv2.filter2D(above_dn, -1, _NEIGHBOURS, borderType=cv2.BORDER_REFLECT)
@@ -117,16 +86,7 @@ def find_hot_pixels(above_dn: Float, variance_dn2: Float, dn_per_e: float, joint
 
 
 def light_beside_star(joint: JointPsf) -> float:
-    """Return the light in the four neighbours of a pixel over the pixel's, for the narrowest star, centred on it.
-
-    Parameters
-    ----------
-    joint : JointPsf
-
-    Returns
-    -------
-    float
-    """
+    """Return the light in the four neighbours of a pixel over the pixel's, for the narrowest star, centred on it."""
     centre = beside = 0.0
     for one in replace(joint.psf, psf_ellipticity=0.0).components(joint.sigma_px, scale=joint.psf.scale_range[0]):
         scale = 1 / (np.sqrt(2) * one.sigma_px)
@@ -170,43 +130,20 @@ _WELL_ABOVE_RANGE: Final = 1.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotographModel:
-    """What one photograph says of its camera and its sky.
+    """What one photograph says of its camera and its sky."""
 
-    Attributes
-    ----------
-    calibration : Calibration
-        With the sensor that these measurements give.
-    sky : SkyMap
-    noise : NoiseAgainstLevel or None
-    joint : JointPsf
-    terms : BrightnessTerms
-    hot : HotPixels
-    brightness : StarTable
-        Of each star, as the photograph records it.
-    has_map : bool
-        Whether the sky is uneven, so that the sensor needs the map.
-    moved : bool
-        Whether the camera was at rest on the ground and the sky moved: the stars have sidereal trails.
-    flux_dn : (n,) float64
-        Of the matched stars; NaN at the edge.
-    standard_error : dict of str to float
-        Of the keys of the sensor, by key.
-    refused : tuple of str
-        What the image does not support, with numbers.
-    """
-
-    calibration: Calibration
+    calibration: Calibration  # With the sensor that these measurements give
     sky: SkyMap
     noise: NoiseAgainstLevel | None
     joint: JointPsf
     terms: BrightnessTerms
     hot: HotPixels
-    brightness: StarTable
-    has_map: bool
-    moved: bool
-    flux_dn: Float
-    standard_error: dict[str, float]
-    refused: tuple[str, ...]
+    brightness: StarTable  # Of each star, as the photograph records it
+    has_map: bool  # Whether the sky is uneven, so that the sensor needs the map
+    moved: bool  # Whether the camera was at rest on the ground and the sky moved: the stars have sidereal trails
+    flux_dn: Float  # (n,) of the matched stars; NaN at the edge
+    standard_error: dict[str, float]  # Of the keys of the sensor, by key
+    refused: tuple[str, ...]  # What the image does not support, with numbers
 
     @property
     def sky_texels(self) -> NDArray[np.float32]:
@@ -230,18 +167,8 @@ class PhotographModel:
     def to_toml(self, sky_map: str, dark_frame: str, star_brightness: str) -> str:
         """Return the model as TOML, for ``--config``.
 
-        Parameters
-        ----------
-        sky_map : str
-            Path of the map of the sky, beside the TOML file.
-        dark_frame : str
-            Path of the map of the hot pixels.
-        star_brightness : str
-            Path of the table of the stars' brightness.
-
-        Returns
-        -------
-        str
+        `sky_map`: path of the map of the sky, beside the TOML file; `dark_frame`: path of the map of the hot pixels;
+        `star_brightness`: path of the table of the stars' brightness.
         """
         calibration = self.calibration
         head = [
@@ -283,18 +210,7 @@ class PhotographModel:
 def measure_photograph(calibration: Calibration) -> PhotographModel:
     """Measure all that one photograph says of its sensor, its lens and its sky.
 
-    Parameters
-    ----------
-    calibration : Calibration
-
-    Returns
-    -------
-    PhotographModel
-
-    Raises
-    ------
-    CalibrationError
-        If there are too few stars or too little sky.
+    Raises CalibrationError if there are too few stars or too little sky.
     """
     sky = measure_sky(calibration.image, calibration.detected, calibration.matches.predicted_xy_px)
     noise = measure_noise(sky)

@@ -33,42 +33,20 @@ _SUFFIXES: Final = frozenset(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotonTransfer:
-    """What dark frames and flat fields say of a sensor.
+    """What dark frames and flat fields say of a sensor."""
 
-    Attributes
-    ----------
-    black_level_dn : float
-        Median of the mean dark frame, DN: the black level with the mean dark current.
-    read_noise_dn : float
-        Temporal noise of pixels in the dark, DN rms, without the rounding.
-    dn_per_e : float or None
-        Gain with the camera's settings, DN/e; None without flat fields.
-    dn_per_e_error : float or None
-        Its standard error.
-    dark_frame_dn : (height, width) float32
-        Mean of the dark frames.
-    flat_field : (height, width) float32 or None
-        Mean of the flat fields above the dark frame, over its mean; None without flat fields.
-    is_dead : (height, width) bool
-        Pixels that do not respond to light.
-    hot : int
-        Number of pixels that are hot in the dark.
-    prnu_fraction : float or None
-        Standard deviation of the response from pixel to pixel, without the noise of the mean.
-    dark_frames, flat_fields : int
-        Numbers of images used.
-    """
-
-    black_level_dn: float
-    read_noise_dn: float
-    dn_per_e: float | None
-    dn_per_e_error: float | None
-    dark_frame_dn: NDArray[np.float32]
+    black_level_dn: float  # Median of the mean dark frame, DN: the black level with the mean dark current
+    read_noise_dn: float  # Temporal noise of pixels in the dark, DN rms, without the rounding
+    dn_per_e: float | None  # Gain with the camera's settings, DN/e; None without flat fields
+    dn_per_e_error: float | None  # Its standard error
+    dark_frame_dn: NDArray[np.float32]  # (height, width) float32: mean of the dark frames
+    # (height, width) float32 or None: mean of the flat fields above the dark frame, over its mean; None without flat
+    # fields.
     flat_field: NDArray[np.float32] | None
-    is_dead: NDArray[np.bool_]
-    hot: int
-    prnu_fraction: float | None
-    dark_frames: int
+    is_dead: NDArray[np.bool_]  # (height, width) bool: pixels that do not respond to light
+    hot: int  # Number of pixels that are hot in the dark
+    prnu_fraction: float | None  # Standard deviation of the response from pixel to pixel, without the noise of the mean
+    dark_frames: int  # Numbers of images used
     flat_fields: int
 
     @property
@@ -79,15 +57,8 @@ class PhotonTransfer:
     def keys(self, bit_depth: int) -> dict[str, Any]:
         """Return the keys of ``[sensor]`` that were measured.
 
-        Parameters
-        ----------
-        bit_depth : int
-            Bits of the images.
-
-        Returns
-        -------
-        dict
-            At an analogue gain of 1, which means that of the images; without the maps.
+        `bit_depth`: bits of the images.  Returns: at an analogue gain of 1, which means that of the images; without the
+        maps.
         """
         keys: dict[str, Any] = {"noise": "electrons", "bit_depth": bit_depth, "black_level_dn": self.black_level_dn}
         # The dark current is in the black level, and hot pixels are in the dark frame.
@@ -106,27 +77,12 @@ class PhotonTransfer:
 def photon_transfer(darks: Sequence[Photograph], flats: Sequence[Photograph] = ()) -> PhotonTransfer:
     """Measure a sensor.
 
-    Parameters
-    ----------
-    darks : sequence of Photograph
-        Two or more dark frames of one exposure time, gain and temperature.
-    flats : sequence of Photograph
-        Two or more images of an even light at each brightness, with the same gain; several brightnesses are better.
-
-    Returns
-    -------
-    PhotonTransfer
-
-    Raises
-    ------
-    CalibrationError
-        If there are too few images, their sizes differ, the dark frames differ in exposure or level, or the flat fields
-        are too dark, too bright or unpaired.
-
-    Notes
-    -----
-    EMVA Standard 1288, release 4.0, sections 6.5 and 6.6: temporal variances from the differences of two images at the
-    same brightness, and the gain as the slope of variance against mean, both above the dark.
+    `darks`: two or more dark frames of one exposure time, gain and temperature; `flats`: two or more images of an even
+    light at each brightness, with the same gain; several brightnesses are better.  Raises CalibrationError if there
+    are too few images, their sizes differ, the dark frames differ in exposure or level, or the flat fields are too
+    dark, too bright or unpaired.  EMVA Standard 1288, release 4.0, sections 6.5 and 6.6: temporal variances from the
+    differences of two images at the same brightness, and the gain as the slope of variance against mean, both above the
+    dark.
     """
     if len(darks) < 2:
         raise CalibrationError(f"photon transfer needs two dark frames or more, and there is {len(darks)}")
@@ -241,18 +197,7 @@ def _prnu(
 def images_in(directory: Path) -> list[Path]:
     """Return the image files of a directory, sorted by name.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    CalibrationError
-        If it is no directory or has no image.
+    Raises CalibrationError if it is no directory or has no image.
     """
     if not directory.is_dir():
         raise CalibrationError("is no directory of images", path=directory)

@@ -57,17 +57,10 @@ def prepare_to_draw() -> None:
 def draw_report(calibration: Calibration) -> bytes:
     """Return the report of a calibration as a PNG.
 
-    Parameters
-    ----------
-    calibration : Calibration
-
-    Returns
-    -------
-    bytes
-        The photograph with its stars labelled, beside a simulated image of the same sky; brightness against magnitude
-        with the fit and its residuals (the paper's figure 2); width against magnitude (figure 3); one star measured
-        and simulated (figure 4); the residuals of the positions; effects that the sensor model lacks: the mean profile,
-        and brightness and width against the distance from the optical axis.
+    Returns the photograph with its stars labelled, beside a simulated image of the same sky; brightness against
+    magnitude with the fit and its residuals (the paper's figure 2); width against magnitude (figure 3); one star
+    measured and simulated (figure 4); the residuals of the positions; effects that the sensor model lacks: the mean
+    profile, and brightness and width against the distance from the optical axis.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -108,16 +101,7 @@ def draw_report(calibration: Calibration) -> bytes:
 
 
 def draw_geometry(geometry: GeometryCalibration) -> bytes:
-    """Return a PNG of the photograph with its stars labelled, and of the residuals of their positions.
-
-    Parameters
-    ----------
-    geometry : GeometryCalibration
-
-    Returns
-    -------
-    bytes
-    """
+    """Return a PNG of the photograph with its stars labelled, and of the residuals of their positions."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415
 
@@ -142,16 +126,7 @@ def draw_geometry(geometry: GeometryCalibration) -> bytes:
 def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
     """Return a simulated image of the same sky with the calibrated sensor, with all catalogue stars at rest.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    seed : int
-        Seed of the noise.
-
-    Returns
-    -------
-    (height, width) float64
-        DN.
+    `seed`: seed of the noise.  Returns (height, width) DN.
     """
     sensor, matches = calibration.sensor, calibration.matches
     vmag = calibration.reference.stars.vmag[matches.predicted]

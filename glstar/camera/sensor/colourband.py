@@ -23,21 +23,13 @@ MOSAIC_CHOICES: Final[tuple[str, ...]] = get_args(Mosaic)
 
 @dataclass(frozen=True, slots=True)
 class _Response:
-    """Magnitude in one band minus V: slope c + curvature c^2, with c = B - V; and photons of an A0 star of V 0.
-
-    Attributes
-    ----------
-    slope, curvature : float
-    photons : float
-        Photons/s/cm^2 counted with a response whose peak is 1, over those of the mean of an RGGB cell.
-    wavelength_nm : float
-        Mean wavelength of the light of a star of B - V 0.65 that is counted.
-    """
+    """Magnitude in one band minus V: slope c + curvature c^2, with c = B - V; and photons of an A0 star of V 0."""
 
     slope: float
     curvature: float
+    # Photons/s/cm^2 counted with a response whose peak is 1, over those of the mean of an RGGB cell.
     photons: float = 1.0
-    wavelength_nm: float = 550.0
+    wavelength_nm: float = 550.0  # Mean wavelength of the light of a star of B - V 0.65 that is counted
 
 
 # Synthetic photometry of 108 spectra (Pickles 1998, PASP 110, 863) from 400 to 700 nm, with the colour filters of the
@@ -81,31 +73,17 @@ BANDS_WITH_COLOURS: Final = tuple(band for band, responses in _OF_BAND.items() i
 
 @dataclass(frozen=True, slots=True)
 class ColourBand:
-    """How a camera sees the colours of stars.
+    """How a camera sees the colours of stars; raises ConfigError if a value is not valid; `key` names it."""
 
-    Attributes
-    ----------
-    band : {"v", "imx477", "imx219", "ov5647", "bare", "custom"}
-        Band of the magnitudes: V, the Raspberry Pi HQ camera, Camera Module 2 or 1 with their filters, a sensor
-        without infra-red filter, or the two coefficients below.
-    band_slope, band_curvature : float
-        With "custom": magnitude in the band minus V is slope c + curvature c^2, c = B - V.
-    mosaic : {"none", "rggb", "bggr", "grbg", "gbrg"}
-        Colour filters of the pixels: of the top row from the left, then of the second.
-    sky_bv : float
-        B - V of the sky background, for the mosaic.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not valid; `key` names it.
-    """
-
+    # {"v", "imx477", "imx219", "ov5647", "bare", "custom"}: band of the magnitudes: V, the Raspberry Pi HQ camera,
+    # Camera Module 2 or 1 with their filters, a sensor without infra-red filter, or the two coefficients below.
     band: BandName = "v"
-    band_slope: float = 0.0
+    band_slope: float = 0.0  # With "custom": magnitude in the band minus V is slope c + curvature c^2, c = B - V
     band_curvature: float = 0.0
+    # {"none", "rggb", "bggr", "grbg", "gbrg"}: colour filters of the pixels: of the top row from the left, then of the
+    # second.
     mosaic: Mosaic = "none"
-    sky_bv: float = 0.9
+    sky_bv: float = 0.9  # B - V of the sky background, for the mosaic
 
     def __post_init__(self) -> None:
         if self.band not in BAND_CHOICES:
@@ -126,14 +104,7 @@ class ColourBand:
     def of(cls, effects: Mapping[str, object]) -> "ColourBand":
         """Return the colour response that the keys of a sensor describe.
 
-        Parameters
-        ----------
-        effects : mapping
-            `Sensor.effects`; missing keys have their defaults.
-
-        Returns
-        -------
-        ColourBand
+        `effects`: `Sensor.effects`; missing keys have their defaults.
         """
         return _of_values(tuple(effects.get(f"sensor.{key}") for key in cls.__slots__))
 
@@ -145,17 +116,8 @@ class ColourBand:
     def magnitude_minus_v(self, bv: ArrayLike, channel: Channel | None = None) -> Float:
         """Return the magnitude of stars in the camera's band minus V.
 
-        Parameters
-        ----------
-        bv : (...) array_like
-            Colours B - V; used from -0.3 to 1.7.
-        channel : {"r", "g", "b"} or None
-            Of the mosaic; None for the mean of its cells, or a monochrome sensor.
-
-        Returns
-        -------
-        (...) float64
-            0 for B - V = 0.
+        `bv` (...): colours B - V; used from -0.3 to 1.7; `channel` {"r", "g", "b"} or None: of the mosaic; None for the
+        mean of its cells, or a monochrome sensor.  Returns (...) 0 for B - V = 0.
         """
         response = self._responses["mean" if channel is None else channel]
         c = np.clip(np.asarray(bv, dtype=np.float64), *VALID_BV)
@@ -164,42 +126,20 @@ class ColourBand:
     def wavelength_nm(self, channel: Channel | None = None) -> float:
         """Return the mean wavelength of the light that is counted.
 
-        Parameters
-        ----------
-        channel : {"r", "g", "b"} or None
-            A channel of the mosaic; None for the mean of all pixels.
-
-        Returns
-        -------
-        float
-            Of a star of B - V 0.65: stars from A0 to M0 are within 15 nm.  550 nm, that of V, with "custom".
+        `channel` {"r", "g", "b"} or None: a channel of the mosaic; None for the mean of all pixels.  Returns: of a star
+        of B - V 0.65: stars from A0 to M0 are within 15 nm. 550 nm, that of V, with "custom".
         """
         return self._responses["mean" if channel is None else channel].wavelength_nm
 
     def photons(self, channel: Channel) -> float:
         """Return the signal of an A0 star in pixels of one channel over the mean of the mosaic's cells.
 
-        Parameters
-        ----------
-        channel : {"r", "g", "b"}
-
-        Returns
-        -------
-        float
+        `channel` {"r", "g", "b"}.
         """
         return self._responses[channel].photons
 
     def channel_at(self, column: int, row: int) -> Channel:
-        """Return the channel of a pixel.
-
-        Parameters
-        ----------
-        column, row : int
-
-        Returns
-        -------
-        {"r", "g", "b"}
-        """
+        """Return the channel of a pixel; returns: {"r", "g", "b"}."""
         return self.mosaic[2 * (row % 2) + column % 2]  # type: ignore[return-value]
 
     @property

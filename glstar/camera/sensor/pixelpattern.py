@@ -28,67 +28,32 @@ _DEFECTS, _DARK, _RESPONSE = range(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Defects:
-    """The defective pixels of a sensor.
+    """The defective pixels of a sensor."""
 
-    Attributes
-    ----------
-    x_px, y_px : (n,) int64
-        Their positions.
-    dark_factor : (n,) float64
-        Dark current over that of an ordinary pixel; 1 unless hot.
-    offset_e : (n,) float64
-        Electrons without light and at no exposure; 0 unless stuck.
-    is_dead : (n,) bool
-        Whether it does not respond to light.
-    """
-
-    x_px: NDArray[np.int64]
+    x_px: NDArray[np.int64]  # (n,) int64: their positions
     y_px: NDArray[np.int64]
-    dark_factor: Float
-    offset_e: Float
-    is_dead: NDArray[np.bool_]
+    dark_factor: Float  # (n,) dark current over that of an ordinary pixel; 1 unless hot
+    offset_e: Float  # (n,) electrons without light and at no exposure; 0 unless stuck
+    is_dead: NDArray[np.bool_]  # (n,) bool: whether it does not respond to light
 
 
 @dataclass(frozen=True, slots=True)
 class PixelPattern:
     """What differs from pixel to pixel, the same in all frames of a camera.
 
-    Attributes
-    ----------
-    camera_seed : int
-        Seed of the camera: another one has its defects elsewhere.
-    hot_pixels_per_mpx : float
-        Density of hot and stuck pixels, per million pixels.
-    stuck_fraction : float
-        Fraction of them that have an offset at any exposure instead of a large dark current.
-    dead_pixels_per_mpx : float
-        Density of pixels without response, per million pixels.
-    dsnu_fraction : float
-        Standard deviation of the logarithm of the dark current.
-    prnu_fraction : float
-        Standard deviation of the response over its mean.
-    dark_frame : str
-        File of a mean dark frame, DN; empty for none.
-    flat_field : str
-        File of a mean flat field, in any unit; empty for none.
-    defect_map : str
-        File of the defective pixels, nonzero where a pixel does not respond; empty for none.
-
-    Notes
-    -----
     Chapman et al., defect studies 2011 to 2016 (IS&T Electronic Imaging): hot pixels are uniform over the chip, and
     more than 40 % of them have an offset at no exposure.  EMVA 1288, release 4.0, section 8: DSNU and PRNU.
     """
 
-    camera_seed: int = 0
-    hot_pixels_per_mpx: float = 0.0
-    stuck_fraction: float = 0.4
-    dead_pixels_per_mpx: float = 0.0
-    dsnu_fraction: float = 0.0
-    prnu_fraction: float = 0.0
-    dark_frame: str = ""
-    flat_field: str = ""
-    defect_map: str = ""
+    camera_seed: int = 0  # Seed of the camera: another one has its defects elsewhere
+    hot_pixels_per_mpx: float = 0.0  # Density of hot and stuck pixels, per million pixels
+    stuck_fraction: float = 0.4  # Fraction of them that have an offset at any exposure instead of a large dark current
+    dead_pixels_per_mpx: float = 0.0  # Density of pixels without response, per million pixels
+    dsnu_fraction: float = 0.0  # Standard deviation of the logarithm of the dark current
+    prnu_fraction: float = 0.0  # Standard deviation of the response over its mean
+    dark_frame: str = ""  # File of a mean dark frame, DN; empty for none
+    flat_field: str = ""  # File of a mean flat field, in any unit; empty for none
+    defect_map: str = ""  # File of the defective pixels, nonzero where a pixel does not respond; empty for none
 
     @property
     def has_dark(self) -> bool:
@@ -103,15 +68,7 @@ class PixelPattern:
     def defects(self, width_px: int, height_px: int) -> Defects:
         """Return the hot, stuck and dead pixels.
 
-        Parameters
-        ----------
-        width_px, height_px : int
-            Size of the image.
-
-        Returns
-        -------
-        Defects
-            Each position occurs once.
+        `width_px`, `height_px`: size of the image.  Returns: each position occurs once.
         """
         pixels = width_px * height_px
         dead = round(self.dead_pixels_per_mpx * pixels / 1e6)
@@ -134,17 +91,8 @@ class PixelPattern:
     def dark_e(self, width_px: int, height_px: int, dark_e: float) -> Float32:
         """Return the electrons of each pixel in the dark above the mean dark current.
 
-        Parameters
-        ----------
-        width_px, height_px : int
-            Size of the image.
-        dark_e : float
-            Mean electrons of the dark current of ordinary pixels.
-
-        Returns
-        -------
-        (height, width) float32
-            Without `dark_frame`, e.
+        `width_px`, `height_px`: size of the image; `dark_e`: mean electrons of the dark current of ordinary pixels.
+        Returns (height, width) float32: without `dark_frame`, e.
         """
         above = np.zeros((height_px, width_px), np.float32)
         if self.dsnu_fraction:
@@ -158,15 +106,8 @@ class PixelPattern:
     def response(self, width_px: int, height_px: int) -> Float32:
         """Return the deviation of each pixel's response from 1.
 
-        Parameters
-        ----------
-        width_px, height_px : int
-            Size of the image.
-
-        Returns
-        -------
-        (height, width) float32
-            0 for the mean response, -1 for a dead pixel.
+        `width_px`, `height_px`: size of the image.  Returns (height, width) float32: 0 for the mean response, -1 for a
+        dead pixel.
         """
         deviation = np.zeros((height_px, width_px), np.float32)
         if self.prnu_fraction:
@@ -184,15 +125,7 @@ class PixelPattern:
     def require_size(self, width_px: int, height_px: int) -> None:
         """Reject maps that cannot be read or have another size than the image.
 
-        Parameters
-        ----------
-        width_px, height_px : int
-            Size of the image.
-
-        Raises
-        ------
-        ConfigError
-            `key` names the map.
+        `width_px`, `height_px`: size of the image.  Raises ConfigError: `key` names the map.
         """
         for key in ("dark_frame", "flat_field", "defect_map"):
             file = getattr(self, key)
@@ -214,13 +147,7 @@ class PixelPattern:
 def smooth(flat: Float32) -> Float32:
     """Return a flat field without what differs from pixel to pixel: a mean over 33 x 33 px, mirrored at the edges.
 
-    Parameters
-    ----------
-    flat : (height, width) float32
-
-    Returns
-    -------
-    (height, width) float32
+    `flat` (height, width) float32.  Returns (height, width) float32.
     """
     import cv2  # noqa: PLC0415 - when a map is used
 
@@ -231,16 +158,8 @@ def smooth(flat: Float32) -> Float32:
 def resampled(pixels: Float32, width_px: int, height_px: int) -> Float32:
     """Return a map of another size, interpolated bilinearly between the centres of its pixels.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) float32
-        It covers the image.
-    width_px, height_px : int
-        Size of the image.
-
-    Returns
-    -------
-    (height, width) float32
+    `pixels` (rows, columns) float32: it covers the image; `width_px`, `height_px`: size of the image.  Returns (height,
+    width) float32.
     """
     import cv2  # noqa: PLC0415 - when a map is used
 
@@ -251,21 +170,8 @@ def resampled(pixels: Float32, width_px: int, height_px: int) -> Float32:
 def read_map(file: str) -> Float32:
     """Return a map of pixels: PNG, TIFF, FITS or NPY, of one channel.
 
-    Parameters
-    ----------
-    file : str
-
-    Returns
-    -------
-    (height, width) float32
-        Row 0 is the top, in FITS too.  Read only.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it is not an image of one channel.
+    Returns (height, width) float32: row 0 is the top, in FITS too; read only.  Raises OSError if the file cannot be
+    read; ValueError if it is not an image of one channel.
     """
     return _read_map(file, Path(file).stat().st_mtime_ns)
 
@@ -294,22 +200,8 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
 def read_fits(content: bytes) -> Float:
     """Return the image of the first header unit of a FITS file, in physical values.
 
-    Parameters
-    ----------
-    content : bytes
-
-    Returns
-    -------
-    (height, width) float64
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or no image of one channel.
-
-    Notes
-    -----
-    FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
+    Returns (height, width).  Raises ValueError if it is damaged, or no image of one channel.  FITS Standard 4.0,
+    sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
     """
     if not content.startswith(b"SIMPLE  ="):
         raise ValueError("it is no FITS file")

@@ -42,77 +42,40 @@ _NARROWEST: Final = 0.2
 
 @dataclass(frozen=True, slots=True)
 class PsfComponent:
-    """One circular Gaussian of a point spread function.
+    """One circular Gaussian of a point spread function."""
 
-    Attributes
-    ----------
-    flux_fraction : float
-        Its part of the star's flux.
-    sigma_px : float
-        Standard deviation, px.
-    offset_px : tuple of float
-        Its centre minus the star's (x, y), px.
-    """
-
-    flux_fraction: float
-    sigma_px: float
-    offset_px: tuple[float, float] = (0.0, 0.0)
+    flux_fraction: float  # Its part of the star's flux
+    sigma_px: float  # Standard deviation, px
+    offset_px: tuple[float, float] = (0.0, 0.0)  # Its centre minus the star's (x, y), px
 
 
 @dataclass(frozen=True, slots=True)
 class PointSpread:
     """Shape of a star beyond the Gaussian core: profile, wings, halo, ellipticity, and how its width varies.
 
-    Attributes
-    ----------
-    psf : {"gaussian", "moffat"}
-        The core's profile.  Its full width at half maximum is that of a Gaussian of ``psf_sigma_px``.
-    psf_beta : float
-        Exponent of the Moffat profile, 2 to 20: the smaller, the wider its wings.
-    psf_wing_fraction : float
-        Fraction of the flux in the wings, a second Gaussian.
-    psf_wing_sigma_px : float
-        Standard deviation of the wings, px.
-    psf_halo_fraction : float
-        Fraction of the flux in a halo whose surface brightness falls as 1 / r^2.
-    psf_halo_radius_px : float
-        Where the halo ends, px: the standard deviation of its widest Gaussian.
-    psf_growth : float
-        Increase of the core's width from the centre of the image to a corner, as a fraction.  It is proportional to
-        the square of the distance from the principal point.
-    psf_ellipticity : float
-        1 minus the ratio of the axes of an elliptical core, 0 to 0.4; the area stays the same.
-    psf_angle_rad : float
-        Direction of the major axis, from the image's x axis towards its y axis, rad.
-    psf_tilt : float
-        Increase of the core's width from the principal point to half the diagonal in one direction, as a fraction,
-        and decrease in the opposite direction: a sensor that is tilted against the focal surface.
-    psf_tilt_angle_rad : float
-        Direction in which stars are wider, from the image's x axis towards its y axis, rad.
-    psf_colour_growth : float
-        Increase of the core's width per magnitude of B - V above 0.65, as a fraction: colours have different foci.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not valid; `key` names it.
-
-    Notes
-    -----
-    Moffat 1969, *A&A* 3, 455.
+    Raises ConfigError if a value is not valid; `key` names it.  Moffat 1969, *A&A* 3, 455.
     """
 
+    # {"gaussian", "moffat"}: the core's profile; its full width at half maximum is that of a Gaussian of
+    # ``psf_sigma_px``.
     psf: Profile = "gaussian"
-    psf_beta: float = 3.0
-    psf_wing_fraction: float = 0.0
-    psf_wing_sigma_px: float = 4.0
-    psf_halo_fraction: float = 0.0
-    psf_halo_radius_px: float = 20.0
+    psf_beta: float = 3.0  # Exponent of the Moffat profile, 2 to 20: the smaller, the wider its wings
+    psf_wing_fraction: float = 0.0  # Fraction of the flux in the wings, a second Gaussian
+    psf_wing_sigma_px: float = 4.0  # Standard deviation of the wings, px
+    psf_halo_fraction: float = 0.0  # Fraction of the flux in a halo whose surface brightness falls as 1 / r^2
+    psf_halo_radius_px: float = 20.0  # Where the halo ends, px: the standard deviation of its widest Gaussian
+    # Increase of the core's width from the centre of the image to a corner, as a fraction; it is proportional to the
+    # square of the distance from the principal point.
     psf_growth: float = 0.0
+    # 1 minus the ratio of the axes of an elliptical core, 0 to 0.4; the area stays the same.
     psf_ellipticity: float = 0.0
-    psf_angle_rad: float = 0.0
+    psf_angle_rad: float = 0.0  # Direction of the major axis, from the image's x axis towards its y axis, rad
+    # Increase of the core's width from the principal point to half the diagonal in one direction, as a fraction, and
+    # decrease in the opposite direction: a sensor that is tilted against the focal surface.
     psf_tilt: float = 0.0
+    # Direction in which stars are wider, from the image's x axis towards its y axis, rad.
     psf_tilt_angle_rad: float = 0.0
+    # Increase of the core's width per magnitude of B - V above 0.65, as a fraction: colours have different foci.
     psf_colour_growth: float = 0.0
 
     def __post_init__(self) -> None:
@@ -141,14 +104,7 @@ class PointSpread:
     def of(cls, effects: Mapping[str, object]) -> "PointSpread":
         """Return the point spread function that the keys of a sensor describe.
 
-        Parameters
-        ----------
-        effects : mapping
-            `Sensor.effects`; missing keys have their defaults.
-
-        Returns
-        -------
-        PointSpread
+        `effects`: `Sensor.effects`; missing keys have their defaults.
         """
         return _of_values(tuple(map(effects.get, _CONFIG_KEYS)))
 
@@ -171,15 +127,8 @@ class PointSpread:
     def circular(self, sigma_px: float) -> tuple[PsfComponent, ...]:
         """Return the Gaussians of a circular star on the optical axis.
 
-        Parameters
-        ----------
-        sigma_px : float
-            ``psf_sigma_px``: standard deviation of the core, or of the Gaussian of equal width at half maximum, px.
-
-        Returns
-        -------
-        tuple of PsfComponent
-            Their flux fractions add up to 1.
+        `sigma_px`: ``psf_sigma_px``: standard deviation of the core, or of the Gaussian of equal width at half maximum,
+        px.  Returns: their flux fractions add up to 1.
         """
         core, outer = _circular(self, sigma_px)
         return core + outer
@@ -187,18 +136,8 @@ class PointSpread:
     def components(self, sigma_px: float, *, scale: float = 1.0) -> tuple[PsfComponent, ...]:
         """Return the Gaussians of a star.
 
-        Parameters
-        ----------
-        sigma_px : float
-            ``psf_sigma_px``, px.
-        scale : float
-            `scale_at` of the star's position.
-
-        Returns
-        -------
-        tuple of PsfComponent
-            Wings and halo stay as they are.  An elliptical Gaussian is a row of circular ones along its major axis
-            (Gauss-Hermite quadrature).
+        `sigma_px`: ``psf_sigma_px``, px; `scale`: `scale_at` of the star's position.  Returns: wings and halo stay as
+        they are; an elliptical Gaussian is a row of circular ones along its major axis (Gauss-Hermite quadrature).
         """
         ratio = 1 - self.psf_ellipticity
         nodes, weights = _hermite(ratio)
@@ -216,14 +155,7 @@ class PointSpread:
     def flux_per_peak_px2(self, sigma_px: float) -> float:
         """Return the flux of a star on the axis over the amplitude of its point spread function, px^2.
 
-        Parameters
-        ----------
-        sigma_px : float
-            ``psf_sigma_px``, px.
-
-        Returns
-        -------
-        float
+        `sigma_px`: ``psf_sigma_px``, px.
         """
         if self.is_gaussian:
             return 2 * np.pi * sigma_px**2
@@ -232,17 +164,8 @@ class PointSpread:
     def scale_at(self, offset: ArrayLike, bv: ArrayLike = USUAL_BV) -> Float:
         """Return the widths of the core over ``psf_sigma_px``.
 
-        Parameters
-        ----------
-        offset : (..., 2) array_like
-            Position (x, y) minus the principal point, over half the diagonal of the image.
-        bv : (...) array_like
-            Colours B - V; used from -0.3 to 1.7.
-
-        Returns
-        -------
-        (...) float64
-            1 on the axis for a star of B - V 0.65.
+        `offset` (..., 2): position (x, y) minus the principal point, over half the diagonal of the image; `bv` (...):
+        colours B - V; used from -0.3 to 1.7.  Returns (...) 1 on the axis for a star of B - V 0.65.
         """
         x, y = np.moveaxis(np.asarray(offset, dtype=np.float64), -1, 0)
         towards = x * cos(self.psf_tilt_angle_rad) + y * sin(self.psf_tilt_angle_rad)
@@ -320,20 +243,10 @@ def _hermite(ratio: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
 def moffat_mixture(beta: float) -> tuple[tuple[float, float], ...]:
     """Return the sum of Gaussians that approximates a Moffat profile of alpha 1.
 
-    Parameters
-    ----------
-    beta : float
-        Exponent of the profile (1 + r^2 / alpha^2)^-beta, 2 to 20.
-
-    Returns
-    -------
-    tuple of (float, float)
-        Flux fraction and standard deviation, in units of alpha, of each Gaussian.
-
-    Notes
-    -----
-    A Moffat profile is exactly a mixture of Gaussians whose 1 / (2 sigma^2) has a gamma distribution of shape beta - 1;
-    here a few sigmas at equal ratios have the fluxes that fit encircled energy and profile best, by least squares.
+    `beta`: exponent of the profile (1 + r^2 / alpha^2)^-beta, 2 to 20.  Returns: tuple of (float, float): flux
+    fraction and standard deviation, in units of alpha, of each Gaussian.  A Moffat profile is exactly a mixture of
+    Gaussians whose 1 / (2 sigma^2) has a gamma distribution of shape beta - 1; here a few sigmas at equal ratios have
+    the fluxes that fit encircled energy and profile best, by least squares.
     """
     nodes, count = (_FIVE_NODES, 5) if beta < _FOUR_NODES[0][0] else (_FOUR_NODES, 4)
     betas, steps, largest = np.transpose(nodes)
@@ -355,21 +268,11 @@ FAINTEST_COMPONENT_DN: Final = 0.1 * TRUNCATION_DN
 
 @dataclass(frozen=True, slots=True)
 class Truncation:
-    """Limits of the radius at which a star's point spread function is truncated, besides `TRUNCATION_DN`.
+    """Limits of the radius at which a star's point spread function is truncated, besides `TRUNCATION_DN`."""
 
-    Attributes
-    ----------
-    peak_fraction : float
-        The signal at the radius, over the peak, is at most this.
-    min_sigma : float
-        Smallest radius, sigma.
-    min_px : float
-        Smallest radius, px.
-    """
-
-    peak_fraction: float
-    min_sigma: float
-    min_px: float = 0.0
+    peak_fraction: float  # The signal at the radius, over the peak, is at most this
+    min_sigma: float  # Smallest radius, sigma
+    min_px: float = 0.0  # Smallest radius, px
 
 
 # Flux outside the radius is lost: 1e-3 of it at 3.5 sigma.
@@ -384,23 +287,9 @@ def gaussian_radius_px(
 ) -> Float:
     """Return the radius at which Gaussians are truncated.
 
-    Parameters
-    ----------
-    sigma_px : float
-        Standard deviation, px.
-    peak_dn : (...) array_like
-        Amplitudes of stars that do not move, DN.
-    reduction : (...) float64
-        Factor by which motion reduces them.
-    renormalized : bool
-        Whether the flux outside the radius is added to the rest.
-    faintest_dn : float
-        Signal below which nothing matters, however faint the star is, DN.
-
-    Returns
-    -------
-    (...) float64
-        px.
+    `sigma_px`: standard deviation, px; `peak_dn` (...): amplitudes of stars that do not move, DN; `reduction` (...):
+    factor by which motion reduces them; `renormalized`: whether the flux outside the radius is added to the rest;
+    `faintest_dn`: signal below which nothing matters, however faint the star is, DN.  Returns (...) px.
     """
     limits = RENORMALIZED if renormalized else PLAIN
     peak, most = np.asarray(peak_dn, dtype=np.float64), 1 / limits.peak_fraction

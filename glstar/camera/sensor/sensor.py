@@ -38,54 +38,21 @@ class ElectronModel:
     """How light becomes digital numbers in a sensor that counts electrons.
 
     The defaults are those of the preset ``generic``: a 12-bit sensor of the class of the Sony IMX477 behind a 6 mm
-    f/1.2 lens.
-
-    Attributes
-    ----------
-    vmag_0_e_per_s : float
-        Photo-electrons per second of a star of magnitude 0 on the optical axis, e/s.
-    sky_e_per_s : float
-        Photo-electrons per second and pixel of a uniform sky on the optical axis, e/s.
-    gain_dn_per_e : float
-        Conversion factor at an analogue gain of 1, DN/e.
-    analogue_gain : float
-        Amplification before the converter, a factor.
-    full_well_e : float
-        Most electrons of a pixel, e.
-    black_level_dn : float
-        Digital number without light, DN.
-    read_noise_before_gain_e : float
-        Read noise that arises before the amplifier, e rms.
-    read_noise_after_gain_e : float
-        Read noise that arises behind the amplifier, e rms at an analogue gain of 1.
-    dark_current_e_per_s : float
-        Dark current at 25 degrees Celsius, e/s per pixel.
-    dark_doubling_c : float
-        Rise of temperature that doubles the dark current, degrees Celsius.
-    temperature_c : float
-        Temperature of the sensor, degrees Celsius.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not valid; `key` names it.
-
-    Notes
-    -----
-    Janesick, Photon Transfer (2007), chapter 5; EMVA Standard 1288, release 4.0, linear model, eqs (3) to (12).
+    f/1.2 lens.  Raises ConfigError if a value is not valid; `key` names it.  Janesick, Photon Transfer (2007),
+    chapter 5; EMVA Standard 1288, release 4.0, linear model, eqs (3) to (12).
     """
 
-    vmag_0_e_per_s: float = 90_000.0
-    sky_e_per_s: float = 0.0
-    gain_dn_per_e: float = 0.47
-    analogue_gain: float = 1.0
-    full_well_e: float = 8200.0
-    black_level_dn: float = 256.0
-    read_noise_before_gain_e: float = 1.5
-    read_noise_after_gain_e: float = 2.8
-    dark_current_e_per_s: float = 0.2
-    dark_doubling_c: float = 7.0
-    temperature_c: float = 25.0
+    vmag_0_e_per_s: float = 90_000.0  # Photo-electrons per second of a star of magnitude 0 on the optical axis, e/s
+    sky_e_per_s: float = 0.0  # Photo-electrons per second and pixel of a uniform sky on the optical axis, e/s
+    gain_dn_per_e: float = 0.47  # Conversion factor at an analogue gain of 1, DN/e
+    analogue_gain: float = 1.0  # Amplification before the converter, a factor
+    full_well_e: float = 8200.0  # Most electrons of a pixel, e
+    black_level_dn: float = 256.0  # Digital number without light, DN
+    read_noise_before_gain_e: float = 1.5  # Read noise that arises before the amplifier, e rms
+    read_noise_after_gain_e: float = 2.8  # Read noise that arises behind the amplifier, e rms at an analogue gain of 1
+    dark_current_e_per_s: float = 0.2  # Dark current at 25 degrees Celsius, e/s per pixel
+    dark_doubling_c: float = 7.0  # Rise of temperature that doubles the dark current, degrees Celsius
+    temperature_c: float = 25.0  # Temperature of the sensor, degrees Celsius
 
     def __post_init__(self) -> None:
         for key in _POSITIVE:
@@ -123,51 +90,23 @@ class ElectronModel:
     def background_e(self, duration_s: float) -> float:
         """Return the mean number of electrons of a pixel without a star, on the optical axis.
 
-        Parameters
-        ----------
-        duration_s : float
-            Exposure time, s.
-
-        Returns
-        -------
-        float
-            Of sky and dark current, at most the full well, e.
+        `duration_s`: exposure time, s.  Returns: of sky and dark current, at most the full well, e.
         """
         return min((self.sky_e_per_s + self.dark_e_per_s) * duration_s, self.full_well_e)
 
     def variance_e2(self, mean_e: ArrayLike) -> Float:
         """Return the variance of pixels: shot noise and read noise, e^2.
 
-        Parameters
-        ----------
-        mean_e : (...) array_like
-            Mean numbers of electrons, e.
-
-        Returns
-        -------
-        (...) float64
-            Without the 1/12 DN^2 of rounding.
-
-        Notes
-        -----
-        EMVA 1288, eq. (9): the variance of a Poisson count is its mean.
+        `mean_e` (...): mean numbers of electrons, e.  Returns (...) without the 1/12 DN^2 of rounding.  EMVA 1288,
+        eq. (9): the variance of a Poisson count is its mean.
         """
         return np.asarray(mean_e, dtype=np.float64) + self.read_noise_e**2
 
     def pixel_electrons(self, pixel_dn: float) -> tuple[float, float]:
         """Return the electrons of a pixel and their signal-to-noise ratio, from its digital number.
 
-        Parameters
-        ----------
-        pixel_dn : float
-            Digital number, DN.
-
-        Returns
-        -------
-        electrons : float
-            Above the black level, e; negative by noise.
-        signal_to_noise : float
-            Over shot noise and read noise; 0 for negative ones.
+        `pixel_dn`: digital number, DN.  Returns `electrons`: above the black level, e; negative by noise;
+        `signal_to_noise`: over shot noise and read noise; 0 for negative ones.
         """
         electrons = (pixel_dn - self.black_level_dn) / self.dn_per_e
         counted = max(electrons, 0.0)
@@ -177,23 +116,10 @@ class ElectronModel:
     def signal_to_noise(self, flux_e: ArrayLike, area_px2: ArrayLike, duration_s: float) -> Float:
         """Return the signal-to-noise ratio of stars, measured with the weights of their own profile.
 
-        Parameters
-        ----------
-        flux_e : (...) array_like
-            Electrons of each star on all its pixels together, e.
-        area_px2 : (...) array_like
-            Noise-equivalent area of each: 1 over the sum of its squared profile, px^2; 4 pi sigma^2 at rest.
-        duration_s : float
-            Exposure time, s.
-
-        Returns
-        -------
-        (...) float64
-
-        Notes
-        -----
-        Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), with the noise-equivalent area of King 1983 for the number
-        of pixels.  Saturation and the rounding to DN are not in it.
+        `flux_e` (...): electrons of each star on all its pixels together, e; `area_px2` (...): noise-equivalent area of
+        each: 1 over the sum of its squared profile, px^2; 4 pi sigma^2 at rest; `duration_s`: exposure time, s.
+        Returns (...).  Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), with the noise-equivalent area of King
+        1983 for the number of pixels.  Saturation and the rounding to DN are not in it.
         """
         flux = np.asarray(flux_e, dtype=np.float64)
         background_e2 = self.variance_e2(self.background_e(duration_s))
@@ -201,29 +127,11 @@ class ElectronModel:
         return np.asarray(flux / np.sqrt(np.maximum(noise_e2, np.finfo(np.float64).tiny)))
 
     def with_scale(self, scale: float) -> Self:
-        """Return the model with digital numbers `scale` times as large, for another bit depth.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        ElectronModel
-        """
+        """Return the model with digital numbers `scale` times as large, for another bit depth."""
         return replace(self, gain_dn_per_e=self.gain_dn_per_e * scale, black_level_dn=self.black_level_dn * scale)
 
     def leaves_same_signal(self, other: "ElectronModel") -> bool:
-        """Return whether stars leave the same noiseless signal on another sensor.
-
-        Parameters
-        ----------
-        other : ElectronModel
-
-        Returns
-        -------
-        bool
-        """
+        """Return whether stars leave the same noiseless signal on another sensor."""
         return (self.vmag_0_e_per_s, self.dn_per_e) == (other.vmag_0_e_per_s, other.dn_per_e)
 
 
@@ -682,19 +590,8 @@ _QUANTISATION_VARIANCE_DN2: Final = 1 / 12
 def noise_equivalent_area_px2(sensor: Sensor) -> float:
     """Return the noise-equivalent area of a star that does not move, on the optical axis.
 
-    Parameters
-    ----------
-    sensor : Sensor
-
-    Returns
-    -------
-    float
-        1 over the integral of its squared profile, px^2: 4 pi sigma^2 for a Gaussian.
-
-    Notes
-    -----
-    King 1983, PASP 95, 163.  Two Gaussians of the variances s and t at the distance d overlap by
-    exp(-d^2 / 2 (s + t)) / 2 pi (s + t).
+    Returns: 1 over the integral of its squared profile, px^2: 4 pi sigma^2 for a Gaussian.  King 1983, PASP 95, 163.
+    Two Gaussians of the variances s and t at the distance d overlap by exp(-d^2 / 2 (s + t)) / 2 pi (s + t).
     """
     parts = [
         (one.flux_fraction, sensor.of_component(one).effective_sigma_px ** 2, one.offset_px)
@@ -712,29 +609,14 @@ def noise_equivalent_area_px2(sensor: Sensor) -> float:
 def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: float = 0.0, frames: int = 1) -> float:
     """Return the magnitude of a star that a matched filter finds with a signal-to-noise ratio of 5.
 
-    Valid for both noise models.  Row noise, fixed patterns, a colour mosaic and processing in the camera are not in it.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    duration_s : float
-        Exposure time, s; of each short exposure of a stacked image.
-    area_px2 : float
-        Noise-equivalent area of the star or of its trail, px^2.
-    sky_dn : float
-        Signal per pixel of a sky that the sensor's own background does not have, DN; with shot noise in electrons.
-    frames : int
-        Number of short exposures in the image, whose ratio is sqrt(frames) times that of one.
-
-    Returns
-    -------
-    float
-        In the camera's band, as it reaches the lens, on the optical axis; NaN if the background saturates.
-
-    Notes
-    -----
-    Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), solved for the flux F: F^2 = SNR^2 (K F + A v), with K DN per
-    electron (0 in the paper's noise model), the noise-equivalent area A, and the variance v of a pixel without a star.
+    Valid for both noise models.  Row noise, fixed patterns, a colour mosaic and processing in the camera are not in
+    it.  `duration_s`: exposure time, s; of each short exposure of a stacked image; `area_px2`: noise-equivalent area
+    of the star or of its trail, px^2; `sky_dn`: signal per pixel of a sky that the sensor's own background does not
+    have, DN; with shot noise in electrons; `frames`: number of short exposures in the image, whose ratio is
+    sqrt(frames) times that of one.  Returns: in the camera's band, as it reaches the lens, on the optical axis; NaN if
+    the background saturates.  Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), solved for the flux F: F^2 = SNR^2
+    (K F + A v), with K DN per electron (0 in the paper's noise model), the noise-equivalent area A, and the variance v
+    of a pixel without a star.
     """
     model = sensor.electrons
     dn_per_e = 0.0 if model is None else model.dn_per_e

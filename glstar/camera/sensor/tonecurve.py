@@ -39,19 +39,9 @@ _LIBCAMERA_FULL_SCALE: Final = 65535
 def recorded_by(light: NDArray[Any], gamma: str | float, points: str = "") -> Float:
     """Return values after a tone curve.
 
-    Parameters
-    ----------
-    light : ndarray
-        From 0 to 1.
-    gamma : {"linear", "srgb", "rpi"} or float
-        The name of a curve, or g for the light to the power of 1 / g.
-    points : str
-        Points of a curve as `curve_text` writes them; empty for `gamma`.
-
-    Returns
-    -------
-    float64
-        From 0 to 1, of the shape of `light`.
+    `light`: from 0 to 1; `gamma` {"linear", "srgb", "rpi"} or float: the name of a curve, or g for the light to the
+    power of 1 / g; `points`: points of a curve as `curve_text` writes them; empty for `gamma`.  Returns: from 0 to 1,
+    of the shape of `light`.
     """
     if points:
         given, toned = np.transpose(parse_curve(points))
@@ -64,16 +54,8 @@ def recorded_by(light: NDArray[Any], gamma: str | float, points: str = "") -> Fl
 def light_before(recorded: NDArray[Any], gamma: str | float) -> Float:
     """Return the light that a tone curve records as some values: the inverse of `recorded_by`.
 
-    Parameters
-    ----------
-    recorded : ndarray
-        From 0 to 1.
-    gamma : {"linear", "srgb", "rpi"} or float
-
-    Returns
-    -------
-    float64
-        From 0 to 1, of the shape of `recorded`.
+    `recorded`: from 0 to 1; `gamma` {"linear", "srgb", "rpi"} or float.  Returns: from 0 to 1, of the shape of
+    `recorded`.
     """
     if not isinstance(gamma, str):
         return np.asarray(recorded, dtype=np.float64) ** gamma
@@ -114,30 +96,14 @@ def _named_curve(gamma: str) -> Float:
 
 
 def is_curve_text(text: str) -> bool:
-    """Return whether a text holds points, ``"0,0;0.5,0.7;1,1"``, rather than the name of a file.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a text holds points, ``"0,0;0.5,0.7;1,1"``, rather than the name of a file."""
     return ";" in text
 
 
 def curve_text(points: CurvePoints) -> str:
     """Return points as text.
 
-    Parameters
-    ----------
-    points : tuple of (float, float)
-
-    Returns
-    -------
-    str
-        Such as ``"0,0;0.5,0.7;1,1"``, of eight digits.
+    `points` tuple of (float, float).  Returns: such as ``"0,0;0.5,0.7;1,1"``, of eight digits.
     """
     return ";".join(f"{given:.8g},{toned:.8g}" for given, toned in points)
 
@@ -146,19 +112,8 @@ def curve_text(points: CurvePoints) -> str:
 def parse_curve(text: str) -> CurvePoints:
     """Return the points of a text.
 
-    Parameters
-    ----------
-    text : str
-        As `curve_text` writes it.
-
-    Returns
-    -------
-    tuple of (float, float)
-
-    Raises
-    ------
-    ValueError
-        If they are no tone curve; the message continues "KEY: ".
+    `text`: as `curve_text` writes it.  Returns: tuple of (float, float).  Raises ValueError if they are no tone curve;
+    the message continues "KEY: ".
     """
     return checked_points([row.split(",") for row in text.split(";") if row.strip()])
 
@@ -166,20 +121,9 @@ def parse_curve(text: str) -> CurvePoints:
 def read_curve(path: Path) -> CurvePoints:
     """Return the points of a file.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with a column of inputs and one of outputs; JSON with a list of [input, output]; or a tuning file of
-        libcamera, whose ``gamma_curve`` has inputs and outputs of 65535 in turn.
-
-    Returns
-    -------
-    tuple of (float, float)
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read, or holds no tone curve; the message continues "KEY: ".
+    `path`: CSV with a column of inputs and one of outputs; JSON with a list of [input, output]; or a tuning file of
+    libcamera, whose ``gamma_curve`` has inputs and outputs of 65535 in turn.  Returns: tuple of (float, float).  Raises
+    ValueError if it cannot be read, or holds no tone curve; the message continues "KEY: ".
     """
     try:
         text = read_text(path, _LARGEST_BYTES)
@@ -191,19 +135,8 @@ def read_curve(path: Path) -> CurvePoints:
 def checked_points(rows: Sequence[Any]) -> CurvePoints:
     """Return rows of two numbers as points of a tone curve.
 
-    Parameters
-    ----------
-    rows : sequence of [input, output]
-        Fractions of full scale.
-
-    Returns
-    -------
-    tuple of (float, float)
-
-    Raises
-    ------
-    ValueError
-        If one is no pair of fractions, there are fewer than two, or the curve falls; the message continues "KEY: ".
+    `rows`: fractions of full scale.  Returns: tuple of (float, float).  Raises ValueError if one is no pair of
+    fractions, there are fewer than two, or the curve falls; the message continues "KEY: ".
     """
     points = tuple(map(_point, rows))
     if len(points) < 2:

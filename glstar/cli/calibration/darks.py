@@ -26,23 +26,9 @@ def calibrate_from_darks(
 ) -> None:
     """Measure a sensor, write its keys and maps, and report.
 
-    Parameters
-    ----------
-    darks : Path
-        Directory of dark frames.
-    flats : Path or None
-        Directory of flat fields.
-    output : Path
-        The TOML file to write; the maps go beside it.
-    bit_depth : int or None
-        Bits of the images; None to find them.
-    as_json : bool
-        Report as JSON.
-
-    Raises
-    ------
-    CalibrationError
-        If the images cannot be used.
+    `darks`: directory of dark frames; `flats`: directory of flat fields; `output`: the TOML file to write; the maps go
+    beside it; `bit_depth`: bits of the images; None to find them; `as_json`: report as JSON.  Raises CalibrationError
+    if the images cannot be used.
     """
     paths = [*images_in(darks), *(images_in(flats) if flats is not None else [])]
     count = len(images_in(darks))

@@ -37,24 +37,13 @@ _LARGEST_LABELS_BYTES: Final = 2**20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """The stars over an image.
-
-    Attributes
-    ----------
-    stars : ReferenceStars
-    C_body_ned : (3, 3) float64 or None
-        The given attitude; None if it is unknown.
-    catalogue : StarCatalogue
-    notes : tuple of str
-        Remarks for the user: what the flight says that the calibration leaves out.
-    refraction_scale : float
-        Refraction of the config's air over that of standard air, for a zenith that only the photograph shows.
-    """
+    """The stars over an image."""
 
     stars: ReferenceStars
-    C_body_ned: NDArray[np.float64] | None
+    C_body_ned: NDArray[np.float64] | None  # (3, 3) or None: the given attitude; None if it is unknown
     catalogue: StarCatalogue
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # Remarks for the user: what the flight says that the calibration leaves out
+    # Refraction of the config's air over that of standard air, for a zenith that only the photograph shows.
     refraction_scale: float = 0.0
 
 

@@ -129,17 +129,7 @@ def _print_geometry(geometry: GeometryCalibration, output: Path) -> None:
 
 
 def report_lines(result: Calibration | GeometryCalibration) -> list[str]:
-    """Return what was found in one image.
-
-    Parameters
-    ----------
-    result : Calibration or GeometryCalibration
-
-    Returns
-    -------
-    list of str
-        Lines, without the notes.
-    """
+    """Return what was found in one image; returns: lines, without the notes."""
     if isinstance(result, GeometryCalibration):
         ra_deg, dec_deg = np.rad2deg(result.boresight_rad)
         pointing = f"right ascension {ra_deg:.3f} deg, declination {dec_deg:+.3f} deg (ICRS)"

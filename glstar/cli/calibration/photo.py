@@ -20,21 +20,7 @@ _SAME_PX = 0.5
 def calibration_of(request: CalibrationRequest, progress: CalibrationProgress) -> CalibratedPhoto:
     """Calibrate a camera from a photograph; see `glstar.viewer.picture.fitting.CalibratePhoto`.
 
-    Parameters
-    ----------
-    request : CalibrationRequest
-    progress : CalibrationProgress
-
-    Returns
-    -------
-    CalibratedPhoto
-
-    Raises
-    ------
-    CalibrationError
-        If the photograph cannot be calibrated.
-    ConfigError
-        If the inputs are not valid.
+    Raises CalibrationError if the photograph cannot be calibrated; ConfigError if the inputs are not valid.
     """
     options = CalibrateOptions(
         config=None,

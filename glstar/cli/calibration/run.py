@@ -201,25 +201,8 @@ def calibrate_images(
 ) -> Calibration | CombinedCalibration | GeometryCalibration | SharedGeometry:
     """Calibrate one image, or several of one camera, and write the results.
 
-    Parameters
-    ----------
-    images : list of Path
-    options : CalibrateOptions
-    output : Path
-        The TOML file; other files are written beside it.
-    camera_out : Path or None
-        A camera file to write as well.
-
-    Returns
-    -------
-    Calibration, CombinedCalibration, GeometryCalibration or SharedGeometry
-
-    Raises
-    ------
-    CalibrationError
-        If an image cannot be calibrated.
-    ConfigError
-        If options contradict each other.
+    `output`: the TOML file; other files are written beside it; `camera_out`: a camera file to write as well.  Raises
+    CalibrationError if an image cannot be calibrated; ConfigError if options contradict each other.
     """
     single = len(images) == 1
     steps = _STEPS * len(images) + (not single)
@@ -331,18 +314,7 @@ def calibrated_image(
 ) -> Calibration | GeometryCalibration:
     """Return the calibration of an image; of a single image without a usable sensor, the geometry and the reason.
 
-    Parameters
-    ----------
-    part : Identified
-    options : CalibrateOptions
-    single : bool
-        Whether it is the only image.
-    lens_is_fitted : bool
-        Whether the matches have the fitted lens already.
-
-    Returns
-    -------
-    Calibration or GeometryCalibration
+    `single`: whether it is the only image; `lens_is_fitted`: whether the matches have the fitted lens already.
     """
     image, detected, reference, matches = part.image, part.detected, part.reference.stars, part.matches
     if not lens_is_fitted:

@@ -45,21 +45,9 @@ class TwinResult:
 def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     """Measure a photograph, write its model, its twin and their comparison.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    output : Path
-        The TOML file; the map of the sky (``.sky.tiff``), the hot pixels (``.hot.tiff``), the twin (``.twin.png``) and
-        the comparison (``.pair.png``) lie beside it.
-
-    Returns
-    -------
-    TwinResult
-
-    Raises
-    ------
-    CalibrationError
-        If the photograph has too few stars or too little sky.
+    `output`: the TOML file; the map of the sky (``.sky.tiff``), the hot pixels (``.hot.tiff``), the twin
+    (``.twin.png``) and the comparison (``.pair.png``) lie beside it.  Raises CalibrationError if the photograph has too
+    few stars or too little sky.
     """
     model = measure_photograph(calibration)
     name = output.name.removesuffix(".toml")
@@ -96,13 +84,7 @@ def _encoded(suffix: str, pixels: object) -> bytes:
 def write_twin_of(
     result: Calibration | CombinedCalibration | GeometryCalibration, output: Path, *, as_json: bool
 ) -> None:
-    """Write the twin of a calibration and report.
-
-    Raises
-    ------
-    CalibrationError
-        If the photograph does not show a sensor.
-    """
+    """Write the twin of a calibration and report; raises CalibrationError if the photograph does not show a sensor."""
     if not isinstance(result, Calibration):
         notes = result.notes[0] if result.notes else "no sensor"
         raise CalibrationError(f"has no twin: {notes}")

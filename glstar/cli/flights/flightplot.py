@@ -24,17 +24,8 @@ _WRAP_DEG: Final = 180.0
 def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     """Plot Euler angles and turn rates of a flight, with shaded gaps.
 
-    Parameters
-    ----------
-    flight : Flight
-    found : Survey
-    path : Path
-        The file to write: .png, .svg or .pdf.
-
-    Raises
-    ------
-    ExportError
-        If the file has another suffix or cannot be written.
+    `path`: the file to write: .png, .svg or .pdf.  Raises ExportError if the file has another suffix or cannot be
+    written.
     """
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.system.files import write_atomically  # noqa: PLC0415 - OpenCV, when it is needed

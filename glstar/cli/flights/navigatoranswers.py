@@ -26,21 +26,11 @@ _POLL_S: Final = 0.02
 class IncomingAnswers(ABC):
     """Answers that a navigator writes now; a context manager with a thread that reads them.
 
-    Parameters
-    ----------
-    source : str or Path
-        ``zmq://HOST:PORT``, where `glstar answer` and other programs send them; or a file that the navigator appends
-        JSON lines to, as `glstar.score` reads them; ``-`` is the standard input.  Lines that are in the file already
-        are skipped: they are of an earlier run.
-    report : callable
-        Called with a message for each answer that is not valid.
-
-    Raises
-    ------
-    AnswersError
-        If the source is a directory.
-    ConfigError
-        If the address is not valid or in use, or pyzmq is not installed.
+    `source`: ``zmq://HOST:PORT``, where `glstar answer` and other programs send them; or a file that the navigator
+    appends JSON lines to, as `glstar.score` reads them; ``-`` is the standard input; lines that are in the file already
+    are skipped: they are of an earlier run; `report`: called with a message for each answer that is not valid.  Raises
+    AnswersError if the source is a directory; ConfigError if the address is not valid or in use, or pyzmq is not
+    installed.
     """
 
     def __init__(self, source: str | Path, report: Callable[[str], None]) -> None:
@@ -64,17 +54,7 @@ class IncomingAnswers(ABC):
 
     @abstractmethod
     def take(self, answer: Answer) -> None:
-        """Use an answer; called on the thread.
-
-        Parameters
-        ----------
-        answer : Answer
-
-        Raises
-        ------
-        AnswersError
-            If it cannot be used; the error is reported.
-        """
+        """Use an answer; called on the thread; raises AnswersError if it cannot be used; the error is reported."""
 
     def _run(self) -> None:
         try:
@@ -132,15 +112,8 @@ def _stdin_lines() -> Iterator[str]:
 class InjectedAnswers(IncomingAnswers):
     """Answers that are sent to the autopilot.
 
-    Parameters
-    ----------
-    source : str or Path
-        As for `IncomingAnswers`.
-    injector : Injector
-    exposures : mapping of int or str to Exposure
-        Of the frames that were drawn, by number and by file name.
-    report : callable
-        Called with a message for each answer that cannot be sent.
+    `source`: as for `IncomingAnswers`; `exposures`: of the frames that were drawn, by number and by file name;
+    `report`: called with a message for each answer that cannot be sent.
     """
 
     def __init__(
@@ -154,17 +127,7 @@ class InjectedAnswers(IncomingAnswers):
         self._injector, self._exposures = injector, exposures
 
     def take(self, answer: Answer) -> None:
-        """Send the position of an answer, if it has one.
-
-        Parameters
-        ----------
-        answer : Answer
-
-        Raises
-        ------
-        AnswersError
-            If it is for no frame that was drawn.
-        """
+        """Send the position of an answer, if it has one; raises AnswersError if it is for no frame that was drawn."""
         fix = self._fix(answer)
         if fix is not None:
             self._injector.add(fix)

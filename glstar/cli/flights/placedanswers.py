@@ -15,23 +15,9 @@ from glstar.viewer.overlays.belief import PlacedAnswer
 def placed_answers(answers: Path, export: Path) -> list[PlacedAnswer]:
     """Return the solved answers of a file, in the order of their times.
 
-    Parameters
-    ----------
-    answers : Path
-        As `glstar.score` reads them.
-    export : Path
-        The directory of the frames, with ``truth.jsonl``.
-
-    Returns
-    -------
-    list of PlacedAnswer
-
-    Raises
-    ------
-    AnswersError
-        If a line is no answer, or is for no frame of the export.
-    ExportError
-        If there is no truth, as in the directory that ``--blind`` leaves to the navigator.
+    `answers`: as `glstar.score` reads them; `export`: the directory of the frames, with ``truth.jsonl``.  Raises
+    AnswersError if a line is no answer, or is for no frame of the export; ExportError if there is no truth, as in the
+    directory that ``--blind`` leaves to the navigator.
     """
     from glstar.export.navigator import NAV  # noqa: PLC0415 - OpenCV
 
@@ -55,16 +41,8 @@ def placed_answers(answers: Path, export: Path) -> list[PlacedAnswer]:
 class ShownAnswers(IncomingAnswers):
     """Answers that are shown in the window of a live link, at the UTC that they state.
 
-    Parameters
-    ----------
-    source : str or Path
-        As for `IncomingAnswers`.
-    config : Config
-        Its clocks relate the UTC of the camera to that of the link.
-    show : callable
-        Takes a `PlacedAnswer`; called on the thread.
-    report : callable
-        Called with a message for each answer that cannot be shown.
+    `source`: as for `IncomingAnswers`; `config`: its clocks relate the UTC of the camera to that of the link; `show`:
+    takes a `PlacedAnswer`; called on the thread; `report`: called with a message for each answer that cannot be shown.
     """
 
     def __init__(
@@ -75,17 +53,7 @@ class ShownAnswers(IncomingAnswers):
         self._show = show
 
     def take(self, answer: Answer) -> None:
-        """Show an answer.
-
-        Parameters
-        ----------
-        answer : Answer
-
-        Raises
-        ------
-        AnswersError
-            If it states no UTC: the window knows no frames of other programs.
-        """
+        """Show an answer; raises AnswersError if it states no UTC: the window knows no frames of other programs."""
         if answer.utc_s is None:
             raise AnswersError(
                 self._source, f"line {answer.line} has no utc, by which a live window places it; not shown"

@@ -56,17 +56,7 @@ BodyRow = dict[str, Any]
 def body_rows(sky: Sky, utc_s: float, site: Site) -> list[BodyRow]:
     """Return the bodies as rows, ready for CSV and JSON.
 
-    Parameters
-    ----------
-    sky : Sky
-    utc_s : float
-        UTC seconds since 1970.
-    site : Site
-
-    Returns
-    -------
-    list of dict
-        With the keys `BODY_COLUMNS`: every body, also below the horizon.
+    `utc_s`: UTC seconds since 1970.  Returns: with the keys `BODY_COLUMNS`: every body, also below the horizon.
     """
     return [_row(body) for body in observed_bodies(sky, utc_s, site)]
 
@@ -90,19 +80,7 @@ def _row(body: Body) -> BodyRow:
 def body_table(rows: Sequence[BodyRow], title: str, ut1: str, utc_s: float) -> Table:
     """Return the rows as a table for a terminal.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        The result of `body_rows`.
-    title : str
-    ut1 : str
-        What UT1 - UTC is.
-    utc_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    rich.table.Table
+    `rows`: the result of `body_rows`; `ut1`: what UT1 - UTC is; `utc_s`: UTC seconds since 1970.
     """
     accuracy = "within 1 arcsec of DE421" if is_corrected(tt_julian_date(utc_s)) else "within 90 arcsec (not 1990-2050)"
     sun, moon = rows[0], rows[1]
@@ -131,20 +109,8 @@ def satellite_rows(
 ) -> list[SatelliteRow]:
     """Return satellites as rows, the highest first, ready for CSV and JSON.
 
-    Parameters
-    ----------
-    satellites : Satellites
-    sky : Sky
-    utc_s : float
-        UTC seconds since 1970.
-    site : Site
-    everything : bool
-        Whether those below the horizon are listed too.
-
-    Returns
-    -------
-    list of dict
-        With the keys `SATELLITE_COLUMNS`; ``vmag`` is that in sunlight, ``lit`` the part of the Sun that it sees.
+    `utc_s`: UTC seconds since 1970; `everything`: whether those below the horizon are listed too.  Returns: with the
+    keys `SATELLITE_COLUMNS`; ``vmag`` is that in sunlight, ``lit`` the part of the Sun that it sees.
     """
     (sun,) = observed_bodies(sky, utc_s, site, ("Sun",))
     C_ned_eq = sky.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
@@ -167,17 +133,7 @@ def satellite_rows(
 def satellite_table(rows: list[SatelliteRow], title: str, note: str) -> Table:
     """Return the rows as a table for a terminal.
 
-    Parameters
-    ----------
-    rows : list of dict
-        The result of `satellite_rows`.
-    title : str
-    note : str
-        About the age of the elements; may be empty.
-
-    Returns
-    -------
-    rich.table.Table
+    `rows`: the result of `satellite_rows`; `note`: about the age of the elements; may be empty.
     """
     caption = "topocentric, with light time, without refraction; lit: the part of the Sun that it sees"
     table = Table(title=title, caption=f"{caption}; {note}" if note else caption)

@@ -45,22 +45,8 @@ _BY_HAND = "set clock or mount by hand first"
 def fit_images(request: "FitRequest", on_step: Callable[[int, int], None]) -> "FitResult":
     """Fit clock and mount to real images; see `glstar.viewer.picture.fitting.FitImages`.
 
-    Parameters
-    ----------
-    request : FitRequest
-    on_step : callable
-        Called with the number of images done, and of all.
-
-    Returns
-    -------
-    FitResult
-
-    Raises
-    ------
-    ImagesError
-        If the images determine neither the clock nor the mount.
-    ConfigError
-        If images are stacked.
+    `on_step`: called with the number of images done, and of all.  Raises ImagesError if the images determine neither
+    the clock nor the mount; ConfigError if images are stacked.
     """
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415
@@ -112,20 +98,7 @@ def _aligned(job: "FlightComparison", request: "FitRequest", on_step: Callable[[
 def measure_image(request: "ResidualRequest") -> "TrailResiduals":
     """Measure the trails of a real image; see `glstar.viewer.picture.fitting.MeasureImage`.
 
-    Parameters
-    ----------
-    request : ResidualRequest
-
-    Returns
-    -------
-    TrailResiduals
-
-    Raises
-    ------
-    ImagesError
-        If no trail is found.
-    ConfigError
-        If images are stacked.
+    Raises ImagesError if no trail is found; ConfigError if images are stacked.
     """
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415

@@ -48,16 +48,7 @@ Headless = Annotated[
 def size_of(text: str | None, memory: "WindowMemory | None" = None) -> tuple[int, int]:
     """Parse the size of a window, px.
 
-    Parameters
-    ----------
-    text : str or None
-        ``"1280x800"``.
-    memory : WindowMemory, optional
-        It has the size of the last window, the default.
-
-    Returns
-    -------
-    tuple of int
+    `text`: ``"1280x800"``; `memory`: it has the size of the last window, the default.
     """
     if text is None:
         return (memory.size if memory is not None else None) or _DEFAULT_SIZE
@@ -68,17 +59,7 @@ def size_of(text: str | None, memory: "WindowMemory | None" = None) -> tuple[int
 
 
 def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
-    """Parse a list of overlays, separated by commas.
-
-    Parameters
-    ----------
-    text : str or None
-
-    Returns
-    -------
-    frozenset of Overlay or None
-        None for the default.
-    """
+    """Parse a list of overlays, separated by commas; returns: none for the default."""
     if text is None:
         return None
     from glstar.viewer.overlays.table import Overlay  # noqa: PLC0415 - only if a command opens a window
@@ -95,10 +76,7 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
 def require_window_libraries() -> None:
     """Import the libraries of the window, which not every system has.
 
-    Raises
-    ------
-    ContextError
-        If one is missing or cannot be loaded.
+    Raises ContextError if one is missing or cannot be loaded.
     """
     try:
         # Only if a window is opened; before glfw: the two then share one library.
@@ -117,17 +95,8 @@ def require_window_libraries() -> None:
 def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
     """Return the surface that the viewer draws on.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, px.
-    headless : bool
-        Whether to draw offscreen instead of in a window.
-
-    Returns
-    -------
-    Surface
-        The caller closes it.
+    `size`: width and height, px; `headless`: whether to draw offscreen instead of in a window.  Returns the caller
+    closes it.
     """
     if headless:
         from glstar.viewer.loop import HeadlessSurface  # noqa: PLC0415
@@ -139,17 +108,7 @@ def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
 
 
 def memory_of(name: str) -> "WindowMemory":
-    """Return what the window remembers from its last start.
-
-    Parameters
-    ----------
-    name : str
-        Of the command.
-
-    Returns
-    -------
-    WindowMemory
-    """
+    """Return what the window remembers from its last start; `name`: of the command."""
     from platformdirs import user_config_path  # noqa: PLC0415
 
     from glstar.viewer.session.memory import WindowMemory  # noqa: PLC0415 - imgui, only if a command opens a window
@@ -158,35 +117,14 @@ def memory_of(name: str) -> "WindowMemory":
 
 
 def layout_of(name: str) -> Path:
-    """Return the file that stores the layout of the panels.
-
-    Parameters
-    ----------
-    name : str
-        Of the command.
-
-    Returns
-    -------
-    Path
-    """
+    """Return the file that stores the layout of the panels; `name`: of the command."""
     from platformdirs import user_config_path  # noqa: PLC0415
 
     return user_config_path("glstar", ensure_exists=True) / f"{name}.ini"
 
 
 def write_stats(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON.
-
-    Parameters
-    ----------
-    path : Path
-    report : mapping
-
-    Raises
-    ------
-    ExportError
-        If it cannot be written.
-    """
+    """Write a report as JSON; raises ExportError if it cannot be written."""
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV, which the window has loaded
     from glstar.system.files import write_atomically  # noqa: PLC0415 - OpenCV, which the window has loaded
 
@@ -198,21 +136,7 @@ def write_stats(path: Path, report: Mapping[str, Any]) -> None:
 def calibrate_photo(request: "CalibrationRequest", progress: "CalibrationProgress") -> "CalibratedPhoto":
     """Calibrate a camera from a photograph; see `glstar.viewer.picture.fitting.CalibratePhoto`.
 
-    Parameters
-    ----------
-    request : CalibrationRequest
-    progress : CalibrationProgress
-
-    Returns
-    -------
-    CalibratedPhoto
-
-    Raises
-    ------
-    CalibrationError
-        If the photograph cannot be calibrated.
-    ConfigError
-        If the inputs are not valid.
+    Raises CalibrationError if the photograph cannot be calibrated; ConfigError if the inputs are not valid.
     """
     from glstar.cli.calibration.photo import calibration_of  # noqa: PLC0415 - SciPy, matplotlib
 

@@ -18,18 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class OutputPlace:
-    """The output that the user named.
+    """The output that the user named."""
 
-    Attributes
-    ----------
-    directory : Path
-        Not used by a store.
-    url : str or None
-        Of a store.
-    """
-
-    directory: Path
-    url: str | None = None
+    directory: Path  # Not used by a store
+    url: str | None = None  # Of a store
 
     @classmethod
     def parse(cls, text: str) -> Self:

@@ -53,31 +53,18 @@ _DEFAULTS = {"parquet": False, "split": None, "split_shares": _DEFAULT_SHARES, "
 
 @dataclass(frozen=True, slots=True)
 class SummaryFiles:
-    """What to write about a complete export.
-
-    Attributes
-    ----------
-    parquet : bool
-    split : {"flight"} or None
-    split_shares : str
-    split_seed : int
-    card : bool or None
-        None for data sets only.
-    """
+    """What to write about a complete export."""
 
     parquet: bool = False
     split: Literal["flight"] | None = None
     split_shares: str = _DEFAULT_SHARES
     split_seed: int = 0
-    card: bool | None = None
+    card: bool | None = None  # None for data sets only
 
     def check(self, *, verify: bool) -> None:
         """Refuse wrong shares, and writing beside ``--verify``, before a frame is drawn.
 
-        Raises
-        ------
-        ConfigError
-            If the shares are no shares.
+        Raises ConfigError if the shares are no shares.
         """
         from glstar.export.truth.splits import SplitRule  # noqa: PLC0415 - OpenCV, only when needed
 
@@ -95,16 +82,8 @@ class SummaryFiles:
     def finish(self, job: "Export", output: "Path") -> "tuple[Path, ...]":
         """Write the files of a complete export.
 
-        Parameters
-        ----------
-        job : Export
-        output : Path
-            The directory that the user named; with ``--blind`` it gets the lists too.
-
-        Returns
-        -------
-        tuple of Path
-            The Parquet tables.
+        `output`: the directory that the user named; with ``--blind`` it gets the lists too.  Returns the Parquet
+        tables.
         """
         from glstar.export.directory import SPLITS  # noqa: PLC0415
         from glstar.export.truth.datacard import write_card  # noqa: PLC0415 - OpenCV, only when needed
@@ -131,15 +110,7 @@ class SummaryFiles:
 def needing(extra: str) -> Iterator[None]:
     """Turn the failed import of an optional library into a message that says how to install it.
 
-    Parameters
-    ----------
-    extra : str
-        The extra of ``pyproject.toml`` that has it.
-
-    Raises
-    ------
-    ExportError
-        If the library is missing.
+    `extra`: the extra of ``pyproject.toml`` that has it.  Raises ExportError if the library is missing.
     """
     try:
         yield
@@ -154,16 +125,7 @@ def _write_parquet(directory: "Path") -> "tuple[Path, ...]":
 
 
 def with_summary_files(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace the parameter ``summaries: SummaryFiles`` of a command by its options.
-
-    Parameters
-    ----------
-    command : callable
-
-    Returns
-    -------
-    callable
-    """
+    """Replace the parameter ``summaries: SummaryFiles`` of a command by its options."""
 
     @wraps(command)
     def spelled(**given: Any) -> None:
@@ -189,14 +151,7 @@ _DAY_DEG: Final = -6.0
 def light_notes(frames: "Frames") -> list[str]:
     """Return notes on day, a camera that sees only the ground, the light of a natural sky, and old satellites.
 
-    Parameters
-    ----------
-    frames : Frames
-
-    Returns
-    -------
-    list of str
-        Empty for frames of a night sky of uniform brightness.
+    Returns: empty for frames of a night sky of uniform brightness.
     """
     if not len(frames.numbers):
         return []
@@ -255,14 +210,8 @@ _MAX_BITS: Final = 14
 def bit_note(task: "FrameTask") -> str:
     """Return a note on how to see the images of an export.
 
-    Parameters
-    ----------
-    task : FrameTask
-
-    Returns
-    -------
-    str
-        Empty if the images fill their files, or if astronomical viewers, which stretch them, read the files (FITS).
+    Returns: empty if the images fill their files, or if astronomical viewers, which stretch them, read the files
+    (FITS).
     """
     from glstar.export.imagefiles.processing import CameraProcessing  # noqa: PLC0415 - OpenCV, only when needed
 

@@ -27,15 +27,7 @@ if TYPE_CHECKING:
 class NavigatorFiles:
     """``nav.jsonl`` of an export, and the directory for the navigator if the truth is to be hidden.
 
-    Parameters
-    ----------
-    settings : Config
-    output : Path
-        The directory that the user asked for.
-    blind : Path or None
-        Where the truth goes instead.
-    paths : sequence of Path
-        The flights.
+    `output`: the directory that the user asked for; `blind`: where the truth goes instead; `paths`: the flights.
     """
 
     def __init__(self, settings: "Config", output: Path, blind: Path | None, paths: Sequence[Path]) -> None:
@@ -118,18 +110,10 @@ WithTruth = Annotated[bool, typer.Option("--with-truth", help="Send the truth wi
 
 @dataclass(frozen=True, slots=True)
 class FramePublishing:
-    """Where frames go besides files.
+    """Where frames go besides files."""
 
-    Attributes
-    ----------
-    where : str or None
-        As of `--latest-frame`.
-    with_truth : bool
-        Whether ``zmq://`` sends the truth, too.
-    """
-
-    where: str | None
-    with_truth: bool = False
+    where: str | None  # As of `--latest-frame`
+    with_truth: bool = False  # Whether ``zmq://`` sends the truth, too
 
     def __post_init__(self) -> None:
         if self.with_truth and not (self.where or "").startswith(STREAM):
@@ -138,18 +122,8 @@ class FramePublishing:
     def in_one_process(self, workers: int | None, dask: str | None, *, draws: bool) -> Self:
         """Refuse frames that several processes draw, or none.
 
-        Parameters
-        ----------
-        workers : int or None
-            Number of processes, if it is given.
-        dask : str or None
-        draws : bool
-            Whether frames are drawn to be written.
-
-        Returns
-        -------
-        FramePublishing
-            Itself.
+        `workers`: number of processes, if it is given; `draws`: whether frames are drawn to be written.  Returns:
+        itself.
         """
         problem = None
         if dask is not None or (workers or 1) > 1:
@@ -163,16 +137,7 @@ class FramePublishing:
     def opened(self, settings: "Config", sensor: "Sensor") -> "FrameOutput":
         """Open the output.
 
-        Parameters
-        ----------
-        settings : Config
-        sensor : Sensor
-            Of the frames.
-
-        Returns
-        -------
-        FrameOutput
-            The caller closes it.
+        `sensor`: of the frames.  Returns the caller closes it.
         """
         from glstar.export.publish.outputs import open_frame_output  # noqa: PLC0415 - OpenCV
 
@@ -191,12 +156,7 @@ class FramePublishing:
     def of_export(self, job: "Export", settings: "Config", known: NavigatorFiles) -> "Iterator[OnPixels | None]":
         """Open the output, and yield what `SerialExecutor` calls with each frame; None without an output.
 
-        Parameters
-        ----------
-        job : Export
-        settings : Config
-        known : NavigatorFiles
-            Names the flights.
+        `known`: names the flights.
         """
         if self.where is None:
             yield None

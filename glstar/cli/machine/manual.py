@@ -57,14 +57,7 @@ def is_terminal() -> bool:
 def summary(page_text: str) -> str:
     """Return the first sentence of a page, as one line.
 
-    Parameters
-    ----------
-    page_text : str
-        Markdown: a title, an empty line, and a paragraph.
-
-    Returns
-    -------
-    str
+    `page_text`: markdown: a title, an empty line, and a paragraph.
     """
     paragraph = " ".join(page_text.split("\n\n", 2)[1].split())
     return re.split(r"(?<=\.) ", paragraph, maxsplit=1)[0].replace("`", "")

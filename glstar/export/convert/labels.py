@@ -57,30 +57,15 @@ _SHORTEST_PX: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrailLabel:
-    """The label of one star or body.
+    """The label of one star or body."""
 
-    Attributes
-    ----------
-    category : str
-        One of `CATEGORIES`.
-    entry : mapping
-        Its entry in the truth.
-    index : int
-        Its place in the list of stars, followed by that of bodies, from 0.
-    polygons : tuple of (n, 2) float64
-        Outline inside the image, px; one for each short exposure of a stack.
-    keypoints : (3, 2) float64
-        Start, middle and end, px; NaN where unknown.
-    size : (int, int)
-        Width and height of the image, px.
-    """
-
-    category: str
-    entry: Mapping[str, Any]
-    index: int
+    category: str  # One of `CATEGORIES`
+    entry: Mapping[str, Any]  # Its entry in the truth
+    index: int  # Its place in the list of stars, followed by that of bodies, from 0
+    # Tuple of (n, 2) float64: outline inside the image, px; one for each short exposure of a stack.
     polygons: tuple[Float, ...]
-    keypoints: Float
-    size: tuple[int, int]
+    keypoints: Float  # (3, 2) start, middle and end, px; NaN where unknown
+    size: tuple[int, int]  # (int, int) width and height of the image, px
 
     @property
     def bbox(self) -> tuple[float, float, float, float]:
@@ -103,19 +88,9 @@ class TrailLabel:
 def labels_of(line: Mapping[str, Any], *, psf_sigma_px: float, least_snr: float) -> Iterator[TrailLabel]:
     """Yield the labels of a frame.
 
-    Parameters
-    ----------
-    line : mapping
-        Its line of truth.
-    psf_sigma_px : float
-        Width of the point spread function where the line does not say it.
-    least_snr : float
-        Fainter stars have no label.  Bodies always have one.
-
-    Yields
-    ------
-    TrailLabel
-        In the order of the truth, if any part of the outline is on the image.
+    `line`: its line of truth; `psf_sigma_px`: width of the point spread function where the line does not say it;
+    `least_snr`: fainter stars have no label; bodies always have one.  Yields: in the order of the truth, if any part of
+    the outline is on the image.
     """
     size = line["camera"]["width_px"], line["camera"]["height_px"]
     sigma_px = _frame_sigma_px(line, psf_sigma_px)
@@ -255,35 +230,16 @@ _SUFFIX: Final = MASK_SUFFIXES["trails"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaskRuns:
-    """The pixels of each star in the trail mask of a frame.
+    """The pixels of each star in the trail mask of a frame."""
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    pixels : (n,) int64
-        Pixels of all stars, counted down the columns, sorted by star and then by position.
-    firsts : (k,) int64
-        Where the pixels of each value of the mask begin, from 0, followed by n.
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # (int, int) rows and columns
+    # (n,) int64: pixels of all stars, counted down the columns, sorted by star and then by position.
     pixels: NDArray[np.int64]
-    firsts: NDArray[np.int64]
+    firsts: NDArray[np.int64]  # (k,) int64: where the pixels of each value of the mask begin, from 0, followed by n
 
     @classmethod
     def of(cls, mask: NDArray[Any]) -> "MaskRuns":
-        """Return the runs of a mask.
-
-        Parameters
-        ----------
-        mask : (rows, columns) uint16
-            As ``glstar export --masks`` writes it.
-
-        Returns
-        -------
-        MaskRuns
-        """
+        """Return the runs of a mask; `mask` (rows, columns) uint16: as ``glstar export --masks`` writes it."""
         down = mask.ravel(order="F")
         lit = np.flatnonzero(down)
         pixels = lit[np.argsort(down[lit], kind="stable")]
@@ -292,21 +248,7 @@ class MaskRuns:
 
     @classmethod
     def beside(cls, image: Path) -> "MaskRuns | None":
-        """Return the runs of the mask beside an image; None without one.
-
-        Parameters
-        ----------
-        image : Path
-
-        Returns
-        -------
-        MaskRuns or None
-
-        Raises
-        ------
-        ExportError
-            If it cannot be read.
-        """
+        """Return the runs of the mask beside an image; None without one; raises ExportError if it cannot be read."""
         path = image.with_name(f"{image.name.split('.')[0]}{_SUFFIX}")
         if not path.is_file():
             return None
@@ -327,14 +269,7 @@ class MaskRuns:
     def annotation(self, index: int) -> dict[str, Any]:
         """Return ``segmentation``, ``bbox`` and ``area`` of a star; empty if no pixel shows it.
 
-        Parameters
-        ----------
-        index : int
-            Its place in the list of stars, followed by that of bodies, from 0.
-
-        Returns
-        -------
-        dict
+        `index`: its place in the list of stars, followed by that of bodies, from 0.
         """
         pixels = self._of(index)
         if not pixels.size:
@@ -366,22 +301,8 @@ _COPIED: Final = ("star_id", "name", "vmag", "camera_mag", "snr", "flux_dn", "sa
 def write_coco(source: ConvertedSet, output: Path, *, least_snr: float) -> tuple[Path, ...]:
     """Write the labels of an export as COCO, one file for each split.
 
-    Parameters
-    ----------
-    source : ConvertedSet
-    output : Path
-        ``NAME.json``; with splits ``NAME-train.json`` and so on.
-    least_snr : float
-        Signal-to-noise ratio from which a star has a label.
-
-    Returns
-    -------
-    tuple of Path
-
-    Raises
-    ------
-    ExportError
-        If a file exists, or the export cannot be read.
+    `output`: ``NAME.json``; with splits ``NAME-train.json`` and so on; `least_snr`: signal-to-noise ratio from which a
+    star has a label.  Raises ExportError if a file exists, or the export cannot be read.
     """
     paths = {
         split: output if split == NO_SPLIT else output.with_name(f"{output.stem}-{split}{output.suffix}")
@@ -481,24 +402,9 @@ def _annotation(label: TrailLabel, number: int, frame: int) -> dict[str, Any]:
 def write_yolo(source: ConvertedSet, output: Path, *, least_snr: float) -> int:
     """Write the images and labels of an export for YOLO.
 
-    Parameters
-    ----------
-    source : ConvertedSet
-    output : Path
-        A new directory: ``images/SPLIT``, ``labels/SPLIT`` and ``data.yaml``.  Images are hard links where the file
-        system has them, else copies.
-    least_snr : float
-        Signal-to-noise ratio from which a star has a label.
-
-    Returns
-    -------
-    int
-        Number of frames.
-
-    Raises
-    ------
-    ExportError
-        If the directory exists, or the export cannot be read.
+    `output`: a new directory: ``images/SPLIT``, ``labels/SPLIT`` and ``data.yaml``; images are hard links where the
+    file system has them, else copies; `least_snr`: signal-to-noise ratio from which a star has a label.  Returns:
+    number of frames.  Raises ExportError if the directory exists, or the export cannot be read.
     """
     count = 0
     with new_directory(output) as folder:

@@ -32,22 +32,9 @@ _LISTS: Final = ("stars", "bodies", "satellites")
 def write_csv(directory: Path, output: Path) -> tuple[Path, ...]:
     """Write the truth of an export as CSV.
 
-    Parameters
-    ----------
-    directory : Path
-        The export.
-    output : Path
-        ``NAME.csv`` for the frames; the stars are written to ``NAME-stars.csv``, and if there are any, bodies to
-        ``NAME-bodies.csv`` and satellites to ``NAME-satellites.csv``.
-
-    Returns
-    -------
-    tuple of Path
-
-    Raises
-    ------
-    ExportError
-        If the truth cannot be read, or a table cannot be written.
+    `directory`: the export; `output`: ``NAME.csv`` for the frames; the stars are written to ``NAME-stars.csv``, and if
+    there are any, bodies to ``NAME-bodies.csv`` and satellites to ``NAME-satellites.csv``.  Raises ExportError if the
+    truth cannot be read, or a table cannot be written.
     """
     with explain_disk_errors(output):
         columns = _columns(directory)
@@ -112,19 +99,9 @@ def _flat(record: dict[str, Any]) -> dict[str, Any]:
 def write_subtitles(export: Path, output: Path, *, frames_per_s: float) -> None:
     """Write the subtitles of the video that ``glstar export --video`` makes of the same frames.
 
-    Parameters
-    ----------
-    export : Path
-        The directory of an export.
-    output : Path
-        The SubRip file; players show it with a video of the same name.
-    frames_per_s : float
-        Frame rate of the video, 1/s.
-
-    Raises
-    ------
-    ExportError
-        If the directory has no truth, or the file cannot be written.
+    `export`: the directory of an export; `output`: the SubRip file; players show it with a video of the same name;
+    `frames_per_s`: frame rate of the video, 1/s.  Raises ExportError if the directory has no truth, or the file cannot
+    be written.
     """
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)

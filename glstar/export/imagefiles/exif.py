@@ -33,24 +33,8 @@ _Tag = tuple[int, int, int, bytes]
 def write_photographs(directory: Path, output: Path, kind: str) -> int:
     """Write the frames of an export as images with EXIF.
 
-    Parameters
-    ----------
-    directory : Path
-        The export.
-    output : Path
-        A new directory.
-    kind : {"png", "jpeg"}
-        JPEG has 8 bits and loses faint noise.
-
-    Returns
-    -------
-    int
-        Number of images.
-
-    Raises
-    ------
-    ExportError
-        If the directory exists, or a frame cannot be read or written.
+    `directory`: the export; `output`: a new directory; `kind` {"png", "jpeg"}: JPEG has 8 bits and loses faint noise.
+    Returns: number of images.  Raises ExportError if the directory exists, or a frame cannot be read or written.
     """
     if output.exists():
         raise ExportError(output, "exists already; name another directory, or remove it")
@@ -73,19 +57,8 @@ def write_photographs(directory: Path, output: Path, kind: str) -> int:
 def with_exif(content: bytes, suffix: str, line: dict[str, Any]) -> bytes:
     """Return an image file with the EXIF of its frame; pixels stay as they are.
 
-    Parameters
-    ----------
-    content : bytes
-        A PNG, JPEG or TIFF that glstar encoded.
-    suffix : {".png", ".jpg", ".jpeg", ".tiff"}
-        Suffix of the file name.
-    line : dict
-        The frame's truth.
-
-    Returns
-    -------
-    bytes
-        The same file if it has EXIF already.
+    `content`: a PNG, JPEG or TIFF that glstar encoded; `suffix` {".png", ".jpg", ".jpeg", ".tiff"}: suffix of the file
+    name; `line`: the frame's truth.  Returns the same file if it has EXIF already.
     """
     if content[_PNG_EXIF] == b"eXIf" or content[_JPEG_EXIF] == _APP1 or content.endswith(EXIF_END):
         return content
@@ -103,15 +76,8 @@ def with_exif(content: bytes, suffix: str, line: dict[str, Any]) -> bytes:
 def exif_of(line: dict[str, Any]) -> bytes:
     """Return the EXIF of a frame, as a TIFF structure.
 
-    Parameters
-    ----------
-    line : dict
-        Its truth.
-
-    Returns
-    -------
-    bytes
-        Times are the start of the exposure by the camera's clock, in UTC; the height is above the ellipsoid.
+    `line`: its truth.  Returns: times are the start of the exposure by the camera's clock, in UTC; the height is above
+    the ellipsoid.
     """
     stamp, shot, place = _tags(line)
     first = [_text(0x010F, "glstar"), _text(0x0131, "glstar"), _text(0x0132, stamp)]

@@ -40,34 +40,19 @@ _CONVERGED_RAD: Final = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class TanSip:
-    """World coordinates of an image, in the terms of the SIP convention.
+    """World coordinates of an image, in the terms of the SIP convention."""
 
-    Attributes
-    ----------
-    crpix_px : (2,) float64
-        The reference pixel (x, y), counted from 0.
-    crval_rad : (2,) float64
-        Right ascension and declination (ICRS) of the reference pixel, rad.
-    cd_rad : (2, 2) float64
-        Matrix from pixels to the tangent plane, rad/px.
-    a, b, ap, bp : (order + 1, order + 1) float64
-        Coefficients of the forward and the inverse polynomial; ``a[i, j]`` belongs to u^i v^j.
-    rms_px, max_px : float
-        Error of the forward polynomial over the image above the horizon.
-    inverse_max_px : float
-        Largest error of the inverse polynomial.
-    """
-
-    crpix_px: Float
-    crval_rad: Float
-    cd_rad: Float
+    crpix_px: Float  # (2,) the reference pixel (x, y), counted from 0
+    crval_rad: Float  # (2,) right ascension and declination (ICRS) of the reference pixel, rad
+    cd_rad: Float  # (2, 2) matrix from pixels to the tangent plane, rad/px
+    # (order + 1, order + 1) coefficients of the forward and the inverse polynomial; ``a[i, j]`` belongs to u^i v^j.
     a: Float
     b: Float
     ap: Float
     bp: Float
-    rms_px: float
+    rms_px: float  # Error of the forward polynomial over the image above the horizon
     max_px: float
-    inverse_max_px: float
+    inverse_max_px: float  # Largest error of the inverse polynomial
 
     @property
     def order(self) -> int:
@@ -78,18 +63,8 @@ class TanSip:
 def fit_tan_sip(scene: Scene) -> TanSip | None:
     """Fit the world coordinates of an image in the middle of its exposure, of a rolling shutter that of each row.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    TanSip or None
-        None if too little of the image lies above the horizon to fit a polynomial.
-
-    Notes
-    -----
-    Shupe et al. 2005, *ASP Conf. Ser.* 347, 491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN).
+    Returns: none if too little of the image lies above the horizon to fit a polynomial.  Shupe et al. 2005, *ASP Conf.
+    Ser.* 347, 491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN).
     """
     sky = _SkyOfPixels(scene)
     nodes = _grid(scene, np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES))
@@ -294,24 +269,10 @@ Card = tuple[str, Value, str]
 def encode_fits(scene: Scene, frame: Frame, *, number: int, shift_bits: int = 0) -> bytes:
     """Return an image as a FITS file of 16 bits.
 
-    Parameters
-    ----------
-    scene : Scene
-    frame : Frame
-        Its pixels; row 0 of the image is the first row of the file.
-    number : int
-        The frame's number.
-    shift_bits : int
-        By how many bits the stored numbers are shifted up; BSCALE and BZERO scale them back.
-
-    Returns
-    -------
-    bytes
-        One header and data unit, without the time of writing, so that equal frames give equal bytes.
-
-    Notes
-    -----
-    FITS standard 4.0, sections 3, 4.4.2.5 (BZERO) and 4.4.2.7 (checksums); SIP, Shupe et al. 2005.
+    `frame`: its pixels; row 0 of the image is the first row of the file; `number`: the frame's number; `shift_bits`: by
+    how many bits the stored numbers are shifted up; BSCALE and BZERO scale them back.  Returns one header and data
+    unit, without the time of writing, so that equal frames give equal bytes.  FITS standard 4.0, sections 3, 4.4.2.5
+    (BZERO) and 4.4.2.7 (checksums); SIP, Shupe et al. 2005.
     """
     rows, columns = frame.pixels.shape
     stored = ((frame.pixels.astype(np.int32) << shift_bits) - _ZERO).astype(">i2").tobytes()
@@ -336,16 +297,7 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int, shift_bits: int = 0)
 def without_truth(content: bytes, utc: Mapping[str, str]) -> bytes:
     """Return a FITS file for a navigator: without coordinates, site and seed, and with the times that its clock states.
 
-    Parameters
-    ----------
-    content : bytes
-        From `encode_fits`.
-    utc : mapping of str to str
-        UTC at ``start``, ``middle`` and ``end`` of the exposure, as in ``nav.jsonl``.
-
-    Returns
-    -------
-    bytes
+    `content`: from `encode_fits`; `utc`: UTC at ``start``, ``middle`` and ``end`` of the exposure, as in ``nav.jsonl``.
     """
     header = _header_of(content)
     assert header is not None
@@ -517,17 +469,8 @@ def _encoded_checksum(total: int) -> str:
 def damage_of_fits(start: bytes, size: int) -> str:
     """Return a message on the damage of a FITS file that glstar wrote, judged by its beginning and its size.
 
-    Parameters
-    ----------
-    start : bytes
-        At least its header, or the first `FITS_START` bytes.
-    size : int
-        Size of the file, bytes.
-
-    Returns
-    -------
-    str
-        Empty if no damage is found.
+    `start`: at least its header, or the first `FITS_START` bytes; `size`: size of the file, bytes.  Returns: empty if
+    no damage is found.
     """
     if not start.startswith(b"SIMPLE  ="):
         return "does not begin as a FITS file"
@@ -551,19 +494,8 @@ def _header_of(start: bytes) -> tuple[int, tuple[int, int]] | None:
 def decode_fits(content: bytes) -> NDArray[Any]:
     """Decode a FITS file that glstar wrote, and verify its checksums.
 
-    Parameters
-    ----------
-    content : bytes
-        An undamaged file as far as `damage_of_fits` finds.
-
-    Returns
-    -------
-    (height, width) uint16
-
-    Raises
-    ------
-    ValueError
-        If the checksum of the file is wrong.
+    `content`: an undamaged file as far as `damage_of_fits` finds.  Returns (height, width) uint16.  Raises ValueError
+    if the checksum of the file is wrong.
     """
     header = _header_of(content)
     assert header is not None

@@ -32,25 +32,9 @@ from glstar.system.imagefiles import PNG_SIGNATURE, encode_png
 class VideoFile:
     """An MPEG-4 video that is being written; a context manager, which discards the video unless `finish` was called.
 
-    Parameters
-    ----------
-    path : Path
-        Must end with .mp4.
-    width_px, height_px : int
-        Size of the pictures.  The codec needs even sides: of an odd side, the video omits the last row or column.
-    frames_per_s : float
-        Frame rate, 1/s.
-
-    Attributes
-    ----------
-    path : Path
-    count : int
-        Number of frames written.
-
-    Raises
-    ------
-    ExportError
-        If the video cannot be written.
+    `path`: must end with .mp4; `width_px`, `height_px`: size of the pictures; the codec needs even sides: of an odd
+    side, the video omits the last row or column; `frames_per_s`: frame rate, 1/s.  `count`: number of frames written.
+    Raises ExportError if the video cannot be written.
     """
 
     def __init__(self, path: Path, width_px: int, height_px: int, frames_per_s: float) -> None:
@@ -75,13 +59,7 @@ class VideoFile:
             raise ExportError(path, f"cannot be encoded: OpenCV has no MPEG-4 encoder for {frames_per_s:g} frames/s")
 
     def write(self, picture: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        picture : (height, width) or (height, width, 3) uint8
-            Grey, or blue, green, red.
-        """
+        """Add a frame; `picture` (height, width) or (height, width, 3) uint8: grey, or blue, green, red."""
         width_px, height_px = self._size
         cut = np.ascontiguousarray(picture[:height_px, :width_px])
         self._writer.write(cut if cut.ndim == 3 else cv2.cvtColor(cut, cv2.COLOR_GRAY2BGR))
@@ -90,10 +68,7 @@ class VideoFile:
     def finish(self) -> None:
         """Complete the video and give the file its name.
 
-        Raises
-        ------
-        ExportError
-            If it cannot be read back with all its frames.
+        Raises ExportError if it cannot be read back with all its frames.
         """
         self._writer.release()
         try:
@@ -158,20 +133,10 @@ def encode(
 ) -> bytes:
     """Return an image as the bytes of its file.
 
-    Parameters
-    ----------
-    pixels : (height, width) or (height, width, 3) uint8 or uint16
-        Digital numbers; red, green and blue of a colour image.
-    image_format : {"png", "png16", "tiff", "jpeg"}
-        8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.  FITS needs a scene: `glstar.export.imagefiles.fits`.
-    jpeg_quality : int
-        1 to 100.
-    shift_bits : int
-        By how many bits the numbers are shifted up in a file of 16 bits, which states it; `decode` undoes it.
-
-    Returns
-    -------
-    bytes
+    `pixels` (height, width) or (height, width, 3) uint8 or uint16: digital numbers; red, green and blue of a colour
+    image; `image_format` {"png", "png16", "tiff", "jpeg"}: 8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless; FITS
+    needs a scene: `glstar.export.imagefiles.fits`; `jpeg_quality`: 1 to 100; `shift_bits`: by how many bits the numbers
+    are shifted up in a file of 16 bits, which states it; `decode` undoes it.
     """
     if image_format == "jpeg":
         return encode_jpeg(pixels, jpeg_quality)
@@ -188,25 +153,11 @@ def encode(
 def fit_format(image_format: ImageFormat | None, sensor: Sensor, *, summed: int = 1) -> tuple[ImageFormat, Sensor]:
     """Return an image format for the sensor, and the sensor with the bit depth of that format.
 
-    Parameters
-    ----------
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
-        None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
-    sensor : Sensor
-    summed : int
-        Number of short exposures whose sum is written: `Exposure.signal_factor`.
-
-    Returns
-    -------
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
-    sensor : Sensor
-        A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.  The sensor of a sum
-        keeps its bits.
-
-    Raises
-    ------
-    ConfigError
-        If the sensor, or the sum, has more bits than the format.
+    `image_format` {"png", "png16", "tiff", "fits", "jpeg"} or None: none for 8-bit PNG, or 16-bit PNG if the sensor has
+    more than 8 bits; `summed`: number of short exposures whose sum is written: `Exposure.signal_factor`.  Returns
+    `image_format` {"png", "png16", "tiff", "fits", "jpeg"}; `sensor`: a sensor of at most 8 bits gets 16 in a 16-bit
+    format; its full scale stays full scale; the sensor of a sum keeps its bits.  Raises ConfigError if the sensor, or
+    the sum, has more bits than the format.
     """
     if summed > 1:
         return _fit_sum(image_format, sensor, summed), sensor
@@ -251,19 +202,9 @@ def tiff(
 ) -> bytes:
     """Return an array as an uncompressed TIFF.  Without a date equal pixels give equal bytes.
 
-    Parameters
-    ----------
-    pixels : (height, width) or (height, width, 3) uint16 or float32
-    date_time : str, optional
-        "2024:03:10 11:00:00".
-    tags : sequence of (int, int)
-        Further tags, each with a number of 32 bits.
-    shift_bits : int
-        By how many bits uint16 is shifted up; the tag MaxSampleValue states it.
-
-    Returns
-    -------
-    bytes
+    `pixels` (height, width) or (height, width, 3) uint16 or float32; `date_time`: "2024:03:10 11:00:00"; `tags`
+    sequence of (int, int): further tags, each with a number of 32 bits; `shift_bits`: by how many bits uint16 is
+    shifted up; the tag MaxSampleValue states it.
     """
     target = BytesIO()
     photometric = "rgb" if pixels.ndim == 3 else "minisblack"
@@ -280,20 +221,8 @@ def tiff(
 def find_damage(path: Path) -> str:
     """Return a message on the damage of an image file, judged by its size, beginning and end without decoding it.
 
-    Parameters
-    ----------
-    path : Path
-        A PNG, TIFF or FITS file that glstar wrote, with the suffix of its format.
-
-    Returns
-    -------
-    str
-        Such damage as a power failure or a full disk leaves; empty if none is found.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
+    `path`: a PNG, TIFF or FITS file that glstar wrote, with the suffix of its format.  Returns: such damage as a power
+    failure or a full disk leaves; empty if none is found.  Raises OSError if it cannot be read.
     """
     with path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
@@ -339,25 +268,9 @@ def _damage_of_tiff(start: bytes, size: int, file_end: bytes) -> str:
 def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     """Decode an image that glstar wrote, and verify all its checksums.
 
-    Parameters
-    ----------
-    content : bytes
-        The image file.
-    suffix : {".png", ".tiff", ".fits", ".jpg"}
-        Suffix of the file name.
-
-    Returns
-    -------
-    (height, width) or (height, width, 3) uint8, uint16 or float32
-
-    Raises
-    ------
-    ValueError
-        If it is damaged; the message continues "FILE: ".
-
-    Notes
-    -----
-    Numbers that ``[output] align`` has shifted up are shifted back.
+    `content`: the image file; `suffix` {".png", ".tiff", ".fits", ".jpg"}: suffix of the file name.  Returns (height,
+    width) or (height, width, 3) uint8, uint16 or float32.  Raises ValueError if it is damaged; the message continues
+    "FILE: ".  Numbers that ``[output] align`` has shifted up are shifted back.
     """
     if damage := _damage(suffix, len(content), content[:FITS_START], content[-len(_PNG_END) :]):
         raise ValueError(damage)
@@ -414,21 +327,9 @@ def _inflated(deflated: bytes) -> bytes:
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
     """Write images as an MPEG-4 video, atomically.
 
-    Parameters
-    ----------
-    images : list of Path
-        Image files of one size, in order.
-    path : Path
-        Name of the video; must end with .mp4.
-    frames_per_s : float
-        Frame rate, 1/s.
-    saturation_dn : int
-        Digital number that is shown as white.
-
-    Raises
-    ------
-    ExportError
-        If the video cannot be written.
+    `images`: image files of one size, in order; `path`: name of the video; must end with .mp4; `frames_per_s`: frame
+    rate, 1/s; `saturation_dn`: digital number that is shown as white.  Raises ExportError if the video cannot be
+    written.
     """
     if not images:
         raise ExportError(path, "no frame was drawn, and a video needs one")

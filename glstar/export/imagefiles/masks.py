@@ -40,16 +40,8 @@ _FLARE_STEPS_PER_DN: Final = 16
 def saturated_mask(scene: Scene, frame: Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
     """Return where an image is saturated.
 
-    Parameters
-    ----------
-    scene : Scene
-    frame : Frame
-        Its image, before the camera's processing.
-
-    Returns
-    -------
-    (height, width) uint8
-        255 where the digital number is the largest one (in a stacked image, in one of the short exposures), else 0.
+    `frame`: its image, before the camera's processing.  Returns (height, width) uint8: 255 where the digital number is
+    the largest one (in a stacked image, in one of the short exposures), else 0.
     """
     saturated = frame.saturated
     if saturated is None:
@@ -60,15 +52,8 @@ def saturated_mask(scene: Scene, frame: Frame) -> np.ndarray[Any, np.dtype[np.ui
 def cloud_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint8]]:
     """Return what cloud transmits of the light in the direction of each pixel, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    (height, width) uint8
-        255 times the transmission, rounded: 255 where there is no cloud, below the horizon, and for a sheet below the
-        aircraft.  It is computed every fourth pixel and interpolated.
+    Returns (height, width) uint8: 255 times the transmission, rounded: 255 where there is no cloud, below the horizon,
+    and for a sheet below the aircraft; it is computed every fourth pixel and interpolated.
     """
     return np.asarray(
         np.rint(_WHITE * _interpolated(scene, lambda xy_px: transmission_at(scene, xy_px))), dtype=np.uint8
@@ -78,14 +63,8 @@ def cloud_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint8]]:
 def ground_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint8]]:
     """Return which pixels show the ground, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    (height, width) uint8
-        255 below the horizon, else 0.  The height above it is computed every fourth pixel and interpolated.
+    Returns (height, width) uint8: 255 below the horizon, else 0; the height above it is computed every fourth pixel and
+    interpolated.
     """
 
     def above(xy_px: Float) -> Float:
@@ -109,14 +88,8 @@ def _interpolated(scene: Scene, values_at: Callable[[Float], Float]) -> NDArray[
 def flare_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint16]]:
     """Return the flare of the lens in each pixel.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    (height, width) uint16
-        16 times its signal in DN, rounded, at most 65535; of one short exposure of a stacked image.
+    Returns (height, width) uint16: 16 times its signal in DN, rounded, at most 65535; of one short exposure of a
+    stacked image.
     """
     camera = scene.camera
     x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
@@ -134,35 +107,12 @@ _DRAWN_BY: Final[Mapping[MaskKind, Callable[[Scene, Frame], np.ndarray[Any, Any]
 
 
 def encoded_masks(kinds: tuple[MaskKind, ...], scene: Scene, frame: Frame) -> dict[MaskKind, bytes]:
-    """Return the masks of a frame as PNG files.
-
-    Parameters
-    ----------
-    kinds : tuple of {"trails", "saturated", "cloud", "flare", "ground"}
-    scene : Scene
-    frame : Frame
-
-    Returns
-    -------
-    dict of str to bytes
-        By kind.
-    """
+    """Return the masks of a frame as PNG files; returns: by kind."""
     return {kind: encode_png(_DRAWN_BY[kind](scene, frame)) for kind in kinds}
 
 
 def masks_of(config: Config, *, masks: bool) -> tuple[MaskKind, ...]:
-    """Return the kinds of masks that an export writes.
-
-    Parameters
-    ----------
-    config : Config
-    masks : bool
-        Whether masks were asked for.
-
-    Returns
-    -------
-    tuple of {"trails", "saturated", "cloud", "flare", "ground"}
-    """
+    """Return the kinds of masks that an export writes; `masks`: whether masks were asked for."""
     if not masks:
         return ()
     active = {effect.name for effect in active_effects(config.sensor())}

@@ -38,56 +38,31 @@ _DENOISE_SIGMA_PX: Final = 1.5
 
 @dataclass(frozen=True, slots=True)
 class CameraProcessing:
-    """The keys of ``[output]``; see `glstar.render.effects.output` for their meaning.
+    """The keys of ``[output]``; see `glstar.render.effects.output` for their meaning."""
 
-    Attributes
-    ----------
-    process : {"raw", "isp"}
-    subtract_black, defect_correction : bool
-    defect_ratio, defect_threshold, red_gain, blue_gain, denoise : float
-    demosaic : {"none", "bilinear", "edges"}
-    colour_matrix : {"none", "rpi"}
-    gamma : {"linear", "srgb", "rpi"} or float
-        The name of a tone curve, or the number whose inverse is the exponent.
-    tone_curve : str
-        Points of a tone curve as `glstar.camera.sensor.tonecurve.curve_text` writes them; empty for `gamma`.
-    channel : {"rgb", "luma", "max", "green"}
-    align : {"low", "high"}
-    jpeg_quality : int
-    """
-
-    process: str
+    process: str  # {"raw", "isp"}
     subtract_black: bool
     defect_correction: bool
     defect_ratio: float
     defect_threshold: float
-    demosaic: str
+    demosaic: str  # {"none", "bilinear", "edges"}
     red_gain: float
     blue_gain: float
-    colour_matrix: str
+    colour_matrix: str  # {"none", "rpi"}
     denoise: float
+    # {"linear", "srgb", "rpi"} or float: the name of a tone curve, or the number whose inverse is the exponent.
     gamma: str | float
+    # Points of a tone curve as `glstar.camera.sensor.tonecurve.curve_text` writes them; empty for `gamma`.
     tone_curve: str
-    channel: str
-    align: str
+    channel: str  # {"rgb", "luma", "max", "green"}
+    align: str  # {"low", "high"}
     jpeg_quality: int
 
     @classmethod
     def of(cls, sensor: Sensor) -> "CameraProcessing":
         """Return the processing that the keys of a sensor describe.
 
-        Parameters
-        ----------
-        sensor : Sensor
-
-        Returns
-        -------
-        CameraProcessing
-
-        Raises
-        ------
-        ConfigError
-            If a mosaic is demosaiced that the sensor does not have.
+        Raises ConfigError if a mosaic is demosaiced that the sensor does not have.
         """
         made = _of_effects(sensor.effects)
         if made.is_active and made.demosaic != "none" and sensor.colour.mosaic == "none":
@@ -102,15 +77,8 @@ class CameraProcessing:
     def shift_bits(self, full_scale_dn: int) -> int:
         """Return by how many bits the numbers of a raw image are shifted up in its file.
 
-        Parameters
-        ----------
-        full_scale_dn : int
-            The largest digital number of the image.
-
-        Returns
-        -------
-        int
-            0 for a processed image, which fills the pixels of its file.
+        `full_scale_dn`: the largest digital number of the image.  Returns: 0 for a processed image, which fills the
+        pixels of its file.
         """
         return shift_bits(full_scale_dn) if self.align == "high" and not self.is_active else 0
 
@@ -125,24 +93,10 @@ def _of_effects(effects: Mapping[str, object]) -> CameraProcessing:
 def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
     """Return the processed image of a raw one.
 
-    Parameters
-    ----------
-    pixels : (height, width) uint8 or uint16
-        Raw digital numbers.
-    sensor : Sensor
-        With the keys of ``[output]`` in its effects.
-    sixteen_bits : bool
-        Whether the result has 16 bits instead of 8.
-
-    Returns
-    -------
-    (height, width) or (height, width, 3) uint8 or uint16
-        Grey, or red, green and blue.
-
-    Notes
-    -----
-    In the order of libcamera's pipeline: defective pixels, black level, white balance, demosaicing, denoising, colour
-    matrix, tone curve.
+    `pixels` (height, width) uint8 or uint16: raw digital numbers; `sensor`: with the keys of ``[output]`` in its
+    effects; `sixteen_bits`: whether the result has 16 bits instead of 8.  Returns (height, width) or (height, width,
+    3) uint8 or uint16: grey, or red, green and blue.  In the order of libcamera's pipeline: defective pixels, black
+    level, white balance, demosaicing, denoising, colour matrix, tone curve.
     """
     steps, mosaic = CameraProcessing.of(sensor), sensor.colour.mosaic
     raw = pixels.astype(np.float32)
@@ -170,18 +124,8 @@ def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
 def shown_as_8_bits(pixels: Pixels, sensor: Sensor, *, summed: int = 1) -> NDArray[np.uint8]:
     """Return an image for a screen: as ``[output]`` processes it, otherwise with its saturation as white.
 
-    Parameters
-    ----------
-    pixels : (height, width) uint8 or uint16
-        Raw digital numbers.
-    sensor : Sensor
-    summed : int
-        Number of short exposures whose sum it is: `Exposure.signal_factor`.
-
-    Returns
-    -------
-    (height, width) or (height, width, 3) uint8
-        Grey, or red, green and blue.
+    `pixels` (height, width) uint8 or uint16: raw digital numbers; `summed`: number of short exposures whose sum it is:
+    `Exposure.signal_factor`.  Returns (height, width) or (height, width, 3) uint8: grey, or red, green and blue.
     """
     if CameraProcessing.of(sensor).is_active:
         return np.asarray(process(pixels, sensor, sixteen_bits=False), dtype=np.uint8)
@@ -191,15 +135,8 @@ def shown_as_8_bits(pixels: Pixels, sensor: Sensor, *, summed: int = 1) -> NDArr
 def to_8_bits(pixels: Pixels, white_dn: int) -> NDArray[np.uint8]:
     """Return an image with 8 bits.
 
-    Parameters
-    ----------
-    pixels : (height, width) uint8 or uint16
-    white_dn : int
-        The digital number that becomes 255.
-
-    Returns
-    -------
-    (height, width) uint8
+    `pixels` (height, width) uint8 or uint16; `white_dn`: the digital number that becomes 255.  Returns (height, width)
+    uint8.
     """
     return np.asarray(np.minimum(pixels * (255.0 / white_dn) + 0.5, 255), dtype=np.uint8)
 
@@ -242,33 +179,14 @@ def _one_channel(rgb: Float, channel: str) -> Float:
 def encode_jpeg(pixels: Any, quality: int) -> bytes:
     """Return an 8-bit image as a JPEG file.
 
-    Parameters
-    ----------
-    pixels : (height, width) or (height, width, 3) uint8
-        Grey, or red, green and blue.
-    quality : int
-        0 to 100.
-
-    Returns
-    -------
-    bytes
+    `pixels` (height, width) or (height, width, 3) uint8: grey, or red, green and blue; `quality`: 0 to 100.
     """
     _, encoded = cv2.imencode(".jpg", _as_bgr(pixels), [cv2.IMWRITE_JPEG_QUALITY, quality])
     return encoded.tobytes()
 
 
 def encode_colour_png(pixels: Any) -> bytes:
-    """Return a colour image as a PNG file.
-
-    Parameters
-    ----------
-    pixels : (height, width, 3) uint8 or uint16
-        Red, green and blue.
-
-    Returns
-    -------
-    bytes
-    """
+    """Return a colour image as a PNG file; `pixels` (height, width, 3) uint8 or uint16: red, green and blue."""
     _, encoded = cv2.imencode(".png", _as_bgr(pixels))
     return encoded.tobytes()
 

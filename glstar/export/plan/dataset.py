@@ -35,17 +35,7 @@ HASH_DIGITS: Final = 12
 
 
 def file_hash(path: Path) -> str:
-    """Return the first digits of the SHA-256 of a file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-        Hexadecimal; a message if the file cannot be read.
-    """
+    """Return the first digits of the SHA-256 of a file; returns: hexadecimal; a message if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()[:HASH_DIGITS]
@@ -116,30 +106,18 @@ class DataSetFrames:
     """The frames of several flights, each under every sample of the config's sweep.
 
     Frame numbers count through all samples of the first flight, then of the next.
-
-    Attributes
-    ----------
-    config : Config
-    flights : tuple of Flight
-        As read with the config, without its sweep.
-    catalogues : mapping of str to StarCatalogue
-        By name in the config or its sweep; contains stars to the faintest magnitude of all samples.
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
-    start_s, stop_s : float
-        The part of each flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
-    frames : int or None
-        Maximum number of frames of each sample.
-    file_hashes : tuple of (Path, str)
-        Hashes of `files` when the export was planned.  If a file changes, its frames are refused.
     """
 
     config: Config
-    flights: tuple[Flight, ...]
+    flights: tuple[Flight, ...]  # As read with the config, without its sweep
+    # By name in the config or its sweep; contains stars to the faintest magnitude of all samples.
     catalogues: Mapping[str, StarCatalogue]
-    image_format: ImageFormat
+    image_format: ImageFormat  # {"png", "png16", "tiff", "fits", "jpeg"}
+    # The part of each flight, s from its first attitude; to the end of the flight if `stop_s` is None.
     start_s: float = 0.0
     stop_s: float | None = None
-    frames: int | None = None
+    frames: int | None = None  # Maximum number of frames of each sample
+    # Tuple of (Path, str): hashes of `files` when the export was planned; if a file changes, its frames are refused.
     file_hashes: tuple[tuple[Path, str], ...] = ()
 
     @property
@@ -181,12 +159,8 @@ class DataSetFrames:
     def check_samples_fit(self) -> None:
         """Raise unless at least one exposure of every sample fits into its flight.
 
-        Raises
-        ------
-        FlightTooShortError
-            With the index of the first flight into which none fits.
-        ConfigError
-            If there are more frames than can be planned.
+        Raises FlightTooShortError: with the index of the first flight into which none fits; ConfigError if there are
+        more frames than can be planned.
         """
         _ = self._planned
 

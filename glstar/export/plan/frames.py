@@ -33,70 +33,31 @@ _BLOCK: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class PlannedFrame:
-    """A frame to be drawn.
+    """A frame to be drawn."""
 
-    Attributes
-    ----------
-    number : int
-        Frame number, from 0; part of the file name.
-    exposure : Exposure
-    """
-
-    number: int
+    number: int  # Frame number, from 0; part of the file name
     exposure: Exposure
 
 
 @dataclass(frozen=True, slots=True)
 class SkippedFrame:
-    """A frame that is not drawn, because its exposure spans a gap in the log.
+    """A frame that is not drawn, because its exposure spans a gap in the log."""
 
-    Attributes
-    ----------
-    number : int
-        Frame number.
-    start_s : float
-        Start of its exposure, s from the flight's first attitude.
-    reason : str
-        Kind of the gap, such as "a data gap".
-    gap_s : float
-        Duration of the gap, s.
-    """
-
-    number: int
-    start_s: float
-    reason: str
-    gap_s: float
+    number: int  # Frame number
+    start_s: float  # Start of its exposure, s from the flight's first attitude
+    reason: str  # Kind of the gap, such as "a data gap"
+    gap_s: float  # Duration of the gap, s
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The frames of one flight.
-
-    Attributes
-    ----------
-    frames : tuple of PlannedFrame
-    skipped : tuple of SkippedFrame
-    """
+    """The frames of one flight."""
 
     frames: tuple[PlannedFrame, ...]
     skipped: tuple[SkippedFrame, ...]
 
     def only(self, number: int) -> "Plan":
-        """Return a plan with one frame only.
-
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        Plan
-
-        Raises
-        ------
-        ConfigError
-            If the frame is skipped.
-        """
+        """Return a plan with one frame only; raises ConfigError if the frame is skipped."""
         frames = tuple(frame for frame in self.frames if frame.number == number)
         if not frames:
             reason = next((frame.reason for frame in self.skipped if frame.number == number), "the end")
@@ -109,25 +70,10 @@ def plan_frames(
 ) -> Plan:
     """Return the frames of a flight: one exposure per interval until the flight ends.
 
-    Parameters
-    ----------
-    flight : Flight
-    exposure : ExposureSection
-        Exposure time, interval and sub-exposures.
-    start_s, stop_s : float
-        The part of the flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
-    frames : int or None
-        Maximum number of frames.
-
-    Returns
-    -------
-    Plan
-        Exposures that span a gap in the attitude track are in `skipped`.
-
-    Raises
-    ------
-    ConfigError
-        If no exposure fits, or more than `MOST_FRAMES` do.
+    `exposure`: exposure time, interval and sub-exposures; `start_s`, `stop_s`: the part of the flight, s from its first
+    attitude; to the end of the flight if `stop_s` is None; `frames`: maximum number of frames.  Returns: exposures that
+    span a gap in the attitude track are in `skipped`.  Raises ConfigError if no exposure fits, or more than
+    `MOST_FRAMES` do.
     """
     if exposure.at == "camera":
         return _plan_triggered(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
@@ -180,21 +126,8 @@ def count_frames(
 ) -> int:
     """Return the number of exposures, including those that span a gap.
 
-    Parameters
-    ----------
-    flight, exposure, start_s, stop_s, frames
-        As for `plan_frames`.
-    length_s : float, optional
-        How long the flight lasts under a sample of a sweep, s.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ConfigError
-        If no exposure fits, or more than `MOST_FRAMES` do.
+    `flight`, `exposure`, `start_s`, `stop_s`, `frames`: as for `plan_frames`; `length_s`: how long the flight lasts
+    under a sample of a sweep, s.  Raises ConfigError if no exposure fits, or more than `MOST_FRAMES` do.
     """
     length_s = flight.attitude.last_s - flight.attitude.first_s if length_s is None else length_s
     stop_s = length_s if stop_s is None else min(stop_s, length_s)
@@ -220,18 +153,7 @@ def count_frames(
 def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float, count: int) -> Iterator[SkippedFrame]:
     """Yield the exposures of a flight that span a gap in its attitude track.
 
-    Parameters
-    ----------
-    flight : Flight
-    exposure : ExposureSection
-    start_s : float
-        Start of the first exposure, s from the flight's first attitude.
-    count : int
-        Number of exposures.
-
-    Yields
-    ------
-    SkippedFrame
+    `start_s`: start of the first exposure, s from the flight's first attitude; `count`: number of exposures.
     """
     attitude = flight.attitude
     for first in range(0, count if attitude.gaps else 0, _BLOCK):
@@ -250,15 +172,8 @@ def across_gaps(
 ) -> NDArray[np.bool_]:
     """Return for each exposure whether it touches a gap in the attitude track, vectorised for millions of exposures.
 
-    Parameters
-    ----------
-    flight : Flight
-    start_utc_s, stop_utc_s : (n,) float64
-        Times at which the shutter opens and closes, UTC seconds since 1970.
-
-    Returns
-    -------
-    (n,) bool
+    `start_utc_s`, `stop_utc_s` (n,): times at which the shutter opens and closes, UTC seconds since 1970.  Returns (n,)
+    bool.
     """
     starts = np.array([gap.start_utc_s for gap in flight.attitude.gaps])
     stops = np.array([gap.stop_utc_s for gap in flight.attitude.gaps])
@@ -269,46 +184,23 @@ def across_gaps(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComposedFrame:
-    """A frame that is ready to be drawn.
+    """A frame that is ready to be drawn."""
 
-    Attributes
-    ----------
-    number : int
-        Frame number.
-    scene : Scene
-    extra_truth : mapping
-        Additional keys of its line of truth.
-    """
-
-    number: int
+    number: int  # Frame number
     scene: Scene
-    extra_truth: Mapping[str, Any] = field(default_factory=dict)
+    extra_truth: Mapping[str, Any] = field(default_factory=dict)  # Additional keys of its line of truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """When and how the camera exposes a frame.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    exposure : Exposure
-    flight : int
-        Index of the flight in a data set.
-    stream : int
-        Index of the flight and the sample together: frames of one value belong to one flight.
-    settings : mapping
-        The settings of the sample, by dotted key.
-    shift_s : float
-        How much later than in its log the flight is, s.
-    """
+    """When and how the camera exposes a frame."""
 
     simulator: Simulator
     exposure: Exposure
-    flight: int = 0
-    stream: int = 0
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    shift_s: float = 0.0
+    flight: int = 0  # Index of the flight in a data set
+    stream: int = 0  # Index of the flight and the sample together: frames of one value belong to one flight
+    settings: Mapping[str, Any] = field(default_factory=dict)  # The settings of the sample, by dotted key
+    shift_s: float = 0.0  # How much later than in its log the flight is, s
 
 
 class Frames(Protocol):
@@ -340,43 +232,17 @@ class Frames(Protocol):
         ...
 
     def shot(self, number: int) -> Shot:
-        """Return when and how the camera exposes a frame.
-
-        Parameters
-        ----------
-        number : int
-            One of `numbers`.
-
-        Returns
-        -------
-        Shot
-        """
+        """Return when and how the camera exposes a frame; `number`: one of `numbers`."""
         ...
 
     def compose(self, number: int) -> ComposedFrame:
-        """Return the scene of a frame.
-
-        Parameters
-        ----------
-        number : int
-            One of `numbers`.
-
-        Returns
-        -------
-        ComposedFrame
-        """
+        """Return the scene of a frame; `number`: one of `numbers`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class FlightFrames:
-    """The frames of one flight, composed by one simulator.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    plan : Plan
-    """
+    """The frames of one flight, composed by one simulator."""
 
     simulator: Simulator
     plan: Plan
@@ -419,32 +285,17 @@ class FlightFrames:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """What to export of a flight, besides the config.
+    """What to export of a flight, besides the config."""
 
-    Attributes
-    ----------
-    start_s, stop_s : float
-        The part of the flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
-    frames : int or None
-        Maximum number of frames; in a data set, of each sample.
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
-        None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.  If a sensor of 8 bits is written with 16,
-        its full scale becomes the full scale of 16 bits, and all DN of the truth are scaled with it.
-    noiseless : bool
-        Whether to write the signal before noise beside each frame.
-    seed : int
-        The seed from which the noise seed of every frame is derived.
-    masks : bool
-        Whether to write masks beside each frame: see `glstar.export.imagefiles.masks`.
-    exif : bool
-        Whether images have EXIF with UTC, exposure time and position.
-    """
-
+    # The part of the flight, s from its first attitude; to the end of the flight if `stop_s` is None.
     start_s: float = 0.0
     stop_s: float | None = None
-    frames: int | None = None
+    frames: int | None = None  # Maximum number of frames; in a data set, of each sample
+    # {"png", "png16", "tiff", "fits", "jpeg"} or None: none for 8-bit PNG, or 16-bit PNG if the sensor has more than 8
+    # bits; if a sensor of 8 bits is written with 16, its full scale becomes the full scale of 16 bits, and all DN of
+    # the truth are scaled with it.
     image_format: ImageFormat | None = None
-    noiseless: bool = False
-    seed: int = 0
-    masks: bool = False
-    exif: bool = False
+    noiseless: bool = False  # Whether to write the signal before noise beside each frame
+    seed: int = 0  # The seed from which the noise seed of every frame is derived
+    masks: bool = False  # Whether to write masks beside each frame: see `glstar.export.imagefiles.masks`
+    exif: bool = False  # Whether images have EXIF with UTC, exposure time and position

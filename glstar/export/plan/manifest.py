@@ -54,17 +54,10 @@ _ELSEWHERE: Final = "choose another directory, or start over with --force"
 
 @dataclass(frozen=True, slots=True)
 class OmittedLog:
-    """A log that is left out of a data set.
-
-    Attributes
-    ----------
-    path : Path
-    reason : str
-        Why it cannot be exported.
-    """
+    """A log that is left out of a data set."""
 
     path: Path
-    reason: str
+    reason: str  # Why it cannot be exported
 
 
 def describe(
@@ -72,22 +65,9 @@ def describe(
 ) -> dict[str, Any]:
     """Return the manifest of an export of one flight, without the renderer.
 
-    Parameters
-    ----------
-    config : Config
-    flight_path : Path
-        The log of the flight.
-    flight : Flight
-    sensor : Sensor
-        As used, which may have more bits than the config's.
-    options : ExportOptions
-        With the image format resolved.
-    plan : Plan
-
-    Returns
-    -------
-    dict
-        Ready to be written as JSON.  It has no directory, date or host, so that equal frames have equal manifests.
+    `flight_path`: the log of the flight; `sensor`: as used, which may have more bits than the config's; `options`: with
+    the image format resolved.  Returns: ready to be written as JSON. It has no directory, date or host, so that equal
+    frames have equal manifests.
     """
     return {
         "command": _command(config, (flight_path,), options),
@@ -110,22 +90,9 @@ def describe_data_set(
 ) -> dict[str, Any]:
     """Return the manifest of a data set, without the renderer.
 
-    Parameters
-    ----------
-    flight_paths : sequence of Path
-        The logs of the flights.
-    frames : DataSetFrames
-    sensor : Sensor
-        As used, unless the sweep varies it.
-    options : ExportOptions
-        With the image format resolved.
-    omitted_logs : sequence of OmittedLog
-        Requested logs that cannot be exported.
-
-    Returns
-    -------
-    dict
-        As for `describe`.  The number of frames per sample is a setting here, because all frame numbers depend on it.
+    `flight_paths`: the logs of the flights; `sensor`: as used, unless the sweep varies it; `options`: with the image
+    format resolved; `omitted_logs`: requested logs that cannot be exported.  Returns: as for `describe`; the number of
+    frames per sample is a setting here, because all frame numbers depend on it.
     """
     omitted = [{"name": log.path.name, "reason": log.reason} for log in omitted_logs]
     return {
@@ -201,16 +168,7 @@ def _catalogue(name: str) -> dict[str, str]:
 
 
 def described_brightness(config: Config) -> dict[str, Any]:
-    """Return the manifest's entry on measured star brightness; empty if the config has none.
-
-    Parameters
-    ----------
-    config : Config
-
-    Returns
-    -------
-    dict
-    """
+    """Return the manifest's entry on measured star brightness; empty if the config has none."""
     table = config.star_brightness()
     if table is None:
         return {}
@@ -220,16 +178,8 @@ def described_brightness(config: Config) -> dict[str, Any]:
 def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
     """Refuse a directory that holds frames of other settings.
 
-    Parameters
-    ----------
-    directory : Path
-    manifest : dict
-        The manifest that is about to be written there.
-
-    Raises
-    ------
-    ExportError
-        If its manifest differs in more than the number of frames, or there are frames without a manifest.
+    `manifest`: the manifest that is about to be written there.  Raises ExportError if its manifest differs in more than
+    the number of frames, or there are frames without a manifest.
     """
     path = directory / NAME
     # Another process may write its manifest, and then frames, between the two checks.
@@ -259,24 +209,9 @@ def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, An
 def claim(directory: Path, manifest: dict[str, Any]) -> bool:
     """Write the manifest, unless another run has written it already.
 
-    If several runs begin at the same time, one creates the manifest.  The others find it and continue only if theirs is
-    the same.
-
-    Parameters
-    ----------
-    directory : Path
-        Locked by the caller, exclusively or shared.
-    manifest : dict
-
-    Returns
-    -------
-    bool
-        Whether Parquet tables were removed because the export has more frames now.
-
-    Raises
-    ------
-    ExportError
-        If the frames there have other settings.
+    If several runs begin at the same time, one creates the manifest.  The others find it and continue only if theirs
+    is the same.  `directory`: locked by the caller, exclusively or shared.  Returns whether Parquet tables were
+    removed because the export has more frames now.  Raises ExportError if the frames there have other settings.
     """
     path = directory / NAME
     if _created(path, to_json(manifest)):
@@ -294,43 +229,18 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
 
 
 def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:
-    """Return whether the manifest of a directory equals this one, including the number of frames.
-
-    Parameters
-    ----------
-    directory : Path
-    manifest : dict
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether the manifest of a directory equals this one, including the number of frames."""
     path = directory / NAME
     return _exists(path) and _read(path) == manifest
 
 
 def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
-    """Write the manifest, replacing an existing one.
-
-    Parameters
-    ----------
-    directory : Path
-    manifest : dict
-    """
+    """Write the manifest, replacing an existing one."""
     write_atomically(directory / NAME, to_json(manifest))
 
 
 def to_json(manifest: dict[str, Any]) -> bytes:
-    """Return a manifest as the content of its file.
-
-    Parameters
-    ----------
-    manifest : dict
-
-    Returns
-    -------
-    bytes
-    """
+    """Return a manifest as the content of its file."""
     return (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
 
 
@@ -433,17 +343,8 @@ _LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", 
 def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
     """Return everything besides the task that decides the bytes of this process's frames.
 
-    Parameters
-    ----------
-    driver : str
-        OpenGL driver.
-    files : iterable of Path
-        Files that are read while frames are drawn.
-
-    Returns
-    -------
-    dict of str to str
-        Versions and hashes by name, the most informative difference first.
+    `driver`: OpenGL driver; `files`: files that are read while frames are drawn.  Returns: versions and hashes by name,
+    the most informative difference first.
     """
     return {
         "glstar": glstar.__version__,
@@ -460,15 +361,7 @@ def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
 def differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
     """Return the differences of two fingerprints.
 
-    Parameters
-    ----------
-    expected, found : mapping of str to str
-        From `fingerprint`.
-
-    Returns
-    -------
-    str
-        Such as "glstar 0.2.0, not 0.3.0"; empty if they are equal.
+    `expected`, `found`: from `fingerprint`.  Returns: such as "glstar 0.2.0, not 0.3.0"; empty if they are equal.
     """
     keys = dict.fromkeys((*expected, *found))
     return "; ".join(

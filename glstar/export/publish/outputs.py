@@ -43,21 +43,9 @@ _POLL_INTERVAL_S: Final = 0.25
 class MjpegServer:
     """Serves frames as they are drawn; a context manager.
 
-    A client that is slower than the frames misses some.
-
-    Parameters
-    ----------
-    where : str
-        ``http://HOST:PORT``, or ``http://PORT`` on this computer only.
-    sensor : Sensor
-        Of the frames: ``[output]`` processes them, otherwise its saturation is white.
-    summed : int
-        Number of short exposures whose sum a frame is.
-
-    Raises
-    ------
-    ConfigError
-        If the address is not valid or in use.
+    A client that is slower than the frames misses some.  `where`: ``http://HOST:PORT``, or ``http://PORT`` on this
+    computer only; `sensor`: of the frames: ``[output]`` processes them, otherwise its saturation is white; `summed`:
+    number of short exposures whose sum a frame is.  Raises ConfigError if the address is not valid or in use.
     """
 
     def __init__(self, where: str, sensor: Sensor, *, summed: int = 1) -> None:
@@ -74,11 +62,7 @@ class MjpegServer:
     def write(self, pixels: NDArray[Any], truth: bytes, _nav: dict[str, Any]) -> None:
         """Send a frame to all clients.
 
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-        truth : bytes
-            The line of ``truth.jsonl``, for its UTC.
+        `pixels` (height, width) uint8 or uint16; `truth`: the line of ``truth.jsonl``, for its UTC.
         """
         start_s = parse_utc(orjson.loads(truth)["camera_utc_start"])
         self._latest.set(
@@ -195,22 +179,10 @@ VIDEO: Final = "video:"
 class VideoDevice:
     """Shows frames on a virtual video device; a context manager.
 
-    Parameters
-    ----------
-    where : str
-        ``video:`` for the first device, ``video:/dev/video10`` for a device on Linux.
-    camera : Camera
-    sensor : Sensor
-        Of the frames: ``[output]`` processes them, otherwise its saturation is white.
-    frames_per_s : float
-        What the device says of its rate, 1/s.
-    summed : int
-        Number of short exposures whose sum a frame is.
-
-    Raises
-    ------
-    ConfigError
-        If pyvirtualcam is not installed, or there is no such device.
+    `where`: ``video:`` for the first device, ``video:/dev/video10`` for a device on Linux; `sensor`: of the frames:
+    ``[output]`` processes them, otherwise its saturation is white; `frames_per_s`: what the device says of its rate,
+    1/s; `summed`: number of short exposures whose sum a frame is.  Raises ConfigError if pyvirtualcam is not installed,
+    or there is no such device.
     """
 
     def __init__(self, where: str, camera: Camera, sensor: Sensor, *, frames_per_s: float, summed: int = 1) -> None:
@@ -225,12 +197,7 @@ class VideoDevice:
             ) from error
 
     def write(self, pixels: NDArray[Any], _truth: bytes, _nav: dict[str, Any]) -> None:
-        """Show a frame.
-
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-        """
+        """Show a frame; `pixels` (height, width) uint8 or uint16."""
         shown = shown_as_8_bits(pixels, self._sensor, summed=self._summed)
         self._device.send(np.ascontiguousarray(shown if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB)))
 
@@ -261,14 +228,8 @@ class FrameOutput(Protocol):
     def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
         """Pass a frame on.
 
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-            Raw digital numbers.
-        truth : bytes
-            The line of ``truth.jsonl``.
-        nav : dict
-            What the aircraft knows: the line of ``nav.jsonl``; empty if the output does not need it.
+        `pixels` (height, width) uint8 or uint16: raw digital numbers; `truth`: the line of ``truth.jsonl``; `nav`: what
+        the aircraft knows: the line of ``nav.jsonl``; empty if the output does not need it.
         """
         ...
 
@@ -282,30 +243,10 @@ def open_frame_output(
 ) -> FrameOutput:
     """Open an output of frames.
 
-    Parameters
-    ----------
-    where : str
-        ``shm:NAME``, a file, ``zmq://HOST:PORT``, ``http://HOST:PORT`` or ``video:DEVICE``.
-    camera : Camera
-    sensor : Sensor
-        Of the frames.
-    interval_s : float
-        Time between frames, s.
-    summed : int
-        Number of short exposures whose sum a frame is.
-    with_truth : bool
-        Whether ``zmq://`` sends the truth, too.
-
-    Returns
-    -------
-    FrameOutput
-
-    Raises
-    ------
-    ConfigError
-        If the name is not valid, the address is in use, or a library or device is missing.
-    ExportError
-        If another process writes to a name.
+    `where`: ``shm:NAME``, a file, ``zmq://HOST:PORT``, ``http://HOST:PORT`` or ``video:DEVICE``; `sensor`: of the
+    frames; `interval_s`: time between frames, s; `summed`: number of short exposures whose sum a frame is;
+    `with_truth`: whether ``zmq://`` sends the truth, too.  Raises ConfigError if the name is not valid, the address is
+    in use, or a library or device is missing; ExportError if another process writes to a name.
     """
     if where.startswith(STREAM):
         return FrameStream(where, with_truth=with_truth)

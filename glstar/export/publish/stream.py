@@ -43,17 +43,8 @@ _LINGER_MS: Final = 1000
 class FrameStream:
     """Publishes frames; a context manager.
 
-    Parameters
-    ----------
-    where : str
-        ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only.
-    with_truth : bool
-        Whether the header has the truth.
-
-    Raises
-    ------
-    ConfigError
-        If the address is not valid or in use, or pyzmq is not installed.
+    `where`: ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only; `with_truth`: whether the header has the
+    truth.  Raises ConfigError if the address is not valid or in use, or pyzmq is not installed.
     """
 
     def __init__(self, where: str, *, with_truth: bool = False) -> None:
@@ -65,13 +56,8 @@ class FrameStream:
     def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
         """Send a frame to all who are subscribed.
 
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-        truth : bytes
-            The line of ``truth.jsonl``.
-        nav : dict
-            The record of the navigator.
+        `pixels` (height, width) uint8 or uint16; `truth`: the line of ``truth.jsonl``; `nav`: the record of the
+        navigator.
         """
         header = {
             "schema": FRAME_SCHEMA,
@@ -103,32 +89,15 @@ class FrameStream:
 class AnswerReceiver:
     """Receives the answers of navigators as JSON lines; used from one thread.
 
-    Parameters
-    ----------
-    where : str
-        ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only.
-
-    Raises
-    ------
-    ConfigError
-        If the address is not valid or in use, or pyzmq is not installed.
+    `where`: ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only.  Raises ConfigError if the address is not
+    valid or in use, or pyzmq is not installed.
     """
 
     def __init__(self, where: str) -> None:
         self._socket = _bound(where, _library().PULL, "--answers")
 
     def lines(self, timeout_s: float) -> list[str]:
-        """Return the lines of the next message; none if nothing arrives.
-
-        Parameters
-        ----------
-        timeout_s : float
-            How long to wait, s.
-
-        Returns
-        -------
-        list of str
-        """
+        """Return the lines of the next message; none if nothing arrives; `timeout_s`: how long to wait, s."""
         if not self._socket.poll(round(timeout_s * 1e3)):
             return []
         return bytes(self._socket.recv()).decode("utf-8", errors="replace").splitlines()
@@ -141,19 +110,9 @@ class AnswerReceiver:
 def send_answers(where: str, lines: list[str], timeout_s: float) -> None:
     """Send answers to ``glstar live --answers zmq://...``.
 
-    Parameters
-    ----------
-    where : str
-        ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer.
-    lines : list of str
-        JSON lines, as `glstar.score` reads them.
-    timeout_s : float
-        How long to wait for the receiver, s.
-
-    Raises
-    ------
-    ConfigError
-        If the address is not valid, nobody receives there, or pyzmq is not installed.
+    `where`: ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer; `lines`: JSON lines, as `glstar.score` reads them;
+    `timeout_s`: how long to wait for the receiver, s.  Raises ConfigError if the address is not valid, nobody receives
+    there, or pyzmq is not installed.
     """
     zmq, address = _library(), _address(where, "answer")
     socket = zmq.Context.instance().socket(zmq.PUSH)

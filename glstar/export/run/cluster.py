@@ -45,20 +45,10 @@ class DaskExecutor:
 
     Each worker opens an OpenGL context of its own, on the device that its environment names as GLSTAR_DEVICE, and keeps
     it for all chunks.  Workers write images and truth directly to the disk, which all of them must see under the same
-    path, and return frame numbers only.  If a worker dies, another draws its chunk again.  A worker whose frames would
-    differ from those of the others (another version of glstar, driver or library) is refused before it draws.
-
-    Parameters
-    ----------
-    address : str
-        Address of the scheduler, as in ``tcp://10.0.0.1:8786``.
-    task : FrameTask
-        The frames to draw.
-
-    Raises
-    ------
-    ExportError
-        If no scheduler answers, it has no workers, or a worker would draw other frames.
+    path, and return frame numbers only.  If a worker dies, another draws its chunk again.  A worker whose frames
+    would differ from those of the others (another version of glstar, driver or library) is refused before it draws.
+    `address`: address of the scheduler, as in ``tcp://10.0.0.1:8786``; `task`: the frames to draw.  Raises ExportError
+    if no scheduler answers, it has no workers, or a worker would draw other frames.
     """
 
     writes_parts = True

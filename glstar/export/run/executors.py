@@ -44,28 +44,12 @@ def pipelined(
 ) -> Generator[D, None, None]:
     """Take items through three steps that run concurrently.
 
-    Parameters
-    ----------
-    items : iterable
-    compose : callable
-        First step; runs on a thread of its own, one or two items ahead.
-    begin, end : callable
-        Second step; both run on the caller's thread, which owns the OpenGL context.  `begin` is called for an item
-        before `end` is called for the item before it, so that the GPU never waits for a read.
-    encode : callable
-        Third step; runs on `encoder_threads` threads.
-    encoder_threads : int
-        If 0, all steps run on the caller's thread: for processes that share the processors with others.
-
-    Yields
-    ------
-    object
-        Results of `encode`, in the order of the items.  Only a few items are in progress at a time.
-
-    Raises
-    ------
-    Exception
-        The exception of a step, at the position of its item; no further step begins for later items.
+    `compose`: first step; runs on a thread of its own, one or two items ahead; `begin`, `end`: second step; both run on
+    the caller's thread, which owns the OpenGL context; `begin` is called for an item before `end` is called for the
+    item before it, so that the GPU never waits for a read; `encode`: third step; runs on `encoder_threads` threads;
+    `encoder_threads`: if 0, all steps run on the caller's thread: for processes that share the processors with others.
+    Yields: results of `encode`, in the order of the items; only a few items are in progress at a time.  Raises
+    Exception: the exception of a step, at the position of its item; no further step begins for later items.
     """
     if encoder_threads:
         yield from _threaded(items, compose, begin, end, encode, encoder_threads)
@@ -138,24 +122,15 @@ _MAX_CHUNK_FRAMES: Final = 1000
 def available_processors() -> int:
     """Return the number of processors that this process may use.
 
-    Returns
-    -------
-    int
-        The processors of its affinity mask, which the scheduler of a cluster may have set.
+    Returns the processors of its affinity mask, which the scheduler of a cluster may have set.
     """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Executor(Protocol):
-    """Draws and writes frames.
+    """Draws and writes frames."""
 
-    Attributes
-    ----------
-    writes_parts : bool
-        Whether several processes write, each a part of the truth in a file of its own.
-    """
-
-    writes_parts: bool
+    writes_parts: bool  # Whether several processes write, each a part of the truth in a file of its own
 
     @property
     def driver(self) -> str:
@@ -163,28 +138,13 @@ class Executor(Protocol):
         ...
 
     def preflight(self, task: FrameTask, number: int) -> None:
-        """Draw a frame and write nothing, so that an error occurs before a directory is created.
-
-        Parameters
-        ----------
-        task : FrameTask
-        number : int
-        """
+        """Draw a frame and write nothing, so that an error occurs before a directory is created."""
         ...
 
     def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them with their truth.
 
-        Parameters
-        ----------
-        task : FrameTask
-        numbers : (n,) int64
-        truth : TruthFile
-
-        Yields
-        ------
-        int
-            Number of each frame, once its files and its line of truth are written.
+        `numbers` (n,) int64.  Yields: number of each frame, once its files and its line of truth are written.
         """
         ...
 
@@ -200,17 +160,8 @@ class BlockExecutor(Protocol):
     def draw_blocks(self, work: BlockWork, blocks: Mapping[int, NDArray[np.int64]]) -> Generator[int, None, None]:
         """Call a function for each block, on a worker.
 
-        Parameters
-        ----------
-        work : callable
-            Can be pickled.
-        blocks : mapping of int to (n,) int64
-            Frame numbers by the index of the block.
-
-        Yields
-        ------
-        int
-            Number of frames of each block, in any order, once `work` has returned.
+        `work`: can be pickled; `blocks` mapping of int to (n,) int64: frame numbers by the index of the block.  Yields:
+        number of frames of each block, in any order, once `work` has returned.
         """
         ...
 
@@ -226,15 +177,7 @@ class Checker(Protocol):
     def check(self, task: FrameTask, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
         """Draw frames again and compare them with the files of the directory; nothing is written.
 
-        Parameters
-        ----------
-        task : FrameTask
-        numbers : (n,) int64
-
-        Yields
-        ------
-        CheckedFrame
-            In any order.
+        `numbers` (n,) int64.  Yields: in any order.
         """
         ...
 
@@ -242,12 +185,8 @@ class Checker(Protocol):
 class SerialExecutor:
     """Draws in the calling process, on the OpenGL context of the calling thread.
 
-    Parameters
-    ----------
-    renderer : Renderer
-    on_pixels : callable, optional
-        Called on this thread, in the order of the frames, with the number, the pixels and the line of truth of each
-        frame that `draw` draws, before it is encoded.
+    `on_pixels`: called on this thread, in the order of the frames, with the number, the pixels and the line of truth of
+    each frame that `draw` draws, before it is encoded.
     """
 
     writes_parts = False
@@ -288,25 +227,11 @@ def draw_frames(
 ) -> Generator[int, None, None]:
     """Draw frames and write them, with composing, drawing, encoding and writing in a pipeline.
 
-    Parameters
-    ----------
-    task : FrameTask
-    renderer : Renderer
-        Belongs to the calling thread.
-    numbers : (n,) int64
-    truth : TruthFile
-    as_part : bool
-        Whether to write the truth as a part of its own, because other processes write at the same time.
-    encoder_threads : int, optional
-        Threads that encode and write, at most: one for each available processor if None, and 0 for a process that
-        shares the processors with others.  Small images take fewer.
-    on_pixels : callable, optional
-        Called with the number, the pixels and the line of truth of each frame on the thread that encodes it.
-
-    Yields
-    ------
-    int
-        Number of each frame, once its files and its line of truth are written.
+    `renderer`: belongs to the calling thread; `numbers` (n,) int64; `as_part`: whether to write the truth as a part of
+    its own, because other processes write at the same time; `encoder_threads`: threads that encode and write, at most:
+    one for each available processor if None, and 0 for a process that shares the processors with others; small images
+    take fewer; `on_pixels`: called with the number, the pixels and the line of truth of each frame on the thread that
+    encodes it.  Yields: number of each frame, once its files and its line of truth are written.
     """
     with ExitStack() as opened:
         with task.writing():
@@ -333,14 +258,7 @@ def check_frames(
 ) -> Generator[CheckedFrame, None, None]:
     """Draw frames again and compare them with the files of the directory, in a pipeline.
 
-    Parameters
-    ----------
-    task, renderer, numbers, encoder_threads
-        As for `draw_frames`.
-
-    Yields
-    ------
-    CheckedFrame
+    `task`, `renderer`, `numbers`, `encoder_threads`: as for `draw_frames`.
     """
     yield from _pipeline(task, renderer, numbers, partial(check_files, task), encoder_threads)
 
@@ -387,19 +305,10 @@ def _useful_encoders(task: FrameTask, numbers: NDArray[np.int64]) -> int:
 def split_into_chunks(numbers: NDArray[np.int64], workers: int, firsts: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Divide frames into chunks, each drawn by one worker at a time.
 
-    Parameters
-    ----------
-    numbers : (n,) int64
-    workers : int
-        Number of workers.
-    firsts : (m,) int64
-        `Frames.firsts`.  A chunk ends before one of them where it can, because each worker that draws frames of a
-        sample prepares its flight and its stars: with chunks that end elsewhere, two workers prepare each sample.
-
-    Returns
-    -------
-    list of (m,) int64
-        In order; half as long to one and a half times as long as equal parts, but for the last.
+    `numbers` (n,) int64; `workers`: number of workers; `firsts` (m,) int64: `Frames.firsts`; a chunk ends before one of
+    them where it can, because each worker that draws frames of a sample prepares its flight and its stars: with chunks
+    that end elsewhere, two workers prepare each sample.  Returns: list of (m,) int64: in order; half as long to one and
+    a half times as long as equal parts, but for the last.
     """
     size = min(max(1, -(-len(numbers) // (_CHUNKS_PER_WORKER * workers))), _MAX_CHUNK_FRAMES)
     ends = np.unique(np.searchsorted(numbers, firsts))

@@ -45,24 +45,8 @@ _STAGED: Final = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
 def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
     """Return the frames that have no intact files or no line of truth.
 
-    Parameters
-    ----------
-    task : FrameTask
-    manifest : dict
-        The manifest that the export would write.
-    truth : TruthFile
-        Read by this function.
-    wanted : (n,) int64
-        Increasing.
-
-    Returns
-    -------
-    (m,) int64
-
-    Raises
-    ------
-    ExportError
-        If the directory holds frames of other settings, or links.
+    `manifest`: the manifest that the export would write; `truth`: read by this function; `wanted` (n,) int64:
+    increasing.  Returns (m,) int64.  Raises ExportError if the directory holds frames of other settings, or links.
     """
     refuse_links(task.directory)
     refuse_other_settings(task.directory, manifest)
@@ -74,14 +58,7 @@ def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, 
 def intact_frames(task: FrameTask, numbers: Numbers) -> Numbers:
     """Return the frames whose files exist and are neither truncated nor damaged.
 
-    Parameters
-    ----------
-    task : FrameTask
-    numbers : (n,) int64
-
-    Returns
-    -------
-    (m,) int64
+    `numbers` (n,) int64.  Returns (m,) int64.
     """
     kinds = task.file_kinds
     for suffix in kinds:
@@ -91,12 +68,7 @@ def intact_frames(task: FrameTask, numbers: Numbers) -> Numbers:
 
 
 def remove_leftovers(directory: Path) -> None:
-    """Remove the unfinished files of runs that were killed, after their workers have stopped writing.
-
-    Parameters
-    ----------
-    directory : Path
-    """
+    """Remove the unfinished files of runs that were killed, after their workers have stopped writing."""
     revoke_leases(directory)
     for path in output_files(directory):
         if path.name.startswith(TEMPORARY):
@@ -104,12 +76,7 @@ def remove_leftovers(directory: Path) -> None:
 
 
 def remove_all(directory: Path) -> None:
-    """Remove every file of an export, and its folders if nothing else is in them.
-
-    Parameters
-    ----------
-    directory : Path
-    """
+    """Remove every file of an export, and its folders if nothing else is in them."""
     revoke_leases(directory)
     for entry in directory.iterdir():
         if is_folder_name(entry.name) and entry.is_symlink():
@@ -126,12 +93,7 @@ def remove_all(directory: Path) -> None:
 
 
 def remove_staged_files(directory: Path) -> None:
-    """Remove files that workers staged before they died; no worker may be running.
-
-    Parameters
-    ----------
-    directory : Path
-    """
+    """Remove files that workers staged before they died; no worker may be running."""
     for path in output_files(directory):
         if _STAGED.fullmatch(path.name):
             path.unlink(missing_ok=True)
@@ -139,34 +101,14 @@ def remove_staged_files(directory: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """One of several equal parts of an export's frames.
+    """One of several equal parts of an export's frames."""
 
-    Attributes
-    ----------
-    index, count : int
-        The shard is number `index`, counted from 1, of `count` shards.
-    """
-
-    index: int = 1
+    index: int = 1  # The shard is number `index`, counted from 1, of `count` shards
     count: int = 1
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the shard that is written as K/N.
-
-        Parameters
-        ----------
-        text : str
-
-        Returns
-        -------
-        Shard
-
-        Raises
-        ------
-        ConfigError
-            If the text is not K/N with 1 <= K <= N.
-        """
+        """Return the shard that is written as K/N; raises ConfigError if the text is not K/N with 1 <= K <= N."""
         match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
         if match is None or not 1 <= int(match[1]) <= int(match[2]):
             raise ConfigError(f"--shard {text} is no shard; of four jobs the first draws 1/4 and the last 4/4")
@@ -185,15 +127,8 @@ class Shard:
     def select(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the frames of the shard.
 
-        Parameters
-        ----------
-        numbers : (n,) int64
-            All frames.
-
-        Returns
-        -------
-        (m,) int64
-            Every `count`-th frame, so that slow parts of a flight are spread over all shards.
+        `numbers` (n,) int64: all frames.  Returns (m,) int64: every `count`-th frame, so that slow parts of a flight
+        are spread over all shards.
         """
         return numbers[self.index - 1 :: self.count]
 
@@ -203,48 +138,27 @@ ALL_FRAMES: Final = Shard()
 
 @dataclass(frozen=True, slots=True)
 class ExportReport:
-    """The result of a run.
+    """The result of a run."""
 
-    Attributes
-    ----------
-    directory : Path or str
-        The URL of an object store is text.
-    drawn, there_already : int
-        Frames drawn by this run, and frames that an earlier run had drawn.
-    skipped : tuple of SkippedFrame
-    complete : bool
-        Whether all frames and the joined truth are in the directory.  Of several shards only the last one to finish
-        reports True.
-    tables_removed : bool
-        Whether Parquet tables of fewer frames were removed.
-    """
-
-    directory: Path | str
-    drawn: int
+    directory: Path | str  # The URL of an object store is text
+    drawn: int  # Frames drawn by this run, and frames that an earlier run had drawn
     there_already: int
     skipped: tuple[SkippedFrame, ...]
+    # Whether all frames and the joined truth are in the directory; of several shards only the last one to finish
+    # reports True.
     complete: bool = True
-    tables_removed: bool = False
+    tables_removed: bool = False  # Whether Parquet tables of fewer frames were removed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Frames to be written to one directory; `prepare_export` and `prepare_data_set` return one.
+    """Frames to be written to one directory; `prepare_export` and `prepare_data_set` return one."""
 
-    Attributes
-    ----------
-    task : FrameTask
-        How to draw the frames and where to write them.
-    manifest : dict
-        Everything that decides the frames except the renderer, ready to be written as JSON.  A run continues an
-        earlier one only if their manifests agree.
-    omitted_logs : tuple of OmittedLog
-        Logs of a data set that cannot be exported.
-    """
-
-    task: FrameTask
+    task: FrameTask  # How to draw the frames and where to write them
+    # Everything that decides the frames except the renderer, ready to be written as JSON. A run continues an earlier
+    # one only if their manifests agree.
     manifest: dict[str, Any]
-    omitted_logs: tuple[OmittedLog, ...] = ()
+    omitted_logs: tuple[OmittedLog, ...] = ()  # Logs of a data set that cannot be exported
 
     @property
     def directory(self) -> Path:
@@ -263,16 +177,7 @@ class Export:
         return [(flight["name"], note) for flight in flights for note in flight.get("notes", ())]
 
     def into(self, directory: Path) -> Self:
-        """Return the same export with another output directory.
-
-        Parameters
-        ----------
-        directory : Path
-
-        Returns
-        -------
-        Export
-        """
+        """Return the same export with another output directory."""
         return replace(self, task=replace(self.task, directory=directory))
 
     def run(
@@ -285,25 +190,11 @@ class Export:
     ) -> ExportReport:
         """Draw and write the missing frames.
 
-        Parameters
-        ----------
-        executor : Executor
-            `SerialExecutor`, `ProcessExecutor` or `DaskExecutor`.
-        shard : Shard
-            The frames to draw.  The run that draws the last shard joins the truth of all.
-        force : bool
-            Whether to start over: remove the files of an earlier export from the directory.
-        on_frame : callable, optional
-            Called with the number of finished frames and the number of all frames, after each frame.
-
-        Returns
-        -------
-        ExportReport
-
-        Raises
-        ------
-        ExportError
-            If the directory cannot be written, the disk is full, or it holds frames of other settings.
+        `executor`: `SerialExecutor`, `ProcessExecutor` or `DaskExecutor`; `shard`: the frames to draw; the run that
+        draws the last shard joins the truth of all; `force`: whether to start over: remove the files of an earlier
+        export from the directory; `on_frame`: called with the number of finished frames and the number of all frames,
+        after each frame.  Raises ExportError if the directory cannot be written, the disk is full, or it holds frames
+        of other settings.
         """
         report_progress = on_frame or (lambda *_: None)
         manifest = self.manifest | {"renderer": executor.driver}

@@ -33,32 +33,11 @@ def prepare_export(
 ) -> Export:
     """Read a flight and plan its frames; nothing is drawn or written yet.
 
-    Parameters
-    ----------
-    config : Config
-    flight_path : Path
-        The log of the flight.
-    directory : Path
-        The output directory.
-    options : ExportOptions
-    flight : Flight, optional
-        The content of the log, if it has been read already.
-    only : int, optional
-        Draw only the frame of this number.
-
-    Returns
-    -------
-    Export
-        Exposures that span a gap in the log are listed in `Frames.skipped`.
-
-    Raises
-    ------
-    ConfigError
-        If no exposure fits into the flight, the sensor has more bits than the format, or the only frame is skipped.
-    LogFormatError
-        If the log cannot be read.
-    CatalogueError
-        If the star catalogue is unknown.
+    `flight_path`: the log of the flight; `directory`: the output directory; `flight`: the content of the log, if it has
+    been read already; `only`: draw only the frame of this number.  Returns: exposures that span a gap in the log are
+    listed in `Frames.skipped`.  Raises ConfigError if no exposure fits into the flight, the sensor has more bits than
+    the format, or the only frame is skipped; LogFormatError if the log cannot be read; CatalogueError if the star
+    catalogue is unknown.
     """
     flight = config.open_flight(flight_path) if flight is None else flight
     plan = plan_frames(flight, config.exposure, start_s=options.start_s, stop_s=options.stop_s, frames=options.frames)
@@ -78,30 +57,11 @@ def prepare_data_set(
 ) -> Export:
     """Read flights and plan the frames of a data set: each flight under each sample of the config's sweep.
 
-    Parameters
-    ----------
-    config : Config
-    flight_paths : sequence of Path
-        The logs of the flights.
-    directory : Path
-        The output directory.
-    options : ExportOptions
-    strict : bool
-        Whether to raise if one of several logs cannot be read or is too short for an exposure.  Otherwise the log is
-        left out and listed in `Export.omitted_logs` and in the manifest, as long as one log remains.
-
-    Returns
-    -------
-    Export
-
-    Raises
-    ------
-    ConfigError
-        If the exposure of a sample does not fit into its flight, or a sensor has more bits than the format.
-    LogFormatError
-        If a log cannot be read.
-    CatalogueError
-        If a star catalogue is unknown.
+    `flight_paths`: the logs of the flights; `directory`: the output directory; `strict`: whether to raise if one of
+    several logs cannot be read or is too short for an exposure; otherwise the log is left out and listed in
+    `Export.omitted_logs` and in the manifest, as long as one log remains.  Raises ConfigError if the exposure of a
+    sample does not fit into its flight, or a sensor has more bits than the format; LogFormatError if a log cannot be
+    read; CatalogueError if a star catalogue is unknown.
     """
     image_format, sensor = fit_format(options.image_format, config.sensor(), summed=largest_sum(config))
     catalogues = _catalogues(config, image_format)

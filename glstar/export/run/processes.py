@@ -77,12 +77,7 @@ class ProcessExecutor:
 
     Each process opens an OpenGL context of its own.  If GLSTAR_DEVICE lists several devices, as in ``0,1``, the
     processes are assigned to them in turn.  With a software driver they divide the processors between them.  A worker
-    that dies is replaced, and the frames that it had not finished are drawn again.
-
-    Parameters
-    ----------
-    count : int
-        Number of processes.
+    that dies is replaced, and the frames that it had not finished are drawn again.  `count`: number of processes.
     """
 
     writes_parts = True

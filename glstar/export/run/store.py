@@ -42,14 +42,7 @@ class Target(Protocol):
     """A place for whole files."""
 
     def put(self, name: str, content: bytes) -> None:
-        """Write a file.
-
-        Parameters
-        ----------
-        name : str
-            With forward slashes between folders.
-        content : bytes
-        """
+        """Write a file; `name`: with forward slashes between folders."""
         ...
 
 
@@ -69,17 +62,9 @@ class ObjectStore:
     """A prefix of an object store.
 
     Beside each object lies its SHA-256, ``NAME.sha256``, which is sent after it.  An object with the same one is not
-    sent again, so that an upload that was cut off goes on where it stopped.
-
-    Parameters
-    ----------
-    url : str
-        Such as ``s3://bucket/night-1``; the file system's own environment variables give keys and hosts.
-
-    Raises
-    ------
-    ExportError
-        If fsspec or the library of this kind of store is missing, or the store does not answer.
+    sent again, so that an upload that was cut off goes on where it stopped.  `url`: such as ``s3://bucket/night-1``;
+    the file system's own environment variables give keys and hosts.  Raises ExportError if fsspec or the library of
+    this kind of store is missing, or the store does not answer.
     """
 
     def __init__(self, url: str) -> None:
@@ -100,24 +85,11 @@ class ObjectStore:
         self.sent += 1
 
     def send(self, name: str, content: bytes) -> None:
-        """Send a file, in place of one of this name.
-
-        Parameters
-        ----------
-        name : str
-            With forward slashes between folders.
-        content : bytes
-        """
+        """Send a file, in place of one of this name; `name`: with forward slashes between folders."""
         self.send_all({name: content})
 
     def send_all(self, contents: Mapping[str, bytes]) -> None:
-        """Send files, several at a time where the store can.
-
-        Parameters
-        ----------
-        contents : mapping of str to bytes
-            By name, as for `send`.
-        """
+        """Send files, several at a time where the store can; `contents`: by name, as for `send`."""
         by_path = {self._path(name): content for name, content in contents.items()}
         with self._explained():
             self._make_folders(by_path)
@@ -126,16 +98,7 @@ class ObjectStore:
     def join(self, name: str, parts: Sequence[str]) -> bool:
         """Make a file of others, one after the other, with one of them at a time in memory.
 
-        Parameters
-        ----------
-        name : str
-            Appears when it is complete.
-        parts : sequence of str
-
-        Returns
-        -------
-        bool
-            False, and nothing is made, if one of the parts is missing.
+        `name`: appears when it is complete.  Returns: false, and nothing is made, if one of the parts is missing.
         """
         path = self._path(name)
         with self._explained():
@@ -155,16 +118,7 @@ class ObjectStore:
                 self._files.makedirs(folder, exist_ok=True)
 
     def read(self, name: str) -> bytes | None:
-        """Return a file; None if there is none.
-
-        Parameters
-        ----------
-        name : str
-
-        Returns
-        -------
-        bytes or None
-        """
+        """Return a file; None if there is none."""
         with self._explained():
             try:
                 return bytes(self._files.cat_file(self._path(name)))
@@ -172,27 +126,13 @@ class ObjectStore:
                 return None
 
     def names(self, beginning: str) -> list[str]:
-        """Return the names of the files, outside of folders, that begin with some letters.
-
-        Parameters
-        ----------
-        beginning : str
-
-        Returns
-        -------
-        list of str
-        """
+        """Return the names of the files, outside of folders, that begin with some letters."""
         with self._explained():
             found = self._files.glob(self._path(f"{beginning}*"))
         return [str(path).rpartition("/")[2] for path in found]
 
     def remove(self, name: str) -> None:
-        """Remove a file.
-
-        Parameters
-        ----------
-        name : str
-        """
+        """Remove a file."""
         with self._explained():
             self._files.rm_file(self._path(name))
 
@@ -224,16 +164,7 @@ def _append(file: IO[bytes], content: bytes | None) -> bool:
 
 
 def is_url(text: str) -> bool:
-    """Return whether a text names an object store rather than a file.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a text names an object store rather than a file."""
     return "://" in text
 
 
@@ -241,18 +172,7 @@ def is_url(text: str) -> bool:
 def opened_target(output: str) -> Iterator[Target]:
     """Open a new directory, which appears when it is complete, or a prefix of an object store.
 
-    Parameters
-    ----------
-    output : str
-
-    Yields
-    ------
-    Target
-
-    Raises
-    ------
-    ExportError
-        If the directory exists, or the store does not answer.
+    Raises ExportError if the directory exists, or the store does not answer.
     """
     if is_url(output):
         yield ObjectStore(output)
@@ -300,21 +220,11 @@ class _FrameBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoreExport:
-    """An export whose frames are sent to an object store.
+    """An export whose frames are sent to an object store."""
 
-    Attributes
-    ----------
-    job : Export
-        Its directory is not used.
-    url : str
-        Such as ``s3://bucket/night-1``.
-    block_frames : int
-        Frames that are drawn before they are sent.
-    """
-
-    job: Export
-    url: str
-    block_frames: int = _BLOCK_FRAMES
+    job: Export  # Its directory is not used
+    url: str  # Such as ``s3://bucket/night-1``
+    block_frames: int = _BLOCK_FRAMES  # Frames that are drawn before they are sent
 
     def run(
         self,
@@ -326,24 +236,9 @@ class StoreExport:
     ) -> ExportReport:
         """Draw and send the blocks that the store lacks.
 
-        Parameters
-        ----------
-        executor : Executor
-        shard : Shard
-            The blocks to draw: every `count`-th.
-        force : bool
-            Must be False: glstar removes nothing from a store.
-        on_frame : callable, optional
-            Called with the number of finished frames and the number of all frames.
-
-        Returns
-        -------
-        ExportReport
-
-        Raises
-        ------
-        ExportError
-            If the store does not answer, or has frames of other settings.
+        `shard`: the blocks to draw: every `count`-th; `force`: must be False: glstar removes nothing from a store;
+        `on_frame`: called with the number of finished frames and the number of all frames.  Raises ExportError if the
+        store does not answer, or has frames of other settings.
         """
         if force:
             raise ExportError(self.url, "glstar removes nothing from a store; choose another prefix")

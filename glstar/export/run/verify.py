@@ -35,26 +35,14 @@ _OTHER_TYPES: Final[dict[str, type]] = {
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The result of a verification.
-
-    Attributes
-    ----------
-    directory : Path
-    frames : int
-        Number of frames checked.
-    findings : tuple of Finding
-        In the order of the frames; those that belong to no frame come last.
-    drawn_by : str
-        The OpenGL driver that drew the frames in the directory.
-    is_redrawn : bool
-        Whether each frame was drawn again and compared byte by byte.  False if the OpenGL driver is another one, which
-        draws other bytes.
-    """
+    """The result of a verification."""
 
     directory: Path
-    frames: int
-    findings: tuple[Finding, ...]
-    drawn_by: str
+    frames: int  # Number of frames checked
+    findings: tuple[Finding, ...]  # In the order of the frames; those that belong to no frame come last
+    drawn_by: str  # The OpenGL driver that drew the frames in the directory
+    # Whether each frame was drawn again and compared byte by byte; false if the OpenGL driver is another one, which
+    # draws other bytes.
     is_redrawn: bool
 
 
@@ -67,26 +55,11 @@ def verify(
 ) -> Verification:
     """Compare a directory with what an export would write there; nothing is written.
 
-    Parameters
-    ----------
-    export : Export
-    checker : Checker
-        `SerialExecutor` or `ProcessExecutor`.  If its OpenGL driver is the one that drew the directory, each frame is
-        drawn again, and its files and its line of truth are compared byte by byte.  With another driver the images are
-        decoded and compared with their lines of truth.
-    shard : Shard
-        The frames to check.
-    on_frame : callable, optional
-        Called with the number of checked frames and the number of all frames, after each frame.
-
-    Returns
-    -------
-    Verification
-
-    Raises
-    ------
-    ExportError
-        If the directory holds no export or one of other settings, or is being written.
+    `checker`: `SerialExecutor` or `ProcessExecutor`; if its OpenGL driver is the one that drew the directory, each
+    frame is drawn again, and its files and its line of truth are compared byte by byte; with another driver the images
+    are decoded and compared with their lines of truth; `shard`: the frames to check; `on_frame`: called with the number
+    of checked frames and the number of all frames, after each frame.  Raises ExportError if the directory holds no
+    export or one of other settings, or is being written.
     """
     task, directory, numbers = export.task, export.directory, shard.select(export.numbers)
     report_progress = on_frame or (lambda *_: None)

@@ -111,19 +111,8 @@ class _Seen:
 def write_card(directory: Path) -> Path:
     """Write the data card of a complete export.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    Path
-        ``DATACARD.md``.  The same frames have the same card: it has no date and no host.
-
-    Raises
-    ------
-    ExportError
-        If the export cannot be read or the card cannot be written.
+    Returns ``DATACARD.md``; the same frames have the same card: it has no date and no host.  Raises ExportError if the
+    export cannot be read or the card cannot be written.
     """
     card = directory / DATA_CARD
     with explain_disk_errors(card):
@@ -134,18 +123,7 @@ def write_card(directory: Path) -> Path:
 def describe_frames(directory: Path) -> str:
     """Return the data card of a complete export as Markdown.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ExportError
-        If the manifest or the truth cannot be read.
+    Raises ExportError if the manifest or the truth cannot be read.
     """
     path = directory / "manifest.json"
     try:

@@ -34,20 +34,10 @@ class TruthFile:
     """The truth of a directory of frames.
 
     Lines are appended to ``truth.jsonl.partial``.  If several processes draw, each appends to a part of its own,
-    ``truth.jsonl.LABEL-HEX.partial``.  When every frame has its line, the file is renamed to ``truth.jsonl``, after the
-    parts have been joined.  An incomplete line of a killed run is cut off; if a frame was drawn twice, one of its two
-    equal lines is kept.
-
-    Parameters
-    ----------
-    directory : Path
-        The directory of the export.
-    shard_label : str
-        `Shard.label`: only parts of this shard are read and written.  All parts if it is empty.
-
-    Attributes
-    ----------
-    shard_label : str
+    ``truth.jsonl.LABEL-HEX.partial``.  When every frame has its line, the file is renamed to ``truth.jsonl``, after
+    the parts have been joined.  An incomplete line of a killed run is cut off; if a frame was drawn twice, one of its
+    two equal lines is kept.  `directory`: the directory of the export; `shard_label`: `Shard.label`: only parts of
+    this shard are read and written; all parts if it is empty.
     """
 
     def __init__(self, directory: Path, shard_label: str = "") -> None:
@@ -117,15 +107,8 @@ class TruthFile:
     def open_for_append(self, *, as_part: bool = False) -> Iterator[IO[bytes]]:
         """Open the truth after its last complete line, or a new part.
 
-        Parameters
-        ----------
-        as_part : bool
-            Whether to write a new part, because other processes write at the same time.  A shard always does.
-
-        Yields
-        ------
-        binary file
-            For `append`.
+        `as_part`: whether to write a new part, because other processes write at the same time; a shard always does.
+        Yields: for `append`.
         """
         if as_part or self.shard_label:
             part = self._directory / f"truth.jsonl.{self.shard_label or 'part'}-{token_hex(6)}.partial"
@@ -149,31 +132,14 @@ class TruthFile:
     def append(self, truth: IO[bytes], number: int, line: bytes) -> None:
         """Write a frame's line.
 
-        Parameters
-        ----------
-        truth : binary file
-            From `open_for_append`.
-        number : int
-            Frame number.
-        line : bytes
-            One line of JSON with its newline.
+        `truth`: from `open_for_append`; `number`: frame number; `line`: one line of JSON with its newline.
         """
         self._lines.extend((number, self._appended, truth.tell(), len(line)))
         truth.write(line)
         truth.flush()
 
     def line(self, number: int) -> bytes | None:
-        """Return the line of a frame, as indexed by `read`.
-
-        Parameters
-        ----------
-        number : int
-
-        Returns
-        -------
-        bytes or None
-            None if it has no valid line.
-        """
+        """Return the line of a frame, as indexed by `read`; returns: none if it has no valid line."""
         found = self._found.get(number)
         if found is None:
             return None
@@ -190,14 +156,7 @@ class TruthFile:
     def is_finished(self, numbers: Numbers) -> bool:
         """Return whether ``truth.jsonl`` has one line for each frame, in order, and nothing else.
 
-        Parameters
-        ----------
-        numbers : (n,) int64
-            All frames, increasing.
-
-        Returns
-        -------
-        bool
+        `numbers` (n,) int64: all frames, increasing.
         """
         lines = self._table
         return self._final.exists() and np.array_equal(lines[:, 0], numbers) and self._in_order(lines)
@@ -205,10 +164,7 @@ class TruthFile:
     def finish(self, numbers: Numbers) -> None:
         """Write ``truth.jsonl`` with the lines in the order of the frames, and remove the partial files.
 
-        Parameters
-        ----------
-        numbers : (n,) int64
-            All frames, increasing; each must have a line.
+        `numbers` (n,) int64: all frames, increasing; each must have a line.
         """
         lines = self._table
         # The last line of each frame: a stable sort keeps the order in which lines were indexed.
@@ -336,18 +292,7 @@ def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
 def count_frames_of_truth(directory: Path) -> int:
     """Return the number of frames of an export, without parsing its truth.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ExportError
-        If the truth cannot be read.
+    Raises ExportError if the truth cannot be read.
     """
     file = directory / "truth.jsonl"
     try:

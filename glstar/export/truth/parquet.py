@@ -75,22 +75,10 @@ Row = dict[str, Any]
 def write_parquet(directory: Path) -> tuple[Path, ...]:
     """Write the tables of the truth from ``truth.jsonl``, atomically.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory of a complete export.
-
-    Returns
-    -------
-    tuple of Path
-        ``frames.parquet``, one row per frame, with a column for each setting that the data set varies, and
-        ``stars.parquet``, one row per star and frame; with bodies or satellites ``bodies.parquet`` and
-        ``satellites.parquet``.
-
-    Raises
-    ------
-    ExportError
-        If they cannot be written, or the values of a key have no common type.
+    `directory`: directory of a complete export.  Returns ``frames.parquet``, one row per frame, with a column for each
+    setting that the data set varies, and ``stars.parquet``, one row per star and frame; with bodies or satellites
+    ``bodies.parquet`` and ``satellites.parquet``.  Raises ExportError if they cannot be written, or the values of a key
+    have no common type.
     """
     truth = directory / "truth.jsonl"
     with explain_disk_errors(directory):

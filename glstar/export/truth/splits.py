@@ -31,37 +31,17 @@ _LARGEST_BYTES: Final = 2**30
 
 @dataclass(frozen=True, slots=True)
 class SplitRule:
-    """How flights are divided.
+    """How flights are divided."""
 
-    Attributes
-    ----------
-    shares : tuple of float
-        Shares of training, validation and test; they add up to 1.
-    seed : int
-        Another seed divides the flights otherwise.
-    """
-
-    shares: tuple[float, float, float] = (0.8, 0.1, 0.1)
-    seed: int = 0
+    shares: tuple[float, float, float] = (0.8, 0.1, 0.1)  # Shares of training, validation and test; they add up to 1
+    seed: int = 0  # Another seed divides the flights otherwise
 
     @classmethod
     def parse(cls, shares: str, seed: int = 0) -> "SplitRule":
         """Return the rule of a text such as ``80,10,10``; two numbers leave out the validation.
 
-        Parameters
-        ----------
-        shares : str
-            Shares or percentages of training, validation and test.
-        seed : int
-
-        Returns
-        -------
-        SplitRule
-
-        Raises
-        ------
-        ConfigError
-            If these are not two or three numbers, none negative, with a positive sum.
+        `shares`: shares or percentages of training, validation and test.  Raises ConfigError if these are not two or
+        three numbers, none negative, with a positive sum.
         """
         try:
             given = [float(part) for part in shares.replace("/", ",").split(",")]
@@ -78,14 +58,7 @@ class SplitRule:
     def split_of(self, identity: str) -> str:
         """Return the split of a flight.
 
-        Parameters
-        ----------
-        identity : str
-            `FlightIdentity.digest`.
-
-        Returns
-        -------
-        {"train", "validation", "test"}
+        `identity`: `FlightIdentity.digest`.  Returns: {"train", "validation", "test"}.
         """
         digest = hashlib.sha256(f"{self.seed}:{identity}".encode()).hexdigest()
         number = int(digest[:_HASH_DIGITS], 16) / 16**_HASH_DIGITS
@@ -99,21 +72,12 @@ class SplitRule:
 
 @dataclass(frozen=True, slots=True)
 class FlightIdentity:
-    """What makes a flight of a data set another flight.
+    """What makes a flight of a data set another flight."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the log or the description.
-    sha256 : str
-        Hash of its content, from the manifest.
-    settings : mapping
-        The keys of ``[flight.synthetic]`` that its sample sets.  Samples that vary only the camera, the sky or the part
-        of the flight are of the same flight.
-    """
-
-    name: str
-    sha256: str
+    name: str  # Name of the log or the description
+    sha256: str  # Hash of its content, from the manifest
+    # The keys of ``[flight.synthetic]`` that its sample sets; samples that vary only the camera, the sky or the part of
+    # the flight are of the same flight.
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -146,20 +110,8 @@ class _Flights:
 def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
     """Write ``splits.json`` and the lists ``train.txt``, ``validation.txt`` and ``test.txt`` of a complete export.
 
-    Parameters
-    ----------
-    directory : Path
-    rule : SplitRule
-
-    Returns
-    -------
-    dict
-        Number of frames of each split.
-
-    Raises
-    ------
-    ExportError
-        If the export cannot be read or the files cannot be written.
+    Returns: number of frames of each split.  Raises ExportError if the export cannot be read or the files cannot be
+    written.
     """
     flights = _Flights(_manifest(directory))
     found: dict[str, dict[str, Any]] = {}
@@ -223,21 +175,7 @@ def _manifest(directory: Path) -> dict[str, Any]:
 
 
 def read_splits(directory: Path) -> dict[str, Any] | None:
-    """Return ``splits.json`` of an export; None if it has none.
-
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    dict or None
-
-    Raises
-    ------
-    ExportError
-        If it cannot be read.
-    """
+    """Return ``splits.json`` of an export; None if it has none; raises ExportError if it cannot be read."""
     path = directory / SPLIT_INDEX
     if not path.is_file():
         return None
@@ -254,19 +192,7 @@ def read_splits(directory: Path) -> dict[str, Any] | None:
 def splits_by_file(directory: Path) -> dict[str, str]:
     """Return the split of each image of an export; empty if it has none.
 
-    Parameters
-    ----------
-    directory : Path
-
-    Returns
-    -------
-    dict of str to str
-        By the ``file`` of a line of truth.
-
-    Raises
-    ------
-    ExportError
-        If a list cannot be read.
+    Returns: by the ``file`` of a line of truth.  Raises ExportError if a list cannot be read.
     """
     if read_splits(directory) is None:
         return {}
@@ -289,17 +215,10 @@ NO_SPLIT: Final = "frames"
 
 @dataclass(frozen=True, eq=False)
 class ConvertedSet:
-    """An export to be converted.
-
-    Attributes
-    ----------
-    directory : Path
-    on_step : callable
-        Called with the number of frames written and of all frames.
-    """
+    """An export to be converted."""
 
     directory: Path
-    on_step: Step = lambda _done, _all: None
+    on_step: Step = lambda _done, _all: None  # Called with the number of frames written and of all frames
 
     @cached_property
     def split_of(self) -> Mapping[str, str]:
@@ -332,13 +251,7 @@ class ConvertedSet:
             raise ExportError(path, f"does not say the width of stars ({error})") from error
 
     def image(self, line: Mapping[str, Any]) -> Path:
-        """Return the path of a frame's image.
-
-        Raises
-        ------
-        ExportError
-            If it is missing.
-        """
+        """Return the path of a frame's image; raises ExportError if it is missing."""
         path = self.directory / str(line["file"])
         if not path.is_file():
             raise ExportError(path, "is missing; run glstar export again to complete the set")

@@ -32,19 +32,11 @@ _HIGH_LENGTH_FT: Final = 1750.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearSystem:
-    """A linear system driven by white noise: dx/dt = A x + B n, y = C x.
+    """A linear system driven by white noise: dx/dt = A x + B n, y = C x."""
 
-    Attributes
-    ----------
-    A : (k, k) float64
-    B : (k, m) float64
-        The noise n has unit intensity (two-sided spectral density 1 per Hz) in each of its m components.
-    C : (o, k) float64
-    """
-
-    A: Float
-    B: Float
-    C: Float
+    A: Float  # (k, k)
+    B: Float  # (k, m) the noise n has unit intensity (two-sided spectral density 1 per Hz) in each of its m components
+    C: Float  # (o, k)
 
     def stationary_covariance(self) -> Float:
         """Return the stationary covariance of the state, (k, k): A P + P A^T + B B^T = 0."""
@@ -56,20 +48,9 @@ class LinearSystem:
     def discretised(self, step_s: float) -> tuple[Float, Float]:
         """Return the exact transition over a time step and the covariance of the noise that it adds.
 
-        Parameters
-        ----------
-        step_s : float
-            Time step, s.
-
-        Returns
-        -------
-        transition : (k, k) float64
-            F of x(t + step) = F x(t) + noise.
-        noise_covariance : (k, k) float64
-
-        Notes
-        -----
-        C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23 (1978).
+        `step_s`: time step, s.  Returns `transition` (k, k): F of x(t + step) = F x(t) + noise; `noise_covariance` (k,
+        k).  C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23
+        (1978).
         """
         from scipy.linalg import expm  # noqa: PLC0415 - slow to import, rarely needed
 
@@ -86,16 +67,7 @@ class LinearSystem:
     def simulated(self, samples: int, step_s: float, rng: np.random.Generator) -> Float:
         """Return a random history of the outputs, stationary from its first sample.
 
-        Parameters
-        ----------
-        samples : int
-        step_s : float
-            Time between samples, s.
-        rng : numpy.random.Generator
-
-        Returns
-        -------
-        (samples, o) float64
+        `step_s`: time between samples, s.  Returns (samples, o).
         """
         transition, noise_covariance = self.discretised(step_s)
         noise = rng.standard_normal((samples, len(self.A))) @ _root(noise_covariance).T
@@ -118,31 +90,16 @@ def _root(covariance: Float) -> Float:
 class DrydenGusts:
     """Gusts of the Dryden model for an aircraft in level flight.
 
-    Attributes
-    ----------
-    wind_20ft_m_per_s : float
-        Mean wind 20 ft above the ground, m/s: 7.7, 15.4 and 23.2 are light, moderate and severe turbulence.
-    height_m : float
-        Height above the ground, m.
-    airspeed_m_per_s : float
-    span_m : float
-        Wing span (or rotor base) that averages the gusts' gradients, m.
-
-    Raises
-    ------
-    ConfigError
-        If a number is not positive.
-
-    Notes
-    -----
-    MIL-F-8785C, sections 3.7.1 to 3.7.3.  Between 1000 and 2000 ft the length scales are interpolated; the standard
-    deviation above 1000 ft stays a tenth of the wind at 20 ft, to which the low-altitude model leads.
+    Raises ConfigError if a number is not positive.  MIL-F-8785C, sections 3.7.1 to 3.7.3.  Between 1000 and 2000 ft
+    the length scales are interpolated; the standard deviation above 1000 ft stays a tenth of the wind at 20 ft, to
+    which the low-altitude model leads.
     """
 
+    # Mean wind 20 ft above the ground, m/s: 7.7, 15.4 and 23.2 are light, moderate and severe turbulence.
     wind_20ft_m_per_s: float
-    height_m: float
+    height_m: float  # Height above the ground, m
     airspeed_m_per_s: float
-    span_m: float
+    span_m: float  # Wing span (or rotor base) that averages the gusts' gradients, m
 
     def __post_init__(self) -> None:
         for name in ("height_m", "airspeed_m_per_s", "span_m"):
@@ -175,10 +132,7 @@ class DrydenGusts:
     def system(self) -> LinearSystem:
         """Return the filters of all six components, in the order of `GUST_NAMES`.
 
-        Returns
-        -------
-        LinearSystem
-            Eight states, four noises.
+        Returns: eight states, four noises.
         """
         speed = self.airspeed_m_per_s
         (sigma_u, sigma_v, sigma_w), (length_u, length_v, length_w) = self.sigmas_m_per_s, self.lengths_m
@@ -219,21 +173,11 @@ _RATES: Final = (3, 4, 5)
 class AttitudeResponse:
     """An attitude-hold loop of second order on each axis, driven by the rates and the angles of gusts.
 
-    Attributes
-    ----------
-    natural_frequency_hz : float
-        1 to 2 Hz for a small fixed wing, 3 to 5 Hz for a multirotor.
-    damping : float
-        Damping ratio.
-
-    Raises
-    ------
-    ConfigError
-        If a number is not positive.
+    Raises ConfigError if a number is not positive.
     """
 
-    natural_frequency_hz: float = 1.5
-    damping: float = 0.7
+    natural_frequency_hz: float = 1.5  # 1 to 2 Hz for a small fixed wing, 3 to 5 Hz for a multirotor
+    damping: float = 0.7  # Damping ratio
 
     def __post_init__(self) -> None:
         if not (self.natural_frequency_hz > 0 and self.damping > 0):
@@ -245,19 +189,9 @@ class AttitudeResponse:
     def to(self, gusts: DrydenGusts) -> LinearSystem:
         """Return the system from white noise to roll, pitch and yaw, rad.
 
-        Parameters
-        ----------
-        gusts : DrydenGusts
-
-        Returns
-        -------
-        LinearSystem
-            Three outputs: turns about the body's axes forward, right and down, rad.
-
-        Notes
-        -----
-        On each axis d2x/dt2 + 2 z w (dx/dt - rate) + w^2 (x - k angle) = 0 with w the natural frequency, z the damping,
-        and k = -0.2, 0.25, 0.25 for roll, pitch and yaw.
+        Returns: three outputs: turns about the body's axes forward, right and down, rad.  On each axis d2x/dt2 + 2 z w
+        (dx/dt - rate) + w^2 (x - k angle) = 0 with w the natural frequency, z the damping, and k = -0.2, 0.25, 0.25 for
+        roll, pitch and yaw.
         """
         wind = gusts.system()
         states = len(wind.A)
@@ -277,25 +211,11 @@ class AttitudeResponse:
 
 @dataclass(frozen=True, slots=True)
 class VibrationLine:
-    """One line of the vibration of propellers and motors.
+    """One line of the vibration of propellers and motors; raises ConfigError if a number or the axis is not one."""
 
-    Attributes
-    ----------
-    frequency_hz : float
-        Revolutions a second, or a multiple of them.
-    amplitude_rad : float
-        Amplitude of the turn, rad.
-    axis : {"roll", "pitch", "yaw"}
-
-    Raises
-    ------
-    ConfigError
-        If a number or the axis is not one.
-    """
-
-    frequency_hz: float
-    amplitude_rad: float
-    axis: str = "pitch"
+    frequency_hz: float  # Revolutions a second, or a multiple of them
+    amplitude_rad: float  # Amplitude of the turn, rad
+    axis: str = "pitch"  # {"roll", "pitch", "yaw"}
 
     def __post_init__(self) -> None:
         if self.axis not in _AXES:
@@ -310,17 +230,7 @@ class VibrationLine:
 def vibration_turns(lines: Sequence[VibrationLine], t_s: Float, rng: np.random.Generator) -> Float:
     """Return the turns of vibration lines, each with a random phase.
 
-    Parameters
-    ----------
-    lines : sequence of VibrationLine
-    t_s : (n,) float64
-        Times, s.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (n, 3) float64
-        Turns about the body's axes forward, right and down, rad.
+    `t_s` (n,): times, s.  Returns (n, 3) turns about the body's axes forward, right and down, rad.
     """
     turns = np.zeros((t_s.size, 3))
     for line in lines:

@@ -35,26 +35,16 @@ _LOOKAHEAD_S: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """A steady wind.
+    """A steady wind."""
 
-    Attributes
-    ----------
-    north_m_per_s, east_m_per_s : float
-        Velocity of the air over the ground.
-    """
-
-    north_m_per_s: float = 0.0
+    north_m_per_s: float = 0.0  # Velocity of the air over the ground
     east_m_per_s: float = 0.0
 
     @classmethod
     def from_direction(cls, speed_m_per_s: float, from_rad: float) -> "Wind":
         """Return a wind that blows from a direction.
 
-        Parameters
-        ----------
-        speed_m_per_s : float
-        from_rad : float
-            Direction from which it blows, rad from north through east.
+        `from_rad`: direction from which it blows, rad from north through east.
         """
         return cls(-speed_m_per_s * float(np.cos(from_rad)), -speed_m_per_s * float(np.sin(from_rad)))
 
@@ -74,29 +64,15 @@ class Wind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlownPath:
-    """A flown path.
+    """A flown path."""
 
-    Attributes
-    ----------
-    t_s : (n,) float64
-        Times since the start, s.
-    north_m, east_m, up_m : (n,) float64
-        Position from the start, or from an orbit's centre, m.
-    yaw_rad : (n,) float64
-        Heading, rad from north through east, continuous.
-    bank_rad : (n,) float64
-        Roll angle, right wing down positive, rad.
-    climb_rad : (n,) float64
-        Angle of climb through the air, rad.
-    """
-
-    t_s: Float
-    north_m: Float
+    t_s: Float  # (n,) times since the start, s
+    north_m: Float  # (n,) position from the start, or from an orbit's centre, m
     east_m: Float
     up_m: Float
-    yaw_rad: Float
-    bank_rad: Float
-    climb_rad: Float
+    yaw_rad: Float  # (n,) heading, rad from north through east, continuous
+    bank_rad: Float  # (n,) roll angle, right wing down positive, rad
+    climb_rad: Float  # (n,) angle of climb through the air, rad
 
 
 def _speed_over_ground(wind: Wind, course_rad: Float, airspeed_m_per_s: float) -> Float:
@@ -114,23 +90,8 @@ def _speed_over_ground(wind: Wind, course_rad: Float, airspeed_m_per_s: float) -
 def ground_orbit_period_s(*, radius_m: float, airspeed_m_per_s: float, wind: Wind) -> float:
     """Return the time of one turn of a circle over the ground, s.
 
-    Parameters
-    ----------
-    radius_m, airspeed_m_per_s : float
-    wind : Wind
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ConfigError
-        If the wind is as fast as the aircraft.
-
-    Notes
-    -----
-    The mean of a periodic function at equidistant points converges faster than any power of their number.
+    Raises ConfigError if the wind is as fast as the aircraft.  The mean of a periodic function at equidistant points
+    converges faster than any power of their number.
     """
     course = 2 * np.pi * np.arange(_ORBIT_NODES) / _ORBIT_NODES
     return float(2 * np.pi * radius_m * np.mean(1 / _speed_over_ground(wind, course, airspeed_m_per_s)))
@@ -141,26 +102,9 @@ def orbit_over_ground(
 ) -> FlownPath:
     """Return a circle over the ground, flown at constant airspeed: heading, bank and ground speed follow the wind.
 
-    Parameters
-    ----------
-    t_s : (n,) float64
-        Times from 0, rising, s.
-    radius_m, airspeed_m_per_s : float
-    wind : Wind
-    clockwise : bool
-        Seen from above.
-    bearing_rad : float
-        Direction from the centre to the start, rad from north through east.
-
-    Returns
-    -------
-    FlownPath
-        Positions from the centre of the circle.
-
-    Raises
-    ------
-    ConfigError
-        If the wind is as fast as the aircraft.
+    `t_s` (n,): times from 0, rising, s; `clockwise`: seen from above; `bearing_rad`: direction from the centre to the
+    start, rad from north through east.  Returns: positions from the centre of the circle.  Raises ConfigError if the
+    wind is as fast as the aircraft.
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, rarely needed
 
@@ -199,15 +143,8 @@ def held_orbit(
 ) -> FlownPath:
     """Return circles through the air, flown with constant bank and airspeed; over the ground they drift with the wind.
 
-    Parameters
-    ----------
-    t_s, radius_m, airspeed_m_per_s, wind, clockwise, bearing_rad
-        See `orbit_over_ground`; the radius is that of the circle through the air.
-
-    Returns
-    -------
-    FlownPath
-        Positions from the centre of the first circle.
+    `t_s`, `radius_m`, `airspeed_m_per_s`, `wind`, `clockwise`, `bearing_rad`: see `orbit_over_ground`; the radius is
+    that of the circle through the air.  Returns: positions from the centre of the first circle.
     """
     sign = 1.0 if clockwise else -1.0
     yaw_rate = sign * airspeed_m_per_s / radius_m
@@ -229,25 +166,8 @@ def straight(
 ) -> FlownPath:
     """Return a straight path over the ground; the aircraft crabs into the wind.
 
-    Parameters
-    ----------
-    t_s : (n,) float64
-        Times from 0, rising, s.
-    course_rad : float
-        Direction over the ground, rad from north through east.
-    airspeed_m_per_s : float
-    wind : Wind
-    climb_rad : float
-        Angle of climb through the air, rad.
-
-    Returns
-    -------
-    FlownPath
-
-    Raises
-    ------
-    ConfigError
-        If the wind is as fast as the aircraft.
+    `t_s` (n,): times from 0, rising, s; `course_rad`: direction over the ground, rad from north through east;
+    `climb_rad`: angle of climb through the air, rad.  Raises ConfigError if the wind is as fast as the aircraft.
     """
     level_m_per_s = airspeed_m_per_s * float(np.cos(climb_rad))
     course = np.full_like(t_s, course_rad)
@@ -266,16 +186,8 @@ def straight(
 def stationary(t_s: Float, *, yaw_rad: float = 0.0, yaw_rate_rad_per_s: float = 0.0) -> FlownPath:
     """Return the path of an aircraft that stays above one point, level, and may turn about its vertical axis.
 
-    Parameters
-    ----------
-    t_s : (n,) float64
-        Times from 0, rising, s.
-    yaw_rad, yaw_rate_rad_per_s : float
-        Heading at the start, rad, and its rate, rad/s.
-
-    Returns
-    -------
-    FlownPath
+    `t_s` (n,): times from 0, rising, s; `yaw_rad`, `yaw_rate_rad_per_s`: heading at the start, rad, and its rate,
+    rad/s.
     """
     zero = np.zeros_like(t_s)
     return FlownPath(t_s, zero, zero, zero, yaw_rad + yaw_rate_rad_per_s * t_s, zero, zero)
@@ -287,29 +199,10 @@ def through_waypoints(
     """Return the path of an autopilot that flies straight legs between waypoints.
 
     The bank follows the guidance within 45 deg and rolls in at up to 30 deg/s, so that corners are rounded as real
-    aircraft round them.  The path ends abeam of the last waypoint.
-
-    Parameters
-    ----------
-    step_s : float
-        Time between samples, s.
-    waypoints_m : sequence of (north_m, east_m, up_m)
-        Two or more; the first is the start.
-    airspeed_m_per_s : float
-    wind : Wind
-
-    Returns
-    -------
-    FlownPath
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than two waypoints, two neighbours coincide, or the wind is as fast as the aircraft.
-
-    Notes
-    -----
-    S. Park, J. Deyst and J. How, "A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900.
+    aircraft round them.  The path ends abeam of the last waypoint.  `step_s`: time between samples, s; `waypoints_m`
+    sequence of (north_m, east_m, up_m): two or more; the first is the start.  Raises ConfigError if there are fewer
+    than two waypoints, two neighbours coincide, or the wind is as fast as the aircraft.  S. Park, J. Deyst and J. How,
+    "A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900.
     """
     legs = _legs(waypoints_m)
     _speed_over_ground(wind, np.array([leg.course_rad for leg in legs]), airspeed_m_per_s)

@@ -40,81 +40,40 @@ _LEAST_HEIGHT_M: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class SyntheticFlight:
-    """A flight that is described instead of logged.
+    """A flight that is described instead of logged; raises ConfigError if a number is impossible."""
 
-    Attributes
-    ----------
-    path : {"orbit", "transit", "waypoints", "hover", "spin", "still"}
-        ``orbit``: circles; ``transit``: a straight line; ``waypoints``: legs with rounded corners; ``hover``: above one
-        point, shaken by gusts; ``spin``: the same, turning at `yaw_rate_rad_per_s`; ``still``: no motion, no gusts.
-    site : Site
-        Centre of an orbit, else the start. For ``waypoints`` their first.
-    start_utc_s : float
-        UTC of the first attitude, seconds since 1970.
-    duration_s : float or None
-        Duration, s. By default that of `turns` orbits or of all waypoints; else a minute.
-    airspeed_m_per_s, radius_m : float
-    turns : float
-        Number of orbits, if there is no duration: turns over the ground, or through the air for guidance by attitude.
-    clockwise : bool
-        Direction of an orbit, seen from above.
-    guidance : {"ground", "attitude"}
-        For an orbit: a circle over the ground, or a constant bank, which drifts with the wind.
-    heading_rad : float
-        Course of a transit over the ground; heading of ``hover``, ``spin`` and ``still`` at the start; bearing from an
-        orbit's centre to its start. rad from north through east.
-    pitch_rad, roll_rad : float
-        Added to every attitude: angle of attack, or the attitude of ``still``, rad.
-    climb_rad : float
-        Angle of climb of a transit, rad.
-    yaw_rate_rad_per_s : float
-        Of a spin.
-    waypoints : tuple of Site
-        For ``waypoints``.
-    wind : Wind
-    gusts_20ft_m_per_s : float
-        Mean wind 20 ft above the ground that scales the Dryden gusts, m/s; 0: none, 7.7: light, 15.4: moderate, 23.2:
-        severe.
-    height_above_ground_m : float
-        For the gusts, m.
-    span_m : float
-        Wing span, for the gusts, m.
-    response : AttitudeResponse
-    vibration : tuple of VibrationLine
-    rate_hz : float
-        Attitudes a second.
-    seed : int
-        Of gusts and phases: the same seed gives the same flight.
-
-    Raises
-    ------
-    ConfigError
-        If a number is impossible.
-    """
-
+    # {"orbit", "transit", "waypoints", "hover", "spin", "still"}: ``orbit``: circles; ``transit``: a straight line;
+    # ``waypoints``: legs with rounded corners; ``hover``: above one point, shaken by gusts; ``spin``: the same, turning
+    # at `yaw_rate_rad_per_s`; ``still``: no motion, no gusts.
     path: FlightPath
-    site: Site
-    start_utc_s: float
-    duration_s: float | None = None
+    site: Site  # Centre of an orbit, else the start; for ``waypoints`` their first
+    start_utc_s: float  # UTC of the first attitude, seconds since 1970
+    duration_s: float | None = None  # Duration, s; by default that of `turns` orbits or of all waypoints; else a minute
     airspeed_m_per_s: float = 18.0
     radius_m: float = 150.0
+    # Number of orbits, if there is no duration: turns over the ground, or through the air for guidance by attitude.
     turns: float = 1.0
-    clockwise: bool = True
+    clockwise: bool = True  # Direction of an orbit, seen from above
+    # For an orbit: a circle over the ground, or a constant bank, which drifts with the wind.
     guidance: Literal["ground", "attitude"] = "ground"
+    # Course of a transit over the ground; heading of ``hover``, ``spin`` and ``still`` at the start; bearing from an
+    # orbit's centre to its start. rad from north through east.
     heading_rad: float = 0.0
-    pitch_rad: float = 0.0
+    pitch_rad: float = 0.0  # Added to every attitude: angle of attack, or the attitude of ``still``, rad
     roll_rad: float = 0.0
-    climb_rad: float = 0.0
-    yaw_rate_rad_per_s: float = pi / 18
-    waypoints: tuple[Site, ...] = ()
+    climb_rad: float = 0.0  # Angle of climb of a transit, rad
+    yaw_rate_rad_per_s: float = pi / 18  # Of a spin
+    waypoints: tuple[Site, ...] = ()  # For ``waypoints``
     wind: Wind = field(default_factory=Wind)
+    # Mean wind 20 ft above the ground that scales the Dryden gusts, m/s; 0: none, 7.7: light, 15.4: moderate, 23.2:
+    # severe.
     gusts_20ft_m_per_s: float = 0.0
-    height_above_ground_m: float = 100.0
-    span_m: float = 2.0
+    height_above_ground_m: float = 100.0  # For the gusts, m
+    span_m: float = 2.0  # Wing span, for the gusts, m
     response: AttitudeResponse = field(default_factory=AttitudeResponse)
     vibration: tuple[VibrationLine, ...] = ()
-    rate_hz: float = 200.0
-    seed: int = 0
+    rate_hz: float = 200.0  # Attitudes a second
+    seed: int = 0  # Of gusts and phases: the same seed gives the same flight
 
     def __post_init__(self) -> None:
         if self.path not in FLIGHT_PATHS:
@@ -135,14 +94,7 @@ class SyntheticFlight:
     def flight(self) -> Flight:
         """Return the flight.
 
-        Returns
-        -------
-        Flight
-
-        Raises
-        ------
-        ConfigError
-            If the path cannot be flown: the wind is faster than the aircraft, or a leg is too short.
+        Raises ConfigError if the path cannot be flown: the wind is faster than the aircraft, or a leg is too short.
         """
         path = self._flown()
         utc_s = self.start_utc_s + path.t_s

@@ -77,15 +77,7 @@ EFFECTS: tuple[Effect, ...] = (
 def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple[Effect, ...]:
     """Return the effects that change the image of a sensor, in the order in which they are applied.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    effects : iterable of Effect
-
-    Returns
-    -------
-    tuple of Effect
-        Sorted by stage; effects of one stage keep their order.
+    Returns: sorted by stage; effects of one stage keep their order.
     """
     return tuple(
         sorted(
@@ -100,18 +92,7 @@ def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple
 
 
 def effects_truth(scene: Scene, effects: Iterable[Effect] = EFFECTS) -> Mapping[str, Any]:
-    """Return the keys that the active effects add to a frame's line of truth.
-
-    Parameters
-    ----------
-    scene : Scene
-    effects : iterable of Effect
-
-    Returns
-    -------
-    mapping of str to object
-        Ready for JSON.
-    """
+    """Return the keys that the active effects add to a frame's line of truth; returns: ready for JSON."""
     truth: dict[str, Any] = {}
     for effect in active_effects(scene.sensor, effects):
         truth |= effect.truth(effect.values(scene.sensor), scene)

@@ -25,18 +25,8 @@ _SAMPLES: Final = (49, 37)
 def crossing_at(scene: Scene, time: int, direction_eq: Float) -> SheetCrossing | None:
     """Return where lines of sight cross the scene's sheet of cloud.
 
-    Parameters
-    ----------
-    scene : Scene
-    time : int
-        0, 1, 2: the start, the middle, the end of the exposure.
-    direction_eq : (..., 3) float64
-        Apparent unit vectors, true equator and equinox, with refraction.
-
-    Returns
-    -------
-    SheetCrossing or None
-        None without cloud.
+    `time`: 0, 1, 2: the start, the middle, the end of the exposure; `direction_eq` (..., 3): apparent unit vectors,
+    true equator and equinox, with refraction.  Returns: none without cloud.
     """
     sheet = cloud_sheet(scene.sensor, scene.motion)
     if sheet is None or scene.motion is None:
@@ -52,15 +42,7 @@ def crossing_at(scene: Scene, time: int, direction_eq: Float) -> SheetCrossing |
 def transmission_at(scene: Scene, xy_px: Float) -> Float:
     """Return the transmission for the sky behind pixels, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    xy_px : (..., 2) float64
-
-    Returns
-    -------
-    (...) float64
-        1 without cloud, below the horizon, and for a sheet below the aircraft.
+    `xy_px` (..., 2).  Returns (...) 1 without cloud, below the horizon, and for a sheet below the aircraft.
     """
     rays = scene.camera.unit_vectors(xy_px.reshape(-1, 2))
     return _transmission(scene, rays).reshape(xy_px.shape[:-1])
@@ -75,32 +57,15 @@ def _transmission(scene: Scene, rays: Float) -> Float:
 def transmission_towards(scene: Scene, direction_eq: Float) -> Float:
     """Return the transmission in some directions above the horizon, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (n, 3) float64
-        Apparent unit vectors, true equator and equinox, with refraction.
-
-    Returns
-    -------
-    (n,) float64
-        1 without cloud, and for a sheet below the aircraft.
+    `direction_eq` (n, 3): apparent unit vectors, true equator and equinox, with refraction.  Returns (n,) 1 without
+    cloud, and for a sheet below the aircraft.
     """
     crossing = crossing_at(scene, 1, direction_eq) if is_below_cloud(scene) else None
     return np.ones(len(direction_eq)) if crossing is None else crossing.transmission
 
 
 def is_below_cloud(scene: Scene) -> bool:
-    """Return whether there is a sheet of cloud above the aircraft.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether there is a sheet of cloud above the aircraft."""
     sheet = cloud_sheet(scene.sensor, scene.motion)
     return sheet is not None and sheet.height_m > scene.site.height_m
 
@@ -108,14 +73,7 @@ def is_below_cloud(scene: Scene) -> bool:
 def frame_transmission(scene: Scene) -> float | None:
     """Return the mean transmission of cloud over the part of the image that shows the sky.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    float or None
-        In the middle of the exposure; 1 for a sheet below the aircraft, None if the image shows no sky.
+    Returns: in the middle of the exposure; 1 for a sheet below the aircraft, None if the image shows no sky.
     """
     rays = _rays(scene.camera)
     is_sky = scene.above_horizon(rays @ scene.shutter.C_camera_eq[1]) >= 0
@@ -125,14 +83,7 @@ def frame_transmission(scene: Scene) -> float | None:
 def sky_fraction(scene: Scene) -> float:
     """Return the fraction of the image that shows the sky, not the ground, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    float
-        To about 1 %.
+    Returns: to about 1 %.
     """
     is_sky = scene.above_horizon(_rays(scene.camera) @ scene.shutter.C_camera_eq[1]) >= 0
     return round(float(is_sky.mean()), 4)
@@ -141,14 +92,7 @@ def sky_fraction(scene: Scene) -> float:
 def axis_transmission(scene: Scene) -> float:
     """Return the transmission of cloud on the optical axis in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    float
-        1 without cloud, below the horizon, and for a sheet below the aircraft.
+    Returns: 1 without cloud, below the horizon, and for a sheet below the aircraft.
     """
     return float(_transmission(scene, np.array([[0.0, 0.0, 1.0]]))[0])
 

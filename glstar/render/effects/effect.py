@@ -144,14 +144,7 @@ class ChargeTransfer:
 def quads_of(pixels: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.float32]:
     """Return an image with the four pixels of each ``quad`` in a texel.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) float32 or float64
-
-    Returns
-    -------
-    (rows, columns / 4, 4) float32
-        With 0 beyond the last column.
+    `pixels` (rows, columns) float32 or float64.  Returns (rows, columns / 4, 4) float32: with 0 beyond the last column.
     """
     height, width = pixels.shape
     padded = np.zeros((height, -(-width // 4) * 4), np.float32)

@@ -121,25 +121,11 @@ Float = NDArray[np.float64]
 def bloomed(lines: Float, full_well: float, fraction: float = 1.0) -> Float:
     """Return columns of pixels after blooming.
 
-    Parameters
-    ----------
-    lines : (lines, pixels) float64
-        Charge of each pixel, in any unit.
-    full_well : float
-        Most charge of a pixel, in the same unit.
-    fraction : float
-        Fraction of the excess that spills; an antiblooming drain takes the rest.
-
-    Returns
-    -------
-    (lines, pixels) float64
-        At most `full_well`.  Charge that reaches the end of a line leaves it.
-
-    Notes
-    -----
-    Half of the excess moves towards each end of the line, as in CHEOPSim (Futyan et al. 2020, A&A 635, A23), and fills
-    pixel after pixel.  Where charge from both sides meets, the room is divided evenly: the mean of the two results in
-    which one or the other side comes first.
+    `lines` (lines, pixels): charge of each pixel, in any unit; `full_well`: most charge of a pixel, in the same unit;
+    `fraction`: fraction of the excess that spills; an antiblooming drain takes the rest.  Returns (lines, pixels) at
+    most `full_well`; charge that reaches the end of a line leaves it.  Half of the excess moves towards each end of
+    the line, as in CHEOPSim (Futyan et al. 2020, A&A 635, A23), and fills pixel after pixel.  Where charge from both
+    sides meets, the room is divided evenly: the mean of the two results in which one or the other side comes first.
     """
     half = 0.5 * fraction * np.maximum(lines - full_well, 0.0)
     room = np.maximum(full_well - lines, 0.0)

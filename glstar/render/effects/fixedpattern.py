@@ -63,14 +63,7 @@ _RESPONSE_KEYS: Final = (
 def pattern_of(values: Mapping[str, Any]) -> PixelPattern:
     """Return the fixed pattern of a sensor.
 
-    Parameters
-    ----------
-    values : mapping of str to object
-        Keys of ``[sensor]``, dotted or not; others are ignored, and missing ones have their defaults.
-
-    Returns
-    -------
-    PixelPattern
+    `values`: keys of ``[sensor]``, dotted or not; others are ignored, and missing ones have their defaults.
     """
     given = {key.removeprefix("sensor."): value for key, value in values.items()}
     return PixelPattern(**{f.name: given[f.name] for f in fields(PixelPattern) if f.name in given})

@@ -47,15 +47,7 @@ def _is_active(values: Values) -> bool:
 def flare_dn(scene: Scene, xy_px: Float) -> Float:
     """Return the flare at some pixels, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    xy_px : (..., 2) float64
-
-    Returns
-    -------
-    (...) float64
-        DN a pixel above the sky; 0 without flare.
+    `xy_px` (..., 2).  Returns (...) DN a pixel above the sky; 0 without flare.
     """
     if not _is_active(FLARE.values(scene.sensor)):
         return np.zeros(xy_px.shape[:-1])
@@ -163,32 +155,14 @@ def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
 def flare_at_nodes(scene: Scene, *, step: int = 1) -> Float:
     """Return the flare at the nodes of `FINE_GRID`, in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    step : int
-        Of every how many columns and rows.
-
-    Returns
-    -------
-    (rows, columns) float64
-        DN a pixel above the sky.
+    `step`: of every how many columns and rows.  Returns (rows, columns) DN a pixel above the sky.
     """
     each = np.s_[::step, ::step]
     return _flare_dn(scene, node_positions(scene.camera, FINE_GRID)[each], node_rays(scene.camera, FINE_GRID)[each])
 
 
 def has_flare(scene: Scene) -> bool:
-    """Return whether the lens of a scene flares.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether the lens of a scene flares."""
     return _is_active(FLARE.values(scene.sensor))
 
 

@@ -80,20 +80,9 @@ def _lights(values: Values) -> SkyLights:
 def sky_radiance_at(values: Values, scene: Scene, time: int, direction_eq: Float) -> Float:
     """Return the brightness of the sky, without the ground, in some directions.
 
-    Parameters
-    ----------
-    values : mapping
-        The effect's keys.
-    scene : Scene
-    time : int
-        0, 1, 2: the start, the middle, the end of the exposure.
-    direction_eq : (..., 3) float64
-        Apparent unit vectors, true equator and equinox, with refraction.
-
-    Returns
-    -------
-    (...) float64
-        Flux per square arcsecond over that of magnitude 0.
+    `values`: the effect's keys; `time`: 0, 1, 2: the start, the middle, the end of the exposure; `direction_eq` (...,
+    3): apparent unit vectors, true equator and equinox, with refraction.  Returns (...) flux per square arcsecond over
+    that of magnitude 0.
     """
     zenith = scene.shutter.zenith_eq[time]
     sun, moon = _sun_and_moon(scene)
@@ -280,14 +269,7 @@ def _radiance_on_axis(values: Values, scene: Scene) -> float:
 def natural_sky_dn(scene: Scene) -> float:
     """Return the signal of the natural sky in a pixel on the optical axis.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    float
-        DN in the middle of the exposure; 0 without ``[sky] brightness = "natural"``.
+    Returns: DN in the middle of the exposure; 0 without ``[sky] brightness = "natural"``.
     """
     values = NATURAL_SKY.values(scene.sensor)
     if not _is_active(values):

@@ -23,20 +23,8 @@ SKY_MAP_KEY = Key("sky_map", default="", allowed="the path of an image: PNG, TIF
 def relative_sky(file: str) -> NDArray[np.float32]:
     """Return the brightness of the sky over its mean.
 
-    Parameters
-    ----------
-    file : str
-        A map of any size that covers the image.
-
-    Returns
-    -------
-    (rows, columns) float32
-        Of mean 1; row 0 is the top.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, or is not brighter than 0 on the mean.
+    `file`: a map of any size that covers the image.  Returns (rows, columns) float32: of mean 1; row 0 is the top.
+    Raises ConfigError if it cannot be read, or is not brighter than 0 on the mean.
     """
     try:
         level = read_map(file).astype(np.float64)

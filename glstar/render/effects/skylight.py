@@ -19,16 +19,8 @@ from glstar.sky.observed.solarsystem import Body, observed_bodies
 def bodies_of(scene: Scene, names: tuple[str, ...]) -> tuple[Body, ...]:
     """Return some bodies in the middle of the exposure of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    names : tuple of str
-        Of `glstar.sky.observed.solarsystem.BODIES`.
-
-    Returns
-    -------
-    tuple of Body
-        In the order of `names`; empty in a scene that does not know its sky.
+    `names`: of `glstar.sky.observed.solarsystem.BODIES`.  Returns: in the order of `names`; empty in a scene that does
+    not know its sky.
     """
     if scene.observing_sky is None:
         return ()
@@ -53,15 +45,7 @@ _SPAN_PX: Final = 16.0
 def interpolates_by_quads(camera: Camera, grid: tuple[int, int]) -> bool:
     """Return whether nodes are too near each other to be read only at the ends of a fragment's pixels.
 
-    Parameters
-    ----------
-    camera : Camera
-    grid : tuple of int
-        Columns and rows.
-
-    Returns
-    -------
-    bool
+    `grid`: columns and rows.
     """
     return camera.width_px / (grid[0] - 1) < _SPAN_PX
 
@@ -70,16 +54,7 @@ def interpolates_by_quads(camera: Camera, grid: tuple[int, int]) -> bool:
 def node_positions(camera: Camera, grid: tuple[int, int]) -> Float:
     """Return the positions of nodes from edge to edge of the image.
 
-    Parameters
-    ----------
-    camera : Camera
-    grid : tuple of int
-        Columns and rows.
-
-    Returns
-    -------
-    (rows, columns, 2) float64
-        px.
+    `grid`: columns and rows.  Returns (rows, columns, 2) px.
     """
     columns, rows = grid
     x = np.linspace(-0.5, camera.width_px - 0.5, columns)
@@ -91,16 +66,7 @@ def node_positions(camera: Camera, grid: tuple[int, int]) -> Float:
 def node_rays(camera: Camera, grid: tuple[int, int]) -> Float:
     """Return the directions of nodes in the camera frame.
 
-    Parameters
-    ----------
-    camera : Camera
-    grid : tuple of int
-        Columns and rows.
-
-    Returns
-    -------
-    (rows, columns, 3) float64
-        Unit vectors.
+    `grid`: columns and rows.  Returns (rows, columns, 3) unit vectors.
     """
     return camera.unit_vectors(node_positions(camera, grid))
 
@@ -108,13 +74,7 @@ def node_rays(camera: Camera, grid: tuple[int, int]) -> Float:
 def with_halfway_nodes(nodes: Float) -> Float:
     """Return values at nodes and halfway between them, where they are the mean.
 
-    Parameters
-    ----------
-    nodes : (r, c) float64
-
-    Returns
-    -------
-    (2 r - 1, 2 c - 1) float64
+    `nodes` (r, c).  Returns (2 r - 1, 2 c - 1).
     """
     for axis in (0, 1):
         nodes = np.moveaxis(nodes, axis, 0)
@@ -127,14 +87,8 @@ def with_halfway_nodes(nodes: Float) -> Float:
 def softened(nodes: Float) -> Float:
     """Return values at nodes whose edges do not show the grid.
 
-    Parameters
-    ----------
-    nodes : (r, c) float64
-
-    Returns
-    -------
-    (r, c) float64
-        Weighted means with the neighbours, 1 : 2 : 1 along both axes; the sum stays but for the border.
+    `nodes` (r, c).  Returns (r, c) weighted means with the neighbours, 1 : 2 : 1 along both axes; the sum stays but for
+    the border.
     """
     for axis in (0, 1):
         nodes = np.moveaxis(nodes, axis, 0)

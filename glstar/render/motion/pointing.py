@@ -28,32 +28,18 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pointing:
-    """Camera orientation, zenith and observer velocity at each of n times: all that maps a star to the image.
+    """Camera orientation, zenith and observer velocity at each of n times: all that maps a star to the image."""
 
-    Attributes
-    ----------
-    C_camera_eq : (n, 3, 3) float64
-        Rotation matrices from the true equator and equinox to the camera frame.
-    zenith_eq : (n, 3) float64
-        Unit vectors to the zenith, true equator and equinox.
-    velocity_eq : (n, 3) float64
-        Velocity of the observer due to the Earth's rotation, in units of the speed of light, for diurnal aberration.
-    refraction_scale : float
-        Refraction relative to standard air: see `horizon.refraction_scale`; 0 for no refraction.
-    sine_horizon : float
-        Sine of the apparent altitude of the horizon, below which no star is seen; of a profile a bound.
-    profile : HorizonProfile or None
-        The horizon by azimuth; None for one of equal altitude all around.
-    pole_eq : (n, 3) float64 or None
-        Unit vectors to the celestial pole in a frame that turns with a satellite; None for (0, 0, 1).
-    """
-
-    C_camera_eq: Float
-    zenith_eq: Float
+    C_camera_eq: Float  # (n, 3, 3) rotation matrices from the true equator and equinox to the camera frame
+    zenith_eq: Float  # (n, 3) unit vectors to the zenith, true equator and equinox
+    # (n, 3) velocity of the observer due to the Earth's rotation, in units of the speed of light, for diurnal
+    # aberration.
     velocity_eq: Float
-    refraction_scale: float
+    refraction_scale: float  # Refraction relative to standard air: see `horizon.refraction_scale`; 0 for no refraction
+    # Sine of the apparent altitude of the horizon, below which no star is seen; of a profile a bound.
     sine_horizon: float = 0.0
-    profile: HorizonProfile | None = None
+    profile: HorizonProfile | None = None  # The horizon by azimuth; None for one of equal altitude all around
+    # (n, 3) or None: unit vectors to the celestial pole in a frame that turns with a satellite; None for (0, 0, 1).
     pole_eq: Float | None = None
 
     def __len__(self) -> int:
@@ -82,23 +68,11 @@ class Pointing:
     def to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
         """Return the observed directions of stars in the camera frame, as `projection.glsl` does in float32.
 
-        Parameters
-        ----------
-        direction_eq : (m, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox.
-        below_horizon : bool
-            Whether directions below the apparent horizon are returned too, for lines that are clipped there later.
-
-        Returns
-        -------
-        (n, m, 3) float64
-            Vectors right, down and along the optical axis, of nearly unit length; NaN below the apparent horizon
-            unless `below_horizon`.
-
-        Notes
-        -----
-        Teague & Chahl, eqs (22)-(32), without trigonometric functions: diurnal aberration, refraction towards the
-        zenith, rotation.  Departs from the paper, which also draws stars below the horizon.
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `below_horizon`: whether
+        directions below the apparent horizon are returned too, for lines that are clipped there later.  Returns (n, m,
+        3) vectors right, down and along the optical axis, of nearly unit length; NaN below the apparent horizon unless
+        `below_horizon`.  Teague & Chahl, eqs (22)-(32), without trigonometric functions: diurnal aberration,
+        refraction towards the zenith, rotation.  Departs from the paper, which also draws stars below the horizon.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self._sine_altitude(direction)
@@ -123,14 +97,7 @@ class Pointing:
     def sine_apparent_altitude(self, direction_eq: ArrayLike) -> Float:
         """Return the sines of the altitudes of stars, with refraction.
 
-        Parameters
-        ----------
-        direction_eq : (m, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox.
-
-        Returns
-        -------
-        (n, m) float64
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m).
         """
         s = self.zenith_eq @ np.asarray(direction_eq, dtype=np.float64).T
         return _sine_apparent(s, refraction_displacement(s, self.refraction_scale))
@@ -138,15 +105,8 @@ class Pointing:
     def clearance(self, direction_eq: ArrayLike) -> Float:
         """Return how far stars are above the horizon, with its profile.
 
-        Parameters
-        ----------
-        direction_eq : (m, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox.
-
-        Returns
-        -------
-        (n, m) float64
-            Sines of their apparent altitudes less those of the horizon below them; positive where a star is seen.
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m) sines of
+        their apparent altitudes less those of the horizon below them; positive where a star is seen.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
         pole = None if self.pole_eq is None else self.pole_eq[:, np.newaxis]
@@ -156,19 +116,9 @@ class Pointing:
     def above_horizon(self, direction_eq: Float, zenith_eq: Float, sine: Float, pole_eq: Float | None = None) -> Float:
         """Return how far directions are above the horizon, with its profile.
 
-        Parameters
-        ----------
-        direction_eq, zenith_eq : (..., 3) float64
-            Unit vectors, true equator and equinox.
-        sine : (...) float64
-            Sines of the apparent altitudes of the directions.
-        pole_eq : (..., 3) float64 or None
-            As of the attribute.
-
-        Returns
-        -------
-        (...) float64
-            Sines of altitudes less those of the horizon below them.
+        `direction_eq`, `zenith_eq` (..., 3): unit vectors, true equator and equinox; `sine` (...): sines of the
+        apparent altitudes of the directions; `pole_eq` (..., 3) or None: as of the attribute.  Returns (...) sines of
+        altitudes less those of the horizon below them.
         """
         if self.profile is None:
             return sine - self.sine_horizon
@@ -187,15 +137,8 @@ class Pointing:
     def heights(self, direction_eq: ArrayLike) -> Float:
         """Return how high stars are above the apparent horizon, or above the bound of its profile.
 
-        Parameters
-        ----------
-        direction_eq : (m, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox.
-
-        Returns
-        -------
-        (n, m) float64
-            Approximately sines; negative where `to_camera` returns NaN, but for a profile.
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m) approximately
+        sines; negative where `to_camera` returns NaN, but for a profile.
         """
         sine_altitude = self._sine_altitude(np.asarray(direction_eq, dtype=np.float64))
         return self._height(sine_altitude, refraction_displacement(sine_altitude, self.refraction_scale))
@@ -215,17 +158,9 @@ class Pointing:
     def each_to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
         """Return the observed direction of each of n stars at one of the n times, as `to_camera` does.
 
-        Parameters
-        ----------
-        direction_eq : (n, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox: one per time.
-        below_horizon : bool
-            Whether directions below the apparent horizon are returned too.
-
-        Returns
-        -------
-        (n, 3) float64
-            Vectors right, down and along the optical axis; NaN below the apparent horizon unless `below_horizon`.
+        `direction_eq` (n, 3): geocentric apparent unit vectors, true equator and equinox: one per time;
+        `below_horizon`: whether directions below the apparent horizon are returned too.  Returns (n, 3) vectors right,
+        down and along the optical axis; NaN below the apparent horizon unless `below_horizon`.
         """
         direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
         sine_altitude = np.einsum("ni,ni->n", self.zenith_eq, direction)
@@ -242,16 +177,8 @@ class Pointing:
     def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Yield a few times at a time, to bound the memory that a long exposure of many stars takes.
 
-        Parameters
-        ----------
-        star_count : int
-            Number of stars that are evaluated at each time.
-        overlap : int
-            Number of times that consecutive blocks share.
-
-        Yields
-        ------
-        Pointing
+        `star_count`: number of stars that are evaluated at each time; `overlap`: number of times that consecutive
+        blocks share.
         """
         block = times_per_block(star_count)
         for first in range(0, max(1, len(self) - overlap), block):
@@ -265,81 +192,36 @@ def _sine_apparent(sine_altitude: Float, displacement: Float) -> Float:
 
 
 class MotionSamples(NamedTuple):
-    """The camera at n times.
+    """The camera at n times."""
 
-    Attributes
-    ----------
-    pointing : Pointing
-        The camera's orientation with respect to the sky, n times.
-    q_body_ned : (n, 4) float64
-        Attitudes (w, x, y, z), NED to body.
-    site : Site
-        The aircraft's position at the middle time.
-    """
-
-    pointing: Pointing
-    q_body_ned: Float
-    site: Site
+    pointing: Pointing  # The camera's orientation with respect to the sky, n times
+    q_body_ned: Float  # (n, 4) attitudes (w, x, y, z), NED to body
+    site: Site  # The aircraft's position at the middle time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraMotion:
-    """The camera's orientation with respect to the sky as a function of time.
-
-    Attributes
-    ----------
-    flight : Flight
-    sky : Sky
-    mount : Mount
-    pressure_hpa, temperature_c : float
-        The air at the aircraft.
-    """
+    """The camera's orientation with respect to the sky as a function of time."""
 
     flight: Flight
     sky: Sky
     mount: Mount
-    pressure_hpa: float
+    pressure_hpa: float  # The air at the aircraft
     temperature_c: float
 
     def pointings(self, *utc_s: Float) -> list[Pointing]:
         """Return the camera's orientation for several arrays of times; one call takes little longer than one array.
 
-        Parameters
-        ----------
-        *utc_s : (n,) float64
-            UTC seconds since 1970, all within minutes of each other.
-
-        Returns
-        -------
-        list of Pointing
-
-        Raises
-        ------
-        TrackRangeError
-            If a time lies outside the flight.
+        `*utc_s` (n,): UTC seconds since 1970, all within minutes of each other.  Raises TrackRangeError if a time lies
+        outside the flight.
         """
         return [samples.pointing for samples in self.at(*utc_s)]
 
     def at(self, *utc_s: Float) -> list[MotionSamples]:
         """Return orientation, attitude and site for several arrays of times.
 
-        Parameters
-        ----------
-        *utc_s : (n,) float64
-            UTC seconds since 1970, all within minutes of each other.
-
-        Returns
-        -------
-        list of MotionSamples
-
-        Raises
-        ------
-        TrackRangeError
-            If a time lies outside the flight.
-
-        Notes
-        -----
-        Teague & Chahl, eqs (22), (30)-(32), composed in float64.
+        `*utc_s` (n,): UTC seconds since 1970, all within minutes of each other.  Raises TrackRangeError if a time lies
+        outside the flight.  Teague & Chahl, eqs (22), (30)-(32), composed in float64.
         """
         all_s = np.concatenate(utc_s)
         latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(all_s)
@@ -377,21 +259,13 @@ _RATE_STEP_S: Final = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """The camera's orientation in n parts of an exposure: between samples of the log, or of halves along a spline.
+    """The camera's orientation in n parts of an exposure: between samples of the log, or of halves along a spline."""
 
-    Attributes
-    ----------
-    ends_s : (n + 1,) float64
-        Where parts begin and end, s after the start of the exposure.
-    pointing : Pointing
-        At the start, the middle and the end of the first part, which is the start of the second, and so on: 2 n + 1
-        times.
-    rates_rad_per_s : (3,) float64 or None
-        The angular rate of the camera in the middle of the exposure: see `rates_rad_per_s`.
-    """
-
-    ends_s: Float
+    ends_s: Float  # (n + 1,) where parts begin and end, s after the start of the exposure
+    # At the start, the middle and the end of the first part, which is the start of the second, and so on: 2 n + 1
+    # times.
     pointing: Pointing
+    # (3,) or None: the angular rate of the camera in the middle of the exposure: see `rates_rad_per_s`.
     rates_rad_per_s: Float | None = None
 
     @classmethod
@@ -447,15 +321,7 @@ class MotionTable:
 def rates_rad_per_s(motion: CameraMotion, exposure: Exposure) -> Float:
     """Return the angular rate of the camera in the middle of an exposure, with respect to the stars.
 
-    Parameters
-    ----------
-    motion : CameraMotion
-    exposure : Exposure
-
-    Returns
-    -------
-    (3,) float64
-        About its right, down and forward axes, rad/s.
+    Returns (3,) about its right, down and forward axes, rad/s.
     """
     around_s = _around_middle_s(exposure)
     return _rates_rad_per_s(motion.pointings(around_s)[0], around_s)

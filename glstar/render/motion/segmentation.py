@@ -31,68 +31,37 @@ Evaluated = tuple[Float, Float]
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """Largest acceptable errors of an analytic trail.
+    """Largest acceptable errors of an analytic trail."""
 
-    Attributes
-    ----------
-    position_px : float
-        Distance between a star's true and drawn positions at the same time, px.
-    trail_fraction : float
-        Error of the flux in any pixel, as a fraction of the trail's own flux there.
-    peak_fraction : float
-        The same, as a fraction of the peak of the star if it did not move.
-    """
-
-    position_px: float = 0.02
-    trail_fraction: float = 4e-3
-    peak_fraction: float = 5e-4
+    position_px: float = 0.02  # Distance between a star's true and drawn positions at the same time, px
+    trail_fraction: float = 4e-3  # Error of the flux in any pixel, as a fraction of the trail's own flux there
+    peak_fraction: float = 5e-4  # The same, as a fraction of the peak of the star if it did not move
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeLimits:
-    """Range of segments that the shaders can draw: `star_path.frag` is compiled with these numbers.
+    """Range of segments that the shaders can draw: `star_path.frag` is compiled with these numbers."""
 
-    Attributes
-    ----------
-    short_sigma : float
-        A path shorter than this many sigma is drawn as two Gaussians.
-    max_flux_variation : float
-        Largest relative variation of flux per length between a segment's middle and its ends.
-    max_end_flux : float
-        Largest flux per length at the ends of a segment, relative to uniform motion.
-    """
-
-    short_sigma: float = 2.0
+    short_sigma: float = 2.0  # A path shorter than this many sigma is drawn as two Gaussians
+    # Largest relative variation of flux per length between a segment's middle and its ends.
     max_flux_variation: float = 0.9
-    max_end_flux: float = 3.0
+    max_end_flux: float = 3.0  # Largest flux per length at the ends of a segment, relative to uniform motion
 
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """How segments are evaluated and divided.
+    """How segments are evaluated and divided."""
 
-    Attributes
-    ----------
-    min_samples : int
-        Minimum number of intervals at whose ends a segment is evaluated; there are at least two per sample of the log.
-    shortest_s : float
-        Segments shorter than this are accepted, s.
-    rate_change : float
-        Change of the turn rate at a sample of the log, relative to the largest rate, above which it is discontinuous.
-    max_parts : int
-        Maximum number of parts that a segment is divided into at once: extrapolation of the error is less certain
-        the more there are.
-    unknown_parts : int
-        Number of parts where the error is unknown.
-    sprite_margin : float
-        Whether sprites are cheaper is tested with this fraction of the break-even number of segments.
-    """
-
+    # Minimum number of intervals at whose ends a segment is evaluated; there are at least two per sample of the log.
     min_samples: int = 8
-    shortest_s: float = 2e-5
+    shortest_s: float = 2e-5  # Segments shorter than this are accepted, s
+    # Change of the turn rate at a sample of the log, relative to the largest rate, above which it is discontinuous.
     rate_change: float = 1e-3
+    # Maximum number of parts that a segment is divided into at once: extrapolation of the error is less certain the
+    # more there are.
     max_parts: int = 24
-    unknown_parts: int = 4
+    unknown_parts: int = 4  # Number of parts where the error is unknown
+    # Whether sprites are cheaper is tested with this fraction of the break-even number of segments.
     sprite_margin: float = 0.7
 
 
@@ -120,29 +89,15 @@ def segment_times(
 ) -> Float | None:
     """Return the ends and the middles of the segments of an exposure.
 
-    Parameters
-    ----------
-    motion : CameraMotion
-        The camera's orientation as a function of time.
-    nodes_s : (n,) float64
-        The exposure's start and end, and between them the times at which the turn rate may change discontinuously:
-        the samples of the log.  A segment that has to be divided is divided at a rate discontinuity, or evenly if it
-        contains none.
-    camera : Camera
-        Errors are evaluated at nine points of its field: corners, middles of the sides and centre.  Behind a lens
-        trails are drawn in the undistorted image plane and distorted afterwards.
-    sigma_px : float
-        Standard deviation of a star as the pixels record it, px.
-    sprite_cost : SpriteCost or SegmentLimit, optional
-        Cost of drawing the exposure as sub-exposures instead, where that is an option; or the most segments.
-    position_px : float
-        Largest distance between a star's true and drawn positions at the same time, px.
-
-    Returns
-    -------
-    (2 m + 1,) float64 or None
-        UTC seconds since 1970: the start, the middle and the end of the first segment, which is the start of the
-        second, and so on.  None if the motion is so rough that it needs more segments than that.
+    `motion`: the camera's orientation as a function of time; `nodes_s` (n,): the exposure's start and end, and between
+    them the times at which the turn rate may change discontinuously: the samples of the log; a segment that has to be
+    divided is divided at a rate discontinuity, or evenly if it contains none; `camera`: errors are evaluated at nine
+    points of its field: corners, middles of the sides and centre; behind a lens trails are drawn in the undistorted
+    image plane and distorted afterwards; `sigma_px`: standard deviation of a star as the pixels record it, px;
+    `sprite_cost`: cost of drawing the exposure as sub-exposures instead, where that is an option; or the most segments;
+    `position_px`: largest distance between a star's true and drawn positions at the same time, px.  Returns (2 m + 1,)
+    or None: UTC seconds since 1970: the start, the middle and the end of the first segment, which is the start of the
+    second, and so on; none if the motion is so rough that it needs more segments than that.
     """
     evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px, position_px)
     segments = nodes_s[:1], nodes_s[-1:]
@@ -352,13 +307,8 @@ def segment_excess(
 def _two_gaussians_error(s: Float, p: Float, length: Float, sigma_px: float) -> Float:
     """Return the flux error of a path drawn as two Gaussians, (segments, probes): from differences of moments.
 
-    Parameters
-    ----------
-    s, p : (times, segments, probes) float64
-        Positions along the chord and perpendicular to it at even times, px.
-    length : (segments, probes) float64
-        Length of the chord, px.
-    sigma_px : float
+    `s`, `p` (times, segments, probes): positions along the chord and perpendicular to it at even times, px; `length`
+    (segments, probes): length of the chord, px.
     """
     half = len(s) // 2
     ahead, aside = s[half] - length / 2, p[half]

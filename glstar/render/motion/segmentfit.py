@@ -32,31 +32,15 @@ STIFFNESS: Final = 1e-7
 def node_corrections(basis: Float, segment: NDArray[np.intp], turn: Float, weight: Float, count: int) -> Float:
     """Return the corrections of nodes that minimise the weighted squares of what they leave of rotations.
 
-    Parameters
-    ----------
-    basis : (n, 3) float64
-        Weight of the start, the middle and the end of its segment in each sample.
-    segment : (n,) intp
-        The segment that contains each sample, increasing; each has at least one.
-    turn : (n, 3) float64
-        Rotation vectors that the corrections shall add up to, rad.
-    weight : (n,) float64
-        Weights of the samples.
-    count : int
-        Number of nodes: the start, the middle and the end of the first segment, which is the start of the second, and
-        so on.
-
-    Returns
-    -------
-    (count, 3) float64
-        Rotation vectors, rad.
-
-    Notes
-    -----
-    A sample depends on the three nodes of its segment.  The middle one has no other samples, and is eliminated first;
-    the equations of the ends have three diagonals.  They are solved in a time proportional to the number of nodes, and
-    on one thread: NumPy's dense products and solver would keep all threads of OpenBLAS busy, and round differently with
-    another number of them.  SciPy's banded solver would take a worker longer to load than ten images to draw.
+    `basis` (n, 3): weight of the start, the middle and the end of its segment in each sample; `segment` (n,) intp: the
+    segment that contains each sample, increasing; each has at least one; `turn` (n, 3): rotation vectors that the
+    corrections shall add up to, rad; `weight` (n,): weights of the samples; `count`: number of nodes: the start, the
+    middle and the end of the first segment, which is the start of the second, and so on.  Returns (count, 3) rotation
+    vectors, rad.  A sample depends on the three nodes of its segment.  The middle one has no other samples, and is
+    eliminated first; the equations of the ends have three diagonals.  They are solved in a time proportional to the
+    number of nodes, and on one thread: NumPy's dense products and solver would keep all threads of OpenBLAS busy, and
+    round differently with another number of them.  SciPy's banded solver would take a worker longer to load than ten
+    images to draw.
     """
     weighted = basis * weight[:, np.newaxis]
     first, second = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)]).T
@@ -105,50 +89,29 @@ Integer = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class FitLimits:
-    """How segments are searched and fitted.
+    """How segments are searched and fitted."""
 
-    Attributes
-    ----------
-    min_samples : int
-        Minimum number of intervals of an exposure at whose ends the attitude is sampled; there are at least two per
-        interval of the log, because a spline bends between its nodes.
-    min_parts : int
-        Minimum number of intervals between samples in a segment.
-    max_even_parts : int
-        Maximum number of parts between two samples of the log at which all segments are sampled alike; more are added
-        only in the segments that need them.
-    sigma_px : float
-        Stars with a narrower point spread function have a proportionally smaller tolerance, px: a displacement by
-        0.01 px changes a pixel by 0.5 % of the peak at 1.2 px, and a path may be somewhat farther off between the times
-        of comparison.
-    block : int
-        Intervals of the log that are searched together: this bounds memory.
-    search_fraction : float
-        Fraction of the tolerance that one segment may use in the search.  The rest is for the shared ends: with 0.8 the
-        fewest segments of a 200 Hz log are left after those above the tolerance are divided.
-    rounds : int
-        Maximum number of times that segments above the tolerance are divided.
-    max_parts : int
-        Maximum number of parts that a segment is divided into at once.
-    shortest_s : float
-        Shorter segments are not tried, s.
-    few_samples : int
-        Segments with fewer samples may be farther from the true path between them, as a spline oscillates.
-    between_few : float
-        Factor of the deviation of these segments.
-    """
-
+    # Minimum number of intervals of an exposure at whose ends the attitude is sampled; there are at least two per
+    # interval of the log, because a spline bends between its nodes.
     min_samples: int = 32
-    min_parts: int = 4
+    min_parts: int = 4  # Minimum number of intervals between samples in a segment
+    # Maximum number of parts between two samples of the log at which all segments are sampled alike; more are added
+    # only in the segments that need them.
     max_even_parts: int = 8
+    # Stars with a narrower point spread function have a proportionally smaller tolerance, px: a displacement by 0.01 px
+    # changes a pixel by 0.5 % of the peak at 1.2 px, and a path may be somewhat farther off between the times of
+    # comparison.
     sigma_px: float = 1.37
-    block: int = 256
+    block: int = 256  # Intervals of the log that are searched together: this bounds memory
+    # Fraction of the tolerance that one segment may use in the search; the rest is for the shared ends: with 0.8 the
+    # fewest segments of a 200 Hz log are left after those above the tolerance are divided.
     search_fraction: float = 0.8
-    rounds: int = 12
-    max_parts: int = 24
-    shortest_s: float = 2e-5
+    rounds: int = 12  # Maximum number of times that segments above the tolerance are divided
+    max_parts: int = 24  # Maximum number of parts that a segment is divided into at once
+    shortest_s: float = 2e-5  # Shorter segments are not tried, s
+    # Segments with fewer samples may be farther from the true path between them, as a spline oscillates.
     few_samples: int = 8
-    between_few: float = 1.4
+    between_few: float = 1.4  # Factor of the deviation of these segments
 
 
 LIMITS: Final = FitLimits()
@@ -171,36 +134,16 @@ def fitted_segments(
 ) -> AnalyticSegments | None:
     """Return segments of an exposure that follow the attitude within a tolerance.
 
-    Parameters
-    ----------
-    motion : CameraMotion
-        The camera's orientation as a function of time.
-    nodes_s : (n,) float64
-        The exposure's start and end, and the samples of the log between them, UTC seconds since 1970.
-    camera : Camera
-        Errors are evaluated at nine points of its field: corners, middles of the sides and centre.
-    sigma_px : float
-        Standard deviation of a star as the pixels record it, px.
-    tolerance_px : float
-        Largest distance between a star's true and fitted positions at the same time, px; positive.
-    psf_sigma_px : float
-        Standard deviation of a star without the pixel, px.
-    position_px : float
-        Largest distance between its fitted position and where the shaders draw it, px.
-    readout_s : float
-        While rows open and while they close, trails end: there stars are at most `position_px` from their true
-        positions, too.
-
-    Returns
-    -------
-    AnalyticSegments or None
-        None if the tolerance is not reached: the attitude cannot be followed by segments of useful lengths.
-
-    Notes
-    -----
-    The fit minimises the integral of the squared rotation between the true orientation and the fitted one.  Therefore
-    the mean of that rotation over the exposure is zero, and the mean position of a star on the image is exact to
-    second order.
+    `motion`: the camera's orientation as a function of time; `nodes_s` (n,): the exposure's start and end, and the
+    samples of the log between them, UTC seconds since 1970; `camera`: errors are evaluated at nine points of its field:
+    corners, middles of the sides and centre; `sigma_px`: standard deviation of a star as the pixels record it, px;
+    `tolerance_px`: largest distance between a star's true and fitted positions at the same time, px; positive;
+    `psf_sigma_px`: standard deviation of a star without the pixel, px; `position_px`: largest distance between its
+    fitted position and where the shaders draw it, px; `readout_s`: while rows open and while they close, trails end:
+    there stars are at most `position_px` from their true positions, too.  Returns: none if the tolerance is not
+    reached: the attitude cannot be followed by segments of useful lengths.  The fit minimises the integral of the
+    squared rotation between the true orientation and the fitted one.  Therefore the mean of that rotation over the
+    exposure is zero, and the mean position of a star on the image is exact to second order.
     """
     at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
     # Narrower stars show smaller displacements.
@@ -222,27 +165,13 @@ def fitted_segments(
 
 @dataclass(frozen=True, eq=False)
 class SampledMotion:
-    """The true orientation at the samples of the log and evenly between them.
+    """The true orientation at the samples of the log and evenly between them."""
 
-    Attributes
-    ----------
-    nodes_s : (k,) float64
-        The exposure's start and end, and the samples of the log between them, UTC seconds since 1970.
-    parts : int
-        Number of equal parts between two nodes.
-    times_s : (n,) float64
-        Times of all samples.
-    pointing : Pointing
-        The orientation at these times.
-    bends : bool
-        Whether the rate varies between two nodes, as along a spline.
-    """
-
-    nodes_s: Float
-    parts: int
-    times_s: Float
-    pointing: Pointing
-    bends: bool
+    nodes_s: Float  # (k,) the exposure's start and end, and the samples of the log between them, UTC seconds since 1970
+    parts: int  # Number of equal parts between two nodes
+    times_s: Float  # (n,) times of all samples
+    pointing: Pointing  # The orientation at these times
+    bends: bool  # Whether the rate varies between two nodes, as along a spline
 
     @classmethod
     def of(cls, motion: CameraMotion, nodes_s: Float, parts: int) -> Self:
@@ -391,47 +320,23 @@ def _divided(knots_s: Float, nodes_s: Float, deviation: Float, drawing: Float) -
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """Segments fitted to sampled orientations.
+    """Segments fitted to sampled orientations."""
 
-    Attributes
-    ----------
-    sampled : Pointing
-        The true orientation at n times.
-    nodes : Pointing
-        The fitted orientation at the start, the middle and the end of the first segment, which is the start of the
-        second, and so on: 2 m + 1 times.
-    time_fraction : (m,) float64
-        Duration of each segment as a fraction of the exposure.
-    segment : (n,) intp
-        The segment that contains each sample.
-    basis : (n, 3) float64
-        Weight of the segment's start, middle and end in the vector at each sample, before normalization.
-    bends : bool
-        Whether the rate varies between two samples of the log.
-    """
-
-    sampled: Pointing
+    sampled: Pointing  # The true orientation at n times
+    # The fitted orientation at the start, the middle and the end of the first segment, which is the start of the
+    # second, and so on: 2 m + 1 times.
     nodes: Pointing
-    time_fraction: Float
-    segment: Integer
+    time_fraction: Float  # (m,) duration of each segment as a fraction of the exposure
+    segment: Integer  # (n,) intp: the segment that contains each sample
+    # (n, 3) weight of the segment's start, middle and end in the vector at each sample, before normalization.
     basis: Float
-    bends: bool
+    bends: bool  # Whether the rate varies between two samples of the log
 
     @classmethod
     def of(cls, motion: CameraMotion, samples: SampledMotion, knots_s: Float) -> Self:
         """Return the least-squares segments between given knots.
 
-        Parameters
-        ----------
-        motion : CameraMotion
-        samples : SampledMotion
-            The true orientation at n times.
-        knots_s : (m + 1,) float64
-            Ends of the segments, UTC seconds since 1970.
-
-        Returns
-        -------
-        SegmentFit
+        `samples`: the true orientation at n times; `knots_s` (m + 1,): ends of the segments, UTC seconds since 1970.
         """
         times_s, sampled = samples.times_s, samples.pointing
         node_times_s = np.empty(2 * len(knots_s) - 1)
@@ -463,24 +368,11 @@ class SegmentFit:
     ) -> tuple[Float, Float]:
         """Return the errors of each segment divided by what is tolerated, (m,) each; NaN if unknown.
 
-        Parameters
-        ----------
-        camera : Camera
-        sigma_px : float
-            Standard deviation of a star as the pixels record it, px.
-        tolerance_px : float
-            Largest distance from the true position at the same time, px.
-        position_px : float
-            Largest distance between fitted and drawn positions at the same time, px.
-        strictness : (n,) float64
-            Factor of the distance at each sample.
-
-        Returns
-        -------
-        deviation : (m,) float64
-            The distance over the tolerance.
-        drawing : (m,) float64
-            The error with which the shaders draw the fitted path, as `segment_excess` bounds it.
+        `sigma_px`: standard deviation of a star as the pixels record it, px; `tolerance_px`: largest distance from the
+        true position at the same time, px; `position_px`: largest distance between fitted and drawn positions at the
+        same time, px; `strictness` (n,): factor of the distance at each sample.  Returns `deviation` (m,): the distance
+        over the tolerance; `drawing` (m,): the error with which the shaders draw the fitted path, as `segment_excess`
+        bounds it.
         """
         # Stars all over the field in the middle of each segment.
         directions = np.swapaxes(self.nodes.C_camera_eq[1::2], 1, 2) @ probe_rays(camera)

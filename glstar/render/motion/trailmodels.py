@@ -53,18 +53,8 @@ class TrailModel(Protocol):
     def positions(self, camera: Camera, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are drawn at some times of the exposure.
 
-        Parameters
-        ----------
-        camera : Camera
-        direction_eq : (m, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox.
-        time : (n,) float64
-            Elapsed fraction of the exposure, 0 to 1.
-
-        Returns
-        -------
-        (n, m, 2) float64
-            Positions (x, y), px; NaN behind the camera and below the horizon.
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `time` (n,): elapsed fraction
+        of the exposure, 0 to 1.  Returns (n, m, 2) positions (x, y), px; NaN behind the camera and below the horizon.
         """
         ...
 
@@ -73,18 +63,9 @@ class TrailModel(Protocol):
     ) -> Iterator[SampledPaths | ConicPaths]:
         """Yield the paths of stars as they are drawn, in one or several consecutive parts of the exposure.
 
-        Parameters
-        ----------
-        camera : Camera
-        direction_eq : (m, 3) array_like
-            Geocentric apparent unit vectors, true equator and equinox.
-        sigma_px : float
-            Standard deviation of a star as the pixels record it, px; it sets the spacing of samples.
-
-        Yields
-        ------
-        SampledPaths or ConicPaths
-            All the stars over a part of the exposure.
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `sigma_px`: standard
+        deviation of a star as the pixels record it, px; it sets the spacing of samples.  Yields: all the stars over a
+        part of the exposure.
         """
         ...
 
@@ -93,17 +74,10 @@ class TrailModel(Protocol):
 class SubExposures:
     """A trail as the sum of n sub-exposures of equal length; the stars do not move during a sub-exposure.
 
-    Attributes
-    ----------
-    pointing : Pointing
-        In the middle of each sub-exposure: n times.
-
-    Notes
-    -----
     Teague & Chahl, section 2.6.
     """
 
-    pointing: Pointing
+    pointing: Pointing  # In the middle of each sub-exposure: n times
 
     def __len__(self) -> int:
         return len(self.pointing)
@@ -116,16 +90,8 @@ class SubExposures:
     def for_sigma(self, camera: Camera, sigma_px: float) -> "SubExposures":
         """Return fewer sub-exposures that suffice for a wide point spread function.
 
-        Parameters
-        ----------
-        camera : Camera
-        sigma_px : float
-            Standard deviation of a star in the image, px.
-
-        Returns
-        -------
-        SubExposures
-            The middle of each group of equal number; neighbouring ones differ by at most 1.5 sigma.
+        `sigma_px`: standard deviation of a star in the image, px.  Returns the middle of each group of equal number;
+        neighbouring ones differ by at most 1.5 sigma.
         """
         path_px = np.concatenate([[0.0], np.cumsum(self.pointing.rotation_rad)]) * camera.max_px_per_rad
         limit_px = SAMPLE_SPACING_SIGMA * sigma_px
@@ -162,21 +128,13 @@ class SubExposures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnalyticSegments:
-    """A trail as m segments, along each of which the flux is integrated in closed form: see `segmentation`.
+    """A trail as m segments, along each of which the flux is integrated in closed form: see `segmentation`."""
 
-    Attributes
-    ----------
-    pointing : Pointing
-        At the start, the middle and the end of the first segment, which is the start of the second, and so on:
-        2 m + 1 times.
-    time_fraction : (m,) float64
-        Duration of each segment as a fraction of the exposure; they add up to 1.
-    half_fraction : (2 m,) float64 or None
-        Durations of the halves of each segment, if they differ by the rounding of times.
-    """
-
+    # At the start, the middle and the end of the first segment, which is the start of the second, and so on: 2 m + 1
+    # times.
     pointing: Pointing
-    time_fraction: Float
+    time_fraction: Float  # (m,) duration of each segment as a fraction of the exposure; they add up to 1
+    # (2 m,) or None: durations of the halves of each segment, if they differ by the rounding of times.
     half_fraction: Float | None = None
 
     def __len__(self) -> int:
@@ -230,30 +188,15 @@ class AnalyticSegments:
 
 @dataclass(frozen=True, slots=True)
 class SubExposureRule:
-    """How many sub-exposures an exposure takes, given the length of its longest trail.
+    """How many sub-exposures an exposure takes, given the length of its longest trail."""
 
-    Attributes
-    ----------
-    min_count : int
-        The number for stars that do not move.
-    spacing_px : float
-        Maximum distance between sub-exposures along a trail, px.
-    """
-
-    min_count: int
-    spacing_px: float
+    min_count: int  # The number for stars that do not move
+    spacing_px: float  # Maximum distance between sub-exposures along a trail, px
 
     def count(self, trail_px: float) -> int:
         """Return the number of sub-exposures: max(min_count, ceil(trail / spacing)).
 
-        Parameters
-        ----------
-        trail_px : float
-            Length of the longest trail on the image, px.
-
-        Returns
-        -------
-        int
+        `trail_px`: length of the longest trail on the image, px.
         """
         return max(self.min_count, ceil(trail_px / self.spacing_px))
 
@@ -264,42 +207,22 @@ SUB_EXPOSURES_PER_SEGMENT: Final = 4 * 1.3
 
 @dataclass(frozen=True, slots=True)
 class SpriteCost:
-    """The cost of drawing an exposure as sub-exposures.
+    """The cost of drawing an exposure as sub-exposures."""
 
-    Attributes
-    ----------
-    sub_exposures : SubExposureRule
-        How many there are.
-    sub_exposures_per_segment : float
-        Cost of one analytic segment, in sub-exposures.
-    """
-
-    sub_exposures: SubExposureRule
-    sub_exposures_per_segment: float
+    sub_exposures: SubExposureRule  # How many there are
+    sub_exposures_per_segment: float  # Cost of one analytic segment, in sub-exposures
 
     def in_segments(self, trail_px: float) -> float:
         """Return the number of analytic segments that cost as much.
 
-        Parameters
-        ----------
-        trail_px : float
-            Length of the longest trail on the image, px.
-
-        Returns
-        -------
-        float
+        `trail_px`: length of the longest trail on the image, px.
         """
         return self.sub_exposures.count(trail_px) / self.sub_exposures_per_segment
 
 
 @dataclass(frozen=True, slots=True)
 class SegmentLimit:
-    """A limit of the number of segments, whatever the trails.
-
-    Attributes
-    ----------
-    count : int
-    """
+    """A limit of the number of segments, whatever the trails."""
 
     count: int
 
@@ -316,27 +239,13 @@ _CHORDS: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrailPieces:
-    """A trail as the sum of n Gaussians.
+    """A trail as the sum of n Gaussians."""
 
-    Attributes
-    ----------
-    pointing : Pointing
-        The mean orientation during each piece: n times.
-    covariance_rad2 : (n, 3, 3) float64
-        Covariance of the rotation vector from the mean orientation, camera frame.
-    time_fraction : (n,) float64
-        Duration of each piece as a fraction of the exposure.
-    of_segments : (m, n) float64
-        Which fraction of each piece lies in each segment of the trails.
-    bounds : (n + 1,) float64
-        Where pieces begin and end, numbers of segments.
-    """
-
-    pointing: Pointing
-    covariance_rad2: Float
-    time_fraction: Float
-    of_segments: Float
-    bounds: Float
+    pointing: Pointing  # The mean orientation during each piece: n times
+    covariance_rad2: Float  # (n, 3, 3) covariance of the rotation vector from the mean orientation, camera frame
+    time_fraction: Float  # (n,) duration of each piece as a fraction of the exposure
+    of_segments: Float  # (m, n) which fraction of each piece lies in each segment of the trails
+    bounds: Float  # (n + 1,) where pieces begin and end, numbers of segments
 
     def __len__(self) -> int:
         return len(self.time_fraction)
@@ -345,13 +254,8 @@ class TrailPieces:
 class CameraPath:
     """The orientation of the camera over an exposure as `AnalyticSegments` describe it.
 
-    Times are numbers of segments: 1.5 is the middle of the second.
-
-    Parameters
-    ----------
-    trails : AnalyticSegments
-    camera : Camera
-        Behind a lens trails are drawn in the undistorted image plane.
+    Times are numbers of segments: 1.5 is the middle of the second.  `camera`: behind a lens trails are drawn in the
+    undistorted image plane.
     """
 
     def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
@@ -387,15 +291,7 @@ class CameraPath:
     def bounds_of_equal_lengths(self, length_px: float, fewest: int = 1) -> Float:
         """Return the ends of pieces in which the fastest star of the image moves by at most a length.
 
-        Parameters
-        ----------
-        length_px : float
-        fewest : int
-            Number of pieces, at least.
-
-        Returns
-        -------
-        (n + 1,) float64
+        `fewest`: number of pieces, at least.  Returns (n + 1,).
         """
         elapsed_px = self._elapsed_px
         pieces = max(fewest, int(np.ceil(elapsed_px[-1] / length_px)))
@@ -409,15 +305,8 @@ class CameraPath:
     def pointings(self, begins: Float, ends: Float) -> Pointing:
         """Return orientations during some parts of segments.
 
-        Parameters
-        ----------
-        begins, ends : (n,) float64
-            Numbers of segments; each part lies within one.
-
-        Returns
-        -------
-        Pointing
-            At the start, the middle and the end of each part: 3 n times.  The matrices have a factor of nearly 1.
+        `begins`, `ends` (n,): numbers of segments; each part lies within one.  Returns: at the start, the middle and
+        the end of each part: 3 n times; the matrices have a factor of nearly 1.
         """
         at = np.stack([begins, (begins + ends) / 2, ends], axis=1)
         segment = np.repeat(at[:, 1].astype(np.intp), 3)
@@ -425,17 +314,7 @@ class CameraPath:
         return replace(_interpolated(self._trails.pointing, 2 * at.ravel()), C_camera_eq=C)
 
     def moments(self, bounds: Float) -> "PieceMoments":
-        """Return the motion during pieces.
-
-        Parameters
-        ----------
-        bounds : (n + 1,) float64
-            Their ends, numbers of segments.
-
-        Returns
-        -------
-        PieceMoments
-        """
+        """Return the motion during pieces; `bounds` (n + 1,): their ends, numbers of segments."""
         nodes = _Quadrature.of(self._trails.time_fraction, bounds)
         C = self._orientation(nodes.segment, nodes.u)
         C_mean = nodes.mean(C)
@@ -445,16 +324,7 @@ class CameraPath:
         return PieceMoments(bounds, nodes, C_mean, turn_rad)
 
     def pieces(self, moments: "PieceMoments") -> TrailPieces:
-        """Return pieces with some motion.
-
-        Parameters
-        ----------
-        moments : PieceMoments
-
-        Returns
-        -------
-        TrailPieces
-        """
+        """Return pieces with some motion."""
         bounds, nodes, C_mean, turn_rad = moments
         covariance_rad2 = nodes.mean(turn_rad[:, :, np.newaxis] * turn_rad[:, np.newaxis])
         pointing = _interpolated(self._trails.pointing, bounds[:-1] + bounds[1:])
@@ -464,18 +334,8 @@ class CameraPath:
     def errors(self, moments: "PieceMoments", sigma_px: float) -> tuple[Float, Float]:
         """Return estimates of the errors of the flux of each piece.
 
-        Parameters
-        ----------
-        moments : PieceMoments
-        sigma_px : float
-            Standard deviation of a star as the pixels record it, px.
-
-        Returns
-        -------
-        (n,) float64
-            From the third moments, relative to the height of the piece.
-        (n,) float64
-            From the fourth cumulants.
+        `sigma_px`: standard deviation of a star as the pixels record it, px.  Returns (n,) from the third moments,
+        relative to the height of the piece; (n,) from the fourth cumulants.
         """
         x, y = (moments.turn_rad @ along / sigma_px for along in _px_per_turn(self._camera))
         xx, xy, yy = x * x, x * y, y * y
@@ -505,49 +365,23 @@ def _px_per_turn(camera: Camera) -> Float:
 
 
 class PieceMoments(NamedTuple):
-    """The motion of the camera during n pieces.
+    """The motion of the camera during n pieces."""
 
-    Attributes
-    ----------
-    bounds : (n + 1,) float64
-        Their ends, numbers of segments.
-    nodes : _Quadrature
-        Of k times.
-    C_mean : (n, 3, 3) float64
-        The mean orientations.
-    turn_rad : (k, 3) float64
-        Rotation vectors from the mean orientation of the piece, camera frame.
-    """
-
-    bounds: Float
-    nodes: "_Quadrature"
-    C_mean: Float
-    turn_rad: Float
+    bounds: Float  # (n + 1,) their ends, numbers of segments
+    nodes: "_Quadrature"  # Of k times
+    C_mean: Float  # (n, 3, 3) the mean orientations
+    turn_rad: Float  # (k, 3) rotation vectors from the mean orientation of the piece, camera frame
 
 
 class _Quadrature(NamedTuple):
-    """Gauss-Legendre nodes of k intervals, each within one piece and one segment.
+    """Gauss-Legendre nodes of k intervals, each within one piece and one segment."""
 
-    Attributes
-    ----------
-    segment : (3 k,) intp
-    u : (3 k,) float64
-        Elapsed fraction of the segment.
-    piece : (3 k,) intp
-    weight : (3 k,) float64
-        Fractions of the piece's duration.
-    first : (n,) intp
-        The first node of each piece.
-    duration : (n,) float64
-        Durations of the pieces, fractions of the exposure.
-    """
-
-    segment: NDArray[np.intp]
-    u: Float
-    piece: NDArray[np.intp]
-    weight: Float
-    first: NDArray[np.intp]
-    duration: Float
+    segment: NDArray[np.intp]  # (3 k,) intp
+    u: Float  # (3 k,) elapsed fraction of the segment
+    piece: NDArray[np.intp]  # (3 k,) intp
+    weight: Float  # (3 k,) fractions of the piece's duration
+    first: NDArray[np.intp]  # (n,) intp: the first node of each piece
+    duration: Float  # (n,) durations of the pieces, fractions of the exposure
 
     @classmethod
     def of(cls, time_fraction: Float, bounds: Float) -> "_Quadrature":

@@ -36,21 +36,9 @@ _SOFTWARE = "LIBGL_ALWAYS_SOFTWARE=1 draws with Mesa's software renderer instead
 def headless_context(device_index: int | None = None) -> "moderngl.Context":
     """Return a new OpenGL context that needs no display.
 
-    Parameters
-    ----------
-    device_index : int, optional
-        Index of the EGL device, as listed by ``glstar doctor``; by default that of the environment variable
-        GLSTAR_DEVICE, or else the driver's choice.
-
-    Returns
-    -------
-    moderngl.Context
-        Owned by the caller.
-
-    Raises
-    ------
-    ContextError
-        If there is no OpenGL 3.3; the message names what to install.
+    `device_index`: index of the EGL device, as listed by ``glstar doctor``; by default that of the environment variable
+    GLSTAR_DEVICE, or else the driver's choice.  Returns: owned by the caller.  Raises ContextError if there is no
+    OpenGL 3.3; the message names what to install.
     """
     import moderngl  # noqa: PLC0415 - importing glstar loads no OpenGL
 
@@ -70,14 +58,7 @@ def headless_context(device_index: int | None = None) -> "moderngl.Context":
 def adopt_context() -> "moderngl.Context":
     """Return the OpenGL context that is current on this thread: a window's.
 
-    Returns
-    -------
-    moderngl.Context
-
-    Raises
-    ------
-    ContextError
-        If none is current, or it is older than OpenGL 3.3.
+    Raises ContextError if none is current, or it is older than OpenGL 3.3.
     """
     import moderngl  # noqa: PLC0415 - importing glstar loads no OpenGL
 
@@ -121,40 +102,20 @@ _EGL_PLATFORM_DEVICE_EXT: Final = 0x313F
 
 @dataclass(frozen=True, slots=True)
 class EGLDevice:
-    """One device that EGL can draw with.
+    """One device that EGL can draw with."""
 
-    Attributes
-    ----------
-    index : int
-        Its value of GLSTAR_DEVICE.
-    vendor : str
-    drm : str or None
-        Path of its device file.
-    cuda : int or None
-        Its CUDA device number, which may differ from its index.
-    software : bool
-        Whether it is a software renderer.
-    """
-
-    index: int
+    index: int  # Its value of GLSTAR_DEVICE
     vendor: str
-    drm: str | None
-    cuda: int | None
-    software: bool
+    drm: str | None  # Path of its device file
+    cuda: int | None  # Its CUDA device number, which may differ from its index
+    software: bool  # Whether it is a software renderer
 
 
 def egl_devices() -> list[EGLDevice]:
     """Return the EGL devices of this machine.
 
-    Returns
-    -------
-    list of EGLDevice
-        Empty if EGL does not support device enumeration, and on macOS and Windows, whose OpenGL does not use EGL.
-
-    Raises
-    ------
-    ContextError
-        If the EGL library is missing.
+    Returns: empty if EGL does not support device enumeration, and on macOS and Windows, whose OpenGL does not use EGL.
+    Raises ContextError if the EGL library is missing.
     """
     if sys.platform in {"darwin", "win32"}:
         return []

@@ -25,27 +25,10 @@ def linked(
     """Return the program of a vertex and a fragment shader.
 
     A line ``#include "NAME"`` in a shader is replaced by that file of ``shaders/``, or by the generated source of that
-    name, unless it has been included before.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    vertices, fragments : str
-        File names inside ``shaders/``.
-    generated : mapping of str to str
-        GLSL to include, by name.
-    **constants
-        Preprocessor constants.  Software OpenGL executes both branches of an ``if``, but skips those of an ``#if``.
-
-    Returns
-    -------
-    moderngl.Program
-        Owned by the caller.
-
-    Raises
-    ------
-    ShaderError
-        If the driver rejects one of the shaders.
+    name, unless it has been included before.  `vertices`, `fragments`: file names inside ``shaders/``; `generated`:
+    GLSL to include, by name; `**constants`: preprocessor constants; software OpenGL executes both branches of an
+    ``if``, but skips those of an ``#if``.  Returns: owned by the caller.  Raises ShaderError if the driver rejects
+    one of the shaders.
     """
     try:
         program = context.program(
@@ -100,11 +83,7 @@ def _expanded(file: str, generated: Mapping[str, str], included: set[str] | None
 def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
     """Set uniforms of a program returned by `linked`; values that have not changed are not sent again.
 
-    Parameters
-    ----------
-    program : moderngl.Program
-    **uniforms
-        Values by name.  Setting a uniform that the driver has optimised away is an error.
+    `**uniforms`: values by name; setting a uniform that the driver has optimised away is an error.
     """
     given = program.extra
     for name, value in uniforms.items():
@@ -115,9 +94,6 @@ def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...
 def set_used_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
     """Set those uniforms that a program has: variants of a shader use some of them.
 
-    Parameters
-    ----------
-    program, **uniforms
-        As for `set_uniforms`.
+    `program`, `**uniforms`: as for `set_uniforms`.
     """
     set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})

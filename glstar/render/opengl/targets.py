@@ -33,14 +33,7 @@ class SignalTarget:
 
     A point whose centre lies outside the target is clipped entirely, so the target extends beyond the image by a guard
     band, from which stars contribute with a part of their sprite.  Half-float would lose single sub-exposures.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    width_px, height_px : int
-        Size of the image.
-    guard_band_px : int
-        Width of the border around it.
+    `width_px`, `height_px`: size of the image; `guard_band_px`: width of the border around it.
     """
 
     def __init__(self, context: moderngl.Context, width_px: int, height_px: int, guard_band_px: int) -> None:
@@ -62,15 +55,8 @@ class SignalTarget:
 class Targets(SignalTarget):
     """The signal target of an image, and the image that is developed from it.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    width_px, height_px : int
-        Size of the image.
-    guard_band_px : int
-        Width of the signal's border around it.
-    sixteen_bits : bool
-        Whether the image has 16 bits per pixel instead of 8.
+    `width_px`, `height_px`: size of the image; `guard_band_px`: width of the signal's border around it; `sixteen_bits`:
+    whether the image has 16 bits per pixel instead of 8.
     """
 
     def __init__(
@@ -159,10 +145,7 @@ class _DisplayTexture:
 class GuardBands:
     """Widths of guard bands; that of the previous scene is kept, because a flight's scenes have the same sensor.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-        Its driver limits the size of images.
+    `context`: its driver limits the size of images.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -172,19 +155,8 @@ class GuardBands:
     def of(self, scene: Scene) -> int:
         """Return the width of the guard band around a pinhole's image.
 
-        Parameters
-        ----------
-        scene : Scene
-
-        Returns
-        -------
-        int
-            px, for the brightest star, whether visible or not.
-
-        Raises
-        ------
-        RenderError
-            If the image is larger than the driver draws.
+        Returns: px, for the brightest star, whether visible or not.  Raises RenderError if the image is larger than the
+        driver draws.
         """
         largest = _largest(scene)
         known = self._last
@@ -235,14 +207,7 @@ def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int
 class StackTexture:
     """The stacked image that was developed last, and the texture that shows it.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-
-    Attributes
-    ----------
-    frame : Frame or None
-        The image; None if the one developed last is a single exposure.
+    `frame`: the image; None if the one developed last is a single exposure.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -255,20 +220,8 @@ class StackTexture:
     ) -> Frame:
         """Draw a stacked image.
 
-        Parameters
-        ----------
-        render : callable
-            Draws a single exposure: ``render(scene, seed=seed, light=light, noiseless=noiseless)``.
-        scene : Scene
-            With `Scene.shorts`.
-        seed : int
-        light, noiseless : bool
-            For `render`.
-
-        Returns
-        -------
-        Frame
-            `frame`, from now on.
+        `render`: draws a single exposure: ``render(scene, seed=seed, light=light, noiseless=noiseless)``; `scene`: with
+        `Scene.shorts`; `light`, `noiseless`: for `render`.  Returns `frame`, from now on.
         """
         self.frame = stacked = stacked_frame(partial(render, light=light, noiseless=noiseless), scene, seed=seed)
         return stacked
@@ -303,12 +256,7 @@ class _Pending(NamedTuple):
 
 
 class Readback:
-    """Images that are being copied to buffers, in the order in which they were started.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    """
+    """Images that are being copied to buffers, in the order in which they were started."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -318,12 +266,7 @@ class Readback:
     def begin(self, targets: Targets, *, light: bool) -> None:
         """Start to copy a developed image; the noiseless signal is copied at once.
 
-        Parameters
-        ----------
-        targets : Targets
-            With a scene and a seed.
-        light : bool
-            Whether to copy the noiseless signal too.
+        `targets`: with a scene and a seed; `light`: whether to copy the noiseless signal too.
         """
         assert targets.scene is not None
         assert targets.seed is not None
@@ -333,26 +276,11 @@ class Readback:
         self._pending.append(_Pending(buffer, targets, targets.scene.exposure, targets.seed, light_dn))
 
     def add(self, frame: Frame) -> None:
-        """Add an image that has been read already, in the order of those that were started.
-
-        Parameters
-        ----------
-        frame : Frame
-        """
+        """Add an image that has been read already, in the order of those that were started."""
         self._pending.append(frame)
 
     def end(self) -> Frame:
-        """Return the earliest image that was started and not yet returned.
-
-        Returns
-        -------
-        Frame
-
-        Raises
-        ------
-        RenderError
-            If there is none.
-        """
+        """Return the earliest image that was started and not yet returned; raises RenderError if there is none."""
         if not self._pending:
             raise RenderError("no image is being read: call begin_read first")
         pending = self._pending.popleft()
@@ -399,12 +327,7 @@ def wait_until_drawn(context: moderngl.Context) -> None:
     """Wait until everything that was drawn on the current context is complete.
 
     ModernGL holds Python's lock while it waits, so that a scene could not be composed meanwhile; a function that is
-    called through ctypes does not.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        The current one.
+    called through ctypes does not.  `context`: the current one.
     """
     library = _library()
     if library is None:

@@ -33,17 +33,7 @@ _MOST_FIELDS, _MOST_SINGLE_STARS = 2, 8
 def superseded_field(uploaded: Sequence[StarField], stars: StarField) -> int | None:
     """Return which of the uploaded fields makes place for another.
 
-    Parameters
-    ----------
-    uploaded : sequence of StarField
-        The one drawn longest ago first.
-    stars : StarField
-        The other one.
-
-    Returns
-    -------
-    int or None
-        Its index; None if none has to.
+    `uploaded`: the one drawn longest ago first; `stars`: the other one.  Returns: its index; None if none has to.
     """
     alike = [number for number, field in enumerate(uploaded) if (len(field) == 1) == (len(stars) == 1)]
     most = _MOST_SINGLE_STARS if len(stars) == 1 else _MOST_FIELDS
@@ -53,16 +43,8 @@ def superseded_field(uploaded: Sequence[StarField], stars: StarField) -> int | N
 def packed_stars(stars: StarField, *, multiple: int = 1) -> NDArray[np.float32]:
     """Return directions and brightness of stars, as the shaders read them.
 
-    Parameters
-    ----------
-    stars : StarField
-    multiple : int
-        The number of rows is rounded up to a multiple of this, and at least this.
-
-    Returns
-    -------
-    (rows, 4) float32
-        Geocentric apparent unit vector, and 10^(-0.4 V); zeros after the last star.
+    `multiple`: the number of rows is rounded up to a multiple of this, and at least this.  Returns (rows, 4) float32:
+    geocentric apparent unit vector, and 10^(-0.4 V); zeros after the last star.
     """
     rows = max(-(-len(stars) // multiple), 1) * multiple
     packed = np.zeros((rows, 4), np.float32)
@@ -72,13 +54,7 @@ def packed_stars(stars: StarField, *, multiple: int = 1) -> NDArray[np.float32]:
 
 
 class StarBuffers:
-    """The vertex buffers of one star field, and the indices of those stars that the next image shows.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    stars : StarField
-    """
+    """The vertex buffers of one star field, and the indices of those stars that the next image shows."""
 
     def __init__(self, context: moderngl.Context, stars: StarField) -> None:
         self.stars = stars
@@ -131,12 +107,7 @@ STARS_PER_ROW: Final = 1024
 
 
 class StarTextures:
-    """The textures of those star fields that were drawn last.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    """
+    """The textures of those star fields that were drawn last."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -145,14 +116,7 @@ class StarTextures:
     def of(self, stars: StarField) -> moderngl.Texture:
         """Return the texture of a field: directions and brightness in rows of `STARS_PER_ROW`.
 
-        Parameters
-        ----------
-        stars : StarField
-
-        Returns
-        -------
-        moderngl.Texture
-            Until two other fields have been asked for.
+        Returns: until two other fields have been asked for.
         """
         known = [number for number, (field, _) in enumerate(self._uploaded) if field is stars]
         if known:
@@ -177,12 +141,7 @@ PASSAGE_COLUMNS: Final = 1024
 
 
 class PassageTexture:
-    """A texture of one float32 per texel that grows with its content.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    """
+    """A texture of one float32 per texel that grows with its content."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -223,17 +182,8 @@ TEXELS_PER_TIME: Final = 5
 def pointing_texels(pointing: Pointing, *, multiple: int = 1) -> NDArray[np.float32]:
     """Return a pointing packed into texels.
 
-    Parameters
-    ----------
-    pointing : Pointing
-        At n times.
-    multiple : int
-        The number of rows is rounded up to a multiple of this; rows of zeros are behind the camera.
-
-    Returns
-    -------
-    (rows, 5, 4) float32
-        The fourth components are 0 and free for other data.
+    `pointing`: at n times; `multiple`: the number of rows is rounded up to a multiple of this; rows of zeros are behind
+    the camera.  Returns (rows, 5, 4) float32: the fourth components are 0 and free for other data.
     """
     n = len(pointing)
     texels = np.zeros((-(-n // multiple) * multiple, TEXELS_PER_TIME, 4), np.float32)
@@ -246,17 +196,7 @@ def pointing_texels(pointing: Pointing, *, multiple: int = 1) -> NDArray[np.floa
 def projection_uniforms(camera: Camera, pointing: Pointing, guard_band_px: int) -> dict[str, Any]:
     """Return the uniforms of `projection.glsl` that do not depend on time.
 
-    Parameters
-    ----------
-    camera : Camera
-        A pinhole.
-    pointing : Pointing
-    guard_band_px : int
-        Width of the target's border around the image.
-
-    Returns
-    -------
-    dict
+    `camera`: a pinhole; `guard_band_px`: width of the target's border around the image.
     """
     return {
         "refraction_scale": pointing.refraction_scale,
@@ -278,48 +218,23 @@ _STEP_PX: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadoutClock:
-    """When the pixels of a target open.
+    """When the pixels of a target open."""
 
-    Attributes
-    ----------
-    rows : int
-        The constant ROWS of the shaders: 0 for a global shutter, 1 for a pinhole, 2 behind a lens.
-    span : float
-        Time from the first opening to the last closing, in exposure times: 1 for a global shutter.
-    opening : tuple of float
-        Of ROWS 1: coefficients of x, y (coordinates of gl_FragCoord) and 1, fractions of the span.
-    per_px : float
-        Of a rolling shutter: bound of the change of the opening time per pixel of the target, a fraction of the span.
-    texture : moderngl.Texture or None
-        Of ROWS 2: the opening times.
-    times : (rows, columns) float64 or None
-        The same.
-    resampling_px2 : float
-        Behind a lens: variance that resampling will add to what is drawn, px^2 of the target.
-    """
-
-    rows: int = 0
-    span: float = 1.0
+    rows: int = 0  # The constant ROWS of the shaders: 0 for a global shutter, 1 for a pinhole, 2 behind a lens
+    span: float = 1.0  # Time from the first opening to the last closing, in exposure times: 1 for a global shutter
+    # Of ROWS 1: coefficients of x, y (coordinates of gl_FragCoord) and 1, fractions of the span.
     opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Of a rolling shutter: bound of the change of the opening time per pixel of the target, a fraction of the span.
     per_px: float = 0.0
-    texture: moderngl.Texture | None = None
-    times: Float | None = None
-    resampling_px2: float = 0.0
+    texture: moderngl.Texture | None = None  # Of ROWS 2: the opening times
+    times: Float | None = None  # (rows, columns) or None: the same
+    resampling_px2: float = 0.0  # Behind a lens: variance that resampling will add to what is drawn, px^2 of the target
 
     def openings(self, guard_band_px: int, sigma_px: float) -> PixelOpenings | None:
         """Return when the pixels of the image open that the target is drawn for.
 
-        Parameters
-        ----------
-        guard_band_px : int
-            Width of the target's border around that image.
-        sigma_px : float
-            Standard deviation of the stars that are drawn, px of the target.
-
-        Returns
-        -------
-        PixelOpenings or None
-            None for a global shutter.
+        `guard_band_px`: width of the target's border around that image; `sigma_px`: standard deviation of the stars
+        that are drawn, px of the target.  Returns: none for a global shutter.
         """
         if not self.rows:
             return None
@@ -342,11 +257,7 @@ class ReadoutClock:
     def bind(self, program: moderngl.Program, sigma_px: float) -> None:
         """Set those uniforms of readout.glsl that a program has, and use the texture.
 
-        Parameters
-        ----------
-        program : moderngl.Program
-        sigma_px : float
-            Standard deviation of the stars that it draws, px of the target.
+        `sigma_px`: standard deviation of the stars that it draws, px of the target.
         """
         if not self.rows:
             return
@@ -366,16 +277,7 @@ GLOBAL_SHUTTER: Final = ReadoutClock()
 def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> ReadoutClock:
     """Return when the pixels of a pinhole's target open.
 
-    Parameters
-    ----------
-    exposure : Exposure
-    camera : Camera
-    guard_band_px : int
-        Width of the target's border around the image.
-
-    Returns
-    -------
-    ReadoutClock
+    `guard_band_px`: width of the target's border around the image.
     """
     if exposure.readout_s == 0:
         return GLOBAL_SHUTTER
@@ -390,11 +292,7 @@ def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> Rea
 class LensOpenings:
     """Opening times behind a lens: those of the distorted rows, over the target of the undistorted signal.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    camera : Camera
-        With a lens.
+    `camera`: with a lens.
     """
 
     def __init__(self, context: moderngl.Context, camera: Camera) -> None:
@@ -406,20 +304,9 @@ class LensOpenings:
     def clock(self, exposure: Exposure, undistorted: Camera, guard_band_px: int, resampling_px2: float) -> ReadoutClock:
         """Return when the pixels of the undistorted target open.
 
-        Parameters
-        ----------
-        exposure : Exposure
-        undistorted : Camera
-            The pinhole that draws the target.
-        guard_band_px : int
-            Width of the target's border around the pinhole's image.
-        resampling_px2 : float
-            Variance that resampling adds to the undistorted signal, px^2 of its target.
-
-        Returns
-        -------
-        ReadoutClock
-            Valid until the next call.
+        `undistorted`: the pinhole that draws the target; `guard_band_px`: width of the target's border around the
+        pinhole's image; `resampling_px2`: variance that resampling adds to the undistorted signal, px^2 of its target.
+        Returns: valid until the next call.
         """
         if exposure.readout_s == 0:
             return ReadoutClock(resampling_px2=resampling_px2)

@@ -35,23 +35,12 @@ _MOST_BLURRED: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PixelOpenings:
-    """When the pixels of a drawn image open, in fractions of the time from the first opening to the last closing.
+    """When the pixels of a drawn image open, in fractions of the time from the first opening to the last closing."""
 
-    Attributes
-    ----------
-    open_time : float
-        How long each pixel is open.
-    per_px : float
-        Upper bound of the change of the opening time per pixel.
-    reach : float
-        How far from a star the pixels are whose rows matter, in truncation radii: 1, and more behind a lens.
-    at : callable
-        Returns the opening times, (n,), of positions on the image, (n, 2) px; of those beside it any.
-    """
-
-    open_time: float
-    per_px: float
-    reach: float
+    open_time: float  # How long each pixel is open
+    per_px: float  # Upper bound of the change of the opening time per pixel
+    reach: float  # How far from a star the pixels are whose rows matter, in truncation radii: 1, and more behind a lens
+    # Returns the opening times, (n,), of positions on the image, (n, 2) px; of those beside it any.
     at: Callable[[Float], Float]
 
     @property
@@ -66,19 +55,12 @@ class PixelOpenings:
 
 
 class OpenPieces(NamedTuple):
-    """Which pieces of the trails of k stars a rolling shutter records in full.
+    """Which pieces of the trails of k stars a rolling shutter records in full."""
 
-    Attributes
-    ----------
-    first, last : (k,) intp
-        From the first to the one before the last; none where they are equal.
-    opens, closes : (k,) float64
-        Bounds of the times at which the first row that a star lights opens, and the last one closes: fractions of the
-        exposure.
-    """
-
-    first: NDArray[np.intp]
+    first: NDArray[np.intp]  # (k,) intp: from the first to the one before the last; none where they are equal
     last: NDArray[np.intp]
+    # (k,) bounds of the times at which the first row that a star lights opens, and the last one closes: fractions of
+    # the exposure.
     opens: Float
     closes: Float
 
@@ -89,18 +71,10 @@ class OpenPieces(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentColumns:
-    """Parts of trails that are drawn in segments.
+    """Parts of trails that are drawn in segments."""
 
-    Attributes
-    ----------
-    star : (c,) intp
-        Index into the draw list.
-    rises_and_sets : (c, 2) float64
-        When a part begins and ends, as `horizoncrossing.rise_and_set` has it.
-    """
-
-    star: NDArray[np.intp]
-    rises_and_sets: Float
+    star: NDArray[np.intp]  # (c,) intp: index into the draw list
+    rises_and_sets: Float  # (c, 2) when a part begins and ends, as `horizoncrossing.rise_and_set` has it
 
     def of(self, columns: slice | NDArray[np.bool_]) -> "SegmentColumns":
         """Return some of the parts."""
@@ -120,43 +94,21 @@ def overtaking(trails: AnalyticSegments, camera: Camera, openings: PixelOpenings
 
 
 class OpenSpans(NamedTuple):
-    """When all rows are open that a star lights, of k stars, and when any of them is: fractions of the exposure.
+    """When all rows are open that a star lights, of k stars, and when any of them is: fractions of the exposure."""
 
-    Attributes
-    ----------
-    begin, end : (k,) float64
-        All are open from the first to the second, if that is later; NaN if unknown.
-    opens, closes : (k,) float64
-        Bounds of the times at which the first one opens, and the last one closes.
-    """
-
-    begin: Float
+    begin: Float  # (k,) all are open from the first to the second, if that is later; NaN if unknown
     end: Float
-    opens: Float
+    opens: Float  # (k,) bounds of the times at which the first one opens, and the last one closes
     closes: Float
 
 
 def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSpans | None:
     """Return when all rows are open that the stars of a scene light.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its stars are up throughout the exposure.
-    reach_px : (k,) float64
-        How far from its position each star is drawn.
-    openings : PixelOpenings
-
-    Returns
-    -------
-    OpenSpans or None
-        None where stars may be as fast as the readout.
-
-    Notes
-    -----
-    A star at p(t) meets an opening row at t = o(p(t)).  Where it is slower than the readout, o(p(t)) is a contraction:
-    there is one solution, and a row that opens by d later meets the star by d / (1 - r) later at most, r the ratio of
-    the speeds.
+    `scene`: its stars are up throughout the exposure; `reach_px` (k,): how far from its position each star is drawn.
+    Returns: none where stars may be as fast as the readout.  A star at p(t) meets an opening row at t = o(p(t)).
+    Where it is slower than the readout, o(p(t)) is a contraction: there is one solution, and a row that opens by d
+    later meets the star by d / (1 - r) later at most, r the ratio of the speeds.
     """
     trails = scene.trails
     assert isinstance(trails, AnalyticSegments)
@@ -201,19 +153,10 @@ def _opening_times(scene: Scene, times: Float, openings: PixelOpenings) -> Float
 def _meeting(times: Float, is_inner: NDArray[np.bool_], opens: Float, last: float) -> tuple[Float, Float]:
     """Return when stars meet the rows that open, and bounds of the error of that row's opening, (k,) both.
 
-    Parameters
-    ----------
-    times : (n,) float64
-    is_inner : (n,) bool
-        Which times are halfway between their neighbours on a smooth path.
-    opens : (n, k) float64
-        When the rows open in which the stars are then; they meet once, where this is the time.
-    last : float
-        When the last row opens.
-
-    Notes
-    -----
-    A line between two times differs from a quadratic by an eighth of the second difference at most; here by a quarter.
+    `times` (n,); `is_inner` (n,) bool: which times are halfway between their neighbours on a smooth path; `opens` (n,
+    k): when the rows open in which the stars are then; they meet once, where this is the time; `last`: when the last
+    row opens.  A line between two times differs from a quadratic by an eighth of the second difference at most; here
+    by a quarter.
     """
     inner = np.flatnonzero(is_inner)
     bend = np.abs(opens[inner - 1] - 2 * opens[inner] + opens[inner + 1]).max(axis=0) / 4
@@ -228,16 +171,8 @@ def _meeting(times: Float, is_inner: NDArray[np.bool_], opens: Float, last: floa
 def open_pieces(spans: OpenSpans, ends: Float) -> OpenPieces:
     """Return which pieces of trails are recorded in full.
 
-    Parameters
-    ----------
-    spans : OpenSpans
-        When all rows are open that the stars light.
-    ends : (n + 1,) float64
-        Where pieces begin and end, fractions of the exposure.
-
-    Returns
-    -------
-    OpenPieces
+    `spans`: when all rows are open that the stars light; `ends` (n + 1,): where pieces begin and end, fractions of the
+    exposure.
     """
     first = np.searchsorted(ends, np.nan_to_num(spans.begin, nan=1.0) - _ROUNDING)
     last = np.searchsorted(ends, np.nan_to_num(spans.end, nan=0.0) + _ROUNDING, side="right") - 1
@@ -252,25 +187,14 @@ _LENGTH_SIGMA: Final = 1.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndPieces:
-    """Pieces of trails that a rolling shutter records in part; each lies within one segment.
+    """Pieces of trails that a rolling shutter records in part; each lies within one segment."""
 
-    Attributes
-    ----------
-    pointing : Pointing
-        At the start, the middle and the end of each of n pieces: 3 n times.
-    begin, duration : (n,) float64
-        Fractions of the exposure.
-    star, piece : (c,) intp
-        Which star, an index into the draw list, is drawn during which piece.
-    passage : (k, n) float32 or None
-        What cloud transmits of each star in the draw list during each piece; None without cloud.
-    """
-
-    pointing: Pointing
-    begin: Float
+    pointing: Pointing  # At the start, the middle and the end of each of n pieces: 3 n times
+    begin: Float  # (n,) fractions of the exposure
     duration: Float
-    star: NDArray[np.intp]
+    star: NDArray[np.intp]  # (c,) intp: which star, an index into the draw list, is drawn during which piece
     piece: NDArray[np.intp]
+    # (k, n) float32 or None: what cloud transmits of each star in the draw list during each piece; None without cloud.
     passage: NDArray[np.float32] | None = None
 
 
@@ -283,21 +207,9 @@ def end_pieces(
 ) -> EndPieces:
     """Return the pieces of trails that are recorded in part.
 
-    Parameters
-    ----------
-    path : CameraPath
-    bounds : (n + 1,) float64
-        Where the pieces begin and end that are recorded in full, numbers of segments.
-    stars : (k,) intp
-        Indices into the draw list.
-    recorded : OpenPieces
-        Which of those pieces are recorded: of each star at least one.
-    passage : (m, s) float32, optional
-        What cloud transmits of each star of the draw list during each segment.
-
-    Returns
-    -------
-    EndPieces
+    `bounds` (n + 1,): where the pieces begin and end that are recorded in full, numbers of segments; `stars` (k,) intp:
+    indices into the draw list; `recorded`: which of those pieces are recorded: of each star at least one; `passage` (m,
+    s) float32: what cloud transmits of each star of the draw list during each segment.
     """
     ends = np.union1d(bounds, np.arange(len(path) + 1))
     times = path.times(ends)
@@ -319,21 +231,11 @@ def end_pieces(
 
 
 class DividedTrails(NamedTuple):
-    """The trails of a scene's stars in parts.
+    """The trails of a scene's stars in parts."""
 
-    Attributes
-    ----------
-    while_open : SegmentColumns
-        While all rows are open that a star lights.
-    ends : EndPieces
-        Before and after, of the same stars.
-    whole : SegmentColumns
-        The trails of the other stars, which rise or set.
-    """
-
-    while_open: SegmentColumns
-    ends: EndPieces
-    whole: SegmentColumns
+    while_open: SegmentColumns  # While all rows are open that a star lights
+    ends: EndPieces  # Before and after, of the same stars
+    whole: SegmentColumns  # The trails of the other stars, which rise or set
 
 
 def are_worth_dividing(trails: AnalyticSegments, camera: Camera, sigma_px: float) -> bool:

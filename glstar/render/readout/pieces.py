@@ -24,27 +24,18 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PieceLimits:
-    """How long pieces may be.
+    """How long pieces may be."""
 
-    Attributes
-    ----------
-    length_sigma : float
-        Length of the path of a star during a piece, in standard deviations of the star as the pixels record it.
-        Gaussians at equal distances h along a line, each with the variance h^2 / 12 of its piece, add up to a line
-        with a ripple of 2 exp(-2 pi^2 (1 + h^2 / 12) / h^2): 0.01 % at 1.55.
-    skewness_error : float
-        Largest error of the flux due to the third moments of the motion during a piece, relative to its height.
-    kurtosis_error : float
-        Largest error due to the fourth cumulants.  It is at least that of a uniform motion over `length_sigma`, 0.42 %:
-        where a star moves on, neighbouring pieces make up for it; where it turns back, they do not.
-    halvings : int
-        How often a piece may be halved for these.
-    """
-
+    # Length of the path of a star during a piece, in standard deviations of the star as the pixels record it; Gaussians
+    # at equal distances h along a line, each with the variance h^2 / 12 of its piece, add up to a line with a ripple of
+    # 2 exp(-2 pi^2 (1 + h^2 / 12) / h^2): 0.01 % at 1.55.
     length_sigma: float = 1.55
+    # Largest error of the flux due to the third moments of the motion during a piece, relative to its height.
     skewness_error: float = 2e-3
+    # Largest error due to the fourth cumulants; it is at least that of a uniform motion over `length_sigma`, 0.42 %:
+    # where a star moves on, neighbouring pieces make up for it; where it turns back, they do not.
     kurtosis_error: float = 4.7e-3
-    halvings: int = 6
+    halvings: int = 6  # How often a piece may be halved for these
 
     @property
     def widening(self) -> float:
@@ -62,16 +53,8 @@ class PieceLimits:
     def sprite_px(self, radius_px: Float, sigma_px: float) -> Float:
         """Return the largest side of the sprites of stars, px.
 
-        Parameters
-        ----------
-        radius_px : (k,) float64
-            Truncation radii.
-        sigma_px : float
-            Standard deviation of a star as the pixels record it, px.
-
-        Returns
-        -------
-        (k,) float64
+        `radius_px` (k,): truncation radii; `sigma_px`: standard deviation of a star as the pixels record it, px.
+        Returns (k,).
         """
         path_px = PIECES_PER_SPRITE * self.length_sigma * sigma_px
         return np.asarray(2 * radius_px * self.widening + path_px + 2 * SNAPPING_PX)
@@ -79,21 +62,11 @@ class PieceLimits:
 
 @dataclass(frozen=True, slots=True)
 class PieceCosts:
-    """Where pieces cost less than segments, measured on Mesa llvmpipe with exposures of real flights.
+    """Where pieces cost less than segments, measured on Mesa llvmpipe with exposures of real flights."""
 
-    Attributes
-    ----------
-    min_segments : int
-        The fewest segments.
-    pieces_per_segment : float
-        The most pieces per segment: twenty cost as much as one of the longest.
-    min_faint_sprites : float
-        Sprites that cost as much as pieces of another length, and their draw call.
-    """
-
-    min_segments: int = 6
-    pieces_per_segment: float = 18.0
-    min_faint_sprites: float = 1500.0
+    min_segments: int = 6  # The fewest segments
+    pieces_per_segment: float = 18.0  # The most pieces per segment: twenty cost as much as one of the longest
+    min_faint_sprites: float = 1500.0  # Sprites that cost as much as pieces of another length, and their draw call
 
 
 PIECE_LIMITS: Final = PieceLimits()
@@ -114,40 +87,23 @@ _NONE: Final = np.zeros(0, np.intp)
 
 
 class ScenePart(NamedTuple):
-    """Stars that are drawn in pieces of the same lengths.
+    """Stars that are drawn in pieces of the same lengths."""
 
-    Attributes
-    ----------
-    scene : Scene
-        With these stars.
-    pieces : TrailPieces
-    drawn : (2, k) intp or None
-        Under a rolling shutter, the first piece of each star that is recorded in full, and the one after the last; None
-        for all.
-    ends : EndPieces or None
-        Under a rolling shutter, the pieces of the same stars that are recorded in part.
-    """
-
-    scene: Scene
+    scene: Scene  # With these stars
     pieces: TrailPieces
+    # (2, k) intp or None: under a rolling shutter, the first piece of each star that is recorded in full, and the one
+    # after the last; None for all.
     drawn: NDArray[np.intp] | None = None
-    ends: EndPieces | None = None
+    ends: EndPieces | None = None  # Under a rolling shutter, the pieces of the same stars that are recorded in part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DividedScene:
-    """A scene whose stars are drawn in pieces, but for some.
+    """A scene whose stars are drawn in pieces, but for some."""
 
-    Attributes
-    ----------
-    parts : tuple of ScenePart
-        The stars that are drawn in pieces: all of them, or bright and faint ones.
-    rest : Scene
-        Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
-        whose sprites would be larger than the driver draws.
-    """
-
-    parts: tuple[ScenePart, ...]
+    parts: tuple[ScenePart, ...]  # The stars that are drawn in pieces: all of them, or bright and faint ones
+    # Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
+    # whose sprites would be larger than the driver draws.
     rest: Scene
 
 
@@ -161,21 +117,8 @@ def in_pieces(
 ) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
-    Parameters
-    ----------
-    scene : Scene
-    trails : AnalyticSegments
-        The scene's.
-    costs : PieceCosts, optional
-    largest_point_px : float, optional
-        The largest point sprite of the driver, px.
-    openings : PixelOpenings, optional
-        Of a rolling shutter.
-
-    Returns
-    -------
-    DividedScene or None
-        None too for stars so narrow that the area of a pixel is integrated over.
+    `trails`: the scene's; `largest_point_px`: the largest point sprite of the driver, px; `openings`: of a rolling
+    shutter.  Returns: none too for stars so narrow that the area of a pixel is integrated over.
     """
     sensor, drawn = scene.sensor, scene.draw_list
     if sensor.needs_erf or len(trails) < costs.min_segments:
@@ -282,23 +225,9 @@ def trail_pieces(
 ) -> TrailPieces | None:
     """Return the pieces of the trails of an exposure.
 
-    Parameters
-    ----------
-    trails : AnalyticSegments
-    camera : Camera
-        Behind a lens trails are drawn in the undistorted image plane.
-    sigma_px : float
-        Standard deviation of a star there as the pixels record it, px.
-    limits : PieceLimits, optional
-    most : float
-        The most pieces.
-    divided_at : (k,) intp
-        Segments before which pieces end.
-
-    Returns
-    -------
-    TrailPieces or None
-        None if there are more than `most`.
+    `camera`: behind a lens trails are drawn in the undistorted image plane; `sigma_px`: standard deviation of a star
+    there as the pixels record it, px; `most`: the most pieces; `divided_at` (k,) intp: segments before which pieces
+    end.  Returns: none if there are more than `most`.
     """
     return _divided(CameraPath(trails, camera), sigma_px, limits, most, divided_at)
 

@@ -38,29 +38,18 @@ _AT_ONCE_S: Final = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedTimes:
-    """When the rows that a star's centre crosses record it.
+    """When the rows that a star's centre crosses record it."""
 
-    Attributes
-    ----------
-    opens_s, closes_s : (k,) float64
-        From the start of the exposure until the row of its centre first opens and last closes, s.
-    exposed_s : (k,) float64
-        How long the row of its centre is open, s: T / (1 - v tau) for a star that moves by v rows per second; the sum
-        of the short exposures of a stacked image.
-    positions : (3, k, 2) float64
-        Its positions (x, y) at its opening, in the middle between both, and at its closing, px; NaN behind the camera
-        and below the horizon.
-    mid_offset_s : (k,) float64
-        That middle, s after the middle of the exposure.
-    shorts : tuple of RecordedTimes
-        Those of each short exposure of a stacked image; empty for a single exposure.
-    """
-
-    opens_s: Float
+    opens_s: Float  # (k,) from the start of the exposure until the row of its centre first opens and last closes, s
     closes_s: Float
+    # (k,) how long the row of its centre is open, s: T / (1 - v tau) for a star that moves by v rows per second; the
+    # sum of the short exposures of a stacked image.
     exposed_s: Float
+    # (3, k, 2) its positions (x, y) at its opening, in the middle between both, and at its closing, px; NaN behind the
+    # camera and below the horizon.
     positions: Float
-    mid_offset_s: Float
+    mid_offset_s: Float  # (k,) that middle, s after the middle of the exposure
+    # Those of each short exposure of a stacked image; empty for a single exposure.
     shorts: tuple["RecordedTimes", ...] = ()
 
     def __getitem__(self, stars: NDArray[np.intp]) -> "RecordedTimes":
@@ -77,21 +66,9 @@ class RecordedTimes:
 def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     """Return when a rolling shutter records stars.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a readout time; of a single exposure or of a stacked image.
-    direction_eq : (k, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-
-    Returns
-    -------
-    RecordedTimes
-
-    Notes
-    -----
-    A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the
-    first or the last one.
+    `scene`: with a readout time; of a single exposure or of a stacked image; `direction_eq` (k, 3): geocentric apparent
+    unit vectors, true equator and equinox.  A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows
+    beyond the border count as the first or the last one.
     """
     return RowTimeSearch(scene).times(direction_eq)
 
@@ -99,10 +76,7 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
 class RowTimeSearch:
     """Finds when a rolling shutter records stars of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a readout time; of a single exposure or of a stacked image.
+    `scene`: with a readout time; of a single exposure or of a stacked image.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -220,17 +194,8 @@ class RowTimeSearch:
     def _crossings(self, direction_eq: Float, since_opening_s: Float) -> tuple[Float, Float]:
         """Return when the row of each star opens for the first and closes for the last time, and where the star is.
 
-        Parameters
-        ----------
-        direction_eq : (k, 3) float64
-        since_opening_s : (2, n, k) float64
-
-        Returns
-        -------
-        crossing_s : (2, k) float64
-            Opening and closing, s after the start of the exposure.
-        xy_px : (2, k, 2) float64
-            Positions then.
+        `direction_eq` (k, 3); `since_opening_s` (2, n, k).  Returns `crossing_s` (2, k): opening and closing, s after
+        the start of the exposure; `xy_px` (2, k, 2): positions then.
         """
         stars = len(direction_eq)
         duration_s = self._scene.exposure.duration_s
@@ -280,19 +245,11 @@ class RowTimeSearch:
 
 
 class OpenPath(NamedTuple):
-    """When the rows of m stars open and close, and where the stars are then.
+    """When the rows of m stars open and close, and where the stars are then."""
 
-    Attributes
-    ----------
-    opens_s, closes_s : (m,) float64
-        s after the start of the exposure.
-    first_px, last_px : (2, m) float64
-        Columns and rows, px.
-    """
-
-    opens_s: Float
+    opens_s: Float  # (m,) s after the start of the exposure
     closes_s: Float
-    first_px: Float
+    first_px: Float  # (2, m) columns and rows, px
     last_px: Float
 
     @classmethod
@@ -305,13 +262,7 @@ class OpenPath(NamedTuple):
     def along(cls, xy_px: Float, times_s: Float, exposure: Exposure, camera: Camera) -> Self:
         """Return those of stars that move on lines between their positions at some times.
 
-        Parameters
-        ----------
-        xy_px : (2, n, m) float64
-        times_s : (n,) float64
-            s after the start of the exposure.
-        exposure : Exposure
-        camera : Camera
+        `xy_px` (2, n, m); `times_s` (n,): s after the start of the exposure.
         """
         since_s = times_s[:, np.newaxis] - _delay_s(exposure, camera, np.moveaxis(xy_px, 0, -1))
         star, ends = np.arange(xy_px.shape[2]), []
@@ -366,11 +317,7 @@ def recorded_rows(scene: Scene, index: NDArray[np.int32], rows: RowTimeSearch | 
 def exposed_fraction(exposure: Exposure, recorded: RecordedTimes | None) -> Float | float:
     """Return how long stars are recorded over the exposure time of all short exposures, (k,); 1 for a global shutter.
 
-    Parameters
-    ----------
-    exposure : Exposure
-    recorded : RecordedTimes or None
-        When each star is recorded; None for a global shutter.
+    `recorded`: when each star is recorded; None for a global shutter.
     """
     return 1.0 if recorded is None else recorded.exposed_s / (exposure.duration_s * exposure.frames)
 
@@ -378,22 +325,12 @@ def exposed_fraction(exposure: Exposure, recorded: RecordedTimes | None) -> Floa
 def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) -> dict[str, Float]:
     """Return the columns of stars in the truth of a rolling shutter.
 
-    Parameters
-    ----------
-    scene : Scene
-    recorded : RecordedTimes or None
-        When each star is recorded.
-    flux_dn : (k,) float64
-        Flux of each star on the image if it did not move, DN.
-
-    Returns
-    -------
-    dict
-        ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``;
-        ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between
-        rows, and the sum of the short exposures of a stacked image; ``light_dn``: the flux that it leaves, ``flux_dn``
-        times ``exposed_s`` over the exposure time of all short exposures.  Position, ``start``, ``end``, centroid and
-        ``in_frame`` of the star belong to the same time.  Empty for a global shutter.
+    `recorded`: when each star is recorded; `flux_dn` (k,): flux of each star on the image if it did not move, DN.
+    Returns ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``;
+    ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between rows,
+    and the sum of the short exposures of a stacked image; ``light_dn``: the flux that it leaves, ``flux_dn`` times
+    ``exposed_s`` over the exposure time of all short exposures; position, ``start``, ``end``, centroid and ``in_frame``
+    of the star belong to the same time; empty for a global shutter.
     """
     if recorded is None:
         return {}
@@ -405,24 +342,14 @@ def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) ->
 
 
 class RecordedPart(NamedTuple):
-    """The true paths of stars during a part of an exposure, and when a rolling shutter records them.
-
-    Attributes
-    ----------
-    paths : SampledPaths or ConicPaths
-    opens, closes : (k,) float64
-        When each star is first and last recorded: fractions of a short exposure since the start of the part.
-    scale : float
-        The length of a short exposure, over the time for which all short exposures expose a row.
-    shorts : int
-        Number of short exposures.
-    """
+    """The true paths of stars during a part of an exposure, and when a rolling shutter records them."""
 
     paths: SampledPaths | ConicPaths
+    # (k,) when each star is first and last recorded: fractions of a short exposure since the start of the part.
     opens: Float
     closes: Float
-    scale: float
-    shorts: int
+    scale: float  # The length of a short exposure, over the time for which all short exposures expose a row
+    shorts: int  # Number of short exposures
 
     @property
     def recorded(self) -> Float:
@@ -462,24 +389,11 @@ def recorded_samples(
 ) -> Iterator[tuple[Float, Float, Float]]:
     """Yield the true paths of stars while a rolling shutter records them.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a readout time; of a single exposure or of a stacked image.
-    direction_eq : (k, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    recorded : RecordedTimes, optional
-        `recorded_times` of the same, if known.
-
-    Yields
-    ------
-    xy_px : (n, k, 2) float64
-        Positions at n times; NaN behind the camera and below the horizon.
-    time_fraction : (n,) float64
-        The parts of the time from the first opening to the last closing.
-    weight : (n, k) float64
-        The parts of the exposure time in which the row of each star is open: their sum over all times is
-        `RecordedTimes.exposed_s` over the exposure time of all short exposures.
+    `scene`: with a readout time; of a single exposure or of a stacked image; `direction_eq` (k, 3): geocentric apparent
+    unit vectors, true equator and equinox; `recorded`: `recorded_times` of the same, if known.  Yields `xy_px` (n, k,
+    2): positions at n times; NaN behind the camera and below the horizon; `time_fraction` (n,): the parts of the time
+    from the first opening to the last closing; `weight` (n, k): the parts of the exposure time in which the row of each
+    star is open: their sum over all times is `RecordedTimes.exposed_s` over the exposure time of all short exposures.
     """
     for part in recorded_parts(scene, direction_eq, recorded):
         yield from part.samples(np.arange(len(direction_eq)))
@@ -488,21 +402,10 @@ def recorded_samples(
 def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float, Float]:
     """Return the paths of stars while a rolling shutter records them.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a readout time.
-    direction_eq : (k, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    count : int
-        Number of times, n: the middles of equal parts of the time during which each star is recorded.
-
-    Returns
-    -------
-    in_camera : (n, k, 3) float64
-        Vectors in the camera frame; NaN below the horizon.
-    exposed_s : (k,) float64
-        How long each star is recorded, s.
+    `scene`: with a readout time; `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox;
+    `count`: number of times, n: the middles of equal parts of the time during which each star is recorded.  Returns
+    `in_camera` (n, k, 3): vectors in the camera frame; NaN below the horizon; `exposed_s` (k,): how long each star is
+    recorded, s.
     """
     return _recorded(scene, direction_eq, (np.arange(count) + 0.5) / count)
 
@@ -510,19 +413,9 @@ def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float
 def recorded_positions(scene: Scene, direction_eq: Float, fractions: Float) -> Float:
     """Return where stars are at fractions of the time during which each is recorded, by any shutter.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (k, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    fractions : (n,) float64
-        0 as a star's own row opens, or a global shutter; 1 as it closes.  Of a stacked image, of the time during which
-        the shutter is open.
-
-    Returns
-    -------
-    (n, k, 2) float64
-        Positions (x, y), px; NaN behind the camera and below the horizon.
+    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `fractions` (n,): 0 as a star's
+    own row opens, or a global shutter; 1 as it closes; of a stacked image, of the time during which the shutter is
+    open.  Returns (n, k, 2) positions (x, y), px; NaN behind the camera and below the horizon.
     """
     if scene.exposure.readout_s == 0 or scene.motion is None:
         return scene.positions(direction_eq, fractions)

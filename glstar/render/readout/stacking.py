@@ -21,15 +21,9 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackedTrails:
-    """The trails of several short exposures of equal length, one after the other; time does not run in the gaps.
+    """The trails of several short exposures of equal length, one after the other; time does not run in the gaps."""
 
-    Attributes
-    ----------
-    shorts : sequence of TrailModel
-        The trails of each short exposure.
-    """
-
-    shorts: Sequence[TrailModel]
+    shorts: Sequence[TrailModel]  # The trails of each short exposure
 
     def __len__(self) -> int:
         return sum(map(len, self.shorts))
@@ -70,15 +64,8 @@ class StackedTrails:
 def union(draw_lists: Sequence[DrawList]) -> DrawList:
     """Return the stars of several draw lists, each once with its largest truncation radius.
 
-    Parameters
-    ----------
-    draw_lists : sequence of DrawList
-        Of short exposures in their order.
-
-    Returns
-    -------
-    DrawList
-        In the order of the star field.  Extinction is that of the short exposure nearest to the middle.
+    `draw_lists`: of short exposures in their order.  Returns: in the order of the star field; extinction is that of the
+    short exposure nearest to the middle.
     """
     middle = (len(draw_lists) - 1) / 2
     ordered = sorted(range(len(draw_lists)), key=lambda k: abs(k - middle))
@@ -96,17 +83,7 @@ def union(draw_lists: Sequence[DrawList]) -> DrawList:
 def short_seed(seed: int, number: int) -> int:
     """Return the noise seed of one short exposure of a stacked image.
 
-    Parameters
-    ----------
-    seed : int
-        The seed of the image.
-    number : int
-        Number of the short exposure, from 0.
-
-    Returns
-    -------
-    int
-        0 to 2**32 - 1.
+    `seed`: the seed of the image; `number`: number of the short exposure, from 0.  Returns: 0 to 2**32 - 1.
     """
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
@@ -120,20 +97,10 @@ class _Render(Protocol):
 def stacked_frame(render: _Render, scene: Scene, *, seed: int) -> Frame:
     """Draw the short exposures of a scene one after the other, and return their sum or mean.
 
-    Parameters
-    ----------
-    render : callable
-        Draws one scene with a seed.
-    scene : Scene
-        With `Scene.shorts`.
-    seed : int
-        The seed of the image, from which `short_seed` derives that of each short exposure.
-
-    Returns
-    -------
-    Frame
-        16 bits per pixel of a sum; a mean is rounded to whole numbers, halves up, and has the bits of the sensor.
-        `Frame.saturated` says where one of the short exposures is saturated.
+    `render`: draws one scene with a seed; `scene`: with `Scene.shorts`; `seed`: the seed of the image, from which
+    `short_seed` derives that of each short exposure.  Returns: 16 bits per pixel of a sum; a mean is rounded to whole
+    numbers, halves up, and has the bits of the sensor; `Frame.saturated` says where one of the short exposures is
+    saturated.
     """
     exposure, count = scene.exposure, len(scene.shorts)
     exposure.full_scale_dn(scene.sensor.saturation_dn)  # raises if it does not fit
@@ -171,20 +138,10 @@ def stacked_frame_keys(exposure: Exposure) -> dict[str, Any]:
 def stacked_segments(scene: Scene, index: NDArray[np.int32], recorded: RecordedTimes | None) -> dict[str, Float]:
     """Return the column of stars in the truth of a stacked image.
 
-    Parameters
-    ----------
-    scene : Scene
-    index : (m,) int32
-        The stars, in the scene's star field.
-    recorded : RecordedTimes or None
-        When a rolling shutter records them; None for a global shutter.
-
-    Returns
-    -------
-    dict
-        ``segments``, (m, frames, 2, 2): [x, y] as each short exposure begins and ends, px; NaN behind the camera and
-        below the horizon.  Without a gap each begins exactly where the one before it ends.  With a rolling shutter
-        they are those of the star's own rows.  Empty for a single exposure.
+    `index` (m,) int32: the stars, in the scene's star field; `recorded`: when a rolling shutter records them; None for
+    a global shutter.  Returns ``segments``, (m, frames, 2, 2): [x, y] as each short exposure begins and ends, px; NaN
+    behind the camera and below the horizon; without a gap each begins exactly where the one before it ends; with a
+    rolling shutter they are those of the star's own rows; empty for a single exposure.
     """
     if recorded is not None and recorded.shorts:
         ends = np.array([short.positions[[0, 2]] for short in recorded.shorts])

@@ -35,32 +35,14 @@ _SUN_DARKENING: Final = 0.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySources:
-    """The bodies of one scene as point sources.
-
-    Attributes
-    ----------
-    bodies : tuple of Body
-    stars : StarField
-        The sources; `star_id` is the index of their body.
-    draw_list : DrawList
-        The sources that may touch the image.
-    """
+    """The bodies of one scene as point sources."""
 
     bodies: tuple[Body, ...]
-    stars: StarField
-    draw_list: DrawList
+    stars: StarField  # The sources; `star_id` is the index of their body
+    draw_list: DrawList  # The sources that may touch the image
 
     def magnified(self, magnification: float) -> Self:
-        """Return the same with larger truncation radii, for an oversampled image.
-
-        Parameters
-        ----------
-        magnification : float
-
-        Returns
-        -------
-        BodySources
-        """
+        """Return the same with larger truncation radii, for an oversampled image."""
         radius_px = magnification * self.draw_list.truncation_radius_px
         return replace(self, draw_list=replace(self.draw_list, truncation_radius_px=radius_px))
 
@@ -68,20 +50,9 @@ class BodySources:
 def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, near: NDArray[np.bool_]) -> StarField:
     """Return the sources of some bodies.
 
-    Parameters
-    ----------
-    bodies : tuple of Body
-    stars : StarField
-        The stars of the scene, whose frame the sources share.
-    sigma_rad : float
-        Standard deviation of a star's image on the optical axis, rad.
-    near : (n,) bool
-        Which bodies may touch the image; the others are single points, to save time.
-
-    Returns
-    -------
-    StarField
-        In the order of the bodies.
+    `stars`: the stars of the scene, whose frame the sources share; `sigma_rad`: standard deviation of a star's image on
+    the optical axis, rad; `near` (n,) bool: which bodies may touch the image; the others are single points, to save
+    time.  Returns: in the order of the bodies.
     """
     parts = [
         disc_sources(body, sigma_rad) if is_near else (body.direction_eq[np.newaxis], np.array([body.vmag]))
@@ -102,15 +73,7 @@ def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, nea
 def centre_source(body: Body, stars: StarField) -> BodySources:
     """Return the centre of a body as the only source of a scene, which touches the image where its centre does.
 
-    Parameters
-    ----------
-    body : Body
-    stars : StarField
-        The stars of the scene.
-
-    Returns
-    -------
-    BodySources
+    `stars`: the stars of the scene.
     """
     field = body_field((body,), stars, 0.0, np.zeros(1, dtype=np.bool_))
     return BodySources((body,), field, DrawList(np.zeros(1, dtype=np.int32), np.zeros(1)))
@@ -119,22 +82,10 @@ def centre_source(body: Body, stars: StarField) -> BodySources:
 def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
     """Return point sources that together look like the disc of a body.
 
-    Parameters
-    ----------
-    body : Body
-    sigma_rad : float
-        Standard deviation of a star's image, rad.
-
-    Returns
-    -------
-    direction_eq : (n, 3) float64
-        Unit vectors as in `Body.direction_eq`: the centroid of the light of each cell of the disc.
-    vmag : (n,) float64
-        Magnitudes; their sum is the body's.
-
-    Notes
-    -----
-    Brightness by Lommel and Seeliger, mu0 / (mu0 + mu), zero beyond the terminator; of the Sun, linear limb darkening.
+    `sigma_rad`: standard deviation of a star's image, rad.  Returns `direction_eq` (n, 3): unit vectors as in
+    `Body.direction_eq`: the centroid of the light of each cell of the disc; `vmag` (n,): magnitudes; their sum is the
+    body's.  Brightness by Lommel and Seeliger, mu0 / (mu0 + mu), zero beyond the terminator; of the Sun, linear limb
+    darkening.
     """
     radius_rad = body.angular_radius_rad
     if radius_rad < _POINT_SIGMA * sigma_rad:
@@ -160,20 +111,9 @@ def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
 def disc_on_image(camera: Camera, pointing: Pointing, body: Body) -> tuple[float | None, float | None]:
     """Return the size of a body's disc on the image, and where its bright limb is, at one time.
 
-    Parameters
-    ----------
-    camera : Camera
-    pointing : Pointing
-        At this time.
-    body : Body
-
-    Returns
-    -------
-    diameter_px : float or None
-        Of the circle of the same area; None if the centre is not on the plane of the image.
-    bright_limb_deg : float or None
-        Direction from the centre to the middle of the bright limb, from right (0) towards down (90), -180 to 180; None
-        for the Sun.
+    `pointing`: at this time.  Returns `diameter_px`: of the circle of the same area; None if the centre is not on the
+    plane of the image; `bright_limb_deg`: direction from the centre to the middle of the bright limb, from right (0)
+    towards down (90), -180 to 180; None for the Sun.
     """
     across, up = _disc_axes(body)
     sine = np.sin(body.angular_radius_rad)

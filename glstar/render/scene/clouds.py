@@ -39,17 +39,7 @@ _ORIGIN_RAD: Final = np.pi / 180
 def cloud_sheet(sensor: Sensor, motion: CameraMotion | None) -> CloudSheet | None:
     """Return the sheet of cloud over a flight.
 
-    Parameters
-    ----------
-    sensor : Sensor
-        With the keys of ``[cloud]`` in its effects.
-    motion : CameraMotion or None
-        Of the flight.
-
-    Returns
-    -------
-    CloudSheet or None
-        None without cloud.
+    `sensor`: with the keys of ``[cloud]`` in its effects; `motion`: of the flight.  Returns: none without cloud.
     """
     keys = {name: sensor.effects.get(f"cloud.{name}", default) for name, default in CLOUD_DEFAULTS.items()}
     if motion is None or not keys["coverage"] or not keys["optical_depth"]:
@@ -78,16 +68,8 @@ def _origin_rad(flight: Flight) -> tuple[float, float]:
 def horizontal_axes(zenith_eq: Float, pole_eq: Float | None = None) -> tuple[Float, Float]:
     """Return unit vectors to the east and the north.
 
-    Parameters
-    ----------
-    zenith_eq : (..., 3) float64
-        Unit vectors to the zenith, true equator and equinox.
-    pole_eq : (..., 3) float64 or None
-        Unit vectors to the celestial pole, if it is not (0, 0, 1): see `Pointing`.
-
-    Returns
-    -------
-    east_eq, north_eq : (..., 3) float64
+    `zenith_eq` (..., 3): unit vectors to the zenith, true equator and equinox; `pole_eq` (..., 3) or None: unit vectors
+    to the celestial pole, if it is not (0, 0, 1): see `Pointing`.  Returns `east_eq, north_eq` (..., 3).
     """
     if pole_eq is None:
         north = np.array([0.0, 0.0, 1.0]) - zenith_eq[..., 2:] * zenith_eq
@@ -107,21 +89,8 @@ def sheet_crossing(
 ) -> SheetCrossing:
     """Return where the lines of sight of directions cross a sheet.
 
-    Parameters
-    ----------
-    sheet : CloudSheet
-    sine : (...) float64
-        Sines of the apparent altitudes.
-    direction_eq : (..., 3) float64
-        Unit vectors, true equator and equinox.
-    zenith_eq : (3,) float64
-    site : tuple of float
-        Latitude and longitude, rad, and height, m.
-    utc_s : float
-
-    Returns
-    -------
-    SheetCrossing
+    `sine` (...): sines of the apparent altitudes; `direction_eq` (..., 3): unit vectors, true equator and equinox;
+    `zenith_eq` (3,); `site`: latitude and longitude, rad, and height, m.
     """
     east_eq, north_eq = horizontal_axes(zenith_eq)
     return _crossed(sheet, sine, direction_eq @ east_eq, direction_eq @ north_eq, site, utc_s)
@@ -141,15 +110,9 @@ def _crossed(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudPassage:
-    """The transmission of a sheet of cloud for m stars over an exposure.
+    """The transmission of a sheet of cloud for m stars over an exposure."""
 
-    Attributes
-    ----------
-    transmission : (n, m) float64
-        At n equidistant times from the start to the end of the exposure, linear between them.
-    """
-
-    transmission: Float
+    transmission: Float  # (n, m) at n equidistant times from the start to the end of the exposure, linear between them
 
     def at(self, time: Float) -> Float:
         """Return the transmission at some elapsed fractions of the exposure, (k,), as (k, m)."""
@@ -161,14 +124,7 @@ class CloudPassage:
     def means(self, time_fraction: Float) -> Float:
         """Return the mean transmission of consecutive parts of the exposure.
 
-        Parameters
-        ----------
-        time_fraction : (s,) float64
-            Their durations; they add up to 1.
-
-        Returns
-        -------
-        (s, m) float64
+        `time_fraction` (s,): their durations; they add up to 1.  Returns (s, m).
         """
         ends = np.concatenate([[0.0], np.cumsum(time_fraction)])
         ends /= ends[-1]
@@ -197,22 +153,9 @@ def cloud_passage(
 ) -> CloudPassage:
     """Return what a sheet of cloud transmits of stars over an exposure.
 
-    Parameters
-    ----------
-    sheet : CloudSheet
-    motion : CameraMotion
-        Of the flight.
-    exposure : Exposure
-        A single one.
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    least_times : int
-        Number of times of the exposure at least.
-
-    Returns
-    -------
-    CloudPassage
-        All 1 for a sheet below the aircraft, and below the horizon.
+    `motion`: of the flight; `exposure`: a single one; `direction_eq` (m, 3): geocentric apparent unit vectors, true
+    equator and equinox; `least_times`: number of times of the exposure at least.  Returns: all 1 for a sheet below the
+    aircraft, and below the horizon.
     """
     ends_s = np.array([exposure.start_utc_s, exposure.stop_utc_s])
     times_s = np.linspace(ends_s[0], ends_s[1], max(least_times, _count(sheet, motion, ends_s)))

@@ -34,26 +34,17 @@ _SIDES_STRIDE: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawList:
-    """The stars that may touch an image, with their truncation radii: the result of culling.
+    """The stars that may touch an image, with their truncation radii: the result of culling."""
 
-    Attributes
-    ----------
-    index : (k,) int32
-        Indices into the `StarField`.
-    truncation_radius_px : (k,) float64
-        Distance from its centre up to which each star's point spread function is drawn, px.
-    min_trail_px : (k,) float64
-        Lower bound of the length of each star's trail at its slowest rate, px; 0 by default.
-    extinction_mag : (k,) float64 or None
-        What the air takes from each star in the middle of the exposure, mag; None without extinction.
-    passage : (k, s) float32 or None
-        What cloud transmits of each star in each of the s segments or sub-exposures; None without cloud.
-    """
-
-    index: NDArray[np.int32]
+    index: NDArray[np.int32]  # (k,) int32: indices into the `StarField`
+    # (k,) distance from its centre up to which each star's point spread function is drawn, px.
     truncation_radius_px: Float
+    # (k,) lower bound of the length of each star's trail at its slowest rate, px; 0 by default.
     min_trail_px: Float = field(default_factory=lambda: np.zeros(0))
+    # (k,) or None: what the air takes from each star in the middle of the exposure, mag; None without extinction.
     extinction_mag: Float | None = None
+    # (k, s) float32 or None: what cloud transmits of each star in each of the s segments or sub-exposures; None without
+    # cloud.
     passage: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -82,15 +73,8 @@ class DrawList:
     def passage_of_groups(self, size: int) -> NDArray[np.float32]:
         """Return what cloud transmits of each star in groups of neighbouring sub-exposures.
 
-        Parameters
-        ----------
-        size : int
-            Sub-exposures of a group; the last group may have fewer.
-
-        Returns
-        -------
-        (k, ceil(s / size)) float32
-            The means; (0, 0) without cloud.
+        `size`: sub-exposures of a group; the last group may have fewer.  Returns (k, ceil(s / size)) float32: the
+        means; (0, 0) without cloud.
         """
         if self.passage is None:
             return np.zeros((0, 0), np.float32)
@@ -101,37 +85,19 @@ class DrawList:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarCuller:
-    """Finds the stars of a field that touch the images of one camera.
-
-    Attributes
-    ----------
-    stars : StarField
-    camera : Camera
-    sensor : Sensor
-    zenith_extinction_mag : float or None
-        Extinction per air mass, mag; None without extinction.
-    """
+    """Finds the stars of a field that touch the images of one camera."""
 
     stars: StarField
     camera: Camera
     sensor: Sensor
-    zenith_extinction_mag: float | None = None
+    zenith_extinction_mag: float | None = None  # Extinction per air mass, mag; None without extinction
 
     def touching(self, pointing: Pointing, time_fraction: Float, duration_s: float) -> "TouchingStars":
         """Return the stars that may touch an image.
 
-        Parameters
-        ----------
-        pointing : Pointing
-            At n times from the start to the end of the exposure.  Of a horizon profile only the bound counts.
-        time_fraction : (n - 1,) float64
-            Fraction of the exposure between consecutive times.
-        duration_s : float
-            Length of the exposure, s.
-
-        Returns
-        -------
-        TouchingStars
+        `pointing`: at n times from the start to the end of the exposure; of a horizon profile only the bound counts;
+        `time_fraction` (n - 1,): fraction of the exposure between consecutive times; `duration_s`: length of the
+        exposure, s.
         """
         # A star may be above a horizon profile between two times.
         pointing = replace(pointing, profile=None)
@@ -233,29 +199,15 @@ class StarCuller:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchingStars:
-    """The stars that may touch an image.
+    """The stars that may touch an image."""
 
-    Attributes
-    ----------
-    culler : StarCuller
-        What found them.
-    index : (k,) int32
-        Indices into the `StarField`.
-    peak_dn : (k,) float64
-        Amplitudes of their point spread functions if they did not move, DN.
-    slowest_px : (k,) float64
-        Lengths of their trails if they moved at their slowest rate all the time, px.
-    longest_step_px : float
-        The longest step of one of them between consecutive times, in the undistorted image plane, px.
-    extinction_mag : (k,) float64 or None
-        What the air takes from each star in the middle of the exposure, mag; None without extinction.
-    """
-
-    culler: StarCuller
-    index: NDArray[np.int32]
-    peak_dn: Float
-    slowest_px: Float
+    culler: StarCuller  # What found them
+    index: NDArray[np.int32]  # (k,) int32: indices into the `StarField`
+    peak_dn: Float  # (k,) amplitudes of their point spread functions if they did not move, DN
+    slowest_px: Float  # (k,) lengths of their trails if they moved at their slowest rate all the time, px
+    # The longest step of one of them between consecutive times, in the undistorted image plane, px.
     longest_step_px: float
+    # (k,) or None: what the air takes from each star in the middle of the exposure, mag; None without extinction.
     extinction_mag: Float | None = None
 
     @property
@@ -271,15 +223,8 @@ class TouchingStars:
     def integrated(self, faintest_dn: float) -> DrawList:
         """Return the stars for analytic trails, whose flux outside the truncation radius is not lost.
 
-        Parameters
-        ----------
-        faintest_dn : float
-            Trails that are fainter than this everywhere are left out, the faintest first, up to `MAX_FRACTION_LEFT_OUT`
-            of the flux.
-
-        Returns
-        -------
-        DrawList
+        `faintest_dn`: trails that are fainter than this everywhere are left out, the faintest first, up to
+        `MAX_FRACTION_LEFT_OUT` of the flux.
         """
         sensor = self.culler.sensor
         radius_px = sensor.truncation_radius_px(self.peak_dn, self.slowest_px, renormalized=True)

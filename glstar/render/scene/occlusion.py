@@ -51,15 +51,7 @@ def _set_px(exposure: Exposure, px_per_rad: float) -> float:
 def ridge_times(exposure: Exposure, px_per_rad: float) -> int:
     """Return at how many times the height of stars above a horizon profile has to be computed.
 
-    Parameters
-    ----------
-    exposure : Exposure
-    px_per_rad : float
-        Scale of the image.
-
-    Returns
-    -------
-    int
+    `px_per_rad`: scale of the image.
     """
     return int(
         np.clip(ceil(_set_px(exposure, px_per_rad) / _RIDGE_STEP_PX) + 1, _FEWEST_RIDGE_TIMES, _MOST_RIDGE_TIMES)
@@ -69,22 +61,10 @@ def ridge_times(exposure: Exposure, px_per_rad: float) -> int:
 def ridge_passage(motion: CameraMotion, exposure: Exposure, direction_eq: Float, times: int) -> CloudPassage:
     """Return the part of the time in which stars are above a horizon profile.
 
-    Parameters
-    ----------
-    motion : CameraMotion
-        Of the flight, with a profile in its sky.
-    exposure : Exposure
-        A single one.
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    times : int
-        Number of equidistant times, n.
-
-    Returns
-    -------
-    CloudPassage
-        At each time the part of the half intervals before and after it in which a star is up, if its height above the
-        horizon changes linearly in each.  So the integral over the exposure is exact.
+    `motion`: of the flight, with a profile in its sky; `exposure`: a single one; `direction_eq` (m, 3): geocentric
+    apparent unit vectors, true equator and equinox; `times`: number of equidistant times, n.  Returns: at each time the
+    part of the half intervals before and after it in which a star is up, if its height above the horizon changes
+    linearly in each; so the integral over the exposure is exact.
     """
     (pointing,) = motion.pointings(np.linspace(exposure.start_utc_s, exposure.stop_utc_s, times))
     height = pointing.clearance(direction_eq)
@@ -105,20 +85,8 @@ def _part_above(first: Float, last: Float) -> Float:
 def ridge_parts(passage: CloudPassage, exposure: Exposure, time_fraction: Float, px_per_rad: float) -> NDArray[np.intp]:
     """Return into how many equal parts segments are divided, so that trails end at the ridge.
 
-    Parameters
-    ----------
-    passage : CloudPassage
-        Of `ridge_passage`.
-    exposure : Exposure
-    time_fraction : (s,) float64
-        Durations of the segments; they add up to 1.
-    px_per_rad : float
-        Scale of the image.
-
-    Returns
-    -------
-    (s,) intp
-        1 where no star sets or rises.
+    `passage`: of `ridge_passage`; `time_fraction` (s,): durations of the segments; they add up to 1; `px_per_rad`:
+    scale of the image.  Returns (s,) intp: 1 where no star sets or rises.
     """
     parts = np.ceil(_set_px(exposure, px_per_rad) * time_fraction / _RIDGE_PART_PX).clip(
         _FEWEST_PARTS_AT_RIDGE, _MOST_PARTS_AT_RIDGE
@@ -134,15 +102,7 @@ def ridge_parts(passage: CloudPassage, exposure: Exposure, time_fraction: Float,
 def divided(trails: AnalyticSegments, parts: NDArray[np.intp]) -> AnalyticSegments:
     """Return trails along the same conics, each segment divided into some equal parts.
 
-    Parameters
-    ----------
-    trails : AnalyticSegments
-    parts : (s,) intp
-        Of each segment.
-
-    Returns
-    -------
-    AnalyticSegments
+    `parts` (s,) intp: of each segment.
     """
     if parts.max() == 1:
         return trails
@@ -195,24 +155,13 @@ _TURN_TIMES: Final = 17
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudedSky:
-    """What a sheet of cloud, a horizon profile and scintillation leave of the stars during one exposure.
-
-    Attributes
-    ----------
-    sheet : CloudSheet or None
-    motion : CameraMotion
-        With the profile in its sky.
-    exposure : Exposure
-    camera : Camera
-    scintillation : Scintillation or None
-        Of stars; bodies are too large for it.
-    """
+    """What a sheet of cloud, a horizon profile and scintillation leave of the stars during one exposure."""
 
     sheet: CloudSheet | None
-    motion: CameraMotion
+    motion: CameraMotion  # With the profile in its sky
     exposure: Exposure
     camera: Camera
-    scintillation: Scintillation | None
+    scintillation: Scintillation | None  # Of stars; bodies are too large for it
 
     @classmethod
     def of(cls, motion: CameraMotion, camera: Camera, sensor: Sensor, exposure: Exposure) -> Self | None:
@@ -295,16 +244,7 @@ class CloudedSky:
     ) -> AnalyticSegments:
         """Return trails of shorter segments where a star or a body sets or rises behind the horizon profile.
 
-        Parameters
-        ----------
-        trails : AnalyticSegments
-        touching : TouchingStars
-            The stars that may touch the image.
-        bodies : BodySources or None
-
-        Returns
-        -------
-        AnalyticSegments
+        `touching`: the stars that may touch the image.
         """
         directions = _directions(touching.culler.stars, touching.index, bodies)
         if self.motion.sky.profile is None or not len(directions):
@@ -315,16 +255,7 @@ class CloudedSky:
     def dimmed(self, stars: StarField, draw_list: DrawList, time_fraction: Float) -> DrawList:
         """Return a draw list with its passage.
 
-        Parameters
-        ----------
-        stars : StarField
-        draw_list : DrawList
-        time_fraction : (s,) float64
-            Durations of the segments or sub-exposures; they add up to 1.
-
-        Returns
-        -------
-        DrawList
+        `time_fraction` (s,): durations of the segments or sub-exposures; they add up to 1.
         """
         if not len(draw_list):
             return draw_list
@@ -344,19 +275,7 @@ class CloudedSky:
     ) -> tuple[AnalyticSegments, DrawList, BodySources | None]:
         """Return analytic trails, the stars and the bodies with their passage.
 
-        Parameters
-        ----------
-        trails : AnalyticSegments
-        stars : StarField
-        draw_list : DrawList
-        bodies : BodySources or None
-
-        Returns
-        -------
-        trails : AnalyticSegments
-            Of shorter segments, where the transmission changes much within one.
-        draw_list : DrawList
-        bodies : BodySources or None
+        Returns `trails`: of shorter segments, where the transmission changes much within one.
         """
         directions = _directions(stars, draw_list.index, bodies)
         if not len(directions):
@@ -420,16 +339,7 @@ def _with_passage(draw_list: DrawList, passage: CloudPassage, time_fraction: Flo
 def scene_passage(scene: Scene, direction_eq: Float) -> CloudPassage | None:
     """Return what arrives of stars over the exposure of a scene: behind cloud, and of a satellite's changing light.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-
-    Returns
-    -------
-    CloudPassage or None
-        As `scene_cloud`.
+    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns: as `scene_cloud`.
     """
     sheet = cloud_sheet(scene.sensor, scene.motion)
     if not isinstance(scene.motion, SatelliteMotion):
@@ -443,16 +353,8 @@ def scene_passage(scene: Scene, direction_eq: Float) -> CloudPassage | None:
 def scene_cloud(scene: Scene, direction_eq: Float) -> CloudPassage | None:
     """Return what cloud transmits of stars over the exposure of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-
-    Returns
-    -------
-    CloudPassage or None
-        Of a stacked image, from the start of the first short exposure to the end of the last; None without cloud.
+    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns: of a stacked image,
+    from the start of the first short exposure to the end of the last; None without cloud.
     """
     sheet = cloud_sheet(scene.sensor, scene.motion)
     if sheet is None or scene.motion is None:
@@ -463,17 +365,8 @@ def scene_cloud(scene: Scene, direction_eq: Float) -> CloudPassage | None:
 def scene_scintillation(scene: Scene, index: NDArray[np.int32]) -> dict[str, Float]:
     """Return the column of scintillation in the truth of stars.
 
-    Parameters
-    ----------
-    scene : Scene
-    index : (m,) int32
-        Into the stars of the scene.
-
-    Returns
-    -------
-    dict
-        ``scintillation``, (m,): the mean relative brightness over the exposure, of a stacked image over the short ones.
-        Empty without scintillation.
+    `index` (m,) int32: into the stars of the scene.  Returns ``scintillation``, (m,): the mean relative brightness over
+    the exposure, of a stacked image over the short ones; empty without scintillation.
     """
     means = []
     for one in scene.shorts or (scene,):
@@ -496,21 +389,9 @@ _ROUNDING: Final = 1e-9
 def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) -> Float:
     """Return when stars rise above the apparent horizon and set.
 
-    Parameters
-    ----------
-    trails : AnalyticSegments
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-
-    Returns
-    -------
-    (m, 2) float64
-        Elapsed fractions of the exposure: a star is up from the first to the second; if the second is earlier, until
-        the second and again from the first.  0 of a star that is up at the start, `NEVER` of a star that does not rise
-        or does not set.
-
-    Notes
-    -----
+    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (m, 2) elapsed
+    fractions of the exposure: a star is up from the first to the second; if the second is earlier, until the second and
+    again from the first. 0 of a star that is up at the start, `NEVER` of a star that does not rise or does not set.
     Within a segment the sine of an altitude is the quadratic through its values at the start, the middle and the end.
     """
     pointing = trails.pointing

@@ -32,23 +32,13 @@ _AXIS_TIMES: Final = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SatelliteMotion(CameraMotion):
-    """The camera's orientation with respect to a frame in which a satellite keeps its direction.
-
-    Attributes
-    ----------
-    satellite : Satellite
-    direction_eq : (3,) float64
-        Its direction in the middle of the exposure, true equator and equinox: that of the source at rest.
-    sun_eq : (3,) float64
-        Unit vector to the Sun.
-    brightest_mag : float
-        Its V magnitude at the brightest time of the exposure: that of the source.
-    """
+    """The camera's orientation with respect to a frame in which a satellite keeps its direction."""
 
     satellite: Satellite
+    # (3,) its direction in the middle of the exposure, true equator and equinox: that of the source at rest.
     direction_eq: Float
-    sun_eq: Float
-    brightest_mag: float
+    sun_eq: Float  # (3,) unit vector to the Sun
+    brightest_mag: float  # Its V magnitude at the brightest time of the exposure: that of the source
 
     def at(self, *utc_s: Float) -> list[MotionSamples]:
         """Return orientation, attitude and site for several arrays of times, as of `CameraMotion`."""
@@ -60,16 +50,7 @@ class SatelliteMotion(CameraMotion):
     def light(self, exposure: Exposure, times: int) -> CloudPassage:
         """Return the satellite's brightness over that of the source.
 
-        Parameters
-        ----------
-        exposure : Exposure
-        times : int
-            Number of equidistant times.
-
-        Returns
-        -------
-        CloudPassage
-            Of one star.
+        `times`: number of equidistant times.  Returns: of one star.
         """
         mag, lit = visible_vmag(self.satellite, self.seen(np.linspace(*_ends_s(exposure), times)), self.sun_eq)
         return CloudPassage((lit * brightness_ratio(mag - self.brightest_mag))[:, np.newaxis])
@@ -84,17 +65,7 @@ class SatelliteMotion(CameraMotion):
         return self.satellite.seen(self.sky, utc_s, *self.flight.position.coordinates(utc_s))
 
     def field(self, stars: StarField) -> StarField:
-        """Return the satellite as the only star of a field.
-
-        Parameters
-        ----------
-        stars : StarField
-            The stars of the scene, whose frame it shares.
-
-        Returns
-        -------
-        StarField
-        """
+        """Return the satellite as the only star of a field; `stars`: the stars of the scene, whose frame it shares."""
         return StarField(
             catalogue="satellites",
             star_id=np.array([self.satellite.number], dtype=np.int32),
@@ -120,18 +91,7 @@ class SatelliteMotion(CameraMotion):
 
 
 def passing_satellites(motion: CameraMotion, camera: Camera, exposure: Exposure) -> Iterator[SatelliteMotion]:
-    """Yield the satellites of the sky that may be on the image of an exposure, and are in sunlight in it.
-
-    Parameters
-    ----------
-    motion : CameraMotion
-    camera : Camera
-    exposure : Exposure
-
-    Yields
-    ------
-    SatelliteMotion
-    """
+    """Yield the satellites of the sky that may be on the image of an exposure, and are in sunlight in it."""
     satellites = motion.sky.satellites
     if satellites is None:
         return

@@ -36,12 +36,8 @@ _DISPLAY_STRETCH: Final = 30.0
 class StarListing:
     """The stars that truth, labels and overlays list, with their true paths; computed when they are first needed.
 
-    Parameters
-    ----------
-    stars : callable
-        Returns the stars whose paths may touch the image.
-    trails : callable
-        Returns their paths, which are independent of how they are drawn.
+    `stars`: returns the stars whose paths may touch the image; `trails`: returns their paths, which are independent of
+    how they are drawn.
     """
 
     def __init__(self, stars: Callable[[], DrawList], trails: Callable[[], TrailModel]) -> None:

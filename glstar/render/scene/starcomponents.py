@@ -28,16 +28,7 @@ FIRST_CHANNEL: Final = _CHANNELS[0]
 def colours_used(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
     """Return the colours that stars are drawn with.
 
-    Parameters
-    ----------
-    stars : StarField
-    some : slice or (n,) int
-        Which of them.
-
-    Returns
-    -------
-    (n,) float64
-        B - V; 0.65 where it is unknown.
+    `some` slice or (n,) int: which of them.  Returns (n,) B - V; 0.65 where it is unknown.
     """
     return np.nan_to_num(star_colours(stars, some), nan=USUAL_BV)
 
@@ -50,19 +41,10 @@ _IN_BANDS: WeakKeyDictionary[StarField, dict[tuple[ColourBand, Channel | None], 
 def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None) -> StarField:
     """Return stars with their magnitudes in the band of a camera.
 
-    Parameters
-    ----------
-    stars : StarField
-        With V magnitudes, or measured ones, which already are those of the camera's band.  Of a table of some stars,
-        the others have the magnitudes of the band.
-    colour : ColourBand
-    channel : {"r", "g", "b"} or None
-        A channel of the mosaic: with the brightness in its pixels, for a zero point of the mean of all pixels.
-
-    Returns
-    -------
-    StarField
-        The same object for the same arguments.
+    `stars`: with V magnitudes, or measured ones, which already are those of the camera's band; of a table of some
+    stars, the others have the magnitudes of the band; `channel` {"r", "g", "b"} or None: a channel of the mosaic: with
+    the brightness in its pixels, for a zero point of the mean of all pixels.  Returns the same object for the same
+    arguments.
     """
     if colour.is_v or (channel is None and stars.measured_mag is not None and stars.is_measured is None):
         return stars
@@ -96,16 +78,8 @@ def _tints(stars: StarField, colour: ColourBand) -> NDArray[np.float64]:
 def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
     """Return the flux of all stars in the pixels of a mosaic over that in the mean of its cells.
 
-    Parameters
-    ----------
-    scene : Scene
-    guard_band_px : int
-        Width of the target's border around the image.
-
-    Returns
-    -------
-    (n, 4) float32 or None
-        In pixels (even column, even row), (odd, even), (even, odd), (odd, odd) of the target; None without a mosaic.
+    `guard_band_px`: width of the target's border around the image.  Returns (n, 4) float32 or None: in pixels (even
+    column, even row), (odd, even), (even, odd), (odd, odd) of the target; None without a mosaic.
     """
     colour = scene.sensor.colour
     if colour.mosaic == "none":
@@ -122,14 +96,7 @@ def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
 def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
     """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    (k,) float64
-        In the mean of all light without a mosaic.
+    Returns (k,) in the mean of all light without a mosaic.
     """
     draw_list, sensor = scene.draw_list, scene.sensor
     peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
@@ -162,15 +129,7 @@ def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
 def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
     """Return the scene as the pixels of each colour of a mosaic see it.
 
-    Parameters
-    ----------
-    scene : Scene
-        Whose sensor has a mosaic.
-
-    Returns
-    -------
-    dict of str to Scene
-        By channel; their sensors have no mosaic.
+    `scene`: whose sensor has a mosaic.  Returns: by channel; their sensors have no mosaic.
     """
     over_mean = _extinction_over_mean(scene)
     return {
@@ -217,18 +176,8 @@ def psf_scale(
 ) -> NDArray[np.float64]:
     """Return the widths of stars over ``psf_sigma_px``, where they are in the middle of the exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (k, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    bv : (k,) float64 or float
-        Colours B - V.
-
-    Returns
-    -------
-    (k,) float64
-        As drawn: in steps of 2 %.
+    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `bv` (k,) or float: colours B -
+    V.  Returns (k,) as drawn: in steps of 2 %.
     """
     psf, camera = scene.sensor.point_spread, scene.camera
     if not psf.varies:
@@ -248,15 +197,8 @@ def psf_scale(
 def gaussian_scenes(scene: Scene) -> list[Scene]:
     """Return scenes that add up to a scene, each with one circular Gaussian per star.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    list of Scene
-        The scene itself if its stars are plain Gaussians, and those of its bodies and satellites.  An offset of a
-        Gaussian is an offset of the principal point.
+    Returns the scene itself if its stars are plain Gaussians, and those of its bodies and satellites; an offset of a
+    Gaussian is an offset of the principal point.
     """
     bodies = scene.body_scene
     others = [*([] if bodies is None else [bodies]), *scene.satellites]

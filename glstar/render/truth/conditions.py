@@ -32,30 +32,14 @@ _STEP_DEG = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ViewingConditions:
-    """Where the Sun and the Moon are in the middle of an exposure, and where the camera points.
+    """Where the Sun and the Moon are in the middle of an exposure, and where the camera points."""
 
-    Attributes
-    ----------
-    sun_altitude_rad : float
-        Without refraction, rad.
-    moon_altitude_rad : float
-        With refraction, rad.
-    moon_illuminated_fraction : float
-        0 to 1.
-    moon_separation_rad : float
-        From the optical axis, rad.
-    axis_altitude_rad : float
-        Of the optical axis above the horizon, with its dip if it has one, rad.
-    sees_only_ground : bool
-        Whether the complete image is below the horizon.
-    """
-
-    sun_altitude_rad: float
-    moon_altitude_rad: float
-    moon_illuminated_fraction: float
-    moon_separation_rad: float
-    axis_altitude_rad: float
-    sees_only_ground: bool
+    sun_altitude_rad: float  # Without refraction, rad
+    moon_altitude_rad: float  # With refraction, rad
+    moon_illuminated_fraction: float  # 0 to 1
+    moon_separation_rad: float  # From the optical axis, rad
+    axis_altitude_rad: float  # Of the optical axis above the horizon, with its dip if it has one, rad
+    sees_only_ground: bool  # Whether the complete image is below the horizon
 
     @property
     def light(self) -> str:
@@ -99,20 +83,8 @@ def _up(altitude_rad: float) -> str:
 def viewing_conditions(scene: Scene) -> ViewingConditions:
     """Return the Sun, the Moon and the direction of the camera in the middle of an exposure.
 
-    Parameters
-    ----------
-    scene : Scene
-        Of a simulator.
-
-    Returns
-    -------
-    ViewingConditions
-        Altitudes and angles within 0.02 deg: the places of Sun and Moon are computed once a minute.
-
-    Raises
-    ------
-    RenderError
-        If the scene does not know its sky.
+    `scene`: of a simulator.  Returns: altitudes and angles within 0.02 deg: the places of Sun and Moon are computed
+    once a minute.  Raises RenderError if the scene does not know its sky.
     """
     if scene.observing_sky is None:
         raise RenderError("the Sun and the Moon need a scene of a simulator, which knows where they are")
@@ -154,21 +126,11 @@ def _elevation_rad(direction: Float, zenith: Float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class LimitingMagnitude:
-    """Magnitudes of stars on the optical axis that are measured with a signal-to-noise ratio of 5.
+    """Magnitudes of stars on the optical axis that are measured with a signal-to-noise ratio of 5."""
 
-    Attributes
-    ----------
-    at_rest_mag : float
-        Of a star that does not move on the image; NaN if there is none.
-    trail_mag : float
-        Of a star with the trail of this exposure; NaN if there is none.
-    cloud_transmission : float or None
-        The mean over the sky of the image; None without cloud, and without sky.
-    """
-
-    at_rest_mag: float
-    trail_mag: float
-    cloud_transmission: float | None = None
+    at_rest_mag: float  # Of a star that does not move on the image; NaN if there is none
+    trail_mag: float  # Of a star with the trail of this exposure; NaN if there is none
+    cloud_transmission: float | None = None  # The mean over the sky of the image; None without cloud, and without sky
 
     @property
     def text(self) -> str:
@@ -184,20 +146,8 @@ class LimitingMagnitude:
 def conditions_report(scene: Scene) -> str:
     """Return the light, the Sun, the Moon, the limiting magnitude and the cloud of an exposure in one line.
 
-    Parameters
-    ----------
-    scene : Scene
-        Of a simulator.
-
-    Returns
-    -------
-    str
-        With the warnings of `ViewingConditions`.
-
-    Raises
-    ------
-    RenderError
-        If the scene does not know its sky.
+    `scene`: of a simulator.  Returns: with the warnings of `ViewingConditions`.  Raises RenderError if the scene does
+    not know its sky.
     """
     conditions = viewing_conditions(scene)
     parts = [f"{conditions.light}: {conditions.sun_and_moon}", limiting_magnitude(scene).text]
@@ -207,14 +157,8 @@ def conditions_report(scene: Scene) -> str:
 def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
     """Return the limiting magnitude of an exposure, above the air.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    LimitingMagnitude
-        With the sky in the direction of the optical axis, extinction and cloud there, and the length of a trail there.
+    Returns: with the sky in the direction of the optical axis, extinction and cloud there, and the length of a trail
+    there.
     """
     zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
     sine = float(axis @ zenith)

@@ -34,15 +34,8 @@ from glstar.sky.place.timescale import format_utc
 def rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
     """Return a table as JSON: a list of objects, one per row.
 
-    Parameters
-    ----------
-    columns : mapping of str to (n,), (n, 2) or (n, k, 2, 2) array
-        NaN becomes null, and so does a pair of NaNs.
-
-    Returns
-    -------
-    bytes
-        The same as orjson's output for a list of dictionaries, without creating ten thousand Python objects.
+    `columns` mapping of str to (n,), (n, 2) or (n, k, 2, 2) array: NaN becomes null, and so does a pair of NaNs.
+    Returns the same as orjson's output for a list of dictionaries, without creating ten thousand Python objects.
     """
     count, width = len(next(iter(columns.values()))), 2 * len(columns)
     if not count:
@@ -170,17 +163,7 @@ def _frame_keys(scene: Scene, seed: int, rows: RowTimeSearch | None) -> dict[str
 
 
 def camera_keys(camera: Camera) -> dict[str, Any]:
-    """Return a camera as the truth has it.
-
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    dict
-        ``K, width_px, height_px, lens`` and ``distortion``.
-    """
+    """Return a camera as the truth has it; returns ``K, width_px, height_px, lens`` and ``distortion``."""
     return {
         "K": camera.K.tolist(),
         "width_px": camera.width_px,
@@ -192,22 +175,9 @@ def camera_keys(camera: Camera) -> dict[str, Any]:
 def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:
     """Return a parsed line of truth, of any schema, with the keys of `SCHEMA` that its stars and catalogue have.
 
-    Parameters
-    ----------
-    line : mapping
-        As `frame_truth` writes it, or as glstar wrote it in schema 1.
-
-    Returns
-    -------
-    dict
-        With ``star_id`` in each star; ``catalogue`` is empty for schema 1, which does not say it.
-
-    Raises
-    ------
-    KeyError
-        If it lacks a key.
-    ValueError
-        If its schema is unknown.
+    `line`: as `frame_truth` writes it, or as glstar wrote it in schema 1.  Returns: with ``star_id`` in each star;
+    ``catalogue`` is empty for schema 1, which does not say it.  Raises KeyError if it lacks a key; ValueError if its
+    schema is unknown.
     """
     if line["schema"] not in SCHEMAS_READ:
         raise ValueError(f"a line of truth has the schema {line['schema']!r}; known are {', '.join(SCHEMAS_READ)}")
@@ -220,16 +190,8 @@ def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:
 def trail_centroids(scene: Scene, stars: NDArray[np.bool_]) -> Float:
     """Return the mean positions of stars over the exposure, as `frame_truth` has them.
 
-    Parameters
-    ----------
-    scene : Scene
-    stars : (k,) bool
-        Selection among `scene.visible`.
-
-    Returns
-    -------
-    (m, 2) float64
-        Positions (x, y), px; NaN for stars whose flux does not touch the image.
+    `stars` (k,) bool: selection among `scene.visible`.  Returns (m, 2) positions (x, y), px; NaN for stars whose flux
+    does not touch the image.
     """
     return TrailStatistics(scene.with_visible(stars)).centroid
 

@@ -34,15 +34,8 @@ _SMALL_PART: Final = 0.02
 def mask_threshold_dn(scene: Scene) -> float:
     """Return the signal from which on a pixel belongs to a trail: the standard deviation of a pixel without stars.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    float
-        DN of one short exposure: the noise of a stacked image over the square root of their number.  Sky, dark current,
-        read noise and rounding are in it.
+    Returns: DN of one short exposure: the noise of a stacked image over the square root of their number; sky, dark
+    current, read noise and rounding are in it.
     """
     sensor, exposure = scene.sensor, scene.exposure
     dn_per_e = 0.0 if sensor.electrons is None else sensor.electrons.dn_per_e
@@ -53,21 +46,11 @@ def mask_threshold_dn(scene: Scene) -> float:
 def trail_mask(scene: Scene) -> NDArray[np.uint16]:
     """Return which star dominates each pixel.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    (height, width) uint16
-        k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most noiseless signal of all stars,
-        and at least `mask_threshold_dn`; the entries of ``bodies`` are numbered after the stars, and those of
-        ``satellites`` after them.  0 elsewhere.  Only the first 65535 entries are in the mask.
-
-    Notes
-    -----
-    The signal is the sum of the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma
-    or closer: within 0.1 % of the integral along it.
+    Returns (height, width) uint16: k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most
+    noiseless signal of all stars, and at least `mask_threshold_dn`; the entries of ``bodies`` are numbered after the
+    stars, and those of ``satellites`` after them. 0 elsewhere; only the first 65535 entries are in the mask.  The
+    signal is the sum of the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma or
+    closer: within 0.1 % of the integral along it.
     """
     shape = scene.camera.height_px, scene.camera.width_px
     mask, strongest_dn = np.zeros(shape, np.uint16), np.full(shape, mask_threshold_dn(scene), np.float32)

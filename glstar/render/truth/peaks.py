@@ -39,29 +39,16 @@ _FAR_SIGMA: Final = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineChain:
-    """Paths of m stars as chains of n lines.
+    """Paths of m stars as chains of n lines."""
 
-    Attributes
-    ----------
-    middle_px : (2, n, m) float64
-        Middles of the lines, px.
-    step_px : (2, n, m) float64
-        From their starts to their ends, px; 0 where a star is not visible.
-    length_px : (n, m) float64
-        Lengths of the lines, px.
-    duration : (n,) float64
-        The fraction of the exposure of each line.
-    hidden : (n, m) bool or None
-        Which lines have an end that is not visible; None if all are visible.
-    recorded : (n, m) float64 or None
-        Under a rolling shutter, the fraction of each star's own exposure of each line; None for `duration`.
-    """
-
-    middle_px: Float
-    step_px: Float
-    length_px: Float
-    duration: Float
+    middle_px: Float  # (2, n, m) middles of the lines, px
+    step_px: Float  # (2, n, m) from their starts to their ends, px; 0 where a star is not visible
+    length_px: Float  # (n, m) lengths of the lines, px
+    duration: Float  # (n,) the fraction of the exposure of each line
+    # (n, m) bool or None: which lines have an end that is not visible; None if all are visible.
     hidden: NDArray[np.bool_] | None
+    # (n, m) or None: under a rolling shutter, the fraction of each star's own exposure of each line; None for
+    # `duration`.
     recorded: Float | None
 
     @classmethod
@@ -103,19 +90,8 @@ class LineChain:
     def signal_at(self, point_px: Float, sigma_px: float, transmission: Float | None) -> Float:
         """Return the signal at one point per star, over the flux of the star.
 
-        Parameters
-        ----------
-        point_px : (m, 2) float64
-            Positions (x, y), px.
-        sigma_px : float
-            Standard deviation of the stars, px.
-        transmission : (n, m) float64 or None
-            What reaches the camera during each line; None for 1.
-
-        Returns
-        -------
-        (m,) float64
-            1/px^2.
+        `point_px` (m, 2): positions (x, y), px; `sigma_px`: standard deviation of the stars, px; `transmission` (n, m)
+        or None: what reaches the camera during each line; None for 1.  Returns (m,) 1/px^2.
         """
         off_px = point_px.T[:, np.newaxis] - self.middle_px
         # Most lines are too far to matter.
@@ -144,19 +120,9 @@ def line_chains(
 ) -> Iterator[LineChain]:
     """Yield the chain of each short exposure of a stacked image, or of the exposure, while its rows are open.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    nodes_px : (2, n, m) float64, optional
-        Their `ConicPaths.nodes_px`, if these are known.
-    recorded : RecordedTimes, optional
-        When a rolling shutter records them; without it the times are those of the lines.
-
-    Yields
-    ------
-    LineChain
+    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `nodes_px` (2, n, m): their
+    `ConicPaths.nodes_px`, if these are known; `recorded`: when a rolling shutter records them; without it the times are
+    those of the lines.
     """
     trails = scene.trails if scene.listing is None else scene.listing.trails
     if not isinstance(trails, StackedTrails):
@@ -228,18 +194,7 @@ def _density(s: Float, length: Float) -> Float:
 def normal_cumulative(z: Float) -> Float:
     """Return the cumulative distribution of the unit Gaussian.
 
-    Parameters
-    ----------
-    z : (...) float64
-
-    Returns
-    -------
-    (...) float64
-        To 1e-7.
-
-    Notes
-    -----
-    Abramowitz & Stegun, 26.2.17.
+    `z` (...).  Returns (...) to 1e-7.  Abramowitz & Stegun, 26.2.17.
     """
     t = 1 / (1 + 0.2316419 * np.abs(z))
     polynomial = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
@@ -266,18 +221,12 @@ _FAR_EXPONENT: Final = np.float32(-40.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightestPoints:
-    """Points of m trails at which the signal is largest, and the integral of its square.
+    """Points of m trails at which the signal is largest, and the integral of its square."""
 
-    Attributes
-    ----------
-    point_px : (k, m, 2) float64
-        The k points of each trail on the image that promise most light, or the nearest ones to the image, px.
-    square_per_px2 : (m,) float64
-        The integral of the squared signal over the squared flux above the cloud, 1/px^2; of a path that is partly on
-        the image, that over the part on it, divided by this part of the time.
-    """
-
+    # (k, m, 2) the k points of each trail on the image that promise most light, or the nearest ones to the image, px.
     point_px: Float
+    # (m,) the integral of the squared signal over the squared flux above the cloud, 1/px^2; of a path that is partly on
+    # the image, that over the part on it, divided by this part of the time.
     square_per_px2: Float
 
 
@@ -289,24 +238,10 @@ def brightest_points(
 ) -> BrightestPoints:
     """Return where stars leave most light on the image.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    chains : sequence of LineChain
-        Their paths, of each short exposure.
-    transmissions : sequence of (n, m) float64 or None
-        What reaches the camera during each line of each chain.
-
-    Returns
-    -------
-    BrightestPoints
-
-    Notes
-    -----
-    The square of the signal of a path, summed over the image, is the mean along the path of the signal that stars
-    sqrt(2) times as wide would leave: two Gaussians overlap like one with the sum of their variances.
+    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `chains`: their paths, of each
+    short exposure; `transmissions` sequence of (n, m) float64 or None: what reaches the camera during each line of each
+    chain.  The square of the signal of a path, summed over the image, is the mean along the path of the signal that
+    stars sqrt(2) times as wide would leave: two Gaussians overlap like one with the sum of their variances.
     """
     lines = _Lines.of(chains)
     outside_px = scene.camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
@@ -324,22 +259,12 @@ def brightest_points(
 
 
 class _Lines(NamedTuple):
-    """The lines of several chains one after the other: at most some hundred, or groups of them.
+    """The lines of several chains one after the other: at most some hundred, or groups of them."""
 
-    Attributes
-    ----------
-    middle_px, step_px : (2, n, m) float64
-        Middles (x, y), and vectors from the starts to the ends, px.
-    weight : (n, m) float64
-        The fraction of each star's flux.
-    is_whole : (m,) bool
-        Which stars are visible all the time.
-    """
-
-    middle_px: Float
+    middle_px: Float  # (2, n, m) middles (x, y), and vectors from the starts to the ends, px
     step_px: Float
-    weight: Float
-    is_whole: NDArray[np.bool_]
+    weight: Float  # (n, m) the fraction of each star's flux
+    is_whole: NDArray[np.bool_]  # (m,) bool: which stars are visible all the time
 
     @classmethod
     def of(cls, chains: Sequence[LineChain]) -> Self:
@@ -479,18 +404,12 @@ def _signals_and_overlaps(lines: _Lines, sigma_px: float) -> tuple[Float32, Floa
 
 @dataclass(frozen=True, slots=True)
 class TrailPeaks:
-    """Expected brightness of m stars.
+    """Expected brightness of m stars."""
 
-    Attributes
-    ----------
-    peak_fraction_per_px2 : (m,) float64
-        Signal at the brightest point of a trail on the image, over the flux of the star.
-    area_px2 : (m,) float64
-        Noise-equivalent area of the trail: the squared flux over the integral of the squared signal.  That of a part of
-        the trail is the same part of it.
-    """
-
+    # (m,) signal at the brightest point of a trail on the image, over the flux of the star.
     peak_fraction_per_px2: Float
+    # (m,) noise-equivalent area of the trail: the squared flux over the integral of the squared signal; that of a part
+    # of the trail is the same part of it.
     area_px2: Float
 
 
@@ -505,30 +424,14 @@ def trail_peaks(
 ) -> TrailPeaks:
     """Return the expected brightness of trails along the true paths of stars.
 
-    Parameters
-    ----------
-    scene : Scene
-    direction_eq : (m, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox.
-    passage : CloudPassage, optional
-        What cloud transmits of the stars: the peak is that of the dimmed trail, over the flux above the cloud.
-    nodes_px : (2, n, m) float64, optional
-        Their `ConicPaths.nodes_px`, if these are known.
-    recorded : RecordedTimes, optional
-        When a rolling shutter records them: fractions are of the flux that it records.
-    bv : (m,) float64 or float
-        Their colours B - V.
-
-    Returns
-    -------
-    TrailPeaks
-
-    Notes
-    -----
-    The path is a chain of lines, whose light is a Gaussian across and a difference of error functions along, for each
-    Gaussian of a star's profile.  It is evaluated at the points that `brightest_points` finds.  A Gaussian at rest has
-    the area 4 pi sigma^2, and a long trail of length L the area 2 sqrt(pi) sigma L.  Areas of other profiles are larger
-    by a factor for stars at rest and another for long trails, between which it is interpolated.
+    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `passage`: what cloud transmits
+    of the stars: the peak is that of the dimmed trail, over the flux above the cloud; `nodes_px` (2, n, m): their
+    `ConicPaths.nodes_px`, if these are known; `recorded`: when a rolling shutter records them: fractions are of the
+    flux that it records; `bv` (m,) or float: their colours B - V.  The path is a chain of lines, whose light is a
+    Gaussian across and a difference of error functions along, for each Gaussian of a star's profile.  It is evaluated
+    at the points that `brightest_points` finds.  A Gaussian at rest has the area 4 pi sigma^2, and a long trail of
+    length L the area 2 sqrt(pi) sigma L.  Areas of other profiles are larger by a factor for stars at rest and another
+    for long trails, between which it is interpolated.
     """
     chains = list(line_chains(scene, direction_eq, nodes_px, recorded))
     transmissions = _transmissions(chains, passage)

@@ -21,16 +21,10 @@ _CELL_PX: Final = 32
 class TrailStatistics:
     """Statistics of each visible star over the exposure, accumulated over blocks of times.
 
-    Attributes
-    ----------
-    touching, on_image : (k,) float64
-        Fractions of the exposure in which a star's flux and its centre lie on the image.
-    sum_xy : (2, k) float64
-        Integral of its position over the former.
-    saturated : (k,) bool
-        Whether one of the `pixels` under its centre is saturated (or True, if they are bool); False without pixels.
-    recorded : RecordedTimes or None
-        When a rolling shutter records each star; None for a global shutter.
+    `touching`, `on_image` (k,): fractions of the exposure in which a star's flux and its centre lie on the image;
+    `sum_xy` (2, k): integral of its position over the former; `saturated` (k,) bool: whether one of the `pixels` under
+    its centre is saturated (or True, if they are bool); False without pixels; `recorded`: when a rolling shutter
+    records each star; None for a global shutter.
     """
 
     def __init__(self, scene: Scene, pixels: Pixels | None = None, rows: RowTimeSearch | None = None) -> None:
@@ -138,21 +132,9 @@ def _parts_inside(
 ) -> tuple[Float | Mask, Float | Mask]:
     """Return the parts of samples of paths, 0 to 1, that are within a radius of the image, and on it.
 
-    Parameters
-    ----------
-    outside_px : (n, m) float64
-        `Camera.distance_outside_px` of n consecutive samples; NaN where a star is not visible.
-    radius_px : (m,) float64
-    is_at_rest : bool
-        `SampledPaths.is_at_rest`.
-
-    Returns
-    -------
-    within, on_image : (n, m) float64 or bool
-
-    Notes
-    -----
-    A sample represents the path from halfway to the one before to halfway to the next, unless the star is at rest.
+    `outside_px` (n, m): `Camera.distance_outside_px` of n consecutive samples; NaN where a star is not visible;
+    `radius_px` (m,); `is_at_rest`: `SampledPaths.is_at_rest`.  Returns `within, on_image` (n, m) or bool.  A sample
+    represents the path from halfway to the one before to halfway to the next, unless the star is at rest.
     """
     if is_at_rest or len(outside_px) == 1:
         return outside_px < radius_px, outside_px < 0
@@ -207,12 +189,7 @@ class _SaturationMap:
     def crossed_by(self, xy: Float, on_image: Mask) -> Mask:
         """Return which of m stars cross a saturated pixel, (m,).
 
-        Parameters
-        ----------
-        xy : (n, m, 2) float64
-            Positions (x, y) at n times, px.
-        on_image : (n, m) bool
-            Which of them lie on the image.
+        `xy` (n, m, 2): positions (x, y) at n times, px; `on_image` (n, m) bool: which of them lie on the image.
         """
         column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.intp) for axis in (0, 1))
         row *= self._pixels.shape[1]

@@ -23,18 +23,10 @@ _SPECTRAL_SLOPE: Final = 11 / 3
 
 
 class SheetCrossing(NamedTuple):
-    """Where lines of sight cross a sheet.
+    """Where lines of sight cross a sheet."""
 
-    Attributes
-    ----------
-    optical_depth : (...) float64
-        Of the sheet there, vertically; 0 where a line does not cross it.
-    slant : (...) float64
-        1 over the cosine of the angle between the line and the vertical there.
-    """
-
-    optical_depth: Float
-    slant: Float
+    optical_depth: Float  # (...) of the sheet there, vertically; 0 where a line does not cross it
+    slant: Float  # (...) 1 over the cosine of the angle between the line and the vertical there
 
     @property
     def transmission(self) -> Float:
@@ -46,41 +38,19 @@ class SheetCrossing(NamedTuple):
 class CloudSheet:
     """A thin sheet of cloud at a constant height, which drifts with the wind.
 
-    Attributes
-    ----------
-    coverage : float
-        Fraction of the sheet that is cloud, 0 to 1.
-    optical_depth : float
-        Vertical optical depth far from an edge.
-    height_m : float
-        As the height of the aircraft is measured.
-    scale_m : float
-        Size of the largest structures.
-    edge : float
-        Width of the edges, in standard deviations of the field that makes the structures.
-    wind_m_s : float
-        Speed at which it drifts.
-    wind_from_rad : float
-        Azimuth from which the wind blows.
-    seed : int
-    latitude_rad, longitude_rad : float
-        Origin of the coordinates on the sheet.
-
-    Notes
-    -----
     A Gaussian random field f with a power law for its spectrum, of unit variance, is cut at its quantile f0 of 1 -
     coverage: the optical depth is D (1 - exp(-(f - f0) / edge)) where f > f0.  The field repeats after 16 `scale_m`.
     """
 
-    coverage: float
-    optical_depth: float
-    height_m: float
-    scale_m: float
-    edge: float
-    wind_m_s: float
-    wind_from_rad: float
+    coverage: float  # Fraction of the sheet that is cloud, 0 to 1
+    optical_depth: float  # Vertical optical depth far from an edge
+    height_m: float  # As the height of the aircraft is measured
+    scale_m: float  # Size of the largest structures
+    edge: float  # Width of the edges, in standard deviations of the field that makes the structures
+    wind_m_s: float  # Speed at which it drifts
+    wind_from_rad: float  # Azimuth from which the wind blows
     seed: int
-    latitude_rad: float = 0.0
+    latitude_rad: float = 0.0  # Origin of the coordinates on the sheet
     longitude_rad: float = 0.0
 
     @property
@@ -91,16 +61,7 @@ class CloudSheet:
     def depth_at(self, east_m: ArrayLike, north_m: ArrayLike, utc_s: ArrayLike) -> Float:
         """Return the vertical optical depth at some places of the sheet.
 
-        Parameters
-        ----------
-        east_m, north_m : (...) array_like
-            From the origin, m.
-        utc_s : (...) array_like
-            UTC seconds since 1970.
-
-        Returns
-        -------
-        (...) float64
+        `east_m`, `north_m` (...): from the origin, m; `utc_s` (...): UTC seconds since 1970.  Returns (...).
         """
         drift_m = self.wind_m_s * np.asarray(utc_s)
         x = (np.asarray(east_m) + drift_m * np.sin(self.wind_from_rad)) / self.cell_m
@@ -119,21 +80,9 @@ class CloudSheet:
     ) -> SheetCrossing:
         """Return where lines of sight cross the sheet, upwards or downwards.
 
-        Parameters
-        ----------
-        sine_altitude : (...) float64
-            Sines of apparent altitudes.
-        east, north : (...) float64
-            Sine and cosine of the azimuth.
-        site : tuple of array_like
-            Latitude and longitude, rad, and height, m, of observers: all of them below the sheet, or all above it.
-        utc_s : (...) array_like
-            UTC seconds since 1970.
-
-        Returns
-        -------
-        SheetCrossing
-            On a sphere, with straight lines of sight.
+        `sine_altitude` (...): sines of apparent altitudes; `east`, `north` (...): sine and cosine of the azimuth;
+        `site`: latitude and longitude, rad, and height, m, of observers: all of them below the sheet, or all above it;
+        `utc_s` (...): UTC seconds since 1970.  Returns: on a sphere, with straight lines of sight.
         """
         latitude_rad, longitude_rad, height_m = (np.asarray(of, dtype=np.float64) for of in site)
         radius_m, above_m = _EARTH_RADIUS_M + height_m, self.height_m - height_m
@@ -212,21 +161,11 @@ _LOWEST_SINE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class CloudLights:
-    """What lights a sheet of cloud.
+    """What lights a sheet of cloud."""
 
-    Attributes
-    ----------
-    moon_flux : float
-        Flux of the Moon below the air, over that of magnitude 0.
-    sine_moon : float
-        Sine of its apparent altitude.
-    mean_sky : float
-        Mean brightness of the sky above the sheet, flux of magnitude 0 per square arcsecond.
-    """
-
-    moon_flux: float
-    sine_moon: float
-    mean_sky: float
+    moon_flux: float  # Flux of the Moon below the air, over that of magnitude 0
+    sine_moon: float  # Sine of its apparent altitude
+    mean_sky: float  # Mean brightness of the sky above the sheet, flux of magnitude 0 per square arcsecond
 
 
 def _diffuse(optical_depth: Float) -> Float:
@@ -239,27 +178,11 @@ def cloud_from_below(
 ) -> Float:
     """Return the brightness of the sky behind, in and below a sheet of cloud.
 
-    Parameters
-    ----------
-    crossing : SheetCrossing
-        Of the directions.
-    cosine_to_moon : (...) float64
-        Of the angle to the Moon.
-    sky : (...) float64
-        Brightness of the sky without the sheet and without towns, flux of magnitude 0 per square arcsecond.
-    town : (...) float64
-        Brightness of the town's light in the air below the sheet.
-    lights : CloudLights
-
-    Returns
-    -------
-    (...) float64
-
-    Notes
-    -----
-    The flux that a layer without absorption transmits is 1 / (1 + 0.1125 t) of optical depth t (two-stream); what of it
-    is not direct is scattered: light of a single scattering by Henyey and Greenstein's law about the Moon, the rest
-    alike in all directions.
+    `crossing`: of the directions; `cosine_to_moon` (...): of the angle to the Moon; `sky` (...): brightness of the sky
+    without the sheet and without towns, flux of magnitude 0 per square arcsecond; `town` (...): brightness of the
+    town's light in the air below the sheet.  Returns (...).  The flux that a layer without absorption transmits is 1
+    / (1 + 0.1125 t) of optical depth t (two-stream); what of it is not direct is scattered: light of a single
+    scattering by Henyey and Greenstein's law about the Moon, the rest alike in all directions.
     """
     depth, seen = crossing.optical_depth, crossing.optical_depth * crossing.slant
     brightness = np.exp(-seen) * sky + (_diffuse(seen) - np.exp(-seen)) * lights.mean_sky
@@ -278,17 +201,8 @@ def cloud_from_below(
 def cloud_from_above(crossing: SheetCrossing, ground: float, lights: CloudLights) -> Float:
     """Return the brightness of the ground through a sheet of cloud below the observer, with the light of its top.
 
-    Parameters
-    ----------
-    crossing : SheetCrossing
-        Of directions below the horizon.
-    ground : float
-        Brightness of the ground, flux of magnitude 0 per square arcsecond.
-    lights : CloudLights
-
-    Returns
-    -------
-    (...) float64
+    `crossing`: of directions below the horizon; `ground`: brightness of the ground, flux of magnitude 0 per square
+    arcsecond.  Returns (...).
     """
     depth = crossing.optical_depth
     brightness = ground * _diffuse(depth) + (1 - _diffuse(depth * crossing.slant)) * lights.mean_sky

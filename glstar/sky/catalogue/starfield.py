@@ -16,40 +16,21 @@ class StarField:
     """Apparent directions of stars at one epoch.
 
     They are uploaded to the GPU once and used for hours: apparent places change by 0.03" in the first hour.
-
-    Attributes
-    ----------
-    catalogue : str
-        The catalogue that numbers the stars, as in `glstar.sky.catalogue.reading.StarCatalogue`.
-    star_id : (n,) int32
-        The stars' numbers in that catalogue.
-    name : tuple of str
-        Proper names or designations; empty for stars without a name.
-    vmag : (n,) float64
-        V magnitudes.
-    direction_eq : (n, 3) float64
-        Geocentric apparent unit vectors, true equator and equinox of `epoch_utc_s`.
-    epoch_utc_s : float
-        UTC seconds since 1970.
-    C_eq_icrs : (3, 3) float64
-        Matrix from ICRS to the true equator and equinox of that epoch.
-    measured_mag : (n,) float64 or None
-        Magnitudes in the band of the camera; None if they were not measured.
-    bv : (n,) float64 or None
-        Colours B - V of the catalogue, NaN where it has none; None if it has none at all.
-    is_measured : (n,) bool or None
-        Which of `measured_mag` were measured, where the others are V magnitudes; None if all were.
     """
 
-    catalogue: str
-    star_id: NDArray[np.int32]
-    name: tuple[str, ...]
-    vmag: NDArray[np.float64]
+    catalogue: str  # The catalogue that numbers the stars, as in `glstar.sky.catalogue.reading.StarCatalogue`
+    star_id: NDArray[np.int32]  # (n,) int32: the stars' numbers in that catalogue
+    name: tuple[str, ...]  # Proper names or designations; empty for stars without a name
+    vmag: NDArray[np.float64]  # (n,) V magnitudes
+    # (n, 3) geocentric apparent unit vectors, true equator and equinox of `epoch_utc_s`.
     direction_eq: NDArray[np.float64]
-    epoch_utc_s: float
-    C_eq_icrs: NDArray[np.float64]
+    epoch_utc_s: float  # UTC seconds since 1970
+    C_eq_icrs: NDArray[np.float64]  # (3, 3) matrix from ICRS to the true equator and equinox of that epoch
+    # (n,) or None: magnitudes in the band of the camera; None if they were not measured.
     measured_mag: NDArray[np.float64] | None = None
+    # (n,) or None: colours B - V of the catalogue, NaN where it has none; None if it has none at all.
     bv: NDArray[np.float64] | None = None
+    # (n,) bool or None: which of `measured_mag` were measured, where the others are V magnitudes; None if all were.
     is_measured: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
@@ -75,41 +56,17 @@ _SLACK_RAD: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkyCells:
-    """Directions sorted into zones of declination that are divided in right ascension.
+    """Directions sorted into zones of declination that are divided in right ascension."""
 
-    Attributes
-    ----------
-    directions : (n, 3) float64
-        Unit vectors.
-    order : (n,) intp
-        Indices of the directions, sorted by cell and rising within one.
-    first : (c + 1,) intp
-        Where each cell begins in `order`.
-    centre : (c, 3) float64
-        Unit vectors.
-    radius_rad : (c,) float64
-        Largest angle of a cell's directions from its centre.
-    """
-
-    directions: Float
-    order: NDArray[np.intp]
-    first: NDArray[np.intp]
-    centre: Float
-    radius_rad: Float
+    directions: Float  # (n, 3) unit vectors
+    order: NDArray[np.intp]  # (n,) intp: indices of the directions, sorted by cell and rising within one
+    first: NDArray[np.intp]  # (c + 1,) intp: where each cell begins in `order`
+    centre: Float  # (c, 3) unit vectors
+    radius_rad: Float  # (c,) largest angle of a cell's directions from its centre
 
     @classmethod
     def of(cls, directions: Float) -> Self:
-        """Sort directions into cells; cells without one are left out.
-
-        Parameters
-        ----------
-        directions : (n, 3) float64
-            Unit vectors.
-
-        Returns
-        -------
-        SkyCells
-        """
+        """Sort directions into cells; cells without one are left out; `directions` (n, 3): unit vectors."""
         zones = int(np.ceil(pi / _CELL_RAD))
         zone = np.minimum((np.arcsin(directions[:, 2].clip(-1, 1)) + pi / 2) / pi * zones, zones - 1).astype(np.int64)
         middle = (np.arange(zones) + 0.5) * (pi / zones) - pi / 2
@@ -129,17 +86,8 @@ class SkyCells:
     def within(self, axis: Float, radius_rad: float) -> NDArray[np.intp]:
         """Return the directions in a cone.
 
-        Parameters
-        ----------
-        axis : (3,) float64
-            Unit vector.
-        radius_rad : float
-            Largest angle from the axis, below pi.
-
-        Returns
-        -------
-        (k,) intp
-            Indices, rising.
+        `axis` (3,): unit vector; `radius_rad`: largest angle from the axis, below pi.  Returns (k,) intp: indices,
+        rising.
         """
         near = np.flatnonzero(self.centre @ axis > np.cos(np.minimum(radius_rad + self.radius_rad, pi)))
         if not near.size:

@@ -70,18 +70,8 @@ class CatalogueRow(NamedTuple):
 def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mapping[str, str]) -> None:
     """Write a catalogue file atomically: to a temporary file in the same folder, which is then renamed.
 
-    Parameters
-    ----------
-    path : Path
-        The file; an existing one is replaced.
-    stars : sequence of CatalogueRow
-    provenance : mapping of str to str
-        The source of the stars and how they were processed, in the order to show it.
-
-    Raises
-    ------
-    ExportError
-        If the file cannot be written.
+    `path`: the file; an existing one is replaced; `provenance`: the source of the stars and how they were processed, in
+    the order to show it.  Raises ExportError if the file cannot be written.
     """
     rows = [tuple(star) for star in stars]
     knows_distances = any(star.parallax_rad or star.radial_velocity_m_per_s is not None for star in stars)
@@ -93,18 +83,8 @@ def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mappi
 def write_rows(path: Path, rows: Iterable[tuple[object, ...]], provenance: Mapping[str, str]) -> None:
     """Write a catalogue file row by row, for millions of stars; see `write_catalogue`.
 
-    Parameters
-    ----------
-    path : Path
-        The file; an existing one is replaced.
-    rows : iterable of tuple
-        In the order of `CatalogueRow`, sorted by number.
-    provenance : mapping of str to str
-
-    Raises
-    ------
-    ExportError
-        If the file cannot be written.
+    `path`: the file; an existing one is replaced; `rows`: in the order of `CatalogueRow`, sorted by number.  Raises
+    ExportError if the file cannot be written.
     """
     _write(path, rows, provenance, knows_distances=True)
 
@@ -152,35 +132,18 @@ _BP_RP_RANGE: Final = (-0.5, 5.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueColumns:
-    """Stars at equinox and epoch J2000, as columns.
+    """Stars at equinox and epoch J2000, as columns."""
 
-    Attributes
-    ----------
-    number : (n,) int64
-        Numbers in the catalogue, each once.
-    ra_rad, dec_rad : (n,) float64
-        ICRS, right ascension in [0, 2 pi).
-    pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) float64
-    parallax_rad : (n,) float64
-        0 where unknown.
-    radial_velocity_m_per_s : (n,) float64
-        NaN where unknown.
-    vmag, bv : (n,) float64
-        Johnson; B - V is NaN where unknown.
-    name, designation : tuple of str
-        n long, or empty for stars without any.
-    """
-
-    number: NDArray[np.int64]
-    ra_rad: Float
+    number: NDArray[np.int64]  # (n,) int64: numbers in the catalogue, each once
+    ra_rad: Float  # (n,) ICRS, right ascension in [0, 2 pi)
     dec_rad: Float
-    pm_ra_cosdec_rad_per_yr: Float
+    pm_ra_cosdec_rad_per_yr: Float  # (n,)
     pm_dec_rad_per_yr: Float
-    parallax_rad: Float
-    radial_velocity_m_per_s: Float
-    vmag: Float
+    parallax_rad: Float  # (n,) 0 where unknown
+    radial_velocity_m_per_s: Float  # (n,) NaN where unknown
+    vmag: Float  # (n,) Johnson; B - V is NaN where unknown
     bv: Float
-    name: tuple[str, ...] = ()
+    name: tuple[str, ...] = ()  # N long, or empty for stars without any
     designation: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -234,27 +197,12 @@ def space_motion_to_j2000(
 ) -> tuple[Float, Float, Float, Float]:
     """Return places and proper motions at J2000 of stars that move along straight lines in space.
 
-    Parameters
-    ----------
-    place_rad : tuple of two (n,) array_like
-        Right ascension and declination, ICRS at the epoch, rad.
-    pm_rad_per_yr : tuple of two (n,) array_like
-        Proper motions in right ascension, cos(dec) included, and in declination, rad per Julian year; NaN for unknown.
-    parallax_rad : (n,) array_like
-        NaN or negative for unknown.
-    radial_velocity_m_per_s : (n,) array_like
-        NaN for unknown.
-    epoch_yr : float
-        Julian year, barycentric.
-
-    Returns
-    -------
-    ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) float64
-
-    Notes
-    -----
-    ERFA's `pmsafe`: space motion with the time that light takes (Stumpff 1985), and with a small parallax where there
-    is none.
+    `place_rad` tuple of two (n,) array_like: right ascension and declination, ICRS at the epoch, rad; `pm_rad_per_yr`
+    tuple of two (n,) array_like: proper motions in right ascension, cos(dec) included, and in declination, rad per
+    Julian year; NaN for unknown; `parallax_rad` (n,): NaN or negative for unknown; `radial_velocity_m_per_s` (n,): NaN
+    for unknown; `epoch_yr`: Julian year, barycentric.  Returns `ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr,
+    pm_dec_rad_per_yr` (n,).  ERFA's `pmsafe`: space motion with the time that light takes (Stumpff 1985), and with a
+    small parallax where there is none.
     """
     ra, dec = (np.asarray(angle, dtype=np.float64) for angle in place_rad)
     pm_ra, pm_dec = (np.nan_to_num(np.asarray(pm, dtype=np.float64)) for pm in pm_rad_per_yr)
@@ -273,19 +221,9 @@ def space_motion_to_j2000(
 def vmag_from_tycho(bt_mag: ArrayLike, vt_mag: ArrayLike) -> Float:
     """Return Johnson V from Tycho's magnitudes.
 
-    Parameters
-    ----------
-    bt_mag, vt_mag : (n,) array_like
-        B_T and V_T, mag; NaN for unknown.  Without B_T, V is V_T as of a star of B - V 0; without V_T, it is NaN.
-
-    Returns
-    -------
-    (n,) float64
-
-    Notes
-    -----
-    ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, section 1.3, appendix 4: V = V_T - 0.090 (B_T - V_T), within
-    0.015 mag for stars that are not reddened of B - V from -0.2 to 1.8.
+    `bt_mag`, `vt_mag` (n,): B_T and V_T, mag; NaN for unknown; without B_T, V is V_T as of a star of B - V 0; without
+    V_T, it is NaN.  Returns (n,).  ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, section 1.3, appendix 4: V =
+    V_T - 0.090 (B_T - V_T), within 0.015 mag for stars that are not reddened of B - V from -0.2 to 1.8.
     """
     bt, vt = np.asarray(bt_mag, dtype=np.float64), np.asarray(vt_mag, dtype=np.float64)
     return np.asarray(vt - 0.090 * np.nan_to_num(bt - vt))
@@ -294,14 +232,7 @@ def vmag_from_tycho(bt_mag: ArrayLike, vt_mag: ArrayLike) -> Float:
 def bv_from_tycho(bt_mag: ArrayLike, vt_mag: ArrayLike) -> Float:
     """Return Johnson B - V from Tycho's magnitudes: 0.850 (B_T - V_T), as for `vmag_from_tycho`.
 
-    Parameters
-    ----------
-    bt_mag, vt_mag : (n,) array_like
-        B_T and V_T, mag; NaN for unknown.
-
-    Returns
-    -------
-    (n,) float64
+    `bt_mag`, `vt_mag` (n,): B_T and V_T, mag; NaN for unknown.  Returns (n,).
     """
     return np.asarray(0.850 * (np.asarray(bt_mag, dtype=np.float64) - np.asarray(vt_mag, dtype=np.float64)))
 
@@ -309,17 +240,8 @@ def bv_from_tycho(bt_mag: ArrayLike, vt_mag: ArrayLike) -> Float:
 def vmag_from_gaia(g_mag: ArrayLike, bp_rp: ArrayLike) -> Float:
     """Return Johnson V from Gaia's G and BP - RP.
 
-    Parameters
-    ----------
-    g_mag, bp_rp : (n,) array_like
-        mag.  BP - RP is clipped to -0.5 to 5, and 0.82 (the Sun's) where it is NaN.
+    `g_mag`, `bp_rp` (n,): mag; BP - RP is clipped to -0.5 to 5, and 0.82 (the Sun's) where it is NaN.  Returns (n,).
 
-    Returns
-    -------
-    (n,) float64
-
-    Notes
-    -----
     Gaia EDR3 documentation, section 5.5.1, table 5.9: G - V = -0.02704 + 0.01424 x - 0.2156 x^2 + 0.01426 x^3 with x
     = BP - RP; scatter 0.03 mag.
     """

@@ -46,77 +46,39 @@ class EarthFrames(Protocol):
 
 
 class SatelliteView(NamedTuple):
-    """A satellite as seen at n times.
+    """A satellite as seen at n times."""
 
-    Attributes
-    ----------
-    direction_eq : (n, 3) float64
-        Unit vectors, true equator and equinox, with light time, without the aberration by the Earth's rotation.
-    range_km : (n,) float64
-    geocentric_eq_km : (n, 3) float64
-        From the Earth's centre.
-    """
-
+    # (n, 3) unit vectors, true equator and equinox, with light time, without the aberration by the Earth's rotation.
     direction_eq: Float
-    range_km: Float
-    geocentric_eq_km: Float
+    range_km: Float  # (n,)
+    geocentric_eq_km: Float  # (n, 3) from the Earth's centre
 
 
 @dataclass(frozen=True, slots=True)
 class Satellite:
-    """One satellite.
-
-    Attributes
-    ----------
-    name : str
-    number : int
-        Its number in the satellite catalogue.
-    lines : (str, str)
-        The elements.
-    standard_mag : float
-        V magnitude 1000 km away, half lit.
-    """
+    """One satellite."""
 
     name: str
-    number: int
-    lines: tuple[str, str]
-    standard_mag: float
+    number: int  # Its number in the satellite catalogue
+    lines: tuple[str, str]  # (str, str) the elements
+    standard_mag: float  # V magnitude 1000 km away, half lit
 
     def seen(
         self, sky: EarthFrames, utc_s: Float, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike
     ) -> SatelliteView:
         """Return how the satellite is seen at some times.
 
-        Parameters
-        ----------
-        sky : EarthFrames
-            With the orientation of the Earth.
-        utc_s : (n,) float64
-            UTC seconds since 1970, within minutes of each other.
-        latitude_rad, longitude_rad, height_m : (n,) array_like
-            The observer at these times.
-
-        Returns
-        -------
-        SatelliteView
-            NaN where the elements describe no orbit any more.
-
-        Notes
-        -----
-        SGP4 (Vallado and others 2006, AIAA 2006-6753) in the frame TEME, turned by the sidereal time of 1982.
+        `sky`: with the orientation of the Earth; `utc_s` (n,): UTC seconds since 1970, within minutes of each other;
+        `latitude_rad`, `longitude_rad`, `height_m` (n,): the observer at these times.  Returns: NaN where the elements
+        describe no orbit any more.  SGP4 (Vallado and others 2006, AIAA 2006-6753) in the frame TEME, turned by the
+        sidereal time of 1982.
         """
         return _seen([_propagator(self.lines)], sky, utc_s, (latitude_rad, longitude_rad, height_m))
 
 
 @dataclass(frozen=True)
 class Satellites:
-    """The satellites of a file.
-
-    Attributes
-    ----------
-    path : Path
-    satellites : tuple of Satellite
-    """
+    """The satellites of a file."""
 
     path: Path
     satellites: tuple[Satellite, ...]
@@ -125,21 +87,9 @@ class Satellites:
     def open(path: str | PathLike[str], standard_mag: float = 4.5) -> "Satellites":
         """Read a file of two-line elements.
 
-        Parameters
-        ----------
-        path : path-like
-            Lines in pairs, each pair with or without a line with the name before it.
-        standard_mag : float
-            V magnitude of each 1000 km away, half lit: elements do not say it.
-
-        Returns
-        -------
-        Satellites
-
-        Raises
-        ------
-        ConfigError
-            If the file cannot be read or is damaged, or the package sgp4 is not installed.
+        `path`: lines in pairs, each pair with or without a line with the name before it; `standard_mag`: V magnitude of
+        each 1000 km away, half lit: elements do not say it.  Raises ConfigError if the file cannot be read or is
+        damaged, or the package sgp4 is not installed.
         """
         file = Path(path)
         _sgp4()
@@ -156,22 +106,8 @@ class Satellites:
     ) -> Iterator[Satellite]:
         """Yield the satellites that may be above the horizon and near a direction during an exposure.
 
-        Parameters
-        ----------
-        sky : EarthFrames
-        utc_s : float
-            The middle of the exposure, UTC seconds since 1970.
-        span_s : float
-            Its duration.
-        site : Site
-        towards_eq : (3,) float64
-            Unit vector, true equator and equinox.
-        angle_rad : float
-            Largest distance from it.
-
-        Yields
-        ------
-        Satellite
+        `utc_s`: the middle of the exposure, UTC seconds since 1970; `span_s`: its duration; `towards_eq` (3,): unit
+        vector, true equator and equinox; `angle_rad`: largest distance from it.
         """
         place = site.latitude_rad, site.longitude_rad, site.height_m
         propagators = [_propagator(one.lines) for one in self.satellites]
@@ -207,21 +143,9 @@ class Satellites:
 def satellite_vmag(standard_mag: float, range_km: ArrayLike, phase_angle_rad: ArrayLike) -> Float:
     """Return the V magnitude of a satellite in full sunlight.
 
-    Parameters
-    ----------
-    standard_mag : float
-        1000 km away, half lit.
-    range_km : (...) array_like
-    phase_angle_rad : (...) array_like
-        Angle between Sun and observer at the satellite, rad.
-
-    Returns
-    -------
-    (...) float64
-
-    Notes
-    -----
-    Of a white sphere, Lambert: (sin a + (pi - a) cos a) / pi of the light at full phase, 1 / pi at 90 deg.
+    `standard_mag`: 1000 km away, half lit; `range_km` (...); `phase_angle_rad` (...): angle between Sun and observer at
+    the satellite, rad.  Returns (...).  Of a white sphere, Lambert: (sin a + (pi - a) cos a) / pi of the light at
+    full phase, 1 / pi at 90 deg.
     """
     angle = np.asarray(phase_angle_rad, dtype=np.float64)
     lit = np.maximum(np.sin(angle) + (pi - angle) * np.cos(angle), 1e-12)
@@ -231,16 +155,8 @@ def satellite_vmag(standard_mag: float, range_km: ArrayLike, phase_angle_rad: Ar
 def lit_fraction(geocentric_eq_km: Float, sun_eq: Float) -> Float:
     """Return the part of the Sun's disc that a satellite sees beside the Earth.
 
-    Parameters
-    ----------
-    geocentric_eq_km : (..., 3) float64
-    sun_eq : (3,) float64
-        Unit vector to the Sun.
-
-    Returns
-    -------
-    (...) float64
-        0 in the umbra, 1 in sunlight; the Earth's edge is straight, and has no air.
+    `geocentric_eq_km` (..., 3); `sun_eq` (3,): unit vector to the Sun.  Returns (...) 0 in the umbra, 1 in sunlight;
+    the Earth's edge is straight, and has no air.
     """
     distance_km = np.linalg.norm(geocentric_eq_km, axis=-1)
     earth_rad = np.arcsin(np.minimum(_EARTH_KM / distance_km, 1.0))
@@ -252,20 +168,8 @@ def lit_fraction(geocentric_eq_km: Float, sun_eq: Float) -> Float:
 def visible_vmag(satellite: Satellite, view: SatelliteView, sun_eq: Float) -> tuple[Float, Float]:
     """Return the brightness of a satellite.
 
-    Parameters
-    ----------
-    satellite : Satellite
-    view : SatelliteView
-        n times.
-    sun_eq : (3,) float64
-        Unit vector to the Sun.
-
-    Returns
-    -------
-    vmag : (n,) float64
-        V magnitudes in full sunlight.
-    lit : (n,) float64
-        The part of the Sun that it sees.
+    `view`: n times; `sun_eq` (3,): unit vector to the Sun.  Returns `vmag` (n,): V magnitudes in full sunlight; `lit`
+    (n,): the part of the Sun that it sees.
     """
     phase_rad = np.arccos(np.clip(-(view.direction_eq @ sun_eq), -1, 1))
     return satellite_vmag(satellite.standard_mag, view.range_km, phase_rad), lit_fraction(view.geocentric_eq_km, sun_eq)

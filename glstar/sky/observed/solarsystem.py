@@ -58,40 +58,16 @@ _URANUS_POLE: Final = direction(np.deg2rad(257.311), np.deg2rad(-15.175))
 
 
 def sun_vmag(distance_au: float) -> float:
-    """Return the V magnitude of the Sun.
-
-    Parameters
-    ----------
-    distance_au : float
-        Distance from the observer, au.
-
-    Returns
-    -------
-    float
-    """
+    """Return the V magnitude of the Sun; `distance_au`: distance from the observer, au."""
     return _SUN_VMAG + 5 * log10(distance_au)
 
 
 def moon_vmag(phase_angle_rad: float, distance_km: float, sun_distance_au: float) -> float:
     """Return the V magnitude of the Moon.
 
-    Parameters
-    ----------
-    phase_angle_rad : float
-        Angle between Sun and observer at the Moon, rad.
-    distance_km : float
-        Distance from the observer, km.
-    sun_distance_au : float
-        Distance of the Moon from the Sun, au.
-
-    Returns
-    -------
-    float
-
-    Notes
-    -----
-    Allen, Astrophysical Quantities: V = -12.73 + 0.026 a + 4e-9 a^4 with the phase angle a in degrees; valid up to
-    about 150 deg, and too faint near new Moon.
+    `phase_angle_rad`: angle between Sun and observer at the Moon, rad; `distance_km`: distance from the observer, km;
+    `sun_distance_au`: distance of the Moon from the Sun, au.  Allen, Astrophysical Quantities: V = -12.73 + 0.026 a +
+    4e-9 a^4 with the phase angle a in degrees; valid up to about 150 deg, and too faint near new Moon.
     """
     angle_deg = degrees(phase_angle_rad)
     at_mean_distance = _FULL_MOON_VMAG + 0.026 * angle_deg + 4e-9 * angle_deg**4
@@ -101,24 +77,10 @@ def moon_vmag(phase_angle_rad: float, distance_km: float, sun_distance_au: float
 def planet_vmag(name: str, from_sun_au: Float, from_observer_au: Float, phase_angle_rad: float, year: float) -> float:
     """Return the V magnitude of a planet.
 
-    Parameters
-    ----------
-    name : str
-        A key of `glstar.sky.observed.solarsystem.PLANETS`.
-    from_sun_au, from_observer_au : (3,) float64
-        The planet's position from the Sun and from the observer, ICRS axes, au.
-    phase_angle_rad : float
-        Angle between Sun and observer at the planet, rad.
-    year : float
-        Julian year, for Neptune, which brightened from 1980 to 2000.
-
-    Returns
-    -------
-    float
-
-    Notes
-    -----
-    Mallama & Hilton 2018, eqs (2) to (17): V(1, 0) and the phase law, plus 5 log10(r d).
+    `name`: a key of `glstar.sky.observed.solarsystem.PLANETS`; `from_sun_au`, `from_observer_au` (3,): the planet's
+    position from the Sun and from the observer, ICRS axes, au; `phase_angle_rad`: angle between Sun and observer at the
+    planet, rad; `year`: Julian year, for Neptune, which brightened from 1980 to 2000.  Mallama & Hilton 2018, eqs (2)
+    to (17): V(1, 0) and the phase law, plus 5 log10(r d).
     """
     a = degrees(phase_angle_rad)
     r, d = float(np.linalg.norm(from_sun_au)), float(np.linalg.norm(from_observer_au))
@@ -176,19 +138,11 @@ _FILE: Final = "ephemeris.npz"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EarthState:
-    """Position and velocity of the Earth's centre; ICRS axes.
+    """Position and velocity of the Earth's centre; ICRS axes."""
 
-    Attributes
-    ----------
-    heliocentric_km, barycentric_km : (3,) float64
-        From the Sun's centre, and from the barycentre of the solar system, km.
-    velocity_km_per_day : (3,) float64
-        Relative to the barycentre, km per day.
-    """
-
-    heliocentric_km: Float
+    heliocentric_km: Float  # (3,) from the Sun's centre, and from the barycentre of the solar system, km
     barycentric_km: Float
-    velocity_km_per_day: Float
+    velocity_km_per_day: Float  # (3,) relative to the barycentre, km per day
 
     @property
     def sun_km(self) -> Float:
@@ -199,14 +153,7 @@ class EarthState:
 def earth_state(tt: JulianDate) -> EarthState:
     """Return the Earth's position and velocity, by ERFA's `epv00`: within 10 km (0.014") of DE421.
 
-    Parameters
-    ----------
-    tt : (float, float)
-        Terrestrial Time, a two-part Julian date.
-
-    Returns
-    -------
-    EarthState
+    `tt` (float, float): terrestrial Time, a two-part Julian date.
     """
     # The status only says that it is a little worse before 1900 and after 2100.
     heliocentric, barycentric, _ = erfa.ufunc.epv00(*tt)
@@ -220,17 +167,8 @@ def earth_state(tt: JulianDate) -> EarthState:
 def planet_km(name: str, tt: JulianDate) -> Float:
     """Return the heliocentric position of a planet, ICRS axes.
 
-    Parameters
-    ----------
-    name : str
-        A key of `PLANETS`.
-    tt : (float, float)
-        Terrestrial Time, a two-part Julian date.
-
-    Returns
-    -------
-    (3,) float64
-        km.  Of Jupiter and Saturn it is the barycentre of the planet and its moons: at most 0.1" beside the planet.
+    `name`: a key of `PLANETS`; `tt` (float, float): terrestrial Time, a two-part Julian date.  Returns (3,) km; of
+    Jupiter and Saturn it is the barycentre of the planet and its moons: at most 0.1" beside the planet.
     """
     position_velocity, _ = erfa.ufunc.plan94(*tt, PLANETS[name])  # the status: as of `earth_state`
     series = np.asarray(position_velocity["p"], dtype=np.float64) * AU_KM
@@ -240,15 +178,8 @@ def planet_km(name: str, tt: JulianDate) -> Float:
 def moon_km(tt: JulianDate) -> Float:
     """Return the geocentric position of the Moon, ICRS axes.
 
-    Parameters
-    ----------
-    tt : (float, float)
-        Terrestrial Time, a two-part Julian date.
-
-    Returns
-    -------
-    (3,) float64
-        km; within 0.6" of DE421 from 1990 to 2050, and 14" in other years.
+    `tt` (float, float): terrestrial Time, a two-part Julian date.  Returns (3,) km; within 0.6" of DE421 from 1990 to
+    2050, and 14" in other years.
     """
     series = np.asarray(erfa.moon98(*tt)["p"], dtype=np.float64) * AU_KM
     return series + _corrections()["moon"].at(tt)
@@ -257,37 +188,19 @@ def moon_km(tt: JulianDate) -> Float:
 def is_corrected(tt: JulianDate) -> bool:
     """Return whether a time lies within the years of the corrections, 1990 to 2050.
 
-    Parameters
-    ----------
-    tt : (float, float)
-        Terrestrial Time, a two-part Julian date.
-
-    Returns
-    -------
-    bool
+    `tt` (float, float): terrestrial Time, a two-part Julian date.
     """
     return all(correction.covers(tt) for correction in _corrections().values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Correction:
-    """A vector as consecutive Chebyshev series of whole numbers.
+    """A vector as consecutive Chebyshev series of whole numbers."""
 
-    Attributes
-    ----------
-    first_jd : float
-        Start of the first series, Julian date.
-    piece_days : float
-        Length of a series, days.
-    step_km : float
-        Unit of the coefficients, km.
-    coefficients : (pieces, 3, degree + 1) int8 or int16
-    """
-
-    first_jd: float
-    piece_days: float
-    step_km: float
-    coefficients: NDArray[np.int8] | NDArray[np.int16]
+    first_jd: float  # Start of the first series, Julian date
+    piece_days: float  # Length of a series, days
+    step_km: float  # Unit of the coefficients, km
+    coefficients: NDArray[np.int8] | NDArray[np.int16]  # (pieces, 3, degree + 1) int8 or int16
 
     def covers(self, tt: JulianDate) -> bool:
         return 0 <= self._piece(tt) < len(self.coefficients)
@@ -348,42 +261,22 @@ _DEFLECTION_LIMIT: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """One body at one time, from one site.
+    """One body at one time, from one site."""
 
-    Attributes
-    ----------
-    name : str
-        As in `BODIES`.
-    direction_eq : (3,) float64
-        Topocentric apparent unit vector without diurnal aberration, true equator and equinox of date: the same as
-        the directions of a `StarField`, with parallax.
-    sun_direction_eq : (3,) float64
-        Unit vector from the body to the Sun in the same frame; zero for the Sun.
-    azimuth_rad, altitude_rad, apparent_altitude_rad : float
-        As in `ObservedPlaces`, rad.
-    distance_km : float
-        From the observer, km.
-    angular_radius_rad : float
-        rad; the equator's.
-    phase_angle_rad : float
-        Angle between the Sun and the observer at the body, rad; 0 for the Sun.
-    bright_limb_rad : float or None
-        Position angle of the middle of the bright limb, from celestial north through east, rad; None for the Sun.
-    vmag : float
-        V magnitude above the air.
-    """
-
-    name: str
+    name: str  # As in `BODIES`
+    # (3,) topocentric apparent unit vector without diurnal aberration, true equator and equinox of date: the same as
+    # the directions of a `StarField`, with parallax.
     direction_eq: Float
-    sun_direction_eq: Float
-    azimuth_rad: float
+    sun_direction_eq: Float  # (3,) unit vector from the body to the Sun in the same frame; zero for the Sun
+    azimuth_rad: float  # As in `ObservedPlaces`, rad
     altitude_rad: float
     apparent_altitude_rad: float
-    distance_km: float
-    angular_radius_rad: float
-    phase_angle_rad: float
+    distance_km: float  # From the observer, km
+    angular_radius_rad: float  # Rad; the equator's
+    phase_angle_rad: float  # Angle between the Sun and the observer at the body, rad; 0 for the Sun
+    # Position angle of the middle of the bright limb, from celestial north through east, rad; None for the Sun.
     bright_limb_rad: float | None
-    vmag: float
+    vmag: float  # V magnitude above the air
 
     @property
     def illuminated_fraction(self) -> float:
@@ -400,23 +293,8 @@ class Body:
 def observed_bodies(sky: Sky, utc_s: float, site: Site, names: tuple[str, ...] = BODIES) -> tuple[Body, ...]:
     """Return the Sun, the Moon and the planets as seen from a site.
 
-    Parameters
-    ----------
-    sky : Sky
-        Its frames, its Earth orientation and its refraction; not its stars.
-    utc_s : float
-        UTC seconds since 1970.
-    site : Site
-    names : tuple of str
-        Those to compute, of `BODIES`.
-
-    Returns
-    -------
-    tuple of Body
-        In the order of `names`, whether above the horizon or below.
-
-    Notes
-    -----
+    `sky`: its frames, its Earth orientation and its refraction; not its stars; `utc_s`: UTC seconds since 1970;
+    `names`: those to compute, of `BODIES`.  Returns: in the order of `names`, whether above the horizon or below.
     Explanatory Supplement to the Astronomical Almanac, 3rd edition, chapter 7: light time, deflection, aberration.
     """
     observer = _Observer(sky, utc_s, site)
@@ -424,18 +302,7 @@ def observed_bodies(sky: Sky, utc_s: float, site: Site, names: tuple[str, ...] =
 
 
 def moon_over(utc_s: float, site: Site) -> Body:
-    """Return the Moon as seen from a site, for messages about the light of a night.
-
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-    site : Site
-
-    Returns
-    -------
-    Body
-    """
+    """Return the Moon as seen from a site, for messages about the light of a night; `utc_s`: UTC seconds since 1970."""
     frames = Sky(StarCatalogue.open("bsc5").by_id([]), ASTROMETRY["erfa"], None)
     return observed_bodies(frames, utc_s, site, ("Moon",))[0]
 

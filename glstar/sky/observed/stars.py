@@ -35,25 +35,14 @@ _BELOW_PROFILE_RAD = np.deg2rad(1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPlaces:
-    """Observed places of stars at a site.
-
-    Attributes
-    ----------
-    stars : StarField
-    ra_rad, dec_rad : (n,) float64
-        Geocentric apparent place of date, rad.
-    azimuth_rad, altitude_rad : (n,) float64
-        Azimuth from north through east, and altitude without refraction, rad.
-    apparent_altitude_rad : (n,) float64
-        Altitude with refraction, rad.
-    """
+    """Observed places of stars at a site."""
 
     stars: StarField
-    ra_rad: Float
+    ra_rad: Float  # (n,) geocentric apparent place of date, rad
     dec_rad: Float
-    azimuth_rad: Float
+    azimuth_rad: Float  # (n,) azimuth from north through east, and altitude without refraction, rad
     altitude_rad: Float
-    apparent_altitude_rad: Float
+    apparent_altitude_rad: Float  # (n,) altitude with refraction, rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,16 +225,7 @@ def _at_greenwich_rad(astrometry: Astrometry, utc_s: float, dut1_s: float) -> fl
 def sun_altitude_rad(utc_s: float, site: Site) -> float:
     """Return the altitude of the Sun, without refraction.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-    site : Site
-
-    Returns
-    -------
-    float
-        Altitude, rad; negative below the horizon.
+    `utc_s`: UTC seconds since 1970.  Returns: altitude, rad; negative below the horizon.
     """
     sidereal_rad = ASTROMETRY["erfa"].sidereal_time_rad(utc_s, 0.0)
     _, altitude_rad = ned_to_azimuth_altitude_rad(

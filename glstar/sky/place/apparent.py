@@ -42,54 +42,25 @@ class Astrometry(Protocol):
     ) -> Float:
         """Return geocentric apparent directions.
 
-        Parameters
-        ----------
-        ra_rad, dec_rad : (n,) array_like
-            Right ascension and declination, J2000, rad.
-        pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) array_like
-            Proper motions, rad per Julian year; the one in right ascension includes cos(dec), as in catalogues.
-        utc_s : float
-            UTC seconds since 1970.
-        parallax_rad : (n,) array_like
-            Parallaxes, rad; not negative.
-        radial_velocity_m_per_s : (n,) array_like
-            Radial velocities, m/s, away from the Sun positive.
-
-        Returns
-        -------
-        (n, 3) float64
-            Unit vectors, true equator and equinox of date.
+        `ra_rad`, `dec_rad` (n,): right ascension and declination, J2000, rad; `pm_ra_cosdec_rad_per_yr`,
+        `pm_dec_rad_per_yr` (n,): proper motions, rad per Julian year; the one in right ascension includes cos(dec), as
+        in catalogues; `utc_s`: UTC seconds since 1970; `parallax_rad` (n,): parallaxes, rad; not negative;
+        `radial_velocity_m_per_s` (n,): radial velocities, m/s, away from the Sun positive.  Returns (n, 3) unit
+        vectors, true equator and equinox of date.
         """
         ...
 
     def C_eq_icrs(self, utc_s: float) -> Float:
         """Return the matrix from ICRS to the true equator and equinox of date.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970.
-
-        Returns
-        -------
-        (3, 3) float64
+        `utc_s`: UTC seconds since 1970.  Returns (3, 3).
         """
         ...
 
     def sidereal_time_rad(self, utc_s: float, dut1_s: float) -> float:
         """Return the apparent sidereal time at Greenwich.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970.
-        dut1_s : float
-            UT1 - UTC, s.
-
-        Returns
-        -------
-        float
-            rad, 0 to 2 pi.
+        `utc_s`: UTC seconds since 1970; `dut1_s`: UT1 - UTC, s.  Returns: rad, 0 to 2 pi.
         """
         ...
 
@@ -112,8 +83,6 @@ class PaperAstrometry:
     ) -> Float:
         """Return geocentric apparent directions; see `Astrometry`.
 
-        Notes
-        -----
         Teague & Chahl, eqs (1)-(19): proper motion, precession, aberration, nutation, in this order, on vectors.  As in
         the paper, there is no parallax (up to 0.77").
         """
@@ -154,8 +123,6 @@ class ErfaAstrometry:
     ) -> Float:
         """Return geocentric apparent directions; see `Astrometry`.
 
-        Notes
-        -----
         The quantities that depend on the date only are computed once (`apci13`) and applied to all stars (`atciq`).
         The single call `atci13` would compute them for each star, which is 350 times slower.
         """
@@ -184,14 +151,7 @@ ASTROMETRY: Final[dict[Literal["paper", "erfa"], Astrometry]] = {"paper": PaperA
 def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
     """Return the unit vector of a right ascension and declination, or of any longitude and latitude.
 
-    Parameters
-    ----------
-    ra_rad, dec_rad : (...) array_like
-        Angles, rad.
-
-    Returns
-    -------
-    (..., 3) float64
+    `ra_rad`, `dec_rad` (...): angles, rad.  Returns (..., 3).
     """
     ra, dec = np.broadcast_arrays(np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64))
     return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
@@ -200,19 +160,8 @@ def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
 def sun_direction(utc_s: float) -> Float:
     """Return the direction of the Sun, accurate to 1', to distinguish night from day.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    (3,) float64
-        Geocentric unit vector, true equator and equinox of date.
-
-    Notes
-    -----
-    The negative of ERFA's heliocentric position of the Earth (`epv00`), without aberration (20").
+    `utc_s`: UTC seconds since 1970.  Returns (3,) geocentric unit vector, true equator and equinox of date.  The
+    negative of ERFA's heliocentric position of the Earth (`epv00`), without aberration (20").
     """
     tt = tt_julian_date(utc_s)
     heliocentric, _ = erfa.epv00(*tt)
@@ -222,15 +171,8 @@ def sun_direction(utc_s: float) -> Float:
 def right_ascension_declination(direction_eq: ArrayLike) -> tuple[Float, Float]:
     """Return the right ascension and declination of a vector.
 
-    Parameters
-    ----------
-    direction_eq : (..., 3) array_like
-        Vectors of any length.
-
-    Returns
-    -------
-    ra_rad, dec_rad : (...) float64
-        rad, right ascension from 0 to 2 pi.
+    `direction_eq` (..., 3): vectors of any length.  Returns `ra_rad, dec_rad` (...): rad, right ascension from 0 to 2
+    pi.
     """
     x, y, z = np.moveaxis(np.asarray(direction_eq, dtype=np.float64), -1, 0)
     return np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
@@ -245,23 +187,10 @@ def proper_motion(
 ) -> tuple[Float, Float]:
     """Return mean places of J2000 after a number of years of proper motion.
 
-    Parameters
-    ----------
-    ra_rad, dec_rad : (n,) array_like
-        Right ascension and declination at J2000, rad.
-    pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) array_like
-        Proper motions, rad per Julian year.
-    years : float
-        Julian years since J2000.
-
-    Returns
-    -------
-    ra_rad, dec_rad : (n,) float64
-
-    Notes
-    -----
-    Teague & Chahl, eq. (1).  Departs from eq. (1): the proper motion in right ascension of the catalogue includes
-    cos(dec) and must be divided by it; otherwise the error for alpha Centauri is 47" in 2025.
+    `ra_rad`, `dec_rad` (n,): right ascension and declination at J2000, rad; `pm_ra_cosdec_rad_per_yr`,
+    `pm_dec_rad_per_yr` (n,): proper motions, rad per Julian year; `years`: Julian years since J2000.  Returns `ra_rad,
+    dec_rad` (n,).  Teague & Chahl, eq. (1).  Departs from eq. (1): the proper motion in right ascension of the
+    catalogue includes cos(dec) and must be divided by it; otherwise the error for alpha Centauri is 47" in 2025.
     """
     ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     pm_ra = np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64)
@@ -272,19 +201,9 @@ def proper_motion(
 def precession_matrix(t: float) -> Float:
     """Return the matrix from the mean equator of J2000 to that of date.
 
-    Parameters
-    ----------
-    t : float
-        Julian centuries since J2000, TT.
-
-    Returns
-    -------
-    (3, 3) float64
-
-    Notes
-    -----
-    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): this
-    is a rotation of vectors, without the tan and asin of the paper.
+    `t`: Julian centuries since J2000, TT.  Returns (3, 3).  Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma)
+    R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): this is a rotation of vectors, without the tan and
+    asin of the paper.
     """
     zeta = (2306.2181 + (0.30188 + 0.017998 * t) * t) * t * ARCSEC_RAD
     z = (2306.2181 + (1.09468 + 0.018203 * t) * t) * t * ARCSEC_RAD
@@ -295,19 +214,7 @@ def precession_matrix(t: float) -> Float:
 def mean_obliquity_rad(t: float) -> float:
     """Return the mean obliquity of the ecliptic.
 
-    Parameters
-    ----------
-    t : float
-        Julian centuries since J2000, TT.
-
-    Returns
-    -------
-    float
-        rad.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (8).
+    `t`: Julian centuries since J2000, TT.  Returns: rad.  Teague & Chahl, eq. (8).
     """
     return float(np.deg2rad(23.439291 - (13.004166e-3 + (0.1639e-6 - 0.50361e-6 * t) * t) * t))
 
@@ -315,19 +222,8 @@ def mean_obliquity_rad(t: float) -> float:
 def nutation_rad(t: float) -> tuple[float, float]:
     """Return the nutation in longitude and in obliquity.
 
-    Parameters
-    ----------
-    t : float
-        Julian centuries since J2000, TT.
-
-    Returns
-    -------
-    in_longitude_rad, in_obliquity_rad : float
-
-    Notes
-    -----
-    Teague & Chahl, eqs (4)-(7); Meeus, chapter 22.  Departs from eq. (4): the Sun's term is -1.32" sin 2L; the paper
-    prints a plus, which is wrong by 2.6".
+    `t`: Julian centuries since J2000, TT.  Teague & Chahl, eqs (4)-(7); Meeus, chapter 22.  Departs from eq. (4): the
+    Sun's term is -1.32" sin 2L; the paper prints a plus, which is wrong by 2.6".
     """
     node = np.deg2rad(125.04452 - 1934.136261 * t)
     sun = np.deg2rad(280.4665 + 36000.7698 * t)
@@ -350,21 +246,10 @@ def _nutation_matrix(t: float) -> Float:
 def aberration_velocity(t: float) -> Float:
     """Return the Earth's velocity in units of the speed of light; annual aberration adds it to each unit vector.
 
-    Parameters
-    ----------
-    t : float
-        Julian centuries since J2000, TT.
-
-    Returns
-    -------
-    (3,) float64
-        Mean equator and equinox of date, in units of the speed of light.
-
-    Notes
-    -----
-    Teague & Chahl, eqs (12)-(19) are the components of this vector along right ascension and declination.  Departs
-    from eqs (12), (13): the vector is added without a division by cos(dec), and kappa is 20.49552", not 20.29552".
-    Departs from eq. (15): the constant term of the longitude of perihelion is 102.93735 deg.
+    `t`: Julian centuries since J2000, TT.  Returns (3,) mean equator and equinox of date, in units of the speed of
+    light.  Teague & Chahl, eqs (12)-(19) are the components of this vector along right ascension and declination.
+    Departs from eqs (12), (13): the vector is added without a division by cos(dec), and kappa is 20.49552", not
+    20.29552".  Departs from eq. (15): the constant term of the longitude of perihelion is 102.93735 deg.
     """
     obliquity = mean_obliquity_rad(t)
     mean_longitude = 280.46646 + (36000.76983 + 0.3032e-3 * t) * t

@@ -34,21 +34,8 @@ _RAY_CURVATURE = 1 / 7
 def hour_angle_rad(local_sidereal_time_rad: ArrayLike, ra_rad: ArrayLike) -> Float:
     """Return the hour angle, -pi to pi.
 
-    Parameters
-    ----------
-    local_sidereal_time_rad : (...) array_like
-        Local apparent sidereal time, rad.
-    ra_rad : (...) array_like
-        Apparent right ascension, rad.
-
-    Returns
-    -------
-    (...) float64
-        rad, positive west of the meridian.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (22).
+    `local_sidereal_time_rad` (...): local apparent sidereal time, rad; `ra_rad` (...): apparent right ascension, rad.
+    Returns (...) rad, positive west of the meridian.  Teague & Chahl, eq. (22).
     """
     angle = np.asarray(local_sidereal_time_rad, dtype=np.float64) - np.asarray(ra_rad, dtype=np.float64)
     return (angle + np.pi) % (2 * np.pi) - np.pi
@@ -57,23 +44,11 @@ def hour_angle_rad(local_sidereal_time_rad: ArrayLike, ra_rad: ArrayLike) -> Flo
 def azimuth_altitude_rad(hour_angle_rad: ArrayLike, dec_rad: ArrayLike, latitude_rad: float) -> tuple[Float, Float]:
     """Return azimuth and altitude, without refraction.
 
-    Parameters
-    ----------
-    hour_angle_rad, dec_rad : (...) array_like
-        Hour angle and apparent declination, rad.
-    latitude_rad : float
-        Geodetic latitude, rad.
-
-    Returns
-    -------
-    azimuth_rad, altitude_rad : (...) float64
-        Azimuth from north through east, 0 to 2 pi.
-
-    Notes
-    -----
-    Teague & Chahl, eqs (23), (24); Meeus, eqs (13.5), (13.6).  Departs from eq. (24), printed with five arguments:
-    azimuth = atan2(sin w, cos w sin phi - tan dec cos phi) + pi, both arguments multiplied by cos dec so that the
-    azimuth of the celestial pole is defined.  Departs from eq. (23), whose asin loses digits near the zenith.
+    `hour_angle_rad`, `dec_rad` (...): hour angle and apparent declination, rad; `latitude_rad`: geodetic latitude,
+    rad.  Returns `azimuth_rad, altitude_rad` (...): azimuth from north through east, 0 to 2 pi.  Teague & Chahl, eqs
+    (23), (24); Meeus, eqs (13.5), (13.6).  Departs from eq. (24), printed with five arguments: azimuth = atan2(sin w,
+    cos w sin phi - tan dec cos phi) + pi, both arguments multiplied by cos dec so that the azimuth of the celestial
+    pole is defined.  Departs from eq. (23), whose asin loses digits near the zenith.
     """
     w, dec = np.asarray(hour_angle_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     north = np.sin(dec) * cos(latitude_rad) - np.cos(dec) * np.cos(w) * sin(latitude_rad)
@@ -85,18 +60,7 @@ def azimuth_altitude_rad(hour_angle_rad: ArrayLike, dec_rad: ArrayLike, latitude
 def ned_direction(azimuth_rad: ArrayLike, altitude_rad: ArrayLike) -> Float:
     """Return the unit vector north, east, down.
 
-    Parameters
-    ----------
-    azimuth_rad, altitude_rad : (...) array_like
-        rad.
-
-    Returns
-    -------
-    (..., 3) float64
-
-    Notes
-    -----
-    Teague & Chahl, eq. (29).
+    `azimuth_rad`, `altitude_rad` (...): rad.  Returns (..., 3).  Teague & Chahl, eq. (29).
     """
     azimuth, altitude = np.broadcast_arrays(
         np.asarray(azimuth_rad, dtype=np.float64), np.asarray(altitude_rad, dtype=np.float64)
@@ -109,15 +73,8 @@ def ned_direction(azimuth_rad: ArrayLike, altitude_rad: ArrayLike) -> Float:
 def ned_to_azimuth_altitude_rad(direction_ned: ArrayLike) -> tuple[Float, Float]:
     """Return the azimuth and altitude of a vector: the inverse of eq. (29).
 
-    Parameters
-    ----------
-    direction_ned : (..., 3) array_like
-        Vectors north, east, down, of any length.
-
-    Returns
-    -------
-    azimuth_rad, altitude_rad : (...) float64
-        Azimuth from north through east, 0 to 2 pi.
+    `direction_ned` (..., 3): vectors north, east, down, of any length.  Returns `azimuth_rad, altitude_rad` (...):
+    azimuth from north through east, 0 to 2 pi.
     """
     north, east, down = np.moveaxis(np.asarray(direction_ned, dtype=np.float64), -1, 0)
     return np.arctan2(east, north) % (2 * np.pi), np.arctan2(-down, np.hypot(north, east))
@@ -126,18 +83,8 @@ def ned_to_azimuth_altitude_rad(direction_ned: ArrayLike) -> tuple[Float, Float]
 def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Float:
     """Return the matrix from the true equator and equinox of date to north, east, down.
 
-    Parameters
-    ----------
-    latitude_rad, local_sidereal_time_rad : (...) array_like
-        Geodetic latitude and local apparent sidereal time, rad.
-
-    Returns
-    -------
-    (..., 3, 3) float64
-
-    Notes
-    -----
-    Teague & Chahl, eqs (22)-(24) and (29) in one matrix.
+    `latitude_rad`, `local_sidereal_time_rad` (...): geodetic latitude and local apparent sidereal time, rad.  Returns
+    (..., 3, 3).  Teague & Chahl, eqs (22)-(24) and (29) in one matrix.
     """
     latitude, sidereal = np.asarray(latitude_rad, dtype=np.float64), np.asarray(local_sidereal_time_rad, np.float64)
     sin_lat, cos_lat, sin_lst, cos_lst = np.sin(latitude), np.cos(latitude), np.sin(sidereal), np.cos(sidereal)
@@ -152,21 +99,8 @@ def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Flo
 def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
     """Return the observer's eastward speed in units of the speed of light; diurnal aberration adds it to unit vectors.
 
-    Parameters
-    ----------
-    latitude_rad : float
-        Geodetic latitude, rad.
-    height_m : float
-        Height above the WGS84 ellipsoid, m.
-
-    Returns
-    -------
-    float
-        rad; 0.32" at the equator.
-
-    Notes
-    -----
-    Not in the paper.  It is half of the difference between the paper's corrected formulae and ERFA.
+    `latitude_rad`: geodetic latitude, rad; `height_m`: height above the WGS84 ellipsoid, m.  Returns: rad; 0.32" at
+    the equator.  Not in the paper.  It is half of the difference between the paper's corrected formulae and ERFA.
     """
     flattened = 1 - _WGS84_F * (2 - _WGS84_F) * sin(latitude_rad) ** 2
     from_axis_m = (_WGS84_A_M / sqrt(flattened) + height_m) * cos(latitude_rad)
@@ -176,19 +110,8 @@ def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
 def dip_rad(height_m: float) -> float:
     """Return how far the sea's horizon is below the horizontal, with refraction.
 
-    Parameters
-    ----------
-    height_m : float
-        Height above the sea, m; the dip is 0 below it.
-
-    Returns
-    -------
-    float
-        rad; 1.63 deg at 3 km.
-
-    Notes
-    -----
-    acos(R / (R + h)), times sqrt(1 - 1/7): a ray near the ground is curved by a seventh of the Earth's curvature.
+    `height_m`: height above the sea, m; the dip is 0 below it.  Returns: rad; 1.63 deg at 3 km.  acos(R / (R + h)),
+    times sqrt(1 - 1/7): a ray near the ground is curved by a seventh of the Earth's curvature.
     """
     return acos(_EARTH_RADIUS_M / (_EARTH_RADIUS_M + max(height_m, 0.0))) * sqrt(1 - _RAY_CURVATURE)
 
@@ -201,37 +124,18 @@ _ALTITUDES_DEG: Final = (-10.0, 80.0)
 
 @dataclass(frozen=True)
 class HorizonProfile:
-    """The apparent altitude of the horizon by azimuth, linear between points and continued through north.
+    """The apparent altitude of the horizon by azimuth, linear between points and continued through north."""
 
-    Attributes
-    ----------
-    azimuths_rad : tuple of float
-        From north through east, ascending, 0 to 2 pi rad.
-    altitudes_rad : tuple of float
-        Apparent altitudes at these azimuths, rad.
-    """
-
-    azimuths_rad: tuple[float, ...]
-    altitudes_rad: tuple[float, ...]
+    azimuths_rad: tuple[float, ...]  # From north through east, ascending, 0 to 2 pi rad
+    altitudes_rad: tuple[float, ...]  # Apparent altitudes at these azimuths, rad
 
     @staticmethod
     def open(path: str | PathLike[str]) -> "HorizonProfile":
         """Read a profile from a CSV file.
 
-        Parameters
-        ----------
-        path : path-like
-            Two columns, azimuth and altitude in degrees, of ascending azimuths from 0 to 360.  The first line may name
-            the columns; empty lines and lines that begin with ``#`` are ignored.
-
-        Returns
-        -------
-        HorizonProfile
-
-        Raises
-        ------
-        ConfigError
-            If the file cannot be read, or is no such table.
+        `path`: two columns, azimuth and altitude in degrees, of ascending azimuths from 0 to 360; the first line may
+        name the columns; empty lines and lines that begin with ``#`` are ignored.  Raises ConfigError if the file
+        cannot be read, or is no such table.
         """
         file = Path(path)
         try:
@@ -262,15 +166,7 @@ class HorizonProfile:
     def altitude_rad(self, azimuth_rad: ArrayLike) -> Float:
         """Return the apparent altitude of the horizon in some directions.
 
-        Parameters
-        ----------
-        azimuth_rad : (...) array_like
-            From north through east, rad, of any turn.
-
-        Returns
-        -------
-        (...) float64
-            Altitudes, rad.
+        `azimuth_rad` (...): from north through east, rad, of any turn.  Returns (...) altitudes, rad.
         """
         turned = np.mod(np.asarray(azimuth_rad, dtype=np.float64), 2 * np.pi)
         return np.asarray(np.interp(turned, *self._nodes_rad))

@@ -97,17 +97,8 @@ def semi_axes_m() -> Float:
 def geocentric_m(latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
     """Return geocentric positions on the rotating Earth.
 
-    Parameters
-    ----------
-    latitude_rad, longitude_rad : (...) array_like
-        WGS84, rad.
-    height_m : (...) array_like
-        Above the ellipsoid, m.
-
-    Returns
-    -------
-    (..., 3) float64
-        In the terrestrial frame ITRS, m.
+    `latitude_rad`, `longitude_rad` (...): WGS84, rad; `height_m` (...): above the ellipsoid, m.  Returns (..., 3) in
+    the terrestrial frame ITRS, m.
     """
     return np.asarray(erfa.gd2gc(_WGS84, longitude_rad, latitude_rad, height_m), dtype=np.float64)
 
@@ -115,18 +106,8 @@ def geocentric_m(latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: Ar
 def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
     """Return positions in the local frame of a site.
 
-    Parameters
-    ----------
-    origin : Site
-    latitude_rad, longitude_rad : (...) array_like
-        WGS84, rad.
-    height_m : (...) array_like
-        Above the ellipsoid, m.
-
-    Returns
-    -------
-    (..., 3) float64
-        North, east and down, m, in the plane that is tangent to the ellipsoid at the origin.
+    `latitude_rad`, `longitude_rad` (...): WGS84, rad; `height_m` (...): above the ellipsoid, m.  Returns (..., 3)
+    north, east and down, m, in the plane that is tangent to the ellipsoid at the origin.
     """
     return local_ned_m(origin, geocentric_m(latitude_rad, longitude_rad, height_m))
 
@@ -134,16 +115,7 @@ def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: Arra
 def local_ned_m(origin: Site, position_m: ArrayLike) -> Float:
     """Return geocentric positions in the local frame of a site.
 
-    Parameters
-    ----------
-    origin : Site
-    position_m : (..., 3) array_like
-        In the terrestrial frame ITRS, m.
-
-    Returns
-    -------
-    (..., 3) float64
-        As of `north_east_down_m`.
+    `position_m` (..., 3): in the terrestrial frame ITRS, m.  Returns (..., 3) as of `north_east_down_m`.
     """
     chord_m = np.asarray(position_m) - geocentric_m(origin.latitude_rad, origin.longitude_rad, origin.height_m)
     return np.asarray(chord_m @ C_ned_eq(origin.latitude_rad, origin.longitude_rad).T)
@@ -152,17 +124,8 @@ def local_ned_m(origin: Site, position_m: ArrayLike) -> Float:
 def geodetic(position_m: ArrayLike) -> tuple[Float, Float, Float]:
     """Return where geocentric positions are: the inverse of `geocentric_m`.
 
-    Parameters
-    ----------
-    position_m : (..., 3) array_like
-        In the terrestrial frame ITRS, m.
-
-    Returns
-    -------
-    latitude_rad, longitude_rad : (...) float64
-        WGS84, rad.
-    height_m : (...) float64
-        Above the ellipsoid, m.
+    `position_m` (..., 3): in the terrestrial frame ITRS, m.  Returns `latitude_rad, longitude_rad` (...): WGS84, rad;
+    `height_m` (...): above the ellipsoid, m.
     """
     longitude_rad, latitude_rad, height_m = erfa.gc2gd(_WGS84, position_m)
     return latitude_rad, longitude_rad, height_m
@@ -171,17 +134,8 @@ def geodetic(position_m: ArrayLike) -> tuple[Float, Float, Float]:
 def surface_offset_km(origin: Site, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
     """Return how far a place is from a site on the WGS84 ellipsoid.
 
-    Parameters
-    ----------
-    origin : Site
-        Its height does not matter.
-    latitude_rad, longitude_rad : float
-        The place, WGS84, rad.
-
-    Returns
-    -------
-    north_km, east_km : float
-        The chord's length as an arc, in the direction of the chord.
+    `origin`: its height does not matter; `latitude_rad`, `longitude_rad`: the place, WGS84, rad.  Returns `north_km,
+    east_km`: the chord's length as an arc, in the direction of the chord.
     """
     ground = Site(origin.latitude_rad, origin.longitude_rad)
     chord_km = north_east_down_m(ground, latitude_rad, longitude_rad, 0.0) / 1000

@@ -49,21 +49,9 @@ JulianDate = tuple[float, float]
 def julian_day(year: int, month: int, day: float) -> float:
     """Return the Julian day of a Gregorian date.
 
-    Parameters
-    ----------
-    year, month : int
-        Gregorian calendar; January is 1.
-    day : float
-        Day of the month with its fraction.
-
-    Returns
-    -------
-    float
-        Days since noon of 4713 BC January 1 (Julian calendar); the paper's text says 4716 BC.
-
-    Notes
-    -----
-    Teague & Chahl, Algorithm 1; Meeus, Astronomical Algorithms, eq. (7.1).
+    `year`, `month`: gregorian calendar; January is 1; `day`: day of the month with its fraction.  Returns: days since
+    noon of 4713 BC January 1 (Julian calendar); the paper's text says 4716 BC.  Teague & Chahl, Algorithm 1; Meeus,
+    Astronomical Algorithms, eq. (7.1).
 
     Examples
     --------
@@ -80,21 +68,8 @@ def julian_day(year: int, month: int, day: float) -> float:
 def parse_utc(text: str) -> float:
     """Return the UTC seconds since 1970 of an ISO 8601 time.
 
-    Parameters
-    ----------
-    text : str
-        Such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.  A leap second, 23:59:60, is the same time
-        as the second after it.
-
-    Returns
-    -------
-    float
-        UTC seconds since 1970.
-
-    Raises
-    ------
-    ConfigError
-        If the text is not such a time.
+    `text`: such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC. A leap second, 23:59:60, is the same time
+    as the second after it.  Returns: UTC seconds since 1970.  Raises ConfigError if the text is not such a time.
     """
     stripped = text.strip()
     leap = _LEAP_SECOND.fullmatch(stripped)
@@ -116,20 +91,8 @@ def parse_utc(text: str) -> float:
 def parse_known_utc(text: str) -> float:
     """Return the UTC seconds since 1970 of an ISO 8601 time in the years 1800 to 2200.
 
-    Parameters
-    ----------
-    text : str
-        As for `parse_utc`.
-
-    Returns
-    -------
-    float
-        UTC seconds since 1970.
-
-    Raises
-    ------
-    ConfigError
-        If the text is not such a time, or is outside the years 1800 to 2200.
+    `text`: as for `parse_utc`.  Returns: UTC seconds since 1970.  Raises ConfigError if the text is not such a time, or
+    is outside the years 1800 to 2200.
     """
     utc_s = parse_utc(text)
     if not _FIRST_S <= utc_s < _LAST_S:
@@ -140,15 +103,7 @@ def parse_known_utc(text: str) -> float:
 def format_utc(utc_s: float) -> str:
     """Return an ISO 8601 time, to the microsecond.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    str
-        Such as ``2024-03-10T11:00:00.000000Z``.
+    `utc_s`: UTC seconds since 1970.  Returns: such as ``2024-03-10T11:00:00.000000Z``.
     """
     time = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(utc_s * 1e6))
     return time.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
@@ -157,19 +112,8 @@ def format_utc(utc_s: float) -> str:
 def tai_minus_utc_s(utc_s: float) -> float:
     """Return TAI - UTC, s, from ERFA's table of leap seconds.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970; 1972 or later.  After the end of the table, its last value is used.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ConfigError
-        If the time is outside the years 1800 to 2200.
+    `utc_s`: UTC seconds since 1970; 1972 or later; after the end of the table, its last value is used.  Raises
+    ConfigError if the time is outside the years 1800 to 2200.
     """
     if not abs(utc_s) < _FARTHEST_S:
         raise ConfigError(
@@ -190,15 +134,8 @@ def _leap_seconds(day: int) -> float:
 def tt_julian_date(utc_s: float) -> JulianDate:
     """Return Terrestrial Time as a two-part Julian date.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    (float, float)
-        Days: the Julian date of the midnight before, and the remainder.
+    `utc_s`: UTC seconds since 1970.  Returns (float, float) days: the Julian date of the midnight before, and the
+    remainder.
     """
     return _julian_date(utc_s, tai_minus_utc_s(utc_s) + _TT_MINUS_TAI_S)
 
@@ -206,17 +143,8 @@ def tt_julian_date(utc_s: float) -> JulianDate:
 def ut1_julian_date(utc_s: float, dut1_s: float = 0.0) -> JulianDate:
     """Return Universal Time UT1, which measures the rotation of the Earth, as a two-part Julian date.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-    dut1_s : float
-        UT1 - UTC, s, as published by the IERS; between -0.9 and 0.9.  1 s is 15" of Earth rotation.
-
-    Returns
-    -------
-    (float, float)
-        Days: the Julian date of the midnight before, and the remainder.
+    `utc_s`: UTC seconds since 1970; `dut1_s`: UT1 - UTC, s, as published by the IERS; between -0.9 and 0.9. 1 s is 15"
+    of Earth rotation.  Returns (float, float) days: the Julian date of the midnight before, and the remainder.
     """
     return _julian_date(utc_s, dut1_s)
 
@@ -229,18 +157,8 @@ def _julian_date(utc_s: float, delay_s: float) -> JulianDate:
 def centuries_since_j2000(julian_date: JulianDate) -> float:
     """Return Julian centuries since 2000 January 1, 12h.
 
-    Parameters
-    ----------
-    julian_date : (float, float)
-        A two-part Julian date.
-
-    Returns
-    -------
-    float
-
-    Notes
-    -----
-    Teague & Chahl, eq. (20).  The epoch is noon, not midnight as in the paper's text.
+    `julian_date` (float, float): a two-part Julian date.  Teague & Chahl, eq. (20).  The epoch is noon, not midnight
+    as in the paper's text.
     """
     return ((julian_date[0] - _J2000_JD) + julian_date[1]) / _JULIAN_CENTURY_DAYS
 
@@ -248,20 +166,9 @@ def centuries_since_j2000(julian_date: JulianDate) -> float:
 def mean_sidereal_time_rad(ut1: JulianDate) -> float:
     """Return the mean sidereal time at Greenwich.
 
-    Parameters
-    ----------
-    ut1 : (float, float)
-        Universal Time UT1, a two-part Julian date.
-
-    Returns
-    -------
-    float
-        rad, 0 to 2 pi.
-
-    Notes
-    -----
-    Meeus, eq. (12.4).  Departs from eq. (21), whose coefficients have few digits, so that it drifts by 0.5" per year
-    (15" in 2026), and which lacks the equation of the equinoxes (up to 17"); `Astrometry.sidereal_time_rad` adds it.
+    `ut1` (float, float): universal Time UT1, a two-part Julian date.  Returns: rad, 0 to 2 pi.  Meeus, eq. (12.4).
+    Departs from eq. (21), whose coefficients have few digits, so that it drifts by 0.5" per year (15" in 2026), and
+    which lacks the equation of the equinoxes (up to 17"); `Astrometry.sidereal_time_rad` adds it.
     """
     days = (ut1[0] - _J2000_JD) + ut1[1]
     t = days / _JULIAN_CENTURY_DAYS
@@ -290,17 +197,10 @@ _DUT1_S: Final = (slice(154, 165), slice(58, 68))
 
 @dataclass(frozen=True, slots=True)
 class EarthOrientation:
-    """Earth orientation parameters at one time.
+    """Earth orientation parameters at one time."""
 
-    Attributes
-    ----------
-    dut1_s : float
-        UT1 - UTC, s.
-    x_pole_rad, y_pole_rad : float
-        Position of the celestial intermediate pole on the Earth: towards Greenwich, and towards 90 deg west, rad.
-    """
-
-    dut1_s: float = 0.0
+    dut1_s: float = 0.0  # UT1 - UTC, s
+    # Position of the celestial intermediate pole on the Earth: towards Greenwich, and towards 90 deg west, rad.
     x_pole_rad: float = 0.0
     y_pole_rad: float = 0.0
 
@@ -325,15 +225,7 @@ class _Table:
 def earth_orientation(utc_s: float) -> EarthOrientation | None:
     """Return the Earth orientation parameters, interpolated between the days of the IERS table.
 
-    Parameters
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    EarthOrientation or None
-        None if no table is installed or it does not cover the time.
+    `utc_s`: UTC seconds since 1970.  Returns: none if no table is installed or it does not cover the time.
     """
     table = _table()
     if table is None or not table.utc_s[0] <= utc_s <= table.utc_s[-1]:
@@ -345,27 +237,15 @@ def earth_orientation(utc_s: float) -> EarthOrientation | None:
 
 
 def has_earth_orientation() -> bool:
-    """Return whether an IERS table is installed.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether an IERS table is installed."""
     return _table() is not None
 
 
 def described_earth_orientation(utc_s: float) -> dict[str, Any]:
     """Return the manifest's entry about the Earth orientation.
 
-    Parameters
-    ----------
-    utc_s : float
-        A time of the export: the flight's first attitude, UTC seconds since 1970.
-
-    Returns
-    -------
-    dict
-        Source and values; empty if no table is installed.
+    `utc_s`: a time of the export: the flight's first attitude, UTC seconds since 1970.  Returns: source and values;
+    empty if no table is installed.
     """
     table = _table()
     if table is None:
@@ -428,15 +308,5 @@ _TAI_MINUS_GPS_S = 19.0
 
 
 def leap_seconds(gps_s: float) -> float:
-    """Return GPS time - UTC at a GPS time, s.
-
-    Parameters
-    ----------
-    gps_s : float
-        GPS time, counted like unix seconds from 1970.
-
-    Returns
-    -------
-    float
-    """
+    """Return GPS time - UTC at a GPS time, s; `gps_s`: GPS time, counted like unix seconds from 1970."""
     return tai_minus_utc_s(gps_s - (tai_minus_utc_s(gps_s) - _TAI_MINUS_GPS_S)) - _TAI_MINUS_GPS_S

@@ -35,28 +35,14 @@ _YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeEstimate:
-    """The attitude in one message.
+    """The attitude in one message."""
 
-    Attributes
-    ----------
-    name : str
-        The message.
-    clock_s : (n,) float64
-        Times since boot, s.
-    q_body_ned : (n, 4) float64
-        Quaternions (w, x, y, z), NED to body.
-    lane : (n,) int64
-        EKF lane of each sample; 0 if the message has none.
-    unaligned_s : float
-        Time until the EKF was aligned, s; its samples are dropped.
-    """
-
-    name: str
-    clock_s: Float
-    q_body_ned: Float
-    lane: Integer
+    name: str  # The message
+    clock_s: Float  # (n,) times since boot, s
+    q_body_ned: Float  # (n, 4) quaternions (w, x, y, z), NED to body
+    lane: Integer  # (n,) int64: EKF lane of each sample; 0 if the message has none
     _breaks: "_Breaks"
-    unaligned_s: float = 0.0
+    unaligned_s: float = 0.0  # Time until the EKF was aligned, s; its samples are dropped
 
     @classmethod
     def of(cls, log: Records, name: str) -> Self | None:
@@ -274,14 +260,7 @@ _REPORTED_S: Final = 1.0
 def preferred_messages(log: Records) -> tuple[str, ...]:
     """Return the messages with attitude, those of the estimator in use first.
 
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    tuple of str
-        ``("XKQ", "NKQ", "ATT")`` if the log does not contain the estimator in use.
+    Returns ``("XKQ", "NKQ", "ATT")`` if the log does not contain the estimator in use.
     """
     numbers = _active(log)[1]
     if not numbers.size:
@@ -293,14 +272,7 @@ def preferred_messages(log: Records) -> tuple[str, ...]:
 def active_estimator(log: Records) -> str | None:
     """Return the estimator in use, by ATT.AEKF.
 
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    str or None
-        ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"`` for several; None if the log does not contain it.
+    Returns ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"`` for several; None if the log does not contain it.
     """
     numbers = _active(log)[1]
     if not numbers.size:
@@ -315,17 +287,7 @@ def active_estimator(log: Records) -> str | None:
 def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return remarks on an attitude: its difference from the estimator in use, and dropped samples.
 
-    Parameters
-    ----------
-    log : Records
-    taken : AttitudeEstimate
-        The estimate that is read.
-    samples : AttitudeSamples
-        Its samples.
-
-    Returns
-    -------
-    tuple of str
+    `taken`: the estimate that is read.
     """
     return (*_difference(log, taken, samples), *_losses(log, taken, samples))
 

@@ -75,36 +75,15 @@ _PYMAVLINK_LEAP_S = 18.0
 
 
 def is_dataflash_dump(header: str) -> bool:
-    """Return whether a table was exported by mavlogdump from a DataFlash log.
-
-    Parameters
-    ----------
-    header : str
-        First line of the table.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a table was exported by mavlogdump from a DataFlash log; `header`: first line of the table."""
     return _HEADER.match(header) is not None
 
 
 class DataFlashDumpReader(DataFlashReader):
     """The CSV of a DataFlash log as a telemetry source; its clock is the autopilot's time since boot.
 
-    Parameters
-    ----------
-    path : path-like
-        One of its tables.
-    attitude : str
-        ``"auto"``: the message of the table if it is an attitude, else as for `DataFlashReader`.
-    boot : int, optional
-        See `DataFlashReader`.
-
-    Raises
-    ------
-    LogFormatError
-        If the file is not text.
+    `path`: one of its tables; `attitude`: ``"auto"``: the message of the table if it is an attitude, else as for
+    `DataFlashReader`; `boot`: see `DataFlashReader`.  Raises LogFormatError if the file is not text.
     """
 
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
@@ -117,10 +96,7 @@ class DataFlashDumpReader(DataFlashReader):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position, UTC and, if the log has them, gyro rates of each boot, a batch each.
 
-        Raises
-        ------
-        LogFormatError
-            If there is no attitude, not the requested one, or no such boot.
+        Raises LogFormatError if there is no attitude, not the requested one, or no such boot.
         """
         for batch in super().samples():
             yield replace(batch, notes=(*batch.notes, *self._notes)) if isinstance(batch, AttitudeSamples) else batch
@@ -226,10 +202,7 @@ class _Tables(Records):
     def position(self, name: str) -> Integer:
         """Return the position of each row of a message: the number of its table in the file, and its time.
 
-        Raises
-        ------
-        LogFormatError
-            If the files of the messages contain different numbers of tables.
+        Raises LogFormatError if the files of the messages contain different numbers of tables.
         """
         table, clock_us = self._table(name), self._clock_us(name)
         if table is None or clock_us is None:

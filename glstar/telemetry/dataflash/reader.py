@@ -76,16 +76,7 @@ _UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS o
 
 
 def positions(log: Records) -> PositionSamples:
-    """Return the positions of a log; if there are none, an empty batch that says why.
-
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    PositionSamples
-    """
+    """Return the positions of a log; if there are none, an empty batch that says why."""
     names = ("Lat", "Lng", "Alt")
     if (records := stamped(log, "POS", *names)) is not None:
         clock_s, (latitude_deg, longitude_deg, height_m) = records
@@ -102,16 +93,7 @@ def positions(log: Records) -> PositionSamples:
 
 
 def utc(log: Records) -> ClockSamples:
-    """Return the UTC readings of the GPS of a log; if there are none, an empty batch that says why.
-
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    ClockSamples
-    """
+    """Return the UTC readings of the GPS of a log; if there are none, an empty batch that says why."""
     if "GPS" not in log:
         return _no_utc("it has no GPS records")
     fields = set(log.fields("GPS"))
@@ -148,15 +130,8 @@ def utc(log: Records) -> ClockSamples:
 def gps_readings(log: Records) -> tuple[Integer, Float, Float]:
     """Return file positions, times since boot and GPS times of the readings of the GPS in use.
 
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    position : (n,) int64
-    clock_s, gps_s : (n,) float64
-        Time since boot, s; GPS time, counted like unix seconds from 1970.
+    Returns `position` (n,) int64; `clock_s, gps_s` (n,): time since boot, s; GPS time, counted like unix seconds from
+    1970.
     """
     for names in _WEEK_AND_MS:
         if (records := stamped(log, "GPS", "Status", *names)) is None:
@@ -219,16 +194,7 @@ def turn_rates(log: Records) -> RateSamples | None:
     """Return the rates of one gyro: raw samples (GYR) if they cover the flight, else filtered ones (IMU).
 
     Both are in the axes of the autopilot's board, forward, right, down, as XKQ is.  Of several gyros the first one is
-    used: they are on one board.
-
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    RateSamples or None
-        None if the log has no rates.
+    used: they are on one board.  Returns: none if the log has no rates.
     """
     filtered, raw = _first(log, "IMU"), _first(log, "GYR")
     if raw is None or filtered is None:
@@ -263,16 +229,7 @@ _ANGLES: Final = ("Roll", "Pitch", "YawB", "YawE")
 
 
 def gimbal_of_records(log: Records) -> GimbalSamples | None:
-    """Return the attitude of the first gimbal; None if the log has none.
-
-    Parameters
-    ----------
-    log : Records
-
-    Returns
-    -------
-    GimbalSamples or None
-    """
+    """Return the attitude of the first gimbal; None if the log has none."""
     if "MNT" not in log:
         return None
     if (known := stamped(log, "MNT", *_ANGLES)) is None:
@@ -293,18 +250,7 @@ def gimbal_of_records(log: Records) -> GimbalSamples | None:
 
 
 def event_records(log: Records, vehicle: str | None) -> Iterator[EventSamples]:
-    """Yield the flight modes and the messages of a boot.
-
-    Parameters
-    ----------
-    log : Records
-    vehicle : str or None
-        The firmware, whose modes these are.
-
-    Yields
-    ------
-    EventSamples
-    """
+    """Yield the flight modes and the messages of a boot; `vehicle`: the firmware, whose modes these are."""
     for field in ("ModeNum", "Mode"):
         modes = stamped(log, "MODE", field)
         if modes is not None and modes[0].size and np.isfinite(modes[1][0]).any():
@@ -330,15 +276,7 @@ _CLOCKED = (
 def boots_of(log: Records, *, knows_utc: bool | None = None) -> tuple[Boot, ...]:
     """Return the boots of a log, in the order of the file.
 
-    Parameters
-    ----------
-    log : Records
-    knows_utc : bool, optional
-        Whether the log has UTC; by default whether its GPS has.
-
-    Returns
-    -------
-    tuple of Boot
+    `knows_utc`: whether the log has UTC; by default whether its GPS has.
     """
     series = [(log.position(name), records[0]) for name in _CLOCKED if (records := stamped(log, name)) is not None]
     return find_boots(series, gps_readings(log), log.heads, log.alike, knows_utc=knows_utc)
@@ -370,17 +308,7 @@ _BY_PARAMETER = {
 
 
 def is_dataflash(head: bytes) -> bool:
-    """Return whether a file is a DataFlash log, binary or text.
-
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file, some thousands.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a file is a DataFlash log, binary or text; `head`: the first bytes of the file, some thousands."""
     return head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head)
 
 
@@ -391,22 +319,10 @@ _TRIGGERS: Final = ("CAM", "TRIG")
 class DataFlashReader(TelemetrySource):
     """A DataFlash log as a telemetry source; its clock is the autopilot's time since boot.
 
-    Of a truncated or damaged log, every complete record is read.
-
-    Parameters
-    ----------
-    path : path-like
-        The log, binary or as text.
-    attitude : str
-        ``"auto"``: the EKF lane in use, or ATT if no EKF was in use.  Or a message by name, ``"ATT"``, ``"AHR2"``,
-        ``"SIM"``, or one lane of it as ``"XKQ1"`` or ``"XKQ[1]"``.
-    boot : int, optional
-        Number of the boot, from 1, in a log of several; by default all.
-
-    Raises
-    ------
-    LogFormatError
-        If the file holds no complete record.
+    Of a truncated or damaged log, every complete record is read.  `path`: the log, binary or as text; `attitude`:
+    ``"auto"``: the EKF lane in use, or ATT if no EKF was in use; or a message by name, ``"ATT"``, ``"AHR2"``,
+    ``"SIM"``, or one lane of it as ``"XKQ1"`` or ``"XKQ[1]"``; `boot`: number of the boot, from 1, in a log of several;
+    by default all.  Raises LogFormatError if the file holds no complete record.
     """
 
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
@@ -421,10 +337,7 @@ class DataFlashReader(TelemetrySource):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position, UTC and, if the log has them, gyro rates of each boot, a batch each.
 
-        Raises
-        ------
-        LogFormatError
-            If the log has no attitude, not the requested one, or no such boot.
+        Raises LogFormatError if the log has no attitude, not the requested one, or no such boot.
         """
         refusals: list[LogFormatError] = []
         for number, log in self._parts:
@@ -439,17 +352,7 @@ class DataFlashReader(TelemetrySource):
             raise refusals[0]
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:
-        """Return the vehicle, its firmware and its estimator.
-
-        Parameters
-        ----------
-        boots : collection of int
-            Numbers of the boots; by default all.
-
-        Returns
-        -------
-        LogFacts
-        """
+        """Return the vehicle, its firmware and its estimator; `boots`: numbers of the boots; by default all."""
         found = [_facts(log) for number, log in self._parts if not boots or number in boots]
         vehicles, firmwares, estimators = (
             " and ".join(dict.fromkeys(filter(None, names))) or None
@@ -458,13 +361,7 @@ class DataFlashReader(TelemetrySource):
         return LogFacts(self._log.kind, vehicles, firmwares, estimators, self._log.unread_bytes)
 
     def boots(self) -> tuple[Boot, ...]:
-        """Return the boots of the log, or the requested one.
-
-        Raises
-        ------
-        LogFormatError
-            If the log has no such boot.
-        """
+        """Return the boots of the log, or the requested one; raises LogFormatError if the log has no such boot."""
         return chosen_boots(self.name, self._found_boots, self._boot)
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:

@@ -39,21 +39,11 @@ _PIECE_BYTES = 1 << 24
 
 
 class Records(Protocol):
-    """The records of a DataFlash log, binary or text, as columns.
+    """The records of a DataFlash log, binary or text, as columns."""
 
-    Attributes
-    ----------
-    kind : str
-        The kind of log, for messages.
-    end : int
-        End of the last complete record: a byte, or a line, counted from the start.
-    unread_bytes : int
-        Bytes of the file that belong to no record.
-    """
-
-    kind: str
-    end: int
-    unread_bytes: int
+    kind: str  # The kind of log, for messages
+    end: int  # End of the last complete record: a byte, or a line, counted from the start
+    unread_bytes: int  # Bytes of the file that belong to no record
 
     @property
     @abstractmethod

@@ -49,17 +49,7 @@ _LARGEST = 1e19
 
 
 def is_dataflash_text(head: bytes) -> bool:
-    """Return whether a file is a DataFlash log as text.
-
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file, some thousands.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a file is a DataFlash log as text; `head`: the first bytes of the file, some thousands."""
     return _DEFINITION.search(head.removeprefix(_BOM)) is not None
 
 
@@ -77,15 +67,7 @@ _OF_DEFINITIONS = _Layout(("Type", "Length", "Name", "Format", "Columns"), "BBnN
 class TextRecords(Records):
     """The records of a DataFlash log as text.
 
-    Parameters
-    ----------
-    path : str
-        The log.
-
-    Raises
-    ------
-    LogFormatError
-        If it holds no complete record.
+    `path`: the log.  Raises LogFormatError if it holds no complete record.
     """
 
     kind = "ArduPilot DataFlash as text"
@@ -254,31 +236,15 @@ class _Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Lines:
-    """The lines of a piece of text that may be records: they begin with a short name and a comma.
+    """The lines of a piece of text that may be records: they begin with a short name and a comma."""
 
-    Attributes
-    ----------
-    at : int
-        Offset of the piece in the file.
-    start, stop : (n,) int64
-        Offsets in the file, without the ends of lines.
-    name : (n,) int64
-        Their names, encoded by `_code`.
-    commas : (n,) int64
-        Number of commas.
-    number : (n,) int64
-        Their line numbers in the piece, from 1.
-    count : int
-        Number of all lines in the piece.
-    """
-
-    at: int
-    start: Integer
+    at: int  # Offset of the piece in the file
+    start: Integer  # (n,) int64: offsets in the file, without the ends of lines
     stop: Integer
-    name: Integer
-    commas: Integer
-    number: Integer
-    count: int
+    name: Integer  # (n,) int64: their names, encoded by `_code`
+    commas: Integer  # (n,) int64: number of commas
+    number: Integer  # (n,) int64: their line numbers in the piece, from 1
+    count: int  # Number of all lines in the piece
 
     @classmethod
     def of(cls, raw: NDArray[np.uint8], at: int) -> Self:

@@ -45,34 +45,15 @@ _FEWEST = 20
 
 
 def is_mavlogdump(header: str) -> bool:
-    """Return whether a table was exported by mavlogdump from a telemetry log.
-
-    Parameters
-    ----------
-    header : str
-        First line of the table.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a table was exported by mavlogdump from a telemetry log; `header`: first line of the table."""
     return _HEADER.match(header) is not None
 
 
 class MavlogdumpReader(TelemetryLogReader):
     """The CSV of a telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
 
-    Parameters
-    ----------
-    path : path-like
-        The table.
-    attitude : str
-        ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``; see `TelemetryLogReader`.
-
-    Raises
-    ------
-    LogFormatError
-        If the file is not text, or holds several vehicles.
+    `path`: the table; `attitude`: ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``; see `TelemetryLogReader`.
+    Raises LogFormatError if the file is not text, or holds several vehicles.
     """
 
     format = "CSV of a MAVLink telemetry log, by mavlogdump"

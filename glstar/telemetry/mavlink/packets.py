@@ -67,38 +67,19 @@ _NO_AUTOPILOT = 8
 
 
 class Packets(Protocol):
-    """The packets of a log by message: one array a message, one row a packet.
+    """The packets of a log by message: one array a message, one row a packet."""
 
-    Attributes
-    ----------
-    count : int
-        Number of packets of all messages.
-    whole_bytes : int
-        End of the last complete packet in the file.
-    unread_bytes : int
-        Bytes of the file that belong to no packet.
-    checked : bool
-        Whether each packet has a checksum.
-    """
-
-    count: int
-    whole_bytes: int
-    unread_bytes: int
-    checked: bool
+    count: int  # Number of packets of all messages
+    whole_bytes: int  # End of the last complete packet in the file
+    unread_bytes: int  # Bytes of the file that belong to no packet
+    checked: bool  # Whether each packet has a checksum
 
     @abstractmethod
     def message(self, name: str) -> Float:
         """Return the packets of one message, in the order of the file.
 
-        Parameters
-        ----------
-        name : str
-            One of `MESSAGES`.
-
-        Returns
-        -------
-        (n, `FIELDS_FROM` + fields) float64
-            Timestamps of HIL_STATE_QUATERNION are converted to ms, as in the other messages with attitude.
+        `name`: one of `MESSAGES`.  Returns (n, `FIELDS_FROM` + fields) timestamps of HIL_STATE_QUATERNION are converted
+        to ms, as in the other messages with attitude.
         """
 
     @abstractmethod
@@ -197,16 +178,7 @@ _YEAR_2000_US, _YEAR_2100_US, _HOUR_US = 946684800_000000, 4102444800_000000, 36
 def is_telemetry_log(head: bytes) -> bool:
     """Return whether a file is a telemetry log: it begins with an arrival time of this century and a packet.
 
-    If the first one is damaged, three consecutive packets in the head suffice.
-
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file.
-
-    Returns
-    -------
-    bool
+    If the first one is damaged, three consecutive packets in the head suffice.  `head`: the first bytes of the file.
     """
     if len(head) < _STAMPED.size:
         return False
@@ -232,13 +204,7 @@ def _begins_row(head: bytes, at: int) -> bool:
 
 
 class LogPackets(Packets):
-    """The packets of a telemetry log.
-
-    Parameters
-    ----------
-    path : str
-        The log.
-    """
+    """The packets of a telemetry log; `path`: the log."""
 
     checked = True
 

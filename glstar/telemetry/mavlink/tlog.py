@@ -116,24 +116,11 @@ _SIMULATED = f"the attitude is a simulator's own state ({HIL_STATE}), not an est
 class TelemetryLogReader(TelemetrySource):
     """A telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
 
-    Of a truncated or damaged log, every complete packet is read.
-
-    Parameters
-    ----------
-    path : path-like
-        The log.
-    attitude : str
-        ``"auto"``: ATTITUDE_QUATERNION, or ATTITUDE if it is more than twice as frequent; a simulator's
-        HIL_STATE_QUATERNION if there is neither.  Or one of them by name.
-    sysid : int, optional
-        MAVLink system of the vehicle; by default the first autopilot with attitude.
-    boot : int, optional
-        Number of the boot, from 1, in a log of several; by default all.
-
-    Raises
-    ------
-    LogFormatError
-        If the file holds no packet with attitude.
+    Of a truncated or damaged log, every complete packet is read.  `path`: the log; `attitude`: ``"auto"``:
+    ATTITUDE_QUATERNION, or ATTITUDE if it is more than twice as frequent; a simulator's HIL_STATE_QUATERNION if there
+    is neither; or one of them by name; `sysid`: MAVLink system of the vehicle; by default the first autopilot with
+    attitude; `boot`: number of the boot, from 1, in a log of several; by default all.  Raises LogFormatError if the
+    file holds no packet with attitude.
     """
 
     format = "MAVLink telemetry log"
@@ -156,11 +143,7 @@ class TelemetryLogReader(TelemetrySource):
         """Yield attitude, position and rates of each boot, a batch each, and the UTC of all boots.
 
         Messages are decoded on demand: the first three batches of a single boot do not wait for the gyro rates.
-
-        Raises
-        ------
-        LogFormatError
-            If the log has no attitude, not the requested one, or no such boot.
+        Raises LogFormatError if the log has no attitude, not the requested one, or no such boot.
         """
         sender, others = self._vehicle()
         clock = self._clock(sender)
@@ -180,29 +163,14 @@ class TelemetryLogReader(TelemetrySource):
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the autopilot in the log, or the requested one.
 
-        Raises
-        ------
-        LogFormatError
-            If the log has no attitude, or no such boot.
+        Raises LogFormatError if the log has no attitude, or no such boot.
         """
         return chosen_boots(self.name, self._clock(self._vehicle()[0]).boots, self._boot)
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
         """Return the vehicle and its firmware.
 
-        Parameters
-        ----------
-        boots : collection of int
-            Numbers of the boots; by default all.
-
-        Returns
-        -------
-        LogFacts
-
-        Raises
-        ------
-        LogFormatError
-            If the log has no attitude.
+        `boots`: numbers of the boots; by default all.  Raises LogFormatError if the log has no attitude.
         """
         sender, systems = self._vehicle()
         vehicle = _vehicle_of(self._packets, sender)
@@ -464,14 +432,7 @@ _AUTOPILOT: Final = 1
 def is_mavlink_stream(head: bytes) -> bool:
     """Return whether a file holds consecutive MAVLink packets without arrival times.
 
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file, some thousands.
-
-    Returns
-    -------
-    bool
+    `head`: the first bytes of the file, some thousands.
     """
     for magic in _MAGIC.finditer(head[:1024]):
         at: int | None = magic.start()
@@ -487,21 +448,8 @@ def stream_reader(
 ) -> UnpackedSource:
     """Open a stream as a telemetry log.
 
-    Parameters
-    ----------
-    path : str
-        The file.
-    attitude, sysid, boot
-        As for `TelemetryLogReader`.
-
-    Returns
-    -------
-    UnpackedSource
-
-    Raises
-    ------
-    LogFormatError
-        If it holds no packet with attitude.
+    `path`: the file; `attitude`, `sysid`, `boot`: as for `TelemetryLogReader`.  Raises LogFormatError if it holds no
+    packet with attitude.
     """
     return UnpackedSource(
         path, _with_arrival_times, lambda log: TelemetryLogReader(log, attitude=attitude, sysid=sysid, boot=boot)

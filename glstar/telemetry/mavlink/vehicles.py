@@ -90,15 +90,7 @@ _STAGES: Final = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
 def vehicle_kind(mav_type: ArrayLike | None) -> str | None:
     """Return the kind of vehicle in a log.
 
-    Parameters
-    ----------
-    mav_type : (n,) array_like, optional
-        All values of MAV_TYPE in the log.
-
-    Returns
-    -------
-    str or None
-        The most frequent kind; None if it has no name.
+    `mav_type` (n,): all values of MAV_TYPE in the log.  Returns the most frequent kind; None if it has no name.
     """
     types = np.asarray([] if mav_type is None else mav_type, dtype=np.float64)
     kinds, count = np.unique(types[np.isin(types, list(_KINDS))], return_counts=True)
@@ -108,17 +100,7 @@ def vehicle_kind(mav_type: ArrayLike | None) -> str | None:
 def autopilot(number: int, kind: str | None) -> str | None:
     """Return the name of an autopilot and its vehicle.
 
-    Parameters
-    ----------
-    number : int
-        MAV_AUTOPILOT.
-    kind : str, optional
-        See `vehicle_kind`.
-
-    Returns
-    -------
-    str or None
-        ``"ArduPlane"``, ``"PX4 quadrotor"``.
+    `number`: MAV_AUTOPILOT; `kind`: see `vehicle_kind`.  Returns ``"ArduPlane"``, ``"PX4 quadrotor"``.
     """
     if number == ARDUPILOT and kind in _ARDUPILOT_FIRMWARE:
         return _ARDUPILOT_FIRMWARE[kind]
@@ -128,15 +110,8 @@ def autopilot(number: int, kind: str | None) -> str | None:
 def version(number: int) -> str:
     """Return a firmware version of PX4 or ArduPilot as text.
 
-    Parameters
-    ----------
-    number : int
-        Major, minor, patch and stage, a byte each from the highest.
-
-    Returns
-    -------
-    str
-        ``"v1.11.2"``, ``"v1.14.0-beta"``; empty for 0.
+    `number`: major, minor, patch and stage, a byte each from the highest.  Returns ``"v1.11.2"``, ``"v1.14.0-beta"``;
+    empty for 0.
     """
     major, minor, patch, stage = number.to_bytes(8, "big")[-4:]
     if not number:
@@ -206,16 +181,7 @@ _PX4_SUB: Final = dict(
 def ardupilot_mode(vehicle: str | None, number: int) -> str:
     """Return the name of a mode of ArduPilot.
 
-    Parameters
-    ----------
-    vehicle : str or None
-        The firmware: ``"ArduPlane"``.
-    number : int
-
-    Returns
-    -------
-    str
-        ``"LOITER"``; ``"mode 42"`` if it has no name.
+    `vehicle`: the firmware: ``"ArduPlane"``.  Returns ``"LOITER"``; ``"mode 42"`` if it has no name.
     """
     return _ARDUPILOT.get((vehicle or "").split(" ")[0], {}).get(number, f"mode {number}")
 
@@ -223,14 +189,7 @@ def ardupilot_mode(vehicle: str | None, number: int) -> str:
 def px4_mode(custom_mode: int) -> str:
     """Return the name of a mode of PX4 by the field custom_mode of a heartbeat.
 
-    Parameters
-    ----------
-    custom_mode : int
-        The main mode in bits 16 to 23, the sub-mode in bits 24 to 31.
-
-    Returns
-    -------
-    str
+    `custom_mode`: the main mode in bits 16 to 23, the sub-mode in bits 24 to 31.
     """
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     if main == _PX4_AUTO and sub in _PX4_SUB:
@@ -239,17 +198,7 @@ def px4_mode(custom_mode: int) -> str:
 
 
 def px4_navigation_state(number: int) -> str:
-    """Return the name of a navigation state of PX4.
-
-    Parameters
-    ----------
-    number : int
-        ``nav_state`` of the topic vehicle_status.
-
-    Returns
-    -------
-    str
-    """
+    """Return the name of a navigation state of PX4; `number`: ``nav_state`` of the topic vehicle_status."""
     return _NAVIGATION.get(number, f"mode {number}")
 
 
@@ -265,15 +214,8 @@ _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 def yaw_is_earth(flags: Float) -> NDArray[np.bool_]:
     """Return whether the yaw of a gimbal is against north, by its flags.
 
-    Parameters
-    ----------
-    flags : (n,) float64
-        GIMBAL_DEVICE_FLAGS.
-
-    Returns
-    -------
-    (n,) bool
-        By YAW_IN_EARTH_FRAME or YAW_IN_VEHICLE_FRAME; with neither of them, by YAW_LOCK.
+    `flags` (n,): GIMBAL_DEVICE_FLAGS.  Returns (n,) bool: by YAW_IN_EARTH_FRAME or YAW_IN_VEHICLE_FRAME; with neither
+    of them, by YAW_LOCK.
     """
     bits = flags.astype(np.int64)
     locked = (bits & _YAW_LOCK > 0) & (bits & _YAW_IN_VEHICLE_FRAME == 0)
@@ -283,18 +225,8 @@ def yaw_is_earth(flags: Float) -> NDArray[np.bool_]:
 def gimbal_of_packets(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[GimbalSamples]:
     """Yield the attitude of the gimbal of a system in a boot, from the first message that has one.
 
-    Parameters
-    ----------
-    packets : Packets
-    sender : (int, int)
-        The autopilot: the gimbal belongs to its system, and has a time since boot of its own unless the autopilot
-        itself sends its attitude.
-    clock : VehicleClock
-    boot : int
-
-    Yields
-    ------
-    GimbalSamples
+    `sender` (int, int): the autopilot: the gimbal belongs to its system, and has a time since boot of its own unless
+    the autopilot itself sends its attitude.
     """
     if packets.timestamps_are_utc(sender):
         return
@@ -333,19 +265,9 @@ def _on_own_clock(rows: Float, clock: VehicleClock) -> Float:
 def gimbal_samples(name: str, clock_s: Float, values: Float) -> GimbalSamples:
     """Return the attitudes in the fields of MAVLink messages of a gimbal; invalid ones are left out.
 
-    Parameters
-    ----------
-    name : str
-        One of `GIMBAL_MESSAGES`.
-    clock_s : (n,) float64
-        Times of the messages, s.
-    values : (n, k) float64
-        The flags and the quaternion from the platform to the frame of reference of GIMBAL_DEVICE_ATTITUDE_STATUS; roll,
-        pitch and yaw of MOUNT_ORIENTATION, deg; or pitch, roll and yaw of MOUNT_STATUS, 0.01 deg.
-
-    Returns
-    -------
-    GimbalSamples
+    `name`: one of `GIMBAL_MESSAGES`; `clock_s` (n,): times of the messages, s; `values` (n, k): the flags and the
+    quaternion from the platform to the frame of reference of GIMBAL_DEVICE_ATTITUDE_STATUS; roll, pitch and yaw of
+    MOUNT_ORIENTATION, deg; or pitch, roll and yaw of MOUNT_STATUS, 0.01 deg.
     """
     return status_samples(clock_s, values, name) if name == GIMBAL_STATUS else angle_samples(clock_s, values, name)
 

@@ -44,41 +44,18 @@ _TWELVE_HOURS: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class TableFile:
-    """The content of a table.
+    """The content of a table."""
 
-    Attributes
-    ----------
-    name : str
-        The file, for messages.
-    kind : str
-        ``"CSV"``, ``"Parquet"`` or ``"Excel"``.
-    columns : dict of str to sequence
-        Cells by column: text of a CSV file, otherwise numbers, times or text.
-    lines : (n,) int64
-        Line, or row, of each cell, from 1.
-    """
-
-    name: str
-    kind: str
-    columns: dict[str, Cells]
-    lines: NDArray[np.int64]
+    name: str  # The file, for messages
+    kind: str  # ``"CSV"``, ``"Parquet"`` or ``"Excel"``
+    columns: dict[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
+    lines: NDArray[np.int64]  # (n,) int64: line, or row, of each cell, from 1
 
     def numbers(self, column: str) -> Float:
         """Return a column of numbers; NaN for cells without a value.
 
-        Parameters
-        ----------
-        column : str
-            With a leading minus sign, the numbers change their sign, unless a column has that name.
-
-        Returns
-        -------
-        (n,) float64
-
-        Raises
-        ------
-        LogFormatError
-            If a cell is no number.
+        `column`: with a leading minus sign, the numbers change their sign, unless a column has that name.  Returns
+        (n,).  Raises LogFormatError if a cell is no number.
         """
         if column not in self.columns and column.startswith("-"):
             return -self.numbers(column[1:])
@@ -94,22 +71,9 @@ class TableFile:
     def times(self, column: str, date: str | None = None) -> Float:
         """Return a column of UTC, seconds since 1970; NaN for cells without a value.
 
-        Parameters
-        ----------
-        column : str
-            ISO 8601 (slashes may separate the date), a clock with AM or PM (with an ISO date, or month/day/year), or
-            times of Parquet and Excel.
-        date : str, optional
-            The column with the date, if it is not in `column`.
-
-        Returns
-        -------
-        (n,) float64
-
-        Raises
-        ------
-        LogFormatError
-            If a cell is no time.
+        `column`: ISO 8601 (slashes may separate the date), a clock with AM or PM (with an ISO date, or month/day/year),
+        or times of Parquet and Excel; `date`: the column with the date, if it is not in `column`.  Returns (n,).
+        Raises LogFormatError if a cell is no time.
         """
         days = self.columns[date] if date is not None else [""] * len(self.lines)
         return np.array(
@@ -142,19 +106,7 @@ class TableFile:
             raise self.error(row, column, f"{text[:40]!r} is not {expected}") from None
 
     def error(self, row: int, column: str, message: str) -> LogFormatError:
-        """Return an error about a cell, with its line and column.
-
-        Parameters
-        ----------
-        row : int
-            Index of the row, from 0.
-        column : str
-        message : str
-
-        Returns
-        -------
-        LogFormatError
-        """
+        """Return an error about a cell, with its line and column; `row`: index of the row, from 0."""
         line = int(self.lines[row])
         return LogFormatError(self.name, f"line {line}, column {column}: {message}", offset=line)
 
@@ -177,47 +129,17 @@ def _on_24_hours(text: str) -> str:
 
 
 def is_parquet(head: bytes) -> bool:
-    """Return whether a file is an Apache Parquet table.
-
-    Parameters
-    ----------
-    head : bytes
-        Its first bytes.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a file is an Apache Parquet table; `head`: its first bytes."""
     return head.startswith(_PARQUET)
 
 
 def is_office_file(head: bytes) -> bool:
-    """Return whether a file is an Excel workbook, or another Office file.
-
-    Parameters
-    ----------
-    head : bytes
-        Its first bytes, some thousands.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a file is an Excel workbook, or another Office file; `head`: its first bytes, some thousands."""
     return head.startswith(_ZIP) and any(mark in head for mark in _OFFICE_MARKS)
 
 
 def table_header(head: bytes) -> tuple[str, ...]:
-    """Return the header of a text table, from the first bytes of its file.
-
-    Parameters
-    ----------
-    head : bytes
-
-    Returns
-    -------
-    tuple of str
-        Empty if the bytes are not text.
-    """
+    """Return the header of a text table, from the first bytes of its file; returns: empty if the bytes are not text."""
     if b"\0" in head:
         return ()
     lines = _lines(head.decode("utf-8-sig", errors="replace"))
@@ -228,21 +150,9 @@ def table_header(head: bytes) -> tuple[str, ...]:
 def read_table(path: str, names: Sequence[str] = ()) -> TableFile:
     """Return the columns of a table.
 
-    Parameters
-    ----------
-    path : str
-        A text table, a Parquet file, or an Excel workbook, of which the first sheet is read.
-    names : sequence of str
-        Names of the columns, if the file has no header.
-
-    Returns
-    -------
-    TableFile
-
-    Raises
-    ------
-    LogFormatError
-        If it cannot be read, or a row has another number of cells than the header.
+    `path`: a text table, a Parquet file, or an Excel workbook, of which the first sheet is read; `names`: names of the
+    columns, if the file has no header.  Raises LogFormatError if it cannot be read, or a row has another number of
+    cells than the header.
     """
     with Path(path).open("rb") as file:
         head = file.read(4096)
@@ -405,21 +315,9 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
     """Yield line number and cells of all rows of a table, the header first.
 
     Blank lines and comment lines, which begin with ``#``, are skipped.  If the first row has numbers, the comment line
-    before it is the header, as `numpy.savetxt` writes it.
-
-    Parameters
-    ----------
-    name : str
-        The file.
-    delimiter : str, optional
-        Separator of cells; by default the one of comma, semicolon and tab that is most frequent in the header.
-    quoted : bool
-        Whether cells may be quoted.
-
-    Raises
-    ------
-    LogFormatError
-        If the file is not text, or not a table.
+    before it is the header, as `numpy.savetxt` writes it.  `name`: the file; `delimiter`: separator of cells; by
+    default the one of comma, semicolon and tab that is most frequent in the header; `quoted`: whether cells may be
+    quoted.  Raises LogFormatError if the file is not text, or not a table.
     """
     line = count = lines = 0
     comment = ""
@@ -465,29 +363,13 @@ def _header_of(comment: str, row: str) -> bool:
 class Dump:
     """Columns of a CSV file that a program exported from a log.
 
-    Rows with another number of cells than the header are dropped.
-
-    Parameters
-    ----------
-    name : str
-        The file.  Its first column is ``timestamp``; the character after that word is the separator.
-    wanted : iterable of str, optional
-        Names of the columns to read, if they exist; by default all.  ``name[0]`` is the first item of the lists in a
-        column; mavlogdump writes a list as ``[1.0, 0.0]``, without quotes.
-    texts : str, optional
-        Name of a column that is kept as text.  Text is not quoted: if it is the last column, it may contain separators.
-
-    Attributes
-    ----------
-    header : tuple of str
-    line : (n,) float64
-        Line number of each row.
-    columns : dict of str to (n,) float64
-        NaN where a cell is empty or no finite number.
-    texts : tuple of str
-        Cells of the text column that are not empty.
-    heads : tuple of int
-        Lines at which the header is repeated, where another table was appended.
+    Rows with another number of cells than the header are dropped.  `name`: the file; its first column is
+    ``timestamp``; the character after that word is the separator; `wanted`: names of the columns to read, if they
+    exist; by default all; ``name[0]`` is the first item of the lists in a column; mavlogdump writes a list as ``[1.0,
+    0.0]``, without quotes; `texts`: name of a column that is kept as text; text is not quoted: if it is the last
+    column, it may contain separators.  `line` (n,): line number of each row; `columns` dict of str to (n,) float64:
+    NaN where a cell is empty or no finite number; `texts`: cells of the text column that are not empty; `heads`: lines
+    at which the header is repeated, where another table was appended.
     """
 
     def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:
@@ -529,16 +411,7 @@ class Dump:
         return (self.header.index(found[1]), int(found[2])) if found and found[1] in self.header else None
 
     def only(self, which: NDArray[np.bool_]) -> "Dump":
-        """Return a subset of the rows; a text column with empty cells remains unchanged.
-
-        Parameters
-        ----------
-        which : (n,) bool
-
-        Returns
-        -------
-        Dump
-        """
+        """Return a subset of the rows; a text column with empty cells remains unchanged; `which` (n,) bool."""
         some = copy(self)
         some.line = self.line[which]
         some.columns = {name: column[which] for name, column in self.columns.items()}
@@ -550,32 +423,14 @@ class Dump:
 def csv_header(head: bytes) -> str:
     """Return the first line of a text file, without a leading ``#``.
 
-    Parameters
-    ----------
-    head : bytes
-        The first bytes of the file, some thousands.
-
-    Returns
-    -------
-    str
-        Empty if the bytes are not text.
+    `head`: the first bytes of the file, some thousands.  Returns: empty if the bytes are not text.
     """
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
     return text.splitlines()[0].lstrip("# ") if text and b"\0" not in head else ""
 
 
 def separator(name: str) -> str:
-    """Return the separator of a `Dump`: the character after the name of its first column.
-
-    Parameters
-    ----------
-    name : str
-        The file.
-
-    Returns
-    -------
-    str
-    """
+    """Return the separator of a `Dump`: the character after the name of its first column; `name`: the file."""
     with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
         first = next((text for text in file if text.strip()), "").lstrip().lstrip("# ")
     after = first.removeprefix("timestamp")[:1]

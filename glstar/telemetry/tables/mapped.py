@@ -59,103 +59,47 @@ class ColumnMap:
 
     Columns are tuples of alternative names, of which the first one in the table is used; a minus sign before a
     name reverses the sign of its numbers.
-
-    Attributes
-    ----------
-    title : str
-        The format, for messages.
-    names : tuple of str
-        Names of the columns of a table without a header.
-    sign : tuple of str
-        Columns by which a table is recognised without ``--columns``.
-    time : tuple of str
-        Time of a row, in `time_unit` since `time_epoch`.
-    time_unit : {"s", "ms", "us", "ns"}
-    time_epoch : {"unix", "gps", "week", "start"}
-        1970 in UTC; 1980-01-06 in GPS time; the beginning of the GPS week in `gps_week`; any, such as boot.
-    gps_week : tuple of str
-        GPS week number, for the epoch "week".
-    utc : tuple of str
-        UTC of a row, ISO 8601; without `time` it is the time, beside it its readings of UTC.
-    utc_date : tuple of str
-        Its date, if it is in another column.
-    roll, pitch, yaw : tuple of str
-        Euler angles (yaw, then pitch, then roll) from world to body, in `angle_unit`.
-    angle_unit : {"deg", "rad", "decideg"}
-    quaternion : tuple of str
-        The four columns w, x, y, z.
-    quaternion_xyz : tuple of str
-        The columns x, y, z, if w >= 0 follows from the unit norm.
-    quaternion_scale : float
-        Number of units of a quaternion of norm 1.
-    rotates : {"body_to_world", "world_to_body"}
-        Components of vectors that the quaternion turns: body ones into world ones (ROS, PX4), or the opposite.
-    world : {"NED", "ENU", "NWU"}
-        Axes of the world: north, east, down; east, north, up; north, west, up.
-    body : {"FRD", "FLU"}
-        Axes of the body: forward, right, down; or forward, left, up.
-    latitude, longitude : tuple of str
-        WGS84, in `place_unit`.
-    place_unit : {"deg", "rad", "1e-7deg"}
-    height, height_ft : tuple of str
-        Height in m or in ft; the first one in the table is used.
-    roll_rate, pitch_rate, yaw_rate : tuple of str
-        Gyro rates about the axes of the body, in `rate_unit`.
-    rate_unit : {"deg", "rad"}
-        Per second.
-    note : str
-        A remark for the user.
     """
 
-    title: str = "table"
-    names: Names = ()
-    sign: Names = ()
-    time: Names = ()
+    title: str = "table"  # The format, for messages
+    names: Names = ()  # Names of the columns of a table without a header
+    sign: Names = ()  # Columns by which a table is recognised without ``--columns``
+    time: Names = ()  # Time of a row, in `time_unit` since `time_epoch`
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    # 1970 in UTC; 1980-01-06 in GPS time; the beginning of the GPS week in `gps_week`; any, such as boot.
     time_epoch: Literal["unix", "gps", "week", "start"] = "unix"
-    gps_week: Names = ()
-    utc: Names = ()
-    utc_date: Names = ()
-    roll: Names = ()
+    gps_week: Names = ()  # GPS week number, for the epoch "week"
+    utc: Names = ()  # UTC of a row, ISO 8601; without `time` it is the time, beside it its readings of UTC
+    utc_date: Names = ()  # Its date, if it is in another column
+    roll: Names = ()  # Euler angles (yaw, then pitch, then roll) from world to body, in `angle_unit`
     pitch: Names = ()
     yaw: Names = ()
     angle_unit: Literal["deg", "rad", "decideg"] = "deg"
-    quaternion: Names = ()
-    quaternion_xyz: Names = ()
-    quaternion_scale: float = 1.0
+    quaternion: Names = ()  # The four columns w, x, y, z
+    quaternion_xyz: Names = ()  # The columns x, y, z, if w >= 0 follows from the unit norm
+    quaternion_scale: float = 1.0  # Number of units of a quaternion of norm 1
+    # Components of vectors that the quaternion turns: body ones into world ones (ROS, PX4), or the opposite.
     rotates: Literal["body_to_world", "world_to_body"] = "body_to_world"
+    # {"NED", "ENU", "NWU"}: axes of the world: north, east, down; east, north, up; north, west, up.
     world: World = "NED"
-    body: Body = "FRD"
-    latitude: Names = ()
+    body: Body = "FRD"  # {"FRD", "FLU"}: axes of the body: forward, right, down; or forward, left, up
+    latitude: Names = ()  # WGS84, in `place_unit`
     longitude: Names = ()
     place_unit: Literal["deg", "rad", "1e-7deg"] = "deg"
-    height: Names = ()
+    height: Names = ()  # Height in m or in ft; the first one in the table is used
     height_ft: Names = ()
-    roll_rate: Names = ()
+    roll_rate: Names = ()  # Gyro rates about the axes of the body, in `rate_unit`
     pitch_rate: Names = ()
     yaw_rate: Names = ()
-    rate_unit: Literal["deg", "rad"] = "deg"
-    note: str = ""
+    rate_unit: Literal["deg", "rad"] = "deg"  # Per second
+    note: str = ""  # A remark for the user
 
     @classmethod
     def of(cls, keys: Mapping[str, Any], source: str) -> Self:
         """Return the map of a TOML table.
 
-        Parameters
-        ----------
-        keys : mapping of str to object
-            Keys by the names of the attributes; a single column may be a string.
-        source : str
-            Where they are from, for messages.
-
-        Returns
-        -------
-        ColumnMap
-
-        Raises
-        ------
-        ConfigError
-            If a key or a value is unknown, or keys belong together and one is missing.
+        `keys`: keys by the names of the attributes; a single column may be a string; `source`: where they are from, for
+        messages.  Raises ConfigError if a key or a value is unknown, or keys belong together and one is missing.
         """
         hints = get_type_hints(cls)
         known = [field.name for field in fields(cls)]
@@ -190,15 +134,7 @@ class ColumnMap:
     def found(self, alternatives: Names, header: Collection[str]) -> str | None:
         """Return the first of some alternative columns that a table has, perhaps with a minus sign; None without one.
 
-        Parameters
-        ----------
-        alternatives : tuple of str
-        header : collection of str
-            Columns of the table.
-
-        Returns
-        -------
-        str or None
+        `header`: columns of the table.
         """
         return next((name for name in alternatives if name.removeprefix("-") in header or name in header), None)
 
@@ -228,61 +164,26 @@ def _value(where: str, hint: Any, given: Any) -> Any:
 
 @cache
 def ready_maps() -> Mapping[str, ColumnMap]:
-    """Return the maps of ``assets/columnmaps.toml``, by name.
-
-    Returns
-    -------
-    mapping of str to ColumnMap
-    """
+    """Return the maps of ``assets/columnmaps.toml``, by name."""
     tables = tomllib.loads(asset(_ASSET).read_text(encoding="utf-8"))
     return {name: ColumnMap.of(keys, f"{_ASSET}: {name}") for name, keys in tables.items()}
 
 
 def ready_map(header: Collection[str]) -> ColumnMap | None:
-    """Return the ready map of a table by its header.
-
-    Parameters
-    ----------
-    header : collection of str
-
-    Returns
-    -------
-    ColumnMap or None
-        None if the table is none of these.
-    """
+    """Return the ready map of a table by its header; returns: none if the table is none of these."""
     return next((one for one in ready_maps().values() if set(one.sign) <= set(header)), None)
 
 
 def is_map_file(text: str) -> bool:
-    """Return whether the value of ``--columns`` is the name of a file.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether the value of ``--columns`` is the name of a file."""
     return text.lower().endswith(".toml") and "=" not in text
 
 
 def column_map(text: str) -> ColumnMap:
     """Return the map that ``--columns`` names.
 
-    Parameters
-    ----------
-    text : str
-        Name of a ready map, path of a TOML file, or words ``key=column``, joined by commas; ``a|b`` is a list.
-
-    Returns
-    -------
-    ColumnMap
-
-    Raises
-    ------
-    ConfigError
-        If there is no such map, or it is not valid.
+    `text`: name of a ready map, path of a TOML file, or words ``key=column``, joined by commas; ``a|b`` is a list.
+    Raises ConfigError if there is no such map, or it is not valid.
     """
     if is_map_file(text):
         try:
@@ -361,19 +262,9 @@ _GLSTAR_QUATERNION: Final = ColumnMap(
 def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
     """Return q_body_ned of quaternions between other frames.
 
-    Parameters
-    ----------
-    q : (n, 4) float64
-        Unit quaternions (w, x, y, z).
-    world : {"NED", "ENU", "NWU"}
-    body : {"FRD", "FLU"}
-    rotates : {"body_to_world", "world_to_body"}
-        Which components of vectors `q` turns into which.
-
-    Returns
-    -------
-    (n, 4) float64
-        q_body_ned = q_frd_body q_body_world q_world_ned.
+    `q` (n, 4): unit quaternions (w, x, y, z); `world` {"NED", "ENU", "NWU"}; `body` {"FRD", "FLU"}; `rotates`
+    {"body_to_world", "world_to_body"}: which components of vectors `q` turns into which.  Returns (n, 4) q_body_ned =
+    q_frd_body q_body_world q_world_ned.
     """
     q_body_world = conjugate(q) if rotates == "body_to_world" else q
     turned = multiply(q_body_world, Q_WORLD_NED[world])
@@ -383,21 +274,9 @@ def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
 class MappedTableReader(TelemetrySource):
     """A table as a telemetry source; its clock is the time of its rows.
 
-    Parameters
-    ----------
-    path : path-like
-        A text table, a Parquet file or an Excel workbook.
-    attitude : str
-        Only ``"auto"``: a table has one attitude.
-    boot : int, optional
-        Only 1.
-    columns : ColumnMap, optional
-        What its columns mean; by default that of its header.
-
-    Raises
-    ------
-    LogFormatError
-        If the table lacks columns, with the names of similar ones.
+    `path`: a text table, a Parquet file or an Excel workbook; `attitude`: only ``"auto"``: a table has one attitude;
+    `boot`: only 1; `columns`: what its columns mean; by default that of its header.  Raises LogFormatError if the table
+    lacks columns, with the names of similar ones.
     """
 
     one_clock = True
@@ -421,10 +300,7 @@ class MappedTableReader(TelemetrySource):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position, UTC and, if the table has them, rates, a batch each.
 
-        Raises
-        ------
-        LogFormatError
-            If a cell is invalid.
+        Raises LogFormatError if a cell is invalid.
         """
         clock_s, source = self._clock_s, self._source
         q, valid = self._q_body_ned()
@@ -606,17 +482,7 @@ class MappedTableReader(TelemetrySource):
 
 
 def mapped_reader(columns: ColumnMap) -> Callable[..., TelemetrySource]:
-    """Return the reader of tables with a given map.
-
-    Parameters
-    ----------
-    columns : ColumnMap
-
-    Returns
-    -------
-    callable
-        ``reader(path, attitude=..., boot=...)``.
-    """
+    """Return the reader of tables with a given map; returns ``reader(path, attitude=..., boot=...)``."""
 
     def reader(path: str, *, attitude: str = "auto", boot: int | None = None) -> TelemetrySource:
         return MappedTableReader(path, attitude=attitude, boot=boot, columns=columns)

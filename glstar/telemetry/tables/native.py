@@ -72,14 +72,7 @@ _UNIT_TOLERANCE = 0.02
 def as_table(flight: Flight) -> str:
     """Convert a flight to a table: UTC and quaternions exactly, and the position at every attitude.
 
-    Parameters
-    ----------
-    flight : Flight
-
-    Returns
-    -------
-    str
-        The content of a CSV file.
+    Returns the content of a CSV file.
     """
     utc_s, q_body_ned = flight.attitude.utc_s, flight.attitude.q_body_ned
     latitude_rad, longitude_rad, height_m = flight.position.coordinates(utc_s)
@@ -92,21 +85,9 @@ class TableReader(TelemetrySource):
     """A CSV file as a telemetry source; its clock is UTC.
 
     Tables may be joined, with or without a repeated header.  Parts that overlap with another part in time, or are more
-    than a day away, are treated as separate boots.
-
-    Parameters
-    ----------
-    path : path-like
-        The table.
-    attitude : str
-        Only ``"auto"``: a table has one attitude.
-    boot : int, optional
-        Number of the part, from 1, of several that overlap in time; by default the longest.
-
-    Raises
-    ------
-    LogFormatError
-        If the file is no such table, with line and column.
+    than a day away, are treated as separate boots.  `path`: the table; `attitude`: only ``"auto"``: a table has one
+    attitude; `boot`: number of the part, from 1, of several that overlap in time; by default the longest.  Raises
+    LogFormatError if the file is no such table, with line and column.
     """
 
     one_clock = True
@@ -125,10 +106,7 @@ class TableReader(TelemetrySource):
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position, UTC and, if the table has them, rates, in batches of some thousands of rows.
 
-        Raises
-        ------
-        LogFormatError
-            If a row has too few or too many cells, or a cell is invalid.
+        Raises LogFormatError if a row has too few or too many cells, or a cell is invalid.
         """
         chosen = {boot.number for boot in self.boots()}
         for part in self._read():
@@ -139,10 +117,7 @@ class TableReader(TelemetrySource):
     def boots(self) -> tuple[Boot, ...]:
         """Return the parts of the table as boots, or the requested one.
 
-        Raises
-        ------
-        LogFormatError
-            If the table cannot be read, or has no such boot.
+        Raises LogFormatError if the table cannot be read, or has no such boot.
         """
         numbers = {part.boot for part in self._read()} or {1}
         return chosen_boots(self.name, [Boot(number) for number in sorted(numbers)], self._boot)
@@ -189,17 +164,7 @@ class TableReader(TelemetrySource):
                     parts[-1].add(utc_s[start:stop], list(some.samples()))
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
-        """Return the format.
-
-        Parameters
-        ----------
-        boots : collection of int
-            Numbers of the boots; by default all.
-
-        Returns
-        -------
-        LogFacts
-        """
+        """Return the format; `boots`: numbers of the boots; by default all."""
         return LogFacts("CSV table")
 
     def close(self) -> None:

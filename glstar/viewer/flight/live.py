@@ -28,39 +28,18 @@ _EVENTS: Final = 100
 
 
 class Buffered(NamedTuple):
-    """A copy of the link's buffer.
-
-    Attributes
-    ----------
-    flight : Flight
-    lines : FlightLines
-        Its curves, for the timeline.
-    """
+    """A copy of the link's buffer."""
 
     flight: Flight
-    lines: FlightLines
+    lines: FlightLines  # Its curves, for the timeline
 
 
 class LiveFlight:
     """The viewer's side of a link; no method waits for the link.
 
-    Parameters
-    ----------
-    link : Link
-        Open; it stays the caller's.
-    on_event : callable, optional
-        Called with the message of each event.
-
-    Attributes
-    ----------
-    link : Link
-    epoch : int
-        Counts how often UTC was set: the samples before and after belong to two flights.  A reboot with the same UTC is
-        a gap of one flight.
-    status : LinkStatus
-        At the last `poll`.
-    events : deque of LinkEvent
-        The latest events, oldest first.
+    `link`: open; it stays the caller's; `on_event`: called with the message of each event.  `epoch`: counts how often
+    UTC was set: the samples before and after belong to two flights; a reboot with the same UTC is a gap of one flight;
+    `status`: at the last `poll`; `events`: the latest events, oldest first.
     """
 
     def __init__(self, link: Link, *, on_event: Callable[[str], None] | None = None) -> None:
@@ -83,15 +62,8 @@ class LiveFlight:
     def poll(self, *, on_gimbal: bool = False) -> LatestAttitude | None:
         """Update the status and the epoch.
 
-        Parameters
-        ----------
-        on_gimbal : bool
-            Whether the camera is on the gimbal; see `Link.follow_gimbal`.
-
-        Returns
-        -------
-        LatestAttitude or None
-            The latest attitude; None without attitude or UTC.
+        `on_gimbal`: whether the camera is on the gimbal; see `Link.follow_gimbal`.  Returns the latest attitude; None
+        without attitude or UTC.
         """
         self.link.follow_gimbal(on_gimbal)
         self.status = self.link.status()
@@ -105,10 +77,7 @@ class LiveFlight:
     def listen_to(self, sysid: int) -> None:
         """Receive the flight of another vehicle on the link: another epoch begins with its first attitude.
 
-        Parameters
-        ----------
-        sysid : int
-            Its MAVLink system.
+        `sysid`: its MAVLink system.
         """
         self.link.listen_to(sysid)
         self._before = None
@@ -123,31 +92,14 @@ class LiveFlight:
         return events
 
     def last(self, last_s: float) -> Flight | None:
-        """Return the flight's last seconds; see `Link.flight`.
-
-        Parameters
-        ----------
-        last_s : float
-            s.
-
-        Returns
-        -------
-        Flight or None
-        """
+        """Return the flight's last seconds; see `Link.flight`."""
         return self.link.flight(last_s)
 
     def with_estimate(self, last_s: float) -> tuple[Flight, Estimate] | None:
         """Return the flight's last seconds, and what the autopilot estimated in them.
 
-        Parameters
-        ----------
-        last_s : float
-            s.
-
-        Returns
-        -------
-        (Flight, Estimate) or None
-            The flight itself is the estimate unless the link draws a simulator's state.  None without samples.
+        Returns (Flight, Estimate) or None: the flight itself is the estimate unless the link draws a simulator's state;
+        none without samples.
         """
         flight, estimate = self.link.flight_and_estimate(last_s)
         if flight is None or (estimate is None and self.link.truth == "sim_state"):
@@ -157,14 +109,7 @@ class LiveFlight:
     def buffered(self, origin_s: float) -> Buffered | None:
         """Return a copy of the buffer if one has been made since the last call; another thread makes it.
 
-        Parameters
-        ----------
-        origin_s : float
-            The origin of the timeline, UTC seconds since 1970.
-
-        Returns
-        -------
-        Buffered or None
+        `origin_s`: the origin of the timeline, UTC seconds since 1970.
         """
         now_s = time.monotonic()
         taken = None
@@ -206,15 +151,8 @@ class LiveFlight:
         """Record that the image of an attitude was drawn; `presented` follows when it is on the screen.
 
         Each attitude counts once, even if it is drawn again with other settings.  The Sun, the Moon and the limiting
-        magnitude of the first complete exposure are reported as an event.
-
-        Parameters
-        ----------
-        latest : LatestAttitude
-        scene : Scene or None
-            Of the image.
-        duration_s : float
-            The camera's exposure time, s; the first image of a link may be shorter.
+        magnitude of the first complete exposure are reported as an event.  `scene`: of the image; `duration_s`: the
+        camera's exposure time, s; the first image of a link may be shorter.
         """
         if scene is not None and scene.exposure.duration_s >= duration_s and not self._reported_conditions:
             self._reported_conditions = True

@@ -33,34 +33,16 @@ _CHOSEN: Final = {"attitude": "auto", "interpolation": "slerp", "time_offset_s":
 
 @dataclass(frozen=True, slots=True)
 class AttitudeChoices:
-    """The attitudes of a log, and the interpolations that it allows.
+    """The attitudes of a log, and the interpolations that it allows."""
 
-    Attributes
-    ----------
-    attitudes : mapping of str to str
-        Description by value of ``flight.attitude``, without ``"auto"``.
-    has_gyros : bool
-        Whether the log has the gyro rates that the interpolation ``"gyro"`` needs.
-    error : str
-        The reason why they are not known; empty if they are.
-    """
-
+    # Description by value of ``flight.attitude``, without ``"auto"``.
     attitudes: Mapping[str, str] = field(default_factory=dict)
-    has_gyros: bool = False
-    error: str = ""
+    has_gyros: bool = False  # Whether the log has the gyro rates that the interpolation ``"gyro"`` needs
+    error: str = ""  # The reason why they are not known; empty if they are
 
     @classmethod
     def of(cls, survey: Survey) -> "AttitudeChoices":
-        """Return the choices in a log.
-
-        Parameters
-        ----------
-        survey : Survey
-
-        Returns
-        -------
-        AttitudeChoices
-        """
+        """Return the choices in a log."""
         described = {
             one.name: f"{one.samples} samples, {one.rate_hz:.4g} Hz, {one.duration_s:.1f} s, {one.gaps} gaps"
             for one in survey.attitudes
@@ -70,29 +52,14 @@ class AttitudeChoices:
     def sources(self, chosen: str) -> list[str]:
         """Return the values of ``flight.attitude`` to offer.
 
-        Parameters
-        ----------
-        chosen : str
-            The present value, which is always among them.
-
-        Returns
-        -------
-        list of str
-            ``"auto"`` first.
+        `chosen`: the present value, which is always among them.  Returns ``"auto"`` first.
         """
         return list(dict.fromkeys(("auto", *self.attitudes, chosen)))
 
     def interpolations(self, chosen: Interpolation) -> list[Interpolation]:
         """Return the interpolations to offer.
 
-        Parameters
-        ----------
-        chosen : {"slerp", "spline", "gyro"}
-            The present one, which is always among them.
-
-        Returns
-        -------
-        list of {"slerp", "spline", "gyro"}
+        `chosen` {"slerp", "spline", "gyro"}: the present one, which is always among them.
         """
         every: tuple[Interpolation, ...] = ("slerp", "spline", "gyro")
         return [one for one in every if one != "gyro" or self.has_gyros or one == chosen]
@@ -114,16 +81,7 @@ class AttitudeFinder:
     def of(self, path: Path, config: Config) -> AttitudeChoices | None:
         """Return the choices in a log; its survey begins with the first call.
 
-        Parameters
-        ----------
-        path : Path
-        config : Config
-            With which the log was read.
-
-        Returns
-        -------
-        AttitudeChoices or None
-            None until they are known.
+        `config`: with which the log was read.  Returns: none until they are known.
         """
         wanted = path, config.flight.model_copy(update=_CHOSEN)
         if self._future is None or wanted != self._wanted:
@@ -148,22 +106,11 @@ def _find(path: Path, config: Config) -> AttitudeChoices:
 
 
 class InputField(NamedTuple):
-    """A value to type.
+    """A value to type."""
 
-    Attributes
-    ----------
-    key : str
-        Of ``[flight]``.
-    label : str
-        With the unit.
-    hint : str
-        An example.
-    is_required : bool
-    """
-
-    key: str
-    label: str
-    hint: str
+    key: str  # Of ``[flight]``
+    label: str  # With the unit
+    hint: str  # An example
     is_required: bool = True
 
 
@@ -178,24 +125,12 @@ SITE_KEYS: Final = tuple(each.key for each in _SITE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingFromLog:
-    """Missing inputs of a log.
+    """Missing inputs of a log."""
 
-    Attributes
-    ----------
-    path : Path
-        The log.
-    reasons : mapping of {"UTC", "position"} to str
-        As in `LogFormatError.lacks`.
-    given : mapping of str to object
-        Dotted keys of the config that were given for this log before.
-    typed : mapping of str to str
-        The initial contents of the fields, by key of ``[flight]``.
-    """
-
-    path: Path
-    reasons: Mapping[Literal["UTC", "position"], str]
-    given: Mapping[str, Any]
-    typed: Mapping[str, str]
+    path: Path  # The log
+    reasons: Mapping[Literal["UTC", "position"], str]  # As in `LogFormatError.lacks`
+    given: Mapping[str, Any]  # Dotted keys of the config that were given for this log before
+    typed: Mapping[str, str]  # The initial contents of the fields, by key of ``[flight]``
 
     @property
     def message(self) -> str:
@@ -216,18 +151,10 @@ class MissingFromLog:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingFromLink:
-    """The site of a flight whose link sends no position.
+    """The site of a flight whose link sends no position."""
 
-    Attributes
-    ----------
-    endpoint : str
-        The link.
-    typed : mapping of str to str
-        The initial contents of the fields, by key of ``[flight]``.
-    """
-
-    endpoint: str
-    typed: Mapping[str, str]
+    endpoint: str  # The link
+    typed: Mapping[str, str]  # The initial contents of the fields, by key of ``[flight]``
 
     @property
     def message(self) -> str:
@@ -248,21 +175,8 @@ class MissingFromLink:
 def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
     """Return typed inputs as keys of the config.
 
-    Parameters
-    ----------
-    fields : tuple of InputField
-    typed : mapping of str to str
-        By key of ``[flight]``.
-
-    Returns
-    -------
-    dict of str to object
-        By dotted key: UTC in ISO 8601, degrees, metres.  The config checks the ranges.
-
-    Raises
-    ------
-    ConfigError
-        If a value is missing, or is no time or number.
+    `typed`: by key of ``[flight]``.  Returns: by dotted key: UTC in ISO 8601, degrees, metres; the config checks the
+    ranges.  Raises ConfigError if a value is missing, or is no time or number.
     """
     keys: dict[str, Any] = {}
     for each in fields:
@@ -291,39 +205,20 @@ BEFORE_EXPOSURE_S: Final = 5.0
 
 @dataclass(slots=True, eq=False)
 class LoadedFlight:
-    """A flight and all that the viewer computes from it.
+    """A flight and all that the viewer computes from it."""
 
-    Attributes
-    ----------
-    path : Path or None
-        The log; None for a flight received from a link.
-    config : Config
-        The settings with which it was loaded.
-    given : mapping of str to object
-        Dotted keys of the config that the user gave for this log only: the UTC and the site that it lacks.
-    flight : Flight
-        Of a live flight, a copy of the link's buffer, replaced twice a second.
-    lines : FlightLines
-        The curves of the timeline.
-    simulator : Simulator
-    overlays : Overlays
-    estimate : AttitudeTrack or None
-        What the aircraft estimated, if ``[navigator]`` names another message of the log.
-    head : PlayHead
-    read_with : Config
-        The settings with which the log was read; `config` changes later.
-    """
-
-    path: Path | None
-    config: Config
+    path: Path | None  # The log; None for a flight received from a link
+    config: Config  # The settings with which it was loaded
+    # Dotted keys of the config that the user gave for this log only: the UTC and the site that it lacks.
     given: Mapping[str, Any]
-    flight: Flight
-    lines: FlightLines
+    flight: Flight  # Of a live flight, a copy of the link's buffer, replaced twice a second
+    lines: FlightLines  # The curves of the timeline
     simulator: Simulator
     overlays: Overlays
+    # What the aircraft estimated, if ``[navigator]`` names another message of the log.
     estimate: AttitudeTrack | None = None
     head: PlayHead = field(init=False)
-    read_with: Config = field(init=False)
+    read_with: Config = field(init=False)  # The settings with which the log was read; `config` changes later
 
     def __post_init__(self) -> None:
         self.read_with = self.config
@@ -339,18 +234,7 @@ class LoadedFlight:
     def make(cls, path: Path | None, config: Config, given: Mapping[str, Any], flight: Flight) -> "LoadedFlight":
         """Return a flight with its simulator, its overlays and its curves.
 
-        Parameters
-        ----------
-        path : Path or None
-            None for a flight received from a link.
-        config : Config
-        given : mapping of str to object
-            Dotted keys of the config that hold for this log only.
-        flight : Flight
-
-        Returns
-        -------
-        LoadedFlight
+        `path`: none for a flight received from a link; `given`: dotted keys of the config that hold for this log only.
         """
         simulator = config.simulator(flight)
         lines = FlightLines.of(flight.aircraft_attitude, flight.attitude.first_s)
@@ -360,21 +244,8 @@ class LoadedFlight:
     def read(cls, path: Path, config: Config, given: Mapping[str, Any]) -> "LoadedFlight":
         """Read a log.
 
-        Parameters
-        ----------
-        path : Path
-        config : Config
-        given : mapping of str to object
-            Dotted keys of the config that hold for this log only.
-
-        Returns
-        -------
-        LoadedFlight
-
-        Raises
-        ------
-        GlstarError
-            If the log cannot be replayed.
+        `given`: dotted keys of the config that hold for this log only.  Raises GlstarError if the log cannot be
+        replayed.
         """
         loaded = cls.make(path, config, given, config.open_flight(path))
         [loaded.estimate] = estimates(config, [path])
@@ -383,14 +254,7 @@ class LoadedFlight:
     def use(self, config: Config) -> None:
         """Change the settings; star directions are computed again only if the sky changes.
 
-        Parameters
-        ----------
-        config : Config
-
-        Raises
-        ------
-        GlstarError
-            If the simulator refuses the settings; nothing changes then.
+        Raises GlstarError if the simulator refuses the settings; nothing changes then.
         """
         before = self.config
         if config is before:
@@ -402,16 +266,7 @@ class LoadedFlight:
         self.config = config
 
     def as_read(self, config: Config) -> Config:
-        """Return settings with the ``[flight]`` and ``navigator.attitude`` with which the log was read.
-
-        Parameters
-        ----------
-        config : Config
-
-        Returns
-        -------
-        Config
-        """
+        """Return settings with the ``[flight]`` and ``navigator.attitude`` with which the log was read."""
         present, wanted = config.flight, self.read_with.flight
         differing = [key for key in type(wanted).model_fields if getattr(present, key) != getattr(wanted, key)]
         before = {f"flight.{key}": getattr(wanted, key) for key in differing}
@@ -423,12 +278,8 @@ class LoadedFlight:
     def extend_to(self, utc_s: float, buffered: Buffered | None) -> None:
         """Extend a live flight to its latest attitude.
 
-        Parameters
-        ----------
-        utc_s : float
-            Of the latest attitude, UTC seconds since 1970.
-        buffered : Buffered or None
-            A newer copy of the link's buffer, if there is one.
+        `utc_s`: of the latest attitude, UTC seconds since 1970; `buffered`: a newer copy of the link's buffer, if there
+        is one.
         """
         if buffered is not None:
             self.flight, self.lines = buffered
@@ -437,16 +288,8 @@ class LoadedFlight:
     def extend(self, exposure: Exposure, last: Callable[[float], Flight | None]) -> bool:
         """Extend the simulator's flight with the samples of a live flight that an exposure needs.
 
-        Parameters
-        ----------
-        exposure : Exposure
-        last : callable
-            Returns the last seconds of the live flight; None if there are too few samples.
-
-        Returns
-        -------
-        bool
-            Whether it was extended.
+        `last`: returns the last seconds of the live flight; None if there are too few samples.  Returns whether it was
+        extended.
         """
         head, attitude = self.head, self.simulator.flight.attitude
         opens_s = exposure.start_utc_s + CLOCK_GRAIN_S
@@ -462,12 +305,7 @@ class LoadedFlight:
         return True
 
     def continue_from(self, before: "LoadedFlight") -> None:
-        """Take over mode, speed and loop from the flight shown before, and the position and markers in the same log.
-
-        Parameters
-        ----------
-        before : LoadedFlight
-        """
+        """Take over mode, speed and loop from the flight shown before, and the position and markers in the same log."""
         head, old = self.head, before.head
         head.mode, head.loop, head.speed = old.mode, old.loop, old.speed
         if self.path == before.path:
@@ -499,20 +337,11 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
 class FlightLoader:
     """Loads one flight at a time on a thread of its own, and records the missing inputs of a log.
 
-    Attributes
-    ----------
-    missing : MissingFromLog or None
-        The UTC and the site that the log opened last lacks, until the user gives them or cancels.
-    last_opened : Path or None
-        The log opened last, even if it could not be read.
-    start_s : float or None
-        Where the play head of the next flight is at first, s from its first attitude; None for there.
-    typed_site : dict of str to str
-        The site typed last, by key of ``[flight]``: the initial contents of the dialog.
-    sampler : SkySampler
-        Computes the curves of the timeline that need simulated exposures.
-    finder : AttitudeFinder
-        Finds the attitudes among which the user can choose.
+    `missing`: the UTC and the site that the log opened last lacks, until the user gives them or cancels; `last_opened`:
+    the log opened last, even if it could not be read; `start_s`: where the play head of the next flight is at first, s
+    from its first attitude; None for there; `typed_site`: the site typed last, by key of ``[flight]``: the initial
+    contents of the dialog; `sampler`: computes the curves of the timeline that need simulated exposures; `finder`:
+    finds the attitudes among which the user can choose.
     """
 
     def __init__(self) -> None:
@@ -549,12 +378,7 @@ class FlightLoader:
     def read(self, path: Path, config: Config, given: Mapping[str, Any]) -> None:
         """Begin to read a log; a flight that is still being loaded is dropped.
 
-        Parameters
-        ----------
-        path : Path
-        config : Config
-        given : mapping of str to object
-            Dotted keys of the config that hold for this log only.
+        `given`: dotted keys of the config that hold for this log only.
         """
         self.missing, self.last_opened = None, path
         self.drop()
@@ -563,13 +387,7 @@ class FlightLoader:
     def follow(self, loaded: LoadedFlight, config: Config, given: Mapping[str, Any]) -> None:
         """Begin to read the log shown again, unless it was read with the same settings.
 
-        Parameters
-        ----------
-        loaded : LoadedFlight
-            From a log.
-        config : Config
-        given : mapping of str to object
-            Dotted keys of the config that hold for this log only.
+        `loaded`: from a log; `given`: dotted keys of the config that hold for this log only.
         """
         read = loaded.read_with
         assert loaded.path is not None
@@ -579,30 +397,15 @@ class FlightLoader:
             self.read(loaded.path, config, given)
 
     def make(self, config: Config, flight: Flight) -> None:
-        """Begin to load a flight received from a link.
-
-        Parameters
-        ----------
-        config : Config
-        flight : Flight
-        """
+        """Begin to load a flight received from a link."""
         self._pending = None, {}, self._thread.submit(LoadedFlight.make, None, config, {}, flight)
 
     def read_again(self, config: Config, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
         """Begin to read a log again, with its missing inputs.
 
-        Parameters
-        ----------
-        config : Config
-            The settings without the inputs given for a log.
-        missing : MissingFromLog
-        typed : mapping of str to str
-            By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.
-
-        Raises
-        ------
-        ConfigError
-            If something is missing or not valid; nothing changes then.
+        `config`: the settings without the inputs given for a log; `typed`: by key of ``[flight]``: ``utc_start``,
+        ``latitude_deg``, ``longitude_deg``, ``height_m``.  Raises ConfigError if something is missing or not valid;
+        nothing changes then.
         """
         given = {**missing.given, **flight_keys(missing.fields, typed)}
         config = config.override(**given)
@@ -615,14 +418,7 @@ class FlightLoader:
     def take(self) -> LoadedFlight:
         """Return the flight as soon as it has been loaded.
 
-        Returns
-        -------
-        LoadedFlight
-
-        Raises
-        ------
-        GlstarError
-            If it cannot be replayed; `missing` is set if the log lacks UTC or a position.
+        Raises GlstarError if it cannot be replayed; `missing` is set if the log lacks UTC or a position.
         """
         assert self._pending is not None
         (path, given, future), self._pending = self._pending, None

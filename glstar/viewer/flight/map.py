@@ -38,19 +38,9 @@ _UP_AND_DOWN_NED: Final = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, float]:
     """Return the azimuths between which all directions of an image lie, without refraction.
 
-    Parameters
-    ----------
-    camera : Camera
-    C_camera_ned : (3, 3) array_like
-        Rotation from north, east, down to the camera frame.
-
-    Returns
-    -------
-    first_rad : float
-        Azimuth from north through east, 0 to 2 pi.  NaN, as the extent, if a part of the image's border is beyond the
-        limit of the lens.
-    extent_rad : float
-        Clockwise from there, seen from above; 2 pi if the zenith or the nadir is in the image.
+    `C_camera_ned` (3, 3): rotation from north, east, down to the camera frame.  Returns `first_rad`: azimuth from north
+    through east, 0 to 2 pi; NaN, as the extent, if a part of the image's border is beyond the limit of the lens;
+    `extent_rad`: clockwise from there, seen from above; 2 pi if the zenith or the nadir is in the image.
     """
     directions = image_border(camera) @ C_camera_ned
     if not np.isfinite(directions).all():
@@ -66,14 +56,7 @@ def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, floa
 def image_border(camera: Camera) -> Float:
     """Return directions along the border of an image.
 
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    (n, 3) float64
-        Vectors in the camera frame, in order; NaN beyond the limit of the lens.
+    Returns (n, 3) vectors in the camera frame, in order; NaN beyond the limit of the lens.
     """
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom], [-0.5, -0.5]])
@@ -88,37 +71,21 @@ _SPEED_INTERVAL_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AircraftState:
-    """The aircraft at one time.
+    """The aircraft at one time."""
 
-    Attributes
-    ----------
-    roll_rad, pitch_rad, yaw_rad : float
-        Euler angles of the body.
-    site : Site
-        Its position.
-    ground_speed_m_per_s, climb_m_per_s : float
-        Horizontal and upward speed, averaged over a second; NaN for a flight with a single position.
-    camera_azimuth_rad, camera_altitude_rad : float
-        Direction of the optical axis.
-    lowest_altitude_rad : float
-        Altitude of the lowest corner of the image, without refraction.
-    image_azimuths_rad : tuple of float
-        Azimuths that the image covers: the first, and the extent clockwise; see `image_azimuths_rad`.
-    C_camera_ned : (3, 3) float64
-        Rotation from north, east, down to the camera frame.
-    """
-
-    roll_rad: float
+    roll_rad: float  # Euler angles of the body
     pitch_rad: float
     yaw_rad: float
-    site: Site
+    site: Site  # Its position
+    # Horizontal and upward speed, averaged over a second; NaN for a flight with a single position.
     ground_speed_m_per_s: float
     climb_m_per_s: float
-    camera_azimuth_rad: float
+    camera_azimuth_rad: float  # Direction of the optical axis
     camera_altitude_rad: float
-    lowest_altitude_rad: float
+    lowest_altitude_rad: float  # Altitude of the lowest corner of the image, without refraction
+    # Azimuths that the image covers: the first, and the extent clockwise; see `image_azimuths_rad`.
     image_azimuths_rad: tuple[float, float]
-    C_camera_ned: Float
+    C_camera_ned: Float  # (3, 3) rotation from north, east, down to the camera frame
 
     @property
     def view(self) -> str:
@@ -131,16 +98,7 @@ class AircraftState:
 def aircraft_state(simulator: Simulator, utc_s: float) -> AircraftState:
     """Return the state of the aircraft at a time.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        Its flight, mount and camera.
-    utc_s : float
-        UTC seconds since 1970, inside the flight.
-
-    Returns
-    -------
-    AircraftState
+    `simulator`: its flight, mount and camera; `utc_s`: UTC seconds since 1970, inside the flight.
     """
     flight, camera = simulator.flight, simulator.camera
     roll, pitch, yaw = (float(angle) for angle in euler_from_quaternion(flight.aircraft_attitude.at(utc_s)))
@@ -169,17 +127,7 @@ def aircraft_state(simulator: Simulator, utc_s: float) -> AircraftState:
 def ground_track_m(flight: Flight, origin: Site, points: int = 2000) -> Float:
     """Return the ground track of a flight around a site.
 
-    Parameters
-    ----------
-    flight : Flight
-    origin : Site
-    points : int
-        Largest number of points.
-
-    Returns
-    -------
-    (n, 2) float64
-        East and north of the origin, m.
+    `points`: largest number of points.  Returns (n, 2) east and north of the origin, m.
     """
     position = flight.position
     stride = max(1, -(-len(position.utc_s) // points))
@@ -209,21 +157,11 @@ _HORIZON_POINTS: Final = 721
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """The ground that an image shows: geocentric positions in ITRS, m, NaN where there is none.
+    """The ground that an image shows: geocentric positions in ITRS, m, NaN where there is none."""
 
-    Attributes
-    ----------
-    border : (n, 3) float64
-        Along the border of the image, in order.
-    horizon : (m, 3) float64
-        Around the horizon of the ground: NaN where it is not in the image.
-    axis : (3,) float64
-        Where the optical axis meets the ground.
-    """
-
-    border: Float
-    horizon: Float
-    axis: Float
+    border: Float  # (n, 3) along the border of the image, in order
+    horizon: Float  # (m, 3) around the horizon of the ground: NaN where it is not in the image
+    axis: Float  # (3,) where the optical axis meets the ground
 
     @property
     def is_empty(self) -> bool:
@@ -234,20 +172,9 @@ class Footprint:
 def ground_footprint(camera: Camera, C_camera_ned: Float, site: Site, ground_m: float) -> Footprint:
     """Return where the rays of an image meet the ground, without refraction and without terrain.
 
-    Parameters
-    ----------
-    camera : Camera
-    C_camera_ned : (3, 3) array_like
-        Rotation from north, east, down to the camera frame.
-    site : Site
-        Of the camera, above the ground.
-    ground_m : float
-        Height of the ground above the WGS84 ellipsoid, m: an ellipsoid whose semi-axes are longer by that.
-
-    Returns
-    -------
-    Footprint
-        Empty if the site is not above the ground.
+    `C_camera_ned` (3, 3): rotation from north, east, down to the camera frame; `site`: of the camera, above the ground;
+    `ground_m`: height of the ground above the WGS84 ellipsoid, m: an ellipsoid whose semi-axes are longer by that.
+    Returns: empty if the site is not above the ground.
     """
     axes_m = semi_axes_m() + ground_m
     eye_m = geocentric_m(site.latitude_rad, site.longitude_rad, site.height_m)
@@ -314,16 +241,8 @@ class MapLimits(NamedTuple):
 def map_east_north_m(origin: Site, latitude_rad: Float, longitude_rad: Float) -> Float:
     """Return where places of the ground are on the map.
 
-    Parameters
-    ----------
-    origin : Site
-    latitude_rad, longitude_rad : (n,) float64
-        WGS84, rad; NaN between lines.
-
-    Returns
-    -------
-    (n, 2) float64
-        East and north of the origin, m; NaN on the other side of the Earth.
+    `latitude_rad`, `longitude_rad` (n,): WGS84, rad; NaN between lines.  Returns (n, 2) east and north of the origin,
+    m; NaN on the other side of the Earth.
     """
     sine = np.sin(latitude_rad) * sin(origin.latitude_rad)
     cosine = np.cos(latitude_rad) * cos(origin.latitude_rad) * np.cos(longitude_rad - origin.longitude_rad)
@@ -334,12 +253,7 @@ def map_east_north_m(origin: Site, latitude_rad: Float, longitude_rad: Float) ->
 
 
 class Coastlines:
-    """The coast on the map of a site.
-
-    Parameters
-    ----------
-    origin : Site
-    """
+    """The coast on the map of a site."""
 
     def __init__(self, origin: Site) -> None:
         latitude_rad, longitude_rad, starts = _coast()
@@ -354,16 +268,8 @@ class Coastlines:
     def within(self, limits: MapLimits, px_m: float) -> Float:
         """Return the coast within a part of the map.
 
-        Parameters
-        ----------
-        limits : MapLimits
-        px_m : float
-            Size of a pixel of the screen, m: points that are in the same pixel as the one before are left out.
-
-        Returns
-        -------
-        (n, 2) float64
-            East and north, m; NaN between lines.
+        `px_m`: size of a pixel of the screen, m: points that are in the same pixel as the one before are left out.
+        Returns (n, 2) east and north, m; NaN between lines.
         """
         key = limits, px_m
         if self._last is not None and self._last[0] == key:
@@ -397,35 +303,17 @@ def _coast() -> tuple[Float, Float, NDArray[np.intp]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraticuleLine:
-    """A line of equal latitude or longitude.
+    """A line of equal latitude or longitude."""
 
-    Attributes
-    ----------
-    label : str
-        Such as ``"34.5 deg S"``, with the sign of degrees.
-    is_parallel : bool
-        Whether it is one of latitude.
-    xy_m : (n, 2) float64
-        East and north, m; NaN on the other side of the Earth.
-    """
-
-    label: str
-    is_parallel: bool
-    xy_m: Float
+    label: str  # Such as ``"34.5 deg S"``, with the sign of degrees
+    is_parallel: bool  # Whether it is one of latitude
+    xy_m: Float  # (n, 2) east and north, m; NaN on the other side of the Earth
 
 
 def graticule(origin: Site, limits: MapLimits) -> list[GraticuleLine]:
     """Return the graticule of a part of the map.
 
-    Parameters
-    ----------
-    origin : Site
-    limits : MapLimits
-
-    Returns
-    -------
-    list of GraticuleLine
-        About four lines of latitude and of longitude; none beyond the Earth.
+    Returns: about four lines of latitude and of longitude; none beyond the Earth.
     """
     south_deg, north_deg, west_deg, east_deg = _bounds_deg(origin, limits)
     wanted_deg = np.rad2deg(min(limits.extent_m / _EARTH_M, pi)) / _LINES

@@ -28,12 +28,7 @@ _MOST_ANSWERS: Final = 1000
 class NavigatorView:
     """Computes what the navigator believes at the image shown.
 
-    Attributes
-    ----------
-    answers : sequence of PlacedAnswer
-        In the order of their times.
-    live : LiveFlight or None
-        The flight of a link.
+    `answers`: in the order of their times; `live`: the flight of a link.
     """
 
     def __init__(self) -> None:
@@ -44,12 +39,7 @@ class NavigatorView:
         self._last: tuple[Scene, Sequence[PlacedAnswer], tuple[Belief, ...]] | None = None
 
     def add(self, answer: PlacedAnswer) -> None:
-        """Add an answer of a live link; the oldest are dropped.
-
-        Parameters
-        ----------
-        answer : PlacedAnswer
-        """
+        """Add an answer of a live link; the oldest are dropped."""
         self.answers = sorted([*self.answers, answer], key=lambda one: one.utc_s)[-_MOST_ANSWERS:]
 
     def beliefs(
@@ -57,17 +47,7 @@ class NavigatorView:
     ) -> tuple[Belief, ...]:
         """Return the estimate, if it can differ from the truth, and the latest answer at the end of an exposure.
 
-        Parameters
-        ----------
-        loaded : LoadedFlight or None
-        simulator : Simulator or None
-            That of the scene.
-        scene : Scene or None
-            Of the image shown.
-
-        Returns
-        -------
-        tuple of Belief
+        `simulator`: that of the scene; `scene`: of the image shown.
         """
         if loaded is None or simulator is None or scene is None:
             return ()
@@ -88,12 +68,7 @@ class NavigatorView:
         return self._last[2]
 
     def lacking(self, loaded: LoadedFlight | None) -> str:
-        """Return why there is neither an estimate nor an answer to draw; empty if there is one.
-
-        Parameters
-        ----------
-        loaded : LoadedFlight or None
-        """
+        """Return why there is neither an estimate nor an answer to draw; empty if there is one."""
         if loaded is None or self.answers or self._may_differ(loaded):
             return ""
         if loaded.is_live:

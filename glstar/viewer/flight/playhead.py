@@ -27,26 +27,10 @@ _DAY_S = 86400.0
 def parse_typed_time(text: str, *, origin_s: float, first_s: float, last_s: float, shown_s: float) -> float:
     """Return the time that a user typed; see `PlayHead.seek_text`.
 
-    Parameters
-    ----------
-    text : str
-        Without blanks around it.
-    origin_s : float
-        From which seconds are counted, UTC seconds since 1970.
-    first_s, last_s : float
-        The ends of the flight, UTC seconds since 1970.
-    shown_s : float
-        From which a number with a sign is counted, UTC seconds since 1970.
-
-    Returns
-    -------
-    float
-        UTC seconds since 1970; it may lie outside the flight.
-
-    Raises
-    ------
-    ConfigError
-        If the text is not a time.
+    `text`: without blanks around it; `origin_s`: from which seconds are counted, UTC seconds since 1970; `first_s`,
+    `last_s`: the ends of the flight, UTC seconds since 1970; `shown_s`: from which a number with a sign is counted, UTC
+    seconds since 1970.  Returns: UTC seconds since 1970; it may lie outside the flight.  Raises ConfigError if the text
+    is not a time.
     """
     if text[:1] in {"+", "-"}:
         sign, rest = (1.0 if text[0] == "+" else -1.0), text[1:].strip()
@@ -97,16 +81,7 @@ class Mode(StrEnum):
 def no_exposure(gap: Gap, *, source: str = "log") -> str:
     """Return a message that says why there is no exposure.
 
-    Parameters
-    ----------
-    gap : Gap
-        The gap that the exposure touches.
-    source : str
-        The source of the attitude: the log or the link.
-
-    Returns
-    -------
-    str
+    `gap`: the gap that the exposure touches; `source`: the source of the attitude: the log or the link.
     """
     return f"no exposure: the {source} has {gap.reason} of {gap.duration_s:.3f} s here"
 
@@ -123,44 +98,15 @@ class PlayHead:
     """A time of a flight that plays forwards or backwards, and stays within the flight.
 
     A live flight grows at its end, while its beginning leaves the buffer; at its end the play head is live and stays at
-    the end.
-
-    Parameters
-    ----------
-    first_s, last_s : float
-        The ends of the flight, UTC seconds since 1970.
-    exposure : ExposureSection
-        Duration, interval and rate of the exposures.
-    grows : bool
-        Whether the flight is live.
-
-    Attributes
-    ----------
-    first_s, last_s : float
-        The ends of the part that can be shown, UTC seconds since 1970; `grow` moves them.
-    origin_s : float
-        The flight's first attitude, from which seconds and exposures are counted, UTC seconds since 1970.
-    grows : bool
-        Whether the flight is live.
-    live : bool
-        Whether the play head stays at the end of a live flight.
-    exposure_section : ExposureSection
-        Duration, interval and rate of the exposures; may be replaced at any time.
-    mode : Mode
-        Whether the camera's exposures are shown, or the one that ends at the play head.
-    playing : bool
-        Whether the play head moves.
-    loop : bool
-        Whether the flight starts again at its end.
-    markers : list of float
-        UTC seconds since 1970, ascending.
-    in_s, out_s : float or None
-        The in and out points, UTC seconds since 1970: the part that loops, and that exports and videos begin with.
-
-    Raises
-    ------
-    TelemetryError
-        If the flight has no duration.
+    the end.  `first_s`, `last_s`: the ends of the flight, UTC seconds since 1970; `exposure`: duration, interval and
+    rate of the exposures; `grows`: whether the flight is live.  `first_s`, `last_s`: the ends of the part that can be
+    shown, UTC seconds since 1970; `grow` moves them; `origin_s`: the flight's first attitude, from which seconds and
+    exposures are counted, UTC seconds since 1970; `grows`: whether the flight is live; `live`: whether the play head
+    stays at the end of a live flight; `exposure_section`: duration, interval and rate of the exposures; may be replaced
+    at any time; `mode`: whether the camera's exposures are shown, or the one that ends at the play head; `playing`:
+    whether the play head moves; `loop`: whether the flight starts again at its end; `markers`: UTC seconds since 1970,
+    ascending; `in_s`, `out_s`: the in and out points, UTC seconds since 1970: the part that loops, and that exports and
+    videos begin with.  Raises TelemetryError if the flight has no duration.
     """
 
     def __init__(self, first_s: float, last_s: float, exposure: ExposureSection, *, grows: bool = False) -> None:
@@ -197,15 +143,7 @@ class PlayHead:
     def seek(self, utc_s: float) -> None:
         """Go to a time, limited to the flight; at the end of a live flight the play head is live.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970.
-
-        Raises
-        ------
-        ConfigError
-            If it is NaN.
+        `utc_s`: UTC seconds since 1970.  Raises ConfigError if it is NaN.
         """
         if isnan(utc_s):
             raise ConfigError("the play head cannot go to the time nan")
@@ -217,39 +155,22 @@ class PlayHead:
     def grow(self, first_s: float, last_s: float) -> None:
         """Set the ends of a live flight.
 
-        Parameters
-        ----------
-        first_s, last_s : float
-            The ends of the part that can be shown, UTC seconds since 1970.
+        `first_s`, `last_s`: the ends of the part that can be shown, UTC seconds since 1970.
         """
         self.first_s, self.last_s = first_s, max(first_s, last_s)
         self._utc_s = self.last_s if self.live else min(max(self._utc_s, first_s), self.last_s)
 
     def seek_by(self, seconds: float) -> None:
-        """Move the play head by some seconds.
-
-        Parameters
-        ----------
-        seconds : float
-            s; negative to go back.
-        """
+        """Move the play head by some seconds; `seconds`: s; negative to go back."""
         self.seek(self._utc_s + seconds)
 
     def seek_text(self, text: str) -> None:
         """Go to a time that the user typed.
 
-        Parameters
-        ----------
-        text : str
-            Seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
-            or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis shows it (``11:01:40``): a time of day is
-            meant if the flight is not that long, and always with ``Z``.  With a sign, seconds or minutes from the time
-            shown (``+5``, ``-0.1``, ``-1:30``).
-
-        Raises
-        ------
-        ConfigError
-            If it is none of these, or outside the flight.
+        `text`: seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
+        or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis shows it (``11:01:40``): a time of day is meant
+        if the flight is not that long, and always with ``Z``; with a sign, seconds or minutes from the time shown
+        (``+5``, ``-0.1``, ``-1:30``).  Raises ConfigError if it is none of these, or outside the flight.
         """
         utc_s = parse_typed_time(
             text.strip(), origin_s=self.origin_s, first_s=self.first_s, last_s=self.last_s, shown_s=self._utc_s
@@ -312,10 +233,7 @@ class PlayHead:
     def advance(self, elapsed_s: float) -> None:
         """Advance by some time; at the end or at the out point, start again or pause, and follow a live flight.
 
-        Parameters
-        ----------
-        elapsed_s : float
-            Elapsed time of the clock, s; nothing moves if it is not positive.
+        `elapsed_s`: elapsed time of the clock, s; nothing moves if it is not positive.
         """
         moved_s = self._utc_s + self._speed * elapsed_s
         if self.live or not (self.playing and elapsed_s > 0 and isfinite(moved_s)):
@@ -331,10 +249,7 @@ class PlayHead:
     def step_exposures(self, n: int) -> None:
         """Pause at the end of another one of the camera's exposures, so that it is shown.
 
-        Parameters
-        ----------
-        n : int
-            Number of exposures, negative to go back; limited to the first and the last one.
+        `n`: number of exposures, negative to go back; limited to the first and the last one.
         """
         self.playing = self.live = False
         if n == 0 or not self._numbers:
@@ -349,10 +264,7 @@ class PlayHead:
     def step_sub_exposures(self, n: int) -> None:
         """Pause some sub-exposures away, at times evenly spaced from the end of the camera's exposure.
 
-        Parameters
-        ----------
-        n : int
-            Number of sub-exposures, negative to go back.
+        `n`: number of sub-exposures, negative to go back.
         """
         self.playing = self.live = False
         exposure = self.exposure()
@@ -412,10 +324,7 @@ class PlayHead:
     def remove_marker(self, marker_s: float | None = None) -> None:
         """Remove a marker, if there is one.
 
-        Parameters
-        ----------
-        marker_s : float, optional
-            The marker, UTC seconds since 1970; by default the one at the play head.
+        `marker_s`: the marker, UTC seconds since 1970; by default the one at the play head.
         """
         marker_s = self.marker if marker_s is None else marker_s
         if marker_s in self.markers:
@@ -456,12 +365,9 @@ class PlayHead:
     def exposure(self) -> Exposure:
         """Return the exposure to show.
 
-        Returns
-        -------
-        Exposure
-            Inside the flight.  In camera mode the latest that has ended, or the first one if none has, with exactly the
-            times of an export.  In sliding mode the one that ends at the play head, or that starts with the flight.  On
-            a flight that is shorter than an exposure, all of it; see `status`.
+        Returns: inside the flight; in camera mode the latest that has ended, or the first one if none has, with exactly
+        the times of an export; in sliding mode the one that ends at the play head, or that starts with the flight; on a
+        flight that is shorter than an exposure, all of it; see `status`.
         """
         section = self.exposure_section
         if (number := self.number) is not None:
@@ -471,15 +377,7 @@ class PlayHead:
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
         """Return the gap of the log that the exposure shown touches.
 
-        Parameters
-        ----------
-        attitude : AttitudeTrack
-            The flight's.
-
-        Returns
-        -------
-        Gap or None
-            The longest one; an export skips such an exposure.
+        `attitude`: the flight's.  Returns the longest one; an export skips such an exposure.
         """
         exposure = self.exposure()
         return attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
@@ -487,15 +385,7 @@ class PlayHead:
     def status(self, attitude: AttitudeTrack) -> str | None:
         """Return a message about the exposure shown.
 
-        Parameters
-        ----------
-        attitude : AttitudeTrack
-            The flight's.
-
-        Returns
-        -------
-        str or None
-            None if an export of the same flight has the same exposure.
+        `attitude`: the flight's.  Returns: none if an export of the same flight has the same exposure.
         """
         if (gap := self.gap(attitude)) is not None:
             return no_exposure(gap)

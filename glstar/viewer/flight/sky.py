@@ -48,18 +48,9 @@ class _Wanted(NamedTuple):
 class SkySamples:
     """Values along a flight, of which more and more are known.
 
-    Attributes
-    ----------
-    wanted : tuple
-        What they were computed for.
-    second : (n,) float64
-        The middle of each exposure, s from the flight's first attitude.
-    values : (4, n) float64
-        Number of stars, limiting magnitude at rest and as a trail, signal-to-noise ratio of the star; NaN where there
-        is no exposure or no star.
-    known : (n,) bool
-        Which exposures have been composed.
-    cancelled : threading.Event
+    `wanted`: what they were computed for; `second` (n,): the middle of each exposure, s from the flight's first
+    attitude; `values` (4, n): number of stars, limiting magnitude at rest and as a trail, signal-to-noise ratio of the
+    star; NaN where there is no exposure or no star; `known` (n,) bool: which exposures have been composed.
     """
 
     def __init__(self, wanted: _Wanted) -> None:
@@ -70,16 +61,7 @@ class SkySamples:
         self.cancelled = Event()
 
     def lines(self, curve: TimelineCurve) -> list[tuple[Float, Float]]:
-        """Return the lines of a curve as far as they are known.
-
-        Parameters
-        ----------
-        curve : TimelineCurve
-
-        Returns
-        -------
-        list of (second, value), (m,) float64 each
-        """
+        """Return the lines of a curve as far as they are known; returns: list of (second, value), (m,) float64 each."""
         known = np.flatnonzero(self.known)
         rows = {TimelineCurve.STARS: (0,), TimelineCurve.LIMIT: (1, 2), TimelineCurve.SNR: (3,)}[curve]
         return [(self.second[known], self.values[row, known]) for row in rows]
@@ -119,16 +101,7 @@ class SkySampler:
     def of(self, simulator: Simulator, section: ExposureSection, star_id: int | None) -> SkySamples:
         """Return the samples of a flight, which go on to be computed.
 
-        Parameters
-        ----------
-        simulator : Simulator
-        section : ExposureSection
-        star_id : int or None
-            The star whose signal-to-noise ratio is computed.
-
-        Returns
-        -------
-        SkySamples
+        `star_id`: the star whose signal-to-noise ratio is computed.
         """
         wanted = _Wanted(simulator, section, star_id)
         before = self._samples
@@ -178,18 +151,9 @@ _MOST_TIMES: Final = 300
 def light_intervals(position: PositionTrack, first_s: float, last_s: float) -> dict[str, Float]:
     """Return when it is day and when which twilight.
 
-    Parameters
-    ----------
-    position : PositionTrack
-        Of the aircraft.
-    first_s, last_s : float
-        UTC seconds since 1970.
-
-    Returns
-    -------
-    dict of str to (n, 2) float64
-        Start and end of each interval, UTC seconds since 1970, by the names of `LIGHT_LEVELS` but without night; only
-        those that occur.
+    `position`: of the aircraft; `first_s`, `last_s`: UTC seconds since 1970.  Returns: dict of str to (n, 2) float64:
+    start and end of each interval, UTC seconds since 1970, by the names of `LIGHT_LEVELS` but without night; only those
+    that occur.
     """
     count = min(max(ceil((last_s - first_s) / _STEP_S), 1), _MOST_TIMES) + 1
     times_s = np.linspace(first_s, last_s, count)
@@ -215,13 +179,7 @@ _INTERVAL_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """The conditions of one image.
-
-    Attributes
-    ----------
-    viewing : ViewingConditions
-    limit : LimitingMagnitude
-    """
+    """The conditions of one image."""
 
     viewing: ViewingConditions
     limit: LimitingMagnitude
@@ -230,10 +188,7 @@ class Conditions:
 class CurrentConditions:
     """Computes the conditions of the image shown when it changes, and while the flight plays twice a second.
 
-    Parameters
-    ----------
-    clock : callable
-        Returns seconds from any origin.
+    `clock`: returns seconds from any origin.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -245,17 +200,8 @@ class CurrentConditions:
     def of(self, scene: Scene | None, head: PlayHead | None) -> Conditions | None:
         """Return the conditions of a scene.
 
-        Parameters
-        ----------
-        scene : Scene or None
-            Of the image shown.
-        head : PlayHead or None
-            While it moves, those of a scene of the last half second will do.
-
-        Returns
-        -------
-        Conditions or None
-            None without a scene, and for a scene that does not know its sky.
+        `scene`: of the image shown; `head`: while it moves, those of a scene of the last half second will do.  Returns:
+        none without a scene, and for a scene that does not know its sky.
         """
         if scene is None or scene.observing_sky is None:
             return None

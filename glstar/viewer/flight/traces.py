@@ -27,14 +27,8 @@ class Trace:
     """A line through samples, with breaks.
 
     Thinned versions, each with half the samples of the one before, are computed when they are first needed and kept, so
-    that panning and zooming compute nothing.
-
-    Parameters
-    ----------
-    x, y : (n,) float64
-        The samples, `x` ascending.
-    broken : (n - 1,) bool
-        Whether the line is broken between each sample and the next.
+    that panning and zooming compute nothing.  `x`, `y` (n,): the samples, `x` ascending; `broken` (n - 1,) bool:
+    whether the line is broken between each sample and the next.
     """
 
     def __init__(self, x: Float, y: Float, broken: NDArray[np.bool_]) -> None:
@@ -49,22 +43,12 @@ class Trace:
     def thinned(self, start: float, stop: float, columns: int, tolerance: float = 0.0) -> tuple[Float, Float]:
         """Return the points that a plot of a given width needs to draw the same picture.
 
-        Parameters
-        ----------
-        start, stop : float
-            The part that is shown, in the units of x.
-        columns : int
-            Its width, px.
-        tolerance : float
-            How far the line may pass by a point, in the units of y.  Such points are left out of a part that stays the
-            same for two calls: while it moves, finding them would take longer than drawing them.
-
-        Returns
-        -------
-        x, y : (m,) float64
-            The samples themselves if there are few; otherwise the minimum and the maximum of each group of samples,
-            about one group for each column.  y is NaN at breaks.  The next points outside the part are included, so
-            that the line continues to the edges.
+        `start`, `stop`: the part that is shown, in the units of x; `columns`: its width, px; `tolerance`: how far the
+        line may pass by a point, in the units of y; such points are left out of a part that stays the same for two
+        calls: while it moves, finding them would take longer than drawing them.  Returns `x, y` (m,): the samples
+        themselves if there are few; otherwise the minimum and the maximum of each group of samples, about one group for
+        each column. y is NaN at breaks; the next points outside the part are included, so that the line continues to
+        the edges.
         """
         first, last = self._x.searchsorted((start, stop)).tolist()
         in_a_column = (last - first) / max(columns, 1)
@@ -147,42 +131,18 @@ ANGLES: Final = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightLines:
-    """Roll, pitch, yaw and the angular rates of the body over time; times are seconds from an origin.
-
-    Attributes
-    ----------
-    attitude : AttitudeTrack
-    second : (n,) float64
-        The times of its samples, s from the origin.
-    angles_rad : (3, n) float64
-        Roll, pitch and yaw.
-    angles, rates : tuple of Trace
-        deg, and deg/s about forward, right and down.
-    gaps_s : (m, 2) float64
-        Start and end of each gap, s from the origin.
-    """
+    """Roll, pitch, yaw and the angular rates of the body over time; times are seconds from an origin."""
 
     attitude: AttitudeTrack
-    second: Float
-    angles_rad: Float
-    angles: tuple[Trace, ...]
+    second: Float  # (n,) the times of its samples, s from the origin
+    angles_rad: Float  # (3, n) roll, pitch and yaw
+    angles: tuple[Trace, ...]  # Deg, and deg/s about forward, right and down
     rates: tuple[Trace, ...]
-    gaps_s: Float
+    gaps_s: Float  # (m, 2) start and end of each gap, s from the origin
 
     @classmethod
     def of(cls, attitude: AttitudeTrack, origin_s: float) -> Self:
-        """Return the curves of a flight.
-
-        Parameters
-        ----------
-        attitude : AttitudeTrack
-        origin_s : float
-            UTC seconds since 1970.
-
-        Returns
-        -------
-        FlightLines
-        """
+        """Return the curves of a flight; `origin_s`: UTC seconds since 1970."""
         second = attitude.utc_s - origin_s
         angles_rad = np.stack(euler_from_quaternion(attitude.q_body_ned))
         gaps_s = np.array([(gap.start_utc_s, gap.stop_utc_s) for gap in attitude.gaps]).reshape(-1, 2) - origin_s
@@ -212,24 +172,12 @@ _SPEED_INTERVAL_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class CurveSpec:
-    """What the timeline writes beside a plot.
+    """What the timeline writes beside a plot."""
 
-    Attributes
-    ----------
-    label : str
-        In the menu of curves.
-    unit : str
-        At the axis.
-    names : tuple of str
-        Of the lines.
-    about : str
-        What they are.
-    """
-
-    label: str
-    unit: str
-    names: tuple[str, ...]
-    about: str
+    label: str  # In the menu of curves
+    unit: str  # At the axis
+    names: tuple[str, ...]  # Of the lines
+    about: str  # What they are
 
 
 class TimelineCurve(StrEnum):
@@ -283,16 +231,8 @@ _SPECS: Final = {
 def motion_traces(flight: Flight, origin_s: float) -> dict[TimelineCurve, tuple[Trace, ...]]:
     """Return height, ground speed and climb over time.
 
-    Parameters
-    ----------
-    flight : Flight
-    origin_s : float
-        UTC seconds since 1970, from which the times of the curves count.
-
-    Returns
-    -------
-    dict of TimelineCurve to tuple of Trace
-        m, and m/s; a flight with a single position has a constant height and no speed.
+    `origin_s`: UTC seconds since 1970, from which the times of the curves count.  Returns: m, and m/s; a flight with a
+    single position has a constant height and no speed.
     """
     position = flight.position
     if position.utc_s.size < 2:
@@ -337,17 +277,8 @@ _TOLERANCE_S = 1e-6
 class TimeAxis:
     """The part of a flight that is shown.
 
-    Parameters
-    ----------
-    length_s : float
-        Duration of the flight, s.
-    max_span_s : float
-        Longest part of a growing flight that is shown, s, until the user zooms.
-
-    Attributes
-    ----------
-    start_s, stop_s : float
-        The ends of the part shown, s from the flight's first attitude.
+    `length_s`: duration of the flight, s; `max_span_s`: longest part of a growing flight that is shown, s, until the
+    user zooms.  `start_s`, `stop_s`: the ends of the part shown, s from the flight's first attitude.
     """
 
     def __init__(self, length_s: float, *, max_span_s: float = inf) -> None:
@@ -368,10 +299,7 @@ class TimeAxis:
     def grow(self, first_s: float, last_s: float) -> None:
         """Set the ends of a growing flight; if its end was shown, it stays in view.
 
-        Parameters
-        ----------
-        first_s, last_s : float
-            s from the flight's first attitude.
+        `first_s`, `last_s`: s from the flight's first attitude.
         """
         if (first_s, last_s) == (self._first_s, self._last_s):
             return
@@ -387,12 +315,7 @@ class TimeAxis:
     def zoom(self, at_s: float, factor: float) -> None:
         """Show more or less of the flight, around a time that keeps its position on the screen.
 
-        Parameters
-        ----------
-        at_s : float
-            The time, s from the flight's first attitude.
-        factor : float
-            Multiplies the length of the part shown.
+        `at_s`: the time, s from the flight's first attitude; `factor`: multiplies the length of the part shown.
         """
         self._max_span_s = inf
         flight_s = self._limits[1] - self._limits[0]
@@ -403,20 +326,14 @@ class TimeAxis:
     def pan(self, seconds: float) -> None:
         """Move the part shown to later times, or earlier ones, within the flight.
 
-        Parameters
-        ----------
-        seconds : float
-            s; negative for earlier times.
+        `seconds`: s; negative for earlier times.
         """
         self._show(self.start_s + seconds, self.span_s)
 
     def follow(self, second: float) -> None:
         """Bring a time into view: to the edge if it is just outside, to the middle if it is far away.
 
-        Parameters
-        ----------
-        second : float
-            s from the flight's first attitude.
+        `second`: s from the flight's first attitude.
         """
         fraction = (second - self.start_s) / self.span_s
         if fraction < -1 or fraction > 2:
@@ -427,19 +344,9 @@ class TimeAxis:
     def ticks(self, width_px: float, *, first_utc_s: float | None = None) -> tuple[list[float], list[str]]:
         """Return the ticks of the axis and their labels.
 
-        Parameters
-        ----------
-        width_px : float
-            Width of the axis, px.
-        first_utc_s : float, optional
-            The flight's first attitude, UTC seconds since 1970: the labels are times of day then, and otherwise
-            seconds from the first attitude.
-
-        Returns
-        -------
-        seconds : list of float
-            s from the flight's first attitude.
-        labels : list of str
+        `width_px`: width of the axis, px; `first_utc_s`: the flight's first attitude, UTC seconds since 1970: the
+        labels are times of day then, and otherwise seconds from the first attitude.  Returns `seconds`: s from the
+        flight's first attitude.
         """
         min_s = self.span_s * _LABEL_PX / max(width_px, _LABEL_PX)
         origin_s = first_utc_s or 0.0

@@ -22,58 +22,31 @@ _ONE_DEGREE: Final = float(np.deg2rad(1.0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedAnswer:
-    """A navigator's answer, with the time that it is for.
+    """A navigator's answer, with the time that it is for."""
 
-    Attributes
-    ----------
-    utc_s : float
-        UTC seconds since 1970.
-    frame : str
-        The frame's number or file.
-    C_camera_icrs : (3, 3) float64 or None
-    position_rad : (float, float) or None
-        Latitude and longitude, WGS84, rad.
-    ellipse : (float, float, float) or None
-        Semi-axes of the stated error ellipse, km, and the azimuth of the major one, rad.
-    """
-
-    utc_s: float
-    frame: str
-    C_camera_icrs: Float | None = None
-    position_rad: tuple[float, float] | None = None
+    utc_s: float  # UTC seconds since 1970
+    frame: str  # The frame's number or file
+    C_camera_icrs: Float | None = None  # (3, 3) or None
+    position_rad: tuple[float, float] | None = None  # (float, float) or None: latitude and longitude, WGS84, rad
+    # (float, float, float) or None: semi-axes of the stated error ellipse, km, and the azimuth of the major one, rad.
     ellipse: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """What a navigator believes at one time, with its errors.
+    """What a navigator believes at one time, with its errors."""
 
-    Attributes
-    ----------
-    name : str
-        Such as ``"estimate"`` or ``"answer 12"``.
-    C_camera_estimated : (3, 3) float64 or None
-        From the camera frame that the navigator believes in to the true one.
-    C_estimated_ned : (3, 3) float64 or None
-        From north, east, down to the estimated camera frame; of the estimate only.
-    roll_rad, pitch_rad : float or None
-        Attitude of the aircraft, of the estimate only.
-    offset_km : (float, float) or None
-        Position minus the true one, north and east, along the surface.
-    ellipse : (float, float, float) or None
-        See `PlacedAnswer`.
-    lacking : str
-        Why there are no errors; empty if there are.
-    """
-
-    name: str
+    name: str  # Such as ``"estimate"`` or ``"answer 12"``
+    # (3, 3) or None: from the camera frame that the navigator believes in to the true one.
     C_camera_estimated: Float | None = None
+    # (3, 3) or None: from north, east, down to the estimated camera frame; of the estimate only.
     C_estimated_ned: Float | None = None
-    roll_rad: float | None = None
+    roll_rad: float | None = None  # Attitude of the aircraft, of the estimate only
     pitch_rad: float | None = None
+    # (float, float) or None: position minus the true one, north and east, along the surface.
     offset_km: tuple[float, float] | None = None
-    ellipse: tuple[float, float, float] | None = None
-    lacking: str = ""
+    ellipse: tuple[float, float, float] | None = None  # (float, float, float) or None: see `PlacedAnswer`
+    lacking: str = ""  # Why there are no errors; empty if there are
 
     @property
     def error(self) -> AttitudeError | None:
@@ -94,16 +67,7 @@ class Belief:
 
 
 def angle_label(angle_rad: float) -> str:
-    """Return an angle in degrees, or in minutes of arc below one.
-
-    Parameters
-    ----------
-    angle_rad : float
-
-    Returns
-    -------
-    str
-    """
+    """Return an angle in degrees, or in minutes of arc below one."""
     return f"{degrees(angle_rad):.2f}\N{DEGREE SIGN}" if angle_rad >= _ONE_DEGREE else f"{60 * degrees(angle_rad):.1f}'"
 
 
@@ -114,17 +78,8 @@ _LONG_SCREEN_PX: Final = 60.0
 def arrow_strokes(tails_px: Float, tips_px: Float, barb_px: float) -> Float:
     """Return the strokes of arrows.
 
-    Parameters
-    ----------
-    tails_px, tips_px : (n, 2) float64
-        They differ.
-    barb_px : float
-        Length of a barb along the arrow, px; at most that of the arrow.
-
-    Returns
-    -------
-    (3 n, 2, 2) float64
-        Ends of the shafts and of both barbs, px.
+    `tails_px`, `tips_px` (n, 2): they differ; `barb_px`: length of a barb along the arrow, px; at most that of the
+    arrow.  Returns (3 n, 2, 2) ends of the shafts and of both barbs, px.
     """
     length_px = np.linalg.norm(tips_px - tails_px, axis=1, keepdims=True)
     along = (tips_px - tails_px) / length_px
@@ -138,11 +93,6 @@ def draw_beliefs(canvas: Canvas, beliefs: Sequence[Belief]) -> None:
     """Draw an arrow from the optical axis to the direction that a navigator estimates for it.
 
     A belief without an attitude is written at the axis.
-
-    Parameters
-    ----------
-    canvas : Canvas
-    beliefs : sequence of Belief
     """
     camera = canvas.camera
     centre = np.array([camera.cx_px, camera.cy_px])
@@ -172,19 +122,8 @@ def draw_beliefs(canvas: Canvas, beliefs: Sequence[Belief]) -> None:
 def residual_scale(shift_px: Float, screen_px: float, long_screen_px: float = _LONG_SCREEN_PX) -> float:
     """Return by how much arrows are lengthened: 1, 2, 5, 10 ... such that nine of ten are short enough.
 
-    Parameters
-    ----------
-    shift_px : (n, 2) float64
-        px of the image.
-    screen_px : float
-        Size of a screen pixel, px of the image.
-    long_screen_px : float
-        The length that one in ten may exceed, screen px.
-
-    Returns
-    -------
-    float
-        At least 1.
+    `shift_px` (n, 2): px of the image; `screen_px`: size of a screen pixel, px of the image; `long_screen_px`: the
+    length that one in ten may exceed, screen px.  Returns: at least 1.
     """
     typical_px = max(float(np.percentile(np.linalg.norm(shift_px, axis=1), 90)), 1e-4)
     most = max(long_screen_px * screen_px / typical_px, 1.0)
@@ -193,13 +132,7 @@ def residual_scale(shift_px: Float, screen_px: float, long_screen_px: float = _L
 
 
 def draw_residuals(canvas: Canvas, residuals: TrailResiduals | None) -> None:
-    """Draw an arrow from each trail of the real image towards the simulated one, all lengthened alike.
-
-    Parameters
-    ----------
-    canvas : Canvas
-    residuals : TrailResiduals or None
-    """
+    """Draw an arrow from each trail of the real image towards the simulated one, all lengthened alike."""
     if residuals is None or not len(residuals.shift_px):
         return
     scale = residual_scale(residuals.shift_px, canvas.screen_px)

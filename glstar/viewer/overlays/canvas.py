@@ -34,75 +34,38 @@ class Mark(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """Polylines of one overlay.
+    """Polylines of one overlay."""
 
-    Attributes
-    ----------
-    overlay : str
-        A member of `glstar.viewer.overlays.table.Overlay`.
-    xy_px : (n, 2) float32
-        The points of all lines, one line after another, px of the image.
-    starts : (m,) intp
-        Index of the first point of each line.
-    """
-
-    overlay: str
-    xy_px: Pixels
-    starts: NDArray[np.intp]
+    overlay: str  # A member of `glstar.viewer.overlays.table.Overlay`
+    xy_px: Pixels  # (n, 2) float32: the points of all lines, one line after another, px of the image
+    starts: NDArray[np.intp]  # (m,) intp: index of the first point of each line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labels:
-    """Texts of one overlay.
+    """Texts of one overlay."""
 
-    Attributes
-    ----------
-    overlay : str
-        A member of `glstar.viewer.overlays.table.Overlay`.
-    text : tuple of str, n long
-    xy_px : (n, 2) float32
-        The labelled positions, px of the image.
-    anchor : (n, 2) float32
-        The point of the text that lies there, across and down: (0, 0.5) is the middle of its left edge.
-    clear_px : float
-        Distance from the position to the text, px of the image, so that it does not cover a bright star.
-    """
-
-    overlay: str
+    overlay: str  # A member of `glstar.viewer.overlays.table.Overlay`
     text: tuple[str, ...]
-    xy_px: Pixels
+    xy_px: Pixels  # (n, 2) float32: the labelled positions, px of the image
+    # (n, 2) float32: the point of the text that lies there, across and down: (0, 0.5) is the middle of its left edge.
     anchor: Pixels
+    # Distance from the position to the text, px of the image, so that it does not cover a bright star.
     clear_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Marks of one overlay.
+    """Marks of one overlay."""
 
-    Attributes
-    ----------
-    overlay : str
-        A member of `glstar.viewer.overlays.table.Overlay`.
-    mark : Mark
-    xy_px : (n, 2) float32
-        Their centres, px of the image.
-    """
-
-    overlay: str
+    overlay: str  # A member of `glstar.viewer.overlays.table.Overlay`
     mark: Mark
-    xy_px: Pixels
+    xy_px: Pixels  # (n, 2) float32: their centres, px of the image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """Everything that is drawn over an image, in the order of drawing.
-
-    Attributes
-    ----------
-    lines : tuple of Lines
-    labels : tuple of Labels
-    marks : tuple of Marks
-    """
+    """Everything that is drawn over an image, in the order of drawing."""
 
     lines: tuple[Lines, ...] = ()
     labels: tuple[Labels, ...] = ()
@@ -322,13 +285,7 @@ class Canvas:
 def ned_to_camera_matrix(pointing: Pointing) -> Float:
     """Return the rotation from north, east, down to the camera frame at the first time of a pointing.
 
-    Parameters
-    ----------
-    pointing : Pointing
-
-    Returns
-    -------
-    (3, 3) float64
+    Returns (3, 3).
     """
     x, y, z = pointing.zenith_eq[0].tolist()
     from_axis = hypot(x, y)
@@ -341,14 +298,7 @@ def ned_to_camera_matrix(pointing: Pointing) -> Float:
 def unit_by_larger_component(vector: Float) -> Float:
     """Return vectors scaled so that the larger component is 1 or -1, which moves a label beside a position.
 
-    Parameters
-    ----------
-    vector : (n, 2) float64
-
-    Returns
-    -------
-    (n, 2) float64
-        (1, 0) for a vector of zero length or NaN.
+    `vector` (n, 2).  Returns (n, 2) (1, 0) for a vector of zero length or NaN.
     """
     with np.errstate(invalid="ignore"):
         larger = np.abs(vector).max(axis=1, keepdims=True)

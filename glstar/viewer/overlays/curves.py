@@ -62,21 +62,11 @@ class ImageRegion(NamedTuple):
 
 
 class Polylines(NamedTuple):
-    """Lines on the image.
+    """Lines on the image."""
 
-    Attributes
-    ----------
-    xy_px : (n, 2) float64
-        The points of all lines, one line after another, px.
-    starts : (m,) intp
-        Index of the first point of each line.
-    curve : (m,) intp
-        Index of the curve that each line belongs to, in ascending order.
-    """
-
-    xy_px: Float
-    starts: NDArray[np.intp]
-    curve: NDArray[np.intp]
+    xy_px: Float  # (n, 2) the points of all lines, one line after another, px
+    starts: NDArray[np.intp]  # (m,) intp: index of the first point of each line
+    curve: NDArray[np.intp]  # (m,) intp: index of the curve that each line belongs to, in ascending order
 
     def of_curves(self, first: int, last: int) -> "Polylines":
         """Return the lines of the curves from `first` to before `last`."""
@@ -86,20 +76,11 @@ class Polylines(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Where curves cross the edge of a region.
+    """Where curves cross the edge of a region."""
 
-    Attributes
-    ----------
-    curve : (n,) intp
-        Index of the curve.
-    xy_px : (n, 2) float64
-        The position, px.
-    anchor : (n, 2) float64
-        The point of a label that lies there if the label is inside the region: across and down, 0 to 1.
-    """
-
-    curve: NDArray[np.intp]
-    xy_px: Float
+    curve: NDArray[np.intp]  # (n,) intp: index of the curve
+    xy_px: Float  # (n, 2) the position, px
+    # (n, 2) the point of a label that lies there if the label is inside the region: across and down, 0 to 1.
     anchor: Float
 
     def of_curves(self, first: int, last: int) -> "Crossings":
@@ -110,24 +91,12 @@ class Crossings(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """Curves as chains of vectors.
+    """Curves as chains of vectors."""
 
-    Attributes
-    ----------
-    vector : (n, 3) float64
-        The vertices of all curves, one curve after another.
-    curve : (n,) intp
-        Index of the curve that each vertex belongs to.
-    count : int
-        Number of curves.
-    step_rad : float
-        The length of the longest chord, rad.
-    """
-
-    vector: Float
-    curve: NDArray[np.intp]
-    count: int
-    step_rad: float
+    vector: Float  # (n, 3) the vertices of all curves, one curve after another
+    curve: NDArray[np.intp]  # (n,) intp: index of the curve that each vertex belongs to
+    count: int  # Number of curves
+    step_rad: float  # The length of the longest chord, rad
 
     @classmethod
     def of(cls, chains: list[Float]) -> Self:
@@ -141,21 +110,9 @@ class Curves:
     def near(self, axis: Float, radius_rad: float) -> tuple[Float, NDArray[np.intp], NDArray[np.bool_]]:
         """Return the chords that may touch a cone.
 
-        Parameters
-        ----------
-        axis : (3,) float64
-            A unit vector.
-        radius_rad : float
-            The cone's radius, rad.
-
-        Returns
-        -------
-        vector : (k, 3) float64
-            All vertices of chords that touch the cone.
-        curve : (k,) intp
-            Index of the curve that each belongs to.
-        joined : (k,) bool
-            Whether there is a chord from a vertex to the next one.
+        `axis` (3,): a unit vector; `radius_rad`: the cone's radius, rad.  Returns `vector` (k, 3): all vertices of
+        chords that touch the cone; `curve` (k,) intp: index of the curve that each belongs to; `joined` (k,) bool:
+        whether there is a chord from a vertex to the next one.
         """
         wider_rad = radius_rad + self.step_rad
         kept = np.arange(len(self.vector))
@@ -170,20 +127,8 @@ class Curves:
 def max_step_rad(camera: Camera, curvature: float) -> float:
     """Return the largest length of a chord that stays within `TOLERANCE_PX` of its curve on the image.
 
-    Parameters
-    ----------
-    camera : Camera
-    curvature : float
-        Geodesic curvature of the curve, 1/rad: of a parallel the tangent of its latitude.
-
-    Returns
-    -------
-    float
-        rad.
-
-    Notes
-    -----
-    A chord of length s lies curvature * s^2 / 8 from its curve.  At the corner of the image a pinhole camera magnifies
+    `curvature`: geodesic curvature of the curve, 1/rad: of a parallel the tangent of its latitude.  Returns: rad.  A
+    chord of length s lies curvature * s^2 / 8 from its curve.  At the corner of the image a pinhole camera magnifies
     this to focal length / cos^2 pixels per radian.  Distortion bends great circles, too; there their chords are longer
     by 1 / cos^2 in the image plane.
     """
@@ -216,16 +161,8 @@ def great_circle(ends: Float, step_rad: float) -> Float:
 def region_planes(camera: Camera, region: ImageRegion) -> Float:
     """Return the four planes through the camera that bound a region: left, right, top, bottom.
 
-    Parameters
-    ----------
-    camera : Camera
-    region : ImageRegion
-
-    Returns
-    -------
-    (4, 3) float64
-        Inward normals in the camera frame: v is projected into the region if its products with all four are positive,
-        which is possible in front of the camera only.
+    Returns (4, 3) inward normals in the camera frame: v is projected into the region if its products with all four are
+    positive, which is possible in front of the camera only.
     """
     x, y, z = camera.K
     return np.stack([x - region.left_px * z, region.right_px * z - x, y - region.top_px * z, region.bottom_px * z - y])
@@ -242,22 +179,10 @@ def cut(
 ) -> tuple[Polylines, Crossings]:
     """Cut chains of chords by planes through the camera, and project the parts inside.
 
-    Parameters
-    ----------
-    vector : (n, 3) float64
-        Vertices in the camera frame.
-    inside : (n, k) float64
-        Distance of each vertex from each of k planes, 4 to 8, positive inside; the first four are those of
-        `region_planes`, or, with distortion, the distances of `inside_region`.
-    joined : (n,) bool
-        Whether there is a chord from a vertex to the next one.
-    curve : (n,) intp
-        Index of the curve that each vertex belongs to, in ascending order.
-    camera : Camera
-
-    Returns
-    -------
-    Polylines, Crossings
+    `vector` (n, 3): vertices in the camera frame; `inside` (n, k): distance of each vertex from each of k planes, 4 to
+    8, positive inside; the first four are those of `region_planes`, or, with distortion, the distances of
+    `inside_region`; `joined` (n,) bool: whether there is a chord from a vertex to the next one; `curve` (n,) intp:
+    index of the curve that each vertex belongs to, in ascending order.
     """
     # One bit for each plane: a chord with both ends outside the same plane is not visible.
     outside = np.packbits(inside < 0, axis=1)[:, 0]
@@ -322,18 +247,8 @@ _FIGURE_VMAG_LIMIT: Final = 7.0
 class Grids:
     """The grids for a camera, sampled as finely as its image needs.
 
-    Parameters
-    ----------
-    camera : Camera
-
-    Attributes
-    ----------
-    altaz : Curves
-        In apparent directions north, east, down.
-    equatorial : Curves
-        In geocentric apparent directions.
-    altaz_labels, equatorial_labels : tuple of str
-        One label for each curve.
+    `altaz`: in apparent directions north, east, down; `equatorial`: in geocentric apparent directions; `altaz_labels`,
+    `equatorial_labels`: one label for each curve.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -372,19 +287,8 @@ class Grids:
 def horizon_curve(camera: Camera, sine_horizon: float, profile: HorizonProfile | None = None) -> Curves:
     """Return the apparent horizon.
 
-    Parameters
-    ----------
-    camera : Camera
-        The curve is sampled as finely as its image needs.
-    sine_horizon : float
-        Sine of the apparent altitude of the horizon.
-    profile : HorizonProfile, optional
-        The horizon by azimuth, instead.
-
-    Returns
-    -------
-    Curves
-        In apparent directions north, east, down.
+    `camera`: the curve is sampled as finely as its image needs; `sine_horizon`: sine of the apparent altitude of the
+    horizon; `profile`: the horizon by azimuth, instead.  Returns: in apparent directions north, east, down.
     """
     if profile is not None:
         steps = ceil(2 * pi / max_step_rad(camera, tan(max(profile.highest_rad, -profile.lowest_rad))))
@@ -397,12 +301,7 @@ def horizon_curve(camera: Camera, sine_horizon: float, profile: HorizonProfile |
 def compass_ned(sine_horizon: float, profile: HorizonProfile | None = None) -> Float:
     """Return the directions of the compass points on the horizon, (16, 3) float64 north, east, down.
 
-    Parameters
-    ----------
-    sine_horizon : float
-        Sine of the apparent altitude of the horizon.
-    profile : HorizonProfile, optional
-        The horizon by azimuth, instead.
+    `sine_horizon`: sine of the apparent altitude of the horizon; `profile`: the horizon by azimuth, instead.
     """
     azimuth_rad = np.arange(len(COMPASS_POINTS)) * (2 * np.pi / len(COMPASS_POINTS))
     return ned_direction(azimuth_rad, asin(sine_horizon) if profile is None else profile.altitude_rad(azimuth_rad))
@@ -421,14 +320,7 @@ def _hours(minutes: int) -> str:
 class ConstellationFigures:
     """The lines and the names of the constellations at the epoch of a star field.
 
-    Parameters
-    ----------
-    catalogue : StarCatalogue
-        Its proper motions move the ends of the lines; ends that are no stars of the catalogue stay at J2000.
-
-    Attributes
-    ----------
-    names : tuple of str
+    `catalogue`: its proper motions move the ends of the lines; ends that are no stars of the catalogue stay at J2000.
     """
 
     def __init__(self, catalogue: StarCatalogue) -> None:
@@ -443,18 +335,7 @@ class ConstellationFigures:
         self._label_eq = np.empty((0, 3))
 
     def curves(self, epoch_utc_s: float, camera: Camera) -> Curves:
-        """Return the lines in geocentric apparent directions.
-
-        Parameters
-        ----------
-        epoch_utc_s : float
-            UTC seconds since 1970.
-        camera : Camera
-
-        Returns
-        -------
-        Curves
-        """
+        """Return the lines in geocentric apparent directions; `epoch_utc_s`: UTC seconds since 1970."""
         self._prepare(epoch_utc_s, camera)
         return self._curves
 

@@ -60,46 +60,25 @@ _MARKED_PIXELS: Final = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawingInputs:
-    """Inputs of the functions of the overlays, besides the scene.
-
-    Attributes
-    ----------
-    grids : Grids
-    constellations : ConstellationFigures
-    name_vmag_limit : float
-        Magnitude limit of star names.
-    centroid_vmag_limit : float
-        Magnitude limit of centroids.
-    pixels : (height, width) uint8, uint16 or bool, or None
-        The developed image, or of a stacked one where a short exposure is saturated.
-    beliefs : tuple of Belief
-        Of the navigator.
-    residuals : TrailResiduals or None
-        Of the real image.
-    """
+    """Inputs of the functions of the overlays, besides the scene."""
 
     grids: Grids
     constellations: ConstellationFigures
-    name_vmag_limit: float
-    centroid_vmag_limit: float
+    name_vmag_limit: float  # Magnitude limit of star names
+    centroid_vmag_limit: float  # Magnitude limit of centroids
+    # (height, width) uint8, uint16 or bool, or None: the developed image, or of a stacked one where a short exposure is
+    # saturated.
     pixels: NDArray[Any] | None
-    beliefs: tuple[Belief, ...] = ()
-    residuals: TrailResiduals | None = None
+    beliefs: tuple[Belief, ...] = ()  # Of the navigator
+    residuals: TrailResiduals | None = None  # Of the real image
 
 
 class SkyCurves(NamedTuple):
-    """Curves of an overlay that are cut at the edges of the image.
+    """Curves of an overlay that are cut at the edges of the image."""
 
-    Attributes
-    ----------
-    frame : {"eq", "ned"}
-        Geocentric apparent directions, which end at the horizon; or apparent directions north, east, down.
-    of : callable
-        Returns the curves for a scene.
-    """
-
+    # Geocentric apparent directions, which end at the horizon; or apparent directions north, east, down.
     frame: Literal["eq", "ned"]
-    of: Callable[[Scene, DrawingInputs], Curves]
+    of: Callable[[Scene, DrawingInputs], Curves]  # Returns the curves for a scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,22 +388,14 @@ class Overlay(StrEnum):
 
     @classmethod
     def named(cls) -> "dict[str, Overlay]":
-        """Return the overlays by their labels in lower case, in the order of the menu.
-
-        Returns
-        -------
-        dict of str to Overlay
-        """
+        """Return the overlays by their labels in lower case, in the order of the menu."""
         return {overlay.spec.label.lower(): overlay for overlay in cls}
 
 
 class Overlays:
     """Computes the shapes of scenes; caches what depends only on the catalogue, the epoch and the camera.
 
-    Parameters
-    ----------
-    catalogue : StarCatalogue
-        See `ConstellationFigures`.
+    `catalogue`: see `ConstellationFigures`.
     """
 
     def __init__(self, catalogue: StarCatalogue) -> None:
@@ -447,29 +418,12 @@ class Overlays:
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
-        Parameters
-        ----------
-        scene : Scene
-        which : set of Overlay
-        name_vmag_limit : float
-            Magnitude limit of star names.
-        pixels : (height, width) uint8, uint16 or bool, optional
-            The developed image, or of a stacked one where a short exposure is saturated; without it the stars whose
-            peak should saturate are marked.
-        region : ImageRegion, optional
-            The visible part of the image: lines end and grids are labelled at its edge.  By default the complete image.
-        zoom : float
-            Screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on it.
-        centroid_vmag_limit : float
-            Magnitude limit of centroids.
-        beliefs : tuple of Belief
-            Of the navigator.
-        residuals : TrailResiduals, optional
-            Of the real image.
-
-        Returns
-        -------
-        Shapes
+        `name_vmag_limit`: magnitude limit of star names; `pixels` (height, width) uint8, uint16 or bool: the developed
+        image, or of a stacked one where a short exposure is saturated; without it the stars whose peak should saturate
+        are marked; `region`: the visible part of the image: lines end and grids are labelled at its edge; by default
+        the complete image; `zoom`: screen pixels to one image pixel: the size of labels and ticks on the screen does
+        not depend on it; `centroid_vmag_limit`: magnitude limit of centroids; `beliefs`: of the navigator; `residuals`:
+        of the real image.
         """
         key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:

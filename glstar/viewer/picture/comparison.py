@@ -71,31 +71,14 @@ def compose(
 ) -> Picture:
     """Return the picture of a comparison.
 
-    Parameters
-    ----------
-    simulated : (height, width) uint8 or uint16
-        Digital numbers.
-    real : FittedImage, (h, w) uint8 or uint16, or None
-        An array of another size is scaled and centred by `fit`.  Without a real image the picture is the simulated
-        one.
-    mode : ComparisonMode
-    wipe : float
-        `ComparisonMode.WIPE`: position of the line, 0 (left edge: all real) to 1 (all simulated).
-    phase : float
-        `ComparisonMode.BLINK`: 0 to 1; below 0.5 the simulated image is shown.
-    stretch : Stretch
-        For both images; by default linear.  Of a difference the absolute value is stretched, with black level 0.
-    saturation_dn : int, optional
-        The digital number of the simulated image that is white; by default the largest of its type.
-    real_black : float
-        The level subtracted from the real image, such as its dark level, as a fraction of white.
-    real_gain : float
-        Multiplies it then.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        Red, green, blue; twice as wide for `ComparisonMode.SIDE_BY_SIDE`.
+    `simulated` (height, width) uint8 or uint16: digital numbers; `real` FittedImage, (h, w) uint8 or uint16, or None:
+    an array of another size is scaled and centred by `fit`; without a real image the picture is the simulated one;
+    `wipe`: `ComparisonMode.WIPE`: position of the line, 0 (left edge: all real) to 1 (all simulated); `phase`:
+    `ComparisonMode.BLINK`: 0 to 1; below 0.5 the simulated image is shown; `stretch`: for both images; by default
+    linear; of a difference the absolute value is stretched, with black level 0; `saturation_dn`: the digital number of
+    the simulated image that is white; by default the largest of its type; `real_black`: the level subtracted from the
+    real image, such as its dark level, as a fraction of white; `real_gain`: multiplies it then.  Returns (height,
+    width, 3) uint8: red, green, blue; twice as wide for `ComparisonMode.SIDE_BY_SIDE`.
     """
     white_dn = int(np.iinfo(simulated.dtype).max) if saturation_dn is None else saturation_dn
     shown = _signal(simulated, white_dn)
@@ -150,18 +133,8 @@ def _eight_bits(brightness: NDArray[Any]) -> Picture:
 def save_view(path: Path, picture: Picture, caption: str = "") -> None:
     """Write a picture as PNG, complete or not at all.
 
-    Parameters
-    ----------
-    path : Path
-    picture : (height, width, 3) uint8
-        Red, green, blue: what `compose` returns.
-    caption : str
-        Written below the picture; it may have several lines.
-
-    Raises
-    ------
-    ExportError
-        If it cannot be written.
+    `picture` (height, width, 3) uint8: red, green, blue: what `compose` returns; `caption`: written below the picture;
+    it may have several lines.  Raises ExportError if it cannot be written.
     """
     if caption:
         picture = np.vstack([picture, _written(caption, picture.shape[1])])
@@ -188,43 +161,16 @@ class ComparisonState:
     """The state of the comparison, used by the panel, the keys and the drawing.
 
     The play head has the time of the log's clock, real images that of the camera's: a real image with the time stamp t
-    belongs to t - `flight_offset_s` - `offset_s` in the log.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns seconds from any origin, for blinking.
-
-    Attributes
-    ----------
-    images : RealImages or None
-    mode : ComparisonMode
-    blinks_noise : bool
-        Whether the simulated image blinks with the same without noise, while no real image is compared.
-    wipe : float
-        Position of the line, 0 to 1.
-    blink_period_s : float
-        Period in which both images are shown once, s.
-    offset_s : float
-        Camera clock minus log clock, s, added to `flight_offset_s`.
-    flight_offset_s : float
-        The ``[flight] time_offset_s`` with which the flight was read, s.
-    time_reference : TimeReference
-        The instant of its exposure to which a real image's time stamp refers.
-    match_exposure : bool
-        Whether the simulated exposure is as long as the real one, if that is known.
-    real_black, real_gain : float
-        See `compose`.
-    preferred : RealImage or None
-        The image that the user chose last, which is shown instead of others of the same time.
-    error : str
-        Why the folder opened last cannot be used; empty if it can.
-    fit : ImageFit or None
-        The fit of clock and mount that runs or was made last.
-    fit_images : callable or None
-        How to fit; None if the window cannot.
-    residuals : ResidualWatch
-        Measures the real image shown.
+    belongs to t - `flight_offset_s` - `offset_s` in the log.  `clock`: returns seconds from any origin, for
+    blinking.  `blinks_noise`: whether the simulated image blinks with the same without noise, while no real image is
+    compared; `wipe`: position of the line, 0 to 1; `blink_period_s`: period in which both images are shown once, s;
+    `offset_s`: camera clock minus log clock, s, added to `flight_offset_s`; `flight_offset_s`: the ``[flight]
+    time_offset_s`` with which the flight was read, s; `time_reference`: the instant of its exposure to which a real
+    image's time stamp refers; `match_exposure`: whether the simulated exposure is as long as the real one, if that is
+    known; `real_black`, `real_gain`: see `compose`; `preferred`: the image that the user chose last, which is shown
+    instead of others of the same time; `error`: why the folder opened last cannot be used; empty if it can; `fit`: the
+    fit of clock and mount that runs or was made last; `fit_images`: how to fit; None if the window cannot; `residuals`:
+    measures the real image shown.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -251,11 +197,7 @@ class ComparisonState:
     def open(self, folder: Path, *, table: Path | None = None) -> None:
         """Begin to open a folder of real images; `poll` takes it when the times have been read.
 
-        Parameters
-        ----------
-        folder : Path
-        table : Path, optional
-            A CSV table of times, see `RealImages.open`.
+        `table`: a CSV table of times, see `RealImages.open`.
         """
         if self._opening is not None:
             self._opening[1].add_done_callback(_close_unwanted)
@@ -350,18 +292,8 @@ class ComparisonState:
     def decoded_at(self, utc_s: float, camera: Camera, full_scale_dn: int) -> tuple[RealImage, FittedImage] | None:
         """Return the real image at a time with its pixels; None without one, and until they are decoded.
 
-        Parameters
-        ----------
-        utc_s : float
-            UTC seconds since 1970 of the log's clock.
-        camera : Camera
-            The image is fitted to its size.
-        full_scale_dn : int
-            The largest digital number of the simulated image.
-
-        Returns
-        -------
-        tuple of RealImage and FittedImage, or None
+        `utc_s`: UTC seconds since 1970 of the log's clock; `camera`: the image is fitted to its size; `full_scale_dn`:
+        the largest digital number of the simulated image.
         """
         if not self.active or self.images is None or (image := self.image_at(utc_s)) is None:
             return None
@@ -371,10 +303,7 @@ class ComparisonState:
     def image_at(self, utc_s: float) -> RealImage | None:
         """Return the real image that belongs to a time of the log; None if nothing is compared.
 
-        Parameters
-        ----------
-        utc_s : float
-            The play head, UTC seconds since 1970 of the log's clock.
+        `utc_s`: the play head, UTC seconds since 1970 of the log's clock.
         """
         if self.images is None or not self.active:
             return None
@@ -390,16 +319,8 @@ class ComparisonState:
     def exposure(self, image: RealImage, default: Exposure) -> Exposure:
         """Return the exposure to simulate for a real image.
 
-        Parameters
-        ----------
-        image : RealImage
-        default : Exposure
-            Of the settings; its duration is used if the image's own is unknown or `match_exposure` is off.
-
-        Returns
-        -------
-        Exposure
-            It may be outside the flight: see `outside`.
+        `default`: of the settings; its duration is used if the image's own is unknown or `match_exposure` is off.
+        Returns: it may be outside the flight: see `outside`.
         """
         return exposure_of(
             image.time, default, reference=self.time_reference, ahead_s=self.ahead_s, own_length=self.match_exposure
@@ -408,13 +329,7 @@ class ComparisonState:
     def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison in two lines: the images, their times and the offset of the clocks.
 
-        Parameters
-        ----------
-        image : RealImage
-        exposure : Exposure
-            The simulated one.
-        fitted : FittedImage, optional
-            The real image's pixels, whose note is included.
+        `exposure`: the simulated one; `fitted`: the real image's pixels, whose note is included.
         """
         simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
         clocks = f"camera clock - log clock = {self.ahead_s:+.3f} s"
@@ -444,11 +359,7 @@ class ComparisonState:
 def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
     """Return a message if an exposure is outside a flight; empty if it is inside.
 
-    Parameters
-    ----------
-    exposure : Exposure
-    first_s, last_s : float
-        The ends of the flight's attitude, UTC seconds since 1970.
+    `first_s`, `last_s`: the ends of the flight's attitude, UTC seconds since 1970.
     """
     if exposure.start_utc_s < first_s:
         return f"the real image begins {span(first_s - exposure.start_utc_s)} before the flight"
@@ -460,14 +371,7 @@ def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
 def span(seconds: float) -> str:
     """Return a duration as text: in seconds below an hour, else in hours or days.
 
-    Parameters
-    ----------
-    seconds : float
-
-    Returns
-    -------
-    str
-        Such as ``1.250 s``, ``-3.5 h``, ``1685.6 days``.
+    Returns: such as ``1.250 s``, ``-3.5 h``, ``1685.6 days``.
     """
     if abs(seconds) < 3600:
         return f"{seconds:.3f} s"

@@ -26,32 +26,17 @@ _SHADER_MODE: Final = {ComparisonMode.WIPE: 2, ComparisonMode.DIFFERENCE: 3, Com
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PanelContent:
-    """The content of the image panel.
+    """The content of the image panel."""
 
-    Attributes
-    ----------
-    image : Texture or SimulatedImage
-        The developed image; a simulated one is waited for when the picture is drawn.
-    white_dn : int
-        Its largest digital number.
-    real : FittedImage or None
-        The real image it is compared with.
-    comparison : ComparisonMode
-    wipe, phase, real_black, real_gain : float
-        See `glstar.viewer.picture.comparison.compose`.
-    is_processed : bool
-        Whether a simulated image is shown as ``[output]`` writes it; not while it is compared.
-    """
-
-    image: Texture | SimulatedImage
-    white_dn: int
-    real: FittedImage | None = None
+    image: Texture | SimulatedImage  # The developed image; a simulated one is waited for when the picture is drawn
+    white_dn: int  # Its largest digital number
+    real: FittedImage | None = None  # The real image it is compared with
     comparison: ComparisonMode = ComparisonMode.OFF
-    wipe: float = 0.5
+    wipe: float = 0.5  # See `glstar.viewer.picture.comparison.compose`
     phase: float = 0.0
     real_black: float = 0.0
     real_gain: float = 1.0
-    is_processed: bool = False
+    is_processed: bool = False  # Whether a simulated image is shown as ``[output]`` writes it; not while it is compared
 
     @classmethod
     def of(
@@ -65,19 +50,8 @@ class PanelContent:
     ) -> "PanelContent":
         """Return the content for an image and, if it has been decoded, the real image beside it.
 
-        Parameters
-        ----------
-        image : Texture or SimulatedImage
-            The developed image of the scene.
-        scene : Scene
-        real : FittedImage or None
-        comparison : ComparisonState
-        is_processed : bool
-            Whether to show it as ``[output]`` writes it, if it does process it and there is no real image.
-
-        Returns
-        -------
-        PanelContent
+        `image`: the developed image of the scene; `is_processed`: whether to show it as ``[output]`` writes it, if it
+        does process it and there is no real image.
         """
         if real is None and comparison.active and comparison.mode is ComparisonMode.SIDE_BY_SIDE:
             # While an image is decoded its half of the picture stays empty, so that the view keeps its zoom.
@@ -131,14 +105,7 @@ class PanelContent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """A panel's content, where it is in the panel, and how it is stretched.
-
-    Attributes
-    ----------
-    content : PanelContent
-    placement : Placement
-    tone : Tone
-    """
+    """A panel's content, where it is in the panel, and how it is stretched."""
 
     content: PanelContent
     placement: Placement
@@ -157,21 +124,8 @@ class Picture:
     ) -> "Picture":
         """Return the picture as a view shows it at present.
 
-        Parameters
-        ----------
-        content : PanelContent
-        view : ImageView
-        stretch : Stretch
-        size : tuple of int
-            Width and height of the panel, px.
-        scale : float
-            Pixels to one screen unit of `view`.
-        night : bool
-            Whether to draw in shades of red.
-
-        Returns
-        -------
-        Picture
+        `size`: width and height of the panel, px; `scale`: pixels to one screen unit of `view`; `night`: whether to
+        draw in shades of red.
         """
         size = max(size[0], 1), max(size[1], 1)
         scissor = _covered(view, content.size_px, size, scale)
@@ -182,12 +136,7 @@ class Picture:
 
 
 class Display:
-    """Draws the content of the image panel at the panel's resolution, on the current context.
-
-    Parameters
-    ----------
-    context : Context
-    """
+    """Draws the content of the image panel at the panel's resolution, on the current context."""
 
     def __init__(self, context: Context) -> None:
         self._pass = DisplayPass(context)
@@ -206,27 +155,12 @@ class Display:
         return self.draw_picture(Picture.of(content, view, stretch, size, scale=scale, night=night))
 
     def draw_picture(self, picture: Picture) -> int:
-        """Draw the panel and return the OpenGL name of its texture, which is valid until the size changes.
-
-        Parameters
-        ----------
-        picture : Picture
-
-        Returns
-        -------
-        int
-        """
+        """Draw the panel and return the OpenGL name of its texture, which is valid until the size changes."""
         content = picture.content
         return self._pass.draw(content.picture, content.white_dn, picture.placement, picture.tone, _compared(content))
 
     def draw_onto(self, part: WindowPart, picture: Picture) -> None:
-        """Draw the panel onto a window instead of its texture: the same pixels.
-
-        Parameters
-        ----------
-        part : WindowPart
-        picture : Picture
-        """
+        """Draw the panel onto a window instead of its texture: the same pixels."""
         content = picture.content
         placement, tone = picture.placement, picture.tone
         self._pass.draw_onto(part, content.picture, content.white_dn, placement, tone, _compared(content))
@@ -234,14 +168,7 @@ class Display:
     def texture(self, size: tuple[int, int]) -> int:
         """Return the OpenGL name of the panel's texture for a size, before it is drawn.
 
-        Parameters
-        ----------
-        size : tuple of int
-            Width and height, px.
-
-        Returns
-        -------
-        int
+        `size`: width and height, px.
         """
         return self._pass.texture(size)
 
@@ -292,31 +219,19 @@ _NEVER: Final = ("never drawn",)
 
 
 class WindowPlace(NamedTuple):
-    """Where a panel is in the window, px of its framebuffer from the top-left corner.
+    """Where a panel is in the window, px of its framebuffer from the top-left corner."""
 
-    Attributes
-    ----------
-    corner_px : tuple of int
-        Its left and top.
-    clip_px : tuple of int
-        Left, top, right and bottom of what is visible of it.
-    """
-
-    corner_px: tuple[int, int]
-    clip_px: tuple[int, int, int, int]
+    corner_px: tuple[int, int]  # Its left and top
+    clip_px: tuple[int, int, int, int]  # Left, top, right and bottom of what is visible of it
 
 
 class PanelPicture:
     """Draws the picture of the image panel when the window is painted.
 
-    A picture that stays for more than a frame is drawn into a texture, which imgui puts into the window with blending.
-    One that has changed in two frames running probably changes in the next too: it is drawn straight onto the window,
-    under what imgui draws, which saves software OpenGL a copy of the panel.  Both give the same pixels.
-
-    Parameters
-    ----------
-    display : Display
-        It stays the caller's.
+    A picture that stays for more than a frame is drawn into a texture, which imgui puts into the window with
+    blending.  One that has changed in two frames running probably changes in the next too: it is drawn straight onto
+    the window, under what imgui draws, which saves software OpenGL a copy of the panel.  Both give the same pixels.
+    `display`: it stays the caller's.
     """
 
     def __init__(self, display: Display) -> None:
@@ -333,18 +248,8 @@ class PanelPicture:
     def show(self, picture: Picture, inputs: tuple[object, ...], place: WindowPlace | None) -> int | None:
         """Take the picture of a frame; `paint` draws it.
 
-        Parameters
-        ----------
-        picture : Picture
-        inputs : tuple
-            All that it depends on.
-        place : WindowPlace or None
-            Where the panel is; None if something may lie below it.
-
-        Returns
-        -------
-        int or None
-            The OpenGL name of the texture, for imgui to draw; None if `paint` draws onto the window.
+        `inputs`: all that it depends on; `place`: where the panel is; None if something may lie below it.  Returns the
+        OpenGL name of the texture, for imgui to draw; None if `paint` draws onto the window.
         """
         changed = inputs != self._inputs
         self._place = place if changed and self._is_changing else None
@@ -355,14 +260,8 @@ class PanelPicture:
     def paint(self, target: Framebuffer, size: tuple[int, int], colour: tuple[float, float, float]) -> None:
         """Draw the picture of this frame, if there is one, after the window has been cleared and before imgui draws.
 
-        Parameters
-        ----------
-        target : Framebuffer
-            Of the window.
-        size : tuple of int
-            Its width and height, px.
-        colour : tuple of float
-            Red, green, blue that it has been cleared to.
+        `target`: of the window; `size`: its width and height, px; `colour`: red, green, blue that it has been cleared
+        to.
         """
         if not self._is_shown or self._picture is None:
             return

@@ -33,59 +33,32 @@ from glstar.render.simulator import Simulator
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitRequest:
-    """What to fit to which images.
+    """What to fit to which images."""
 
-    Attributes
-    ----------
-    simulator : Simulator
-        Of the flight, with the offset of the camera clock to begin with.
-    images : tuple of RealImage
-    exposure : Exposure
-        Of images that do not state their exposure time; its start is ignored.
-    reference : TimeReference
-        The instant of its exposure to which an image's time stamp refers.
-    own_length : bool
-        Whether an exposure time that an image states is used.
-    fits_time, fits_mount : bool
-    """
-
-    simulator: Simulator
+    simulator: Simulator  # Of the flight, with the offset of the camera clock to begin with
     images: tuple[RealImage, ...]
-    exposure: Exposure
-    reference: TimeReference
-    own_length: bool
+    exposure: Exposure  # Of images that do not state their exposure time; its start is ignored
+    reference: TimeReference  # The instant of its exposure to which an image's time stamp refers
+    own_length: bool  # Whether an exposure time that an image states is used
     fits_time: bool
     fits_mount: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """What a fit found.
+    """What a fit found."""
 
-    Attributes
-    ----------
-    clock_change_s, clock_std_s : float or None
-        What is added to the camera clock's offset, and its standard error, s; None if it was not fitted.
-    mount_keys : dict
-        The mount as settings, dotted keys, deg; empty if it was not fitted.
-    turn_rad, turn_std_rad : tuple of float
-        Turn of the camera about its right, down and forward axes, and its standard errors, rad.
-    images, of, stars : int
-        Number of images compared, of all images, and of stars.
-    centroid_mean_px, centroid_median_px : float
-        Distance of the centroids of real and simulated trails after the fit, px.
-    notes : tuple of str
-    """
-
+    # What is added to the camera clock's offset, and its standard error, s; None if it was not fitted.
     clock_change_s: float | None
     clock_std_s: float | None
-    mount_keys: dict[str, float]
+    mount_keys: dict[str, float]  # The mount as settings, dotted keys, deg; empty if it was not fitted
+    # Turn of the camera about its right, down and forward axes, and its standard errors, rad.
     turn_rad: tuple[float, ...]
     turn_std_rad: tuple[float, ...]
-    images: int
+    images: int  # Number of images compared, of all images, and of stars
     of: int
     stars: int
-    centroid_mean_px: float
+    centroid_mean_px: float  # Distance of the centroids of real and simulated trails after the fit, px
     centroid_median_px: float
     notes: tuple[str, ...]
 
@@ -97,19 +70,8 @@ FitImages = Callable[[FitRequest, Callable[[int, int], None]], FitResult]
 class ImageFit:
     """A fit that is running, or has ended.
 
-    Parameters
-    ----------
-    request : FitRequest
-    fit : callable
-
-    Attributes
-    ----------
-    done, of : int
-        Images done; `of` is 0 if their number is not known yet.
-    result : FitResult or None
-        None while it is running, and if it failed.
-    error : str
-        Why it failed; empty if it did not.
+    `done`, `of`: images done; `of` is 0 if their number is not known yet; `result`: none while it is running, and if it
+    failed; `error`: why it failed; empty if it did not.
     """
 
     # Longest time that closing the window waits for an image, s.
@@ -158,40 +120,17 @@ class _CancelledError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualRequest:
-    """What to measure in which image.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    ahead_s : float
-        Camera clock minus log clock, s.
-    image : RealImage
-    exposure : Exposure
-        Of an image that does not state its exposure time; its start is ignored.
-    reference : TimeReference
-        The instant of its exposure to which the image's time stamp refers.
-    own_length : bool
-        Whether an exposure time that the image states is used.
-    """
+    """What to measure in which image."""
 
     simulator: Simulator
-    ahead_s: float
+    ahead_s: float  # Camera clock minus log clock, s
     image: RealImage
-    exposure: Exposure
-    reference: TimeReference
-    own_length: bool
+    exposure: Exposure  # Of an image that does not state its exposure time; its start is ignored
+    reference: TimeReference  # The instant of its exposure to which the image's time stamp refers
+    own_length: bool  # Whether an exposure time that the image states is used
 
     def is_like(self, other: "ResidualRequest | None") -> bool:
-        """Return whether another request has the same answer.
-
-        Parameters
-        ----------
-        other : ResidualRequest or None
-
-        Returns
-        -------
-        bool
-        """
+        """Return whether another request has the same answer."""
         if other is None or self.simulator is not other.simulator:
             return False
         names = ("ahead_s", "image", "exposure", "reference", "own_length")
@@ -200,24 +139,12 @@ class ResidualRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrailResiduals:
-    """The trails of one real image beside the simulated ones.
+    """The trails of one real image beside the simulated ones."""
 
-    Attributes
-    ----------
-    real_px : (n, 2) float64
-        The middles of the trails that were detected in the real image, px.
-    shift_px : (n, 2) float64
-        Simulated minus real, px.
-    predicted : int
-        Number of trails that were searched for.
-    figures : tuple of (str, str)
-        The paper's measures: what, and its value.
-    """
-
-    real_px: NDArray[np.float64]
-    shift_px: NDArray[np.float64]
-    predicted: int
-    figures: tuple[tuple[str, str], ...]
+    real_px: NDArray[np.float64]  # (n, 2) the middles of the trails that were detected in the real image, px
+    shift_px: NDArray[np.float64]  # (n, 2) simulated minus real, px
+    predicted: int  # Number of trails that were searched for
+    figures: tuple[tuple[str, str], ...]  # Tuple of (str, str): the paper's measures: what, and its value
 
 
 # Raises GlstarError if no trail of the image is found.
@@ -227,10 +154,7 @@ MeasureImage = Callable[[ResidualRequest], TrailResiduals]
 class ResidualWatch:
     """Measures the latest image that was asked for; one at a time.
 
-    Attributes
-    ----------
-    measure : callable or None
-        How to measure; None if the window cannot.
+    `measure`: how to measure; None if the window cannot.
     """
 
     def __init__(self) -> None:
@@ -242,14 +166,7 @@ class ResidualWatch:
     def of(self, request: ResidualRequest) -> TrailResiduals | str | None:
         """Return the residuals of an image, or why there are none; begin to measure it if that is not done.
 
-        Parameters
-        ----------
-        request : ResidualRequest
-
-        Returns
-        -------
-        TrailResiduals, str or None
-            None while it is measured.
+        Returns: none while it is measured.
         """
         if self._running is not None and self._running[1].done():
             asked, future = self._running
@@ -286,91 +203,42 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationRequest:
-    """A photograph and what is known of it.
-
-    Attributes
-    ----------
-    path : Path
-    config : Config
-        Its camera is that of the photograph, if `fov_rad` is None; its catalogue has the stars.
-    fov_rad : float or None
-        Width of the view, to 15 %.
-    exposure_s : float or None
-        None: as the file states.
-    utc : str
-        At mid-exposure; empty if it is not known.
-    site_rad : (float, float) or None
-        Latitude and longitude.
-    geometry_only : bool
-        Whether the sensor is left out.
-    before : CalibratedPhoto or None
-        The last result for this photograph, which is solved again without some of its stars.
-    removed_px : tuple of (float, float)
-        Positions of detections that are not to be used, px.
-    """
+    """A photograph and what is known of it."""
 
     path: Path
-    config: Config
-    fov_rad: float | None = None
-    exposure_s: float | None = None
-    utc: str = ""
-    site_rad: tuple[float, float] | None = None
-    geometry_only: bool = False
+    config: Config  # Its camera is that of the photograph, if `fov_rad` is None; its catalogue has the stars
+    fov_rad: float | None = None  # Width of the view, to 15 %
+    exposure_s: float | None = None  # None: as the file states
+    utc: str = ""  # At mid-exposure; empty if it is not known
+    site_rad: tuple[float, float] | None = None  # (float, float) or None: latitude and longitude
+    geometry_only: bool = False  # Whether the sensor is left out
+    # The last result for this photograph, which is solved again without some of its stars.
     before: "CalibratedPhoto | None" = None
+    # Tuple of (float, float): positions of detections that are not to be used, px.
     removed_px: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedPhoto:
-    """The result of a calibration.
+    """The result of a calibration."""
 
-    Attributes
-    ----------
-    name : tuple of str
-        Names of the identified stars, or their numbers.
-    vmag : (n,) float64
-    xy_px : (n, 2) float64
-        Where they were detected, px.
-    residual_px : (n, 2) float64
-        Detected minus predicted position, px.
-    report : tuple of str
-        What was found, as lines.
-    notes : tuple of str
-        Remarks for the user.
-    toml : str
-        The calibration, for ``--config``.
-    save : callable
-        Writes it with star list and report beside a path that ends with ``.toml``, and returns the paths.
-    state : object
-        What the function that calibrates needs to solve again.
-    """
-
-    name: tuple[str, ...]
-    vmag: Float
-    xy_px: Float
-    residual_px: Float
-    report: tuple[str, ...]
-    notes: tuple[str, ...]
-    toml: str
+    name: tuple[str, ...]  # Names of the identified stars, or their numbers
+    vmag: Float  # (n,)
+    xy_px: Float  # (n, 2) where they were detected, px
+    residual_px: Float  # (n, 2) detected minus predicted position, px
+    report: tuple[str, ...]  # What was found, as lines
+    notes: tuple[str, ...]  # Remarks for the user
+    toml: str  # The calibration, for ``--config``
+    # Writes it with star list and report beside a path that ends with ``.toml``, and returns the paths.
     save: Callable[[Path], list[Path]]
-    state: Any
+    state: Any  # What the function that calibrates needs to solve again
 
 
 class CalibrationProgress:
     """What is known of a calibration while it runs.
 
-    Attributes
-    ----------
-    pixels : (height, width) uint16 or None
-        The photograph; None until it has been read.
-    white_dn : int
-        Its largest digital number.
-    detected_px : (n, 2) float64
-        Detected stars.
-    step : str
-        What is being done.
-    done : int
-        Number of steps done.
+    `pixels` (height, width) uint16 or None: the photograph; None until it has been read; `white_dn`: its largest
+    digital number; `detected_px` (n, 2): detected stars; `step`: what is being done; `done`: number of steps done.
     """
 
     STEPS: Final = 4
@@ -383,14 +251,7 @@ class CalibrationProgress:
         self.cancelled = Event()
 
     def begin(self, step: str, done: int) -> None:
-        """Begin a step.
-
-        Parameters
-        ----------
-        step : str
-        done : int
-            Number of steps done.
-        """
+        """Begin a step; `done`: number of steps done."""
         if self.cancelled.is_set():
             raise _CancelledError
         self.step, self.done = step, done
@@ -402,19 +263,7 @@ CalibratePhoto = Callable[[CalibrationRequest, CalibrationProgress], CalibratedP
 class CalibrationRun:
     """A calibration that is running, or has ended.
 
-    Parameters
-    ----------
-    request : CalibrationRequest
-    calibrate : callable
-
-    Attributes
-    ----------
-    request : CalibrationRequest
-    progress : CalibrationProgress
-    result : CalibratedPhoto or None
-        None while it is running, and if it failed.
-    error : str
-        Why it failed; empty if it did not.
+    `result`: none while it is running, and if it failed; `error`: why it failed; empty if it did not.
     """
 
     # Longest time that closing the window waits for a step, s.
@@ -454,20 +303,7 @@ class CalibrationRun:
 def with_calibration(config: Config, toml: str) -> Config:
     """Return settings with the camera of a calibration, and with its sensor if it has one.
 
-    Parameters
-    ----------
-    config : Config
-    toml : str
-        The calibration.
-
-    Returns
-    -------
-    Config
-
-    Raises
-    ------
-    ConfigError
-        If the other settings contradict it.
+    `toml`: the calibration.  Raises ConfigError if the other settings contradict it.
     """
     tables = tomllib.loads(toml)
     own = [f"{section}.{key}" for section in ("camera", "sensor") if section in tables for key in _keys_of(section)]

@@ -23,17 +23,7 @@ from glstar.viewer.frametimes import FrameTimes
 
 
 def why_not_processed(scene: Scene) -> str:
-    """Return why the image of a scene has no processed form.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    str
-        A message; empty if ``[output]`` processes it.
-    """
+    """Return why the image of a scene has no processed form; returns a message; empty if ``[output]`` processes it."""
     try:
         is_active = CameraProcessing.of(scene.sensor).is_active
     except ConfigError as error:
@@ -54,17 +44,8 @@ class ProcessedImage:
     def of(self, pixels: NDArray[Any], scene: Scene) -> NDArray[np.uint8]:
         """Return an image of 8 bits as `glstar.export` writes it.
 
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-            Raw digital numbers.
-        scene : Scene
-            For which `why_not_processed` has no reason.
-
-        Returns
-        -------
-        (height, width, 3) uint8
-            Red, green and blue, which are equal in a grey image.
+        `pixels` (height, width) uint8 or uint16: raw digital numbers; `scene`: for which `why_not_processed` has no
+        reason.  Returns (height, width, 3) uint8: red, green and blue, which are equal in a grey image.
         """
         if self._made is None or self._made[0] is not pixels:
             made = np.asarray(process(pixels, scene.sensor, sixteen_bits=False), dtype=np.uint8)
@@ -84,22 +65,13 @@ _COMPOSING_S: Final = 0.01
 
 
 class ImageRequest(NamedTuple):
-    """All that an image depends on: equal requests give equal images.
-
-    Attributes
-    ----------
-    exposure : Exposure
-    number : int or None
-        The number of the camera's exposure, which seeds the noise; None for an exposure that no camera records.
-    simulator : Simulator
-    noiseless : bool
-        Whether it is developed without noise.
-    """
+    """All that an image depends on: equal requests give equal images."""
 
     exposure: Exposure
+    # The number of the camera's exposure, which seeds the noise; None for an exposure that no camera records.
     number: int | None
     simulator: Simulator
-    noiseless: bool = False
+    noiseless: bool = False  # Whether it is developed without noise
 
 
 class _Drawing(NamedTuple):
@@ -113,25 +85,10 @@ class _Drawing(NamedTuple):
 class SimulatedImage:
     """The simulated image shown at present.
 
-    Parameters
-    ----------
-    renderer : GLRenderer
-        It stays the caller's.
-    times : FrameTimes
-
-    Attributes
-    ----------
-    scene : Scene or None
-        The latest scene; None until there is one.
-    number : int or None
-        The number of the camera's exposure; None for an exposure that no camera records.
-    error : str
-        Why there is no newer image; empty if there is one.
-    gap : Gap or None
-        The gap of the attitude that the requested exposure touches: there is no image then, because interpolating
-        the attitude across a gap would show a wrong sky.
-    seed : int
-        Of the noise.
+    `renderer`: it stays the caller's.  `scene`: the latest scene; None until there is one; `number`: the number of the
+    camera's exposure; None for an exposure that no camera records; `error`: why there is no newer image; empty if there
+    is one; `gap`: the gap of the attitude that the requested exposure touches: there is no image then, because
+    interpolating the attitude across a gap would show a wrong sky; `seed`: of the noise.
     """
 
     def __init__(self, renderer: GLRenderer, times: FrameTimes) -> None:
@@ -158,17 +115,9 @@ class SimulatedImage:
     def update(self, request: ImageRequest, *, playing: bool) -> bool:
         """Draw the requested image, unless it is drawn already.
 
-        Parameters
-        ----------
-        request : ImageRequest
-        playing : bool
-            Whether an image may be drawn while the one before it is shown: see `begin_next`.  The image then lags a
-            frame behind the request, and neither the threads nor the GPU wait for each other.
-
-        Returns
-        -------
-        bool
-            Whether the requested image was drawn in this call.
+        `playing`: whether an image may be drawn while the one before it is shown: see `begin_next`; the image then lags
+        a frame behind the request, and neither the threads nor the GPU wait for each other.  Returns whether the
+        requested image was drawn in this call.
         """
         exposure = request.exposure
         self.gap = request.simulator.flight.attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)

@@ -39,15 +39,7 @@ class ColourMap(StrEnum):
     def picture(self, brightness: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Return the colours of an image, as ``display.frag`` draws them.
 
-        Parameters
-        ----------
-        brightness : (height, width) float32
-            0 to 1.
-
-        Returns
-        -------
-        (height, width, 3) uint8
-            Red, green, blue.
+        `brightness` (height, width) float32: 0 to 1.  Returns (height, width, 3) uint8: red, green, blue.
         """
         return self.colours[(np.clip(brightness, 0, 1) * 255 + 0.5).astype(np.uint8)]
 
@@ -100,38 +92,19 @@ class StretchKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A display stretch; it changes the screen, never the data.
+    """A display stretch; it changes the screen, never the data."""
 
-    Attributes
-    ----------
-    kind : StretchKind
-        Linear, or asinh, which brightens faint signals without clipping bright ones.
-    boost : float
-        Gain, as of a longer exposure; the paper shows its figures with 4.
-    black : float
-        The level shown black, as a fraction of white.
-    colours : ColourMap
-        The colours of the brightness.
-    """
-
+    # Linear, or asinh, which brightens faint signals without clipping bright ones.
     kind: StretchKind = StretchKind.ASINH
-    boost: float = 1.0
-    black: float = 0.0
-    colours: ColourMap = ColourMap.GREY
+    boost: float = 1.0  # Gain, as of a longer exposure; the paper shows its figures with 4
+    black: float = 0.0  # The level shown black, as a fraction of white
+    colours: ColourMap = ColourMap.GREY  # The colours of the brightness
 
     @classmethod
     def for_sensor(cls, sensor: Sensor) -> "Stretch":
         """Return the initial stretch: the sky is black, and stars are as bright as those of the bundled camera.
 
         A sensor whose digital numbers fill a small part of its range would be black otherwise.
-
-        Parameters
-        ----------
-        sensor : Sensor
-
-        Returns
-        -------
-        Stretch
         """
         peak = float(sensor.peak_dn([3.0], 0.5)[0]) / sensor.saturation_dn
         boost = _BOOST * max(1.0, _STAR_PEAK / peak) if peak > 0 else _BOOST
@@ -140,18 +113,9 @@ class Stretch:
     def fitted(self, pixels: NDArray[Any], white_dn: int) -> "Stretch":
         """Return a stretch whose limits fit an image: the sky is dark, and faint stars can be seen.
 
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-            Digital numbers.
-        white_dn : int
-            The largest possible digital number.
-
-        Returns
-        -------
-        Stretch
-            Black is one standard deviation below the median, white at the brightest 0.05 % of the pixels, and at least
-            twenty standard deviations higher than black.
+        `pixels` (height, width) uint8 or uint16: digital numbers; `white_dn`: the largest possible digital number.
+        Returns: black is one standard deviation below the median, white at the brightest 0.05 % of the pixels, and at
+        least twenty standard deviations higher than black.
         """
         sample = pixels[:: max(1, pixels.shape[0] // _SAMPLED_ROWS)].ravel()
         sky_dn = float(np.median(sample))
@@ -168,14 +132,7 @@ class Stretch:
     def between(self, black: float, white: float) -> "Stretch":
         """Return the stretch with other limits.
 
-        Parameters
-        ----------
-        black, white : float
-            The levels shown black and white, as fractions of the largest digital number.
-
-        Returns
-        -------
-        Stretch
+        `black`, `white`: the levels shown black and white, as fractions of the largest digital number.
         """
         return replace(self, black=black, boost=1 / max(white - black, _LEAST_LEVELS))
 
@@ -187,15 +144,7 @@ class Stretch:
     def __call__(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return brightness, as ``display.frag`` computes it.
 
-        Parameters
-        ----------
-        signal : (...) float32
-            As a fraction of white.
-
-        Returns
-        -------
-        (...) float32
-            0 to 1.
+        `signal` (...) float32: as a fraction of white.  Returns (...) float32: 0 to 1.
         """
         linear: NDArray[np.float32] = np.clip((signal - np.float32(self.black)) * np.float32(self.boost), 0, 1)
         if not self.softening:
@@ -203,29 +152,13 @@ class Stretch:
         return np.asarray(np.arcsinh(self.softening * linear) / np.arcsinh(self.softening), dtype=np.float32)
 
     def brighter(self, factor: float) -> "Stretch":
-        """Return a stretch with the boost multiplied by a factor, limited to 1/8 and 1024.
-
-        Parameters
-        ----------
-        factor : float
-
-        Returns
-        -------
-        Stretch
-        """
+        """Return a stretch with the boost multiplied by a factor, limited to 1/8 and 1024."""
         return replace(self, boost=min(max(self.boost * factor, _MIN_BOOST), _MAX_BOOST))
 
     def for_white(self, before_dn: int, now_dn: int) -> "Stretch":
         """Return the stretch that shows digital numbers as bright as before after the white level has changed.
 
-        Parameters
-        ----------
-        before_dn, now_dn : int
-            The largest digital number of the sensor, before and after the change.
-
-        Returns
-        -------
-        Stretch
+        `before_dn`, `now_dn`: the largest digital number of the sensor, before and after the change.
         """
         if before_dn == now_dn:
             return self
@@ -249,18 +182,9 @@ class ImageView:
     """The view of a picture in a panel.
 
     Positions (x, y), y down, are px from the CENTRE of the top-left pixel on the picture, and screen px from the
-    top-left corner on the panel.
-
-    Attributes
-    ----------
-    zoom : float
-        Screen px to one of the picture.
-    centre_px : (2,) float64
-        The position on the picture in the middle of the panel, px.
-    fitted : bool
-        Whether the complete picture stays visible when the panel changes its size.
-    pixel_grid : bool
-        Whether magnified pixels have borders.
+    top-left corner on the panel.  `zoom`: screen px to one of the picture; `centre_px` (2,): the position on the
+    picture in the middle of the panel, px; `fitted`: whether the complete picture stays visible when the panel changes
+    its size; `pixel_grid`: whether magnified pixels have borders.
     """
 
     def __init__(self) -> None:
@@ -274,12 +198,7 @@ class ImageView:
     def resize(self, width_px: int, height_px: int, panel_width: float, panel_height: float) -> None:
         """Set the sizes of picture and panel; called before each frame.
 
-        Parameters
-        ----------
-        width_px, height_px : int
-            Of the picture.
-        panel_width, panel_height : float
-            Of the panel, screen px.
+        `width_px`, `height_px`: of the picture; `panel_width`, `panel_height`: of the panel, screen px.
         """
         picture = np.array([width_px, height_px], dtype=np.float64)
         if not np.array_equal(picture, self._picture):
@@ -292,30 +211,14 @@ class ImageView:
     def to_screen(self, xy_px: ArrayLike) -> Float:
         """Return positions on the panel for positions on the picture.
 
-        Parameters
-        ----------
-        xy_px : (..., 2) array_like
-            px.
-
-        Returns
-        -------
-        (..., 2) float64
-            Screen px from the panel's corner.
+        `xy_px` (..., 2): px.  Returns (..., 2) screen px from the panel's corner.
         """
         return (np.asarray(xy_px, dtype=np.float64) - self.centre_px) * self.zoom + self._panel / 2
 
     def to_picture(self, xy: ArrayLike) -> Float:
         """Return positions on the picture for positions on the panel; the inverse of `to_screen`.
 
-        Parameters
-        ----------
-        xy : (..., 2) array_like
-            Screen px from the panel's corner.
-
-        Returns
-        -------
-        (..., 2) float64
-            px.
+        `xy` (..., 2): screen px from the panel's corner.  Returns (..., 2) px.
         """
         return (np.asarray(xy, dtype=np.float64) - self._panel / 2) / self.zoom + self.centre_px
 
@@ -330,12 +233,7 @@ class ImageView:
     def zoom_at(self, xy: ArrayLike, factor: float) -> None:
         """Zoom around a position of the panel.
 
-        Parameters
-        ----------
-        xy : (2,) array_like
-            Screen px from the panel's corner.
-        factor : float
-            Multiplies the zoom.
+        `xy` (2,): screen px from the panel's corner; `factor`: multiplies the zoom.
         """
         fixed = self.to_picture(xy)
         self.zoom = float(np.clip(self.zoom * factor, _MIN_ZOOM, _MAX_ZOOM))
@@ -344,13 +242,7 @@ class ImageView:
         self._keep_visible()
 
     def pan(self, dx: float, dy: float) -> None:
-        """Move the picture.
-
-        Parameters
-        ----------
-        dx, dy : float
-            Screen px to the right and down.
-        """
+        """Move the picture; `dx`, `dy`: screen px to the right and down."""
         self.fitted = False
         self.centre_px = self.centre_px - np.array([dx, dy]) / self.zoom
         self._keep_visible()
@@ -379,33 +271,18 @@ _SHOWN_PERCENT: Final = 99.99
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """The histogram of an image.
+    """The histogram of an image."""
 
-    Attributes
-    ----------
-    level_dn : (n,) float64
-        The middle of each bin, DN; bins are one or more whole digital numbers wide.
-    fraction : (n,) float64
-        Share of the pixels in each bin.
-    """
-
-    level_dn: Float
-    fraction: Float
+    level_dn: Float  # (n,) the middle of each bin, DN; bins are one or more whole digital numbers wide
+    fraction: Float  # (n,) share of the pixels in each bin
 
     @classmethod
     def of(cls, pixels: NDArray[Any]) -> "Histogram":
         """Return the histogram of an image.
 
-        Parameters
-        ----------
-        pixels : (height, width) uint8 or uint16
-            Digital numbers; of large images every second, third ... row is counted.
-
-        Returns
-        -------
-        Histogram
-            From the lowest digital number to that below which 99.99 % of the pixels are; brighter pixels are in the
-            last bin.
+        `pixels` (height, width) uint8 or uint16: digital numbers; of large images every second, third ... row is
+        counted.  Returns: from the lowest digital number to that below which 99.99 % of the pixels are; brighter pixels
+        are in the last bin.
         """
         counts = np.bincount(pixels[:: max(1, -(-pixels.shape[0] // _ROWS))].ravel())
         share = np.cumsum(counts) / counts.sum()

@@ -24,12 +24,7 @@ from glstar.viewer.skyobjects import Selection, SkyObject
 
 
 def record_link(session: Session) -> None:
-    """Begin to record the link beside the saved frames, or end the recording.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Begin to record the link beside the saved frames, or end the recording."""
     if (live := _live(session)) is None:
         return
     recording = live.link.recording
@@ -48,10 +43,7 @@ def record_link(session: Session) -> None:
 def export_link(session: Session) -> None:
     """Begin to export the frames of the link as they are exposed, as ``glstar live --export`` does, or stop.
 
-    Parameters
-    ----------
-    session : Session
-        Its attribute `export` becomes the running export.
+    `session`: its attribute `export` becomes the running export.
     """
     if (live := _live(session)) is None:
         return
@@ -65,14 +57,7 @@ def export_link(session: Session) -> None:
 
 
 def listen_to(session: Session, sysid: int) -> None:
-    """Show the flight of another vehicle on the link; an export of the one before ends.
-
-    Parameters
-    ----------
-    session : Session
-    sysid : int
-        Its MAVLink system.
-    """
+    """Show the flight of another vehicle on the link; an export of the one before ends; `sysid`: its MAVLink system."""
     if (live := _live(session)) is None:
         return
     _end_export(session)
@@ -81,12 +66,7 @@ def listen_to(session: Session, sysid: int) -> None:
 
 
 def disconnect(session: Session) -> None:
-    """Close the link; what was received of its flight stays, and can be replayed.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Close the link; what was received of its flight stays, and can be replayed."""
     if (live := _live(session)) is None:
         return
     _end_export(session)
@@ -148,18 +128,7 @@ _COMPARISON: Final = {
 
 
 def perform(action: AnyAction, session: Session) -> bool:
-    """Perform an action on the session.
-
-    Parameters
-    ----------
-    action : Action or Overlay
-    session : Session
-
-    Returns
-    -------
-    bool
-        False if the action belongs to the window.
-    """
+    """Perform an action on the session; returns: false if the action belongs to the window."""
     if isinstance(action, Overlay):
         session.shown_overlays ^= {action}
         if action in session.shown_overlays and (lacking := _lacking(action, session)):
@@ -186,27 +155,14 @@ def _lacking(overlay: Overlay, session: Session) -> str:
 
 
 def select_object(session: Session, selection: Selection, found: SkyObject | None) -> None:
-    """Select an object of the sky, and say where it is.
-
-    Parameters
-    ----------
-    session : Session
-    selection : Selection
-    found : SkyObject or None
-        None selects nothing.
-    """
+    """Select an object of the sky, and say where it is; `found`: none selects nothing."""
     simulator, scene = session.image.simulator, session.scene
     if simulator is not None and scene is not None and (message := selection.select(found, simulator, scene)):
         session.notify(message)
 
 
 def fit_stretch(session: Session) -> None:
-    """Fit the display stretch to the image shown.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Fit the display stretch to the image shown."""
     pixels = session.image.pixels
     if pixels is not None and session.scene is not None:
         session.stretch = session.stretch.fitted(pixels, session.scene.white_dn)
@@ -265,17 +221,7 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
 
 
 def is_on(action: AnyAction, session: Session) -> bool:
-    """Return whether the setting of an action is on: the tick in the menu.
-
-    Parameters
-    ----------
-    action : Action or Overlay
-    session : Session
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether the setting of an action is on: the tick in the menu."""
     if isinstance(action, Overlay):
         return action in session.shown_overlays
     if action in _COMPARISON:

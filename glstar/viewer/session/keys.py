@@ -93,25 +93,13 @@ AnyAction = Action | Overlay
 
 @dataclass(frozen=True, slots=True)
 class KeyBinding:
-    """An action with its menu entry and its keys.
-
-    Attributes
-    ----------
-    action : Action or Overlay
-    menu : str
-        The menu that contains it.
-    label : str
-    chords : tuple of str
-        Such as ``"Ctrl+Left"``; the first is shown in the menu.
-    repeats : bool
-        Whether holding the key repeats the action.
-    """
+    """An action with its menu entry and its keys."""
 
     action: AnyAction
-    menu: str
+    menu: str  # The menu that contains it
     label: str
-    chords: tuple[str, ...] = ()
-    repeats: bool = False
+    chords: tuple[str, ...] = ()  # Such as ``"Ctrl+Left"``; the first is shown in the menu
+    repeats: bool = False  # Whether holding the key repeats the action
 
 
 MENUS: Final = ("File", "Edit", "Time", "View", "Overlays", "Compare", "Help")
@@ -196,44 +184,20 @@ KEYS: Final = (
 
 
 def key_of(action: AnyAction) -> KeyBinding:
-    """Return the row of the table for an action.
-
-    Parameters
-    ----------
-    action : Action or Overlay
-
-    Returns
-    -------
-    KeyBinding
-    """
+    """Return the row of the table for an action."""
     return next(key for key in KEYS if key.action is action)
 
 
 def shown_chord(chord: str, system: str = sys.platform) -> str:
     """Return a chord as this system names its keys: imgui takes the command key for Ctrl on macOS.
 
-    Parameters
-    ----------
-    chord : str
-        Such as ``"Ctrl+Left"``.
-    system : str
-        As `sys.platform`.
-
-    Returns
-    -------
-    str
+    `chord`: such as ``"Ctrl+Left"``; `system`: as `sys.platform`.
     """
     return chord.replace("Ctrl", "Cmd").replace("Alt", "Option") if system == "darwin" else chord
 
 
 def markdown() -> str:
-    """Return the table of keys as the manual shows it.
-
-    Returns
-    -------
-    str
-        A table in Markdown, with its last newline.
-    """
+    """Return the table of keys as the manual shows it; returns a table in Markdown, with its last newline."""
     rows = ["| key | does |", "|---|---|"]
     for key in KEYS:
         if key.chords:

@@ -24,45 +24,20 @@ _SIZES: Final = (200, 20_000)
 
 @dataclass(slots=True, eq=False)
 class WindowMemory:
-    """Settings of the window that are stored in a file; a damaged file counts as none.
+    """Settings of the window that are stored in a file; a damaged file counts as none."""
 
-    Attributes
-    ----------
-    file : Path or None
-        None remembers nothing after the window is closed.
-    recent : list of str
-        Paths or descriptions of the flights opened last, the latest first.
-    size : tuple of int or None
-        Width and height of the window, screen px.
-    night : bool
-    overlays : frozenset of Overlay or None
-        None for the default.
-    text_scale : float
-        Size of the text; 1 at first.
-    has_toured : bool
-        Whether the tour of the window has been shown.
-    """
-
-    file: Path | None = None
+    file: Path | None = None  # None remembers nothing after the window is closed
+    # Paths or descriptions of the flights opened last, the latest first.
     recent: list[str] = field(default_factory=list)
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None  # Width and height of the window, screen px
     night: bool = False
-    overlays: frozenset[Overlay] | None = None
-    text_scale: float = 1.0
-    has_toured: bool = False
+    overlays: frozenset[Overlay] | None = None  # None for the default
+    text_scale: float = 1.0  # Size of the text; 1 at first
+    has_toured: bool = False  # Whether the tour of the window has been shown
 
     @classmethod
     def load(cls, file: Path) -> "WindowMemory":
-        """Read the file; entries that are missing or not valid have their defaults.
-
-        Parameters
-        ----------
-        file : Path
-
-        Returns
-        -------
-        WindowMemory
-        """
+        """Read the file; entries that are missing or not valid have their defaults."""
         try:
             stored: Any = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -83,13 +58,7 @@ class WindowMemory:
         )
 
     def opened(self, flight: Path) -> None:
-        """Remember that a flight has been opened.
-
-        Parameters
-        ----------
-        flight : Path
-            A log, or a flight described in one line.
-        """
+        """Remember that a flight has been opened; `flight`: a log, or a flight described in one line."""
         entry = str(flight.resolve()) if flight.exists() else str(flight)
         self.recent = [entry, *(other for other in self.recent if other != entry)][:_MAX_RECENT]
 
@@ -143,14 +112,7 @@ class SettingsHistory:
         self._before_drag: Config | None = None
 
     def observe(self, config: Config, *, is_dragging: bool) -> None:
-        """Record the present settings if they have changed.
-
-        Parameters
-        ----------
-        config : Config
-        is_dragging : bool
-            Whether the user holds a control.
-        """
+        """Record the present settings if they have changed; `is_dragging`: whether the user holds a control."""
         if self._present is None:
             self._present = config
         if config is not self._present:
@@ -164,21 +126,11 @@ class SettingsHistory:
             self._before_drag = None
 
     def undo(self) -> Config | None:
-        """Return the settings before the last change, and make them the present ones; None if there are none.
-
-        Returns
-        -------
-        Config or None
-        """
+        """Return the settings before the last change, and make them the present ones; None if there are none."""
         return self._move(self._past, self._future)
 
     def redo(self) -> Config | None:
-        """Return the settings that were undone last, and make them the present ones; None if there are none.
-
-        Returns
-        -------
-        Config or None
-        """
+        """Return the settings that were undone last, and make them the present ones; None if there are none."""
         return self._move(self._future, self._past)
 
     def _move(self, source: list[Config], target: list[Config]) -> Config | None:
@@ -198,43 +150,22 @@ _MAX_SHOWN: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Notification:
-    """A message to the user.
-
-    Attributes
-    ----------
-    message : str
-    is_error : bool
-    expires_s : float
-        When it disappears, by the clock of its `Notifications`.
-    """
+    """A message to the user."""
 
     message: str
     is_error: bool
-    expires_s: float
+    expires_s: float  # When it disappears, by the clock of its `Notifications`
 
 
 class Notifications:
-    """The messages shown at present.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns seconds from any origin.
-    """
+    """The messages shown at present; `clock`: returns seconds from any origin."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self._shown: list[Notification] = []
 
     def add(self, message: str, *, is_error: bool = False) -> None:
-        """Show a message; the same message shown again replaces the first.
-
-        Parameters
-        ----------
-        message : str
-        is_error : bool
-            Errors stay longer.
-        """
+        """Show a message; the same message shown again replaces the first; `is_error`: errors stay longer."""
         expires_s = self.clock() + (_ERROR_S if is_error else _MESSAGE_S)
         others = [shown for shown in self._shown if shown.message != message]
         self._shown = [*others, Notification(message, is_error, expires_s)][-_MAX_SHOWN:]
@@ -252,10 +183,5 @@ class Notifications:
         return [shown.message for shown in self.current if shown.is_error]
 
     def dismiss(self, notification: Notification) -> None:
-        """Remove a message before it expires.
-
-        Parameters
-        ----------
-        notification : Notification
-        """
+        """Remove a message before it expires."""
         self._shown = [shown for shown in self._shown if shown is not notification]

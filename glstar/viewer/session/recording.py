@@ -34,20 +34,9 @@ class _Cancelled(Exception):  # noqa: N818 - not an error: the user cancelled
 class BackgroundExport:
     """An export that is running.
 
-    Parameters
-    ----------
-    make : callable
-        Returns the export; called on the thread of the export.
-    directory : Path
-        Where the frames go, for messages.
-
-    Attributes
-    ----------
-    done, of : int
-        Number of frames written, and of all frames; `of` is 0 if that is not known.
-    directory : Path
-    error : str
-        A message about the error; empty if there was none.
+    `make`: returns the export; called on the thread of the export; `directory`: where the frames go, for messages.
+    `done`, `of`: number of frames written, and of all frames; `of` is 0 if that is not known; `error`: a message about
+    the error; empty if there was none.
     """
 
     # Longest time that closing the window waits for the frame being written, s.
@@ -116,14 +105,7 @@ class BackgroundExport:
 class BackgroundLiveExport(BackgroundExport):
     """An export of the frames of a link, as they are exposed, until it is stopped.
 
-    Parameters
-    ----------
-    config : Config
-    link : Link
-        Open; it stays the caller's.
-    directory : Path
-    seed : int
-        From which the noise seed of every frame is derived.
+    `link`: open; it stays the caller's; `seed`: from which the noise seed of every frame is derived.
     """
 
     def __init__(self, config: Config, link: Link, directory: Path, *, seed: int) -> None:
@@ -155,14 +137,7 @@ _MOST_REPEATED = 300
 
 
 class Video(Protocol):
-    """A video that is being recorded.
-
-    Attributes
-    ----------
-    path : Path
-    is_done : bool
-        Whether the next step is to finish it.
-    """
+    """A video that is being recorded; `is_done`: whether the next step is to finish it."""
 
     path: Path
 
@@ -196,25 +171,13 @@ class Video(Protocol):
 class VideoRange:
     """The part of a flight that a video shows, and how fast.
 
-    Attributes
-    ----------
-    start_utc_s, stop_utc_s : float
-        UTC seconds since 1970.
-    speed : float
-        Seconds of flight per second of the video.
-    frames_per_s : float
-        Frame rate of the video, 1/s.
-
-    Raises
-    ------
-    ConfigError
-        If one of them is not valid, or no frame fits.
+    Raises ConfigError if one of them is not valid, or no frame fits.
     """
 
-    start_utc_s: float
+    start_utc_s: float  # UTC seconds since 1970
     stop_utc_s: float
-    speed: float = 1.0
-    frames_per_s: float = 30.0
+    speed: float = 1.0  # Seconds of flight per second of the video
+    frames_per_s: float = 30.0  # Frame rate of the video, 1/s
 
     def __post_init__(self) -> None:
         for name, value, low, high in (("speed", self.speed, 1e-3, 1e3), ("frames/s", self.frames_per_s, 1.0, 240.0)):
@@ -229,17 +192,7 @@ class VideoRange:
         return floor((self.stop_utc_s - self.start_utc_s) / self.speed * self.frames_per_s + 1e-6) + 1
 
     def utc_s(self, number: int) -> float:
-        """Return the time of a frame, UTC seconds since 1970.
-
-        Parameters
-        ----------
-        number : int
-            From 0.
-
-        Returns
-        -------
-        float
-        """
+        """Return the time of a frame, UTC seconds since 1970; `number`: from 0."""
         return self.start_utc_s + number * self.speed / self.frames_per_s
 
 
@@ -278,12 +231,7 @@ class _Recording:
 class ScreenVideo:
     """Records the picture while the viewer is used, at a constant frame rate of the clock.
 
-    Parameters
-    ----------
-    path : Path
-    frames_per_s : float
-    clock : callable
-        Returns seconds from any origin.
+    `clock`: returns seconds from any origin.
     """
 
     def __init__(self, path: Path, frames_per_s: float, clock: Callable[[], float]) -> None:
@@ -311,9 +259,7 @@ class ScreenVideo:
     def add(self, picture: Picture) -> None:
         """Add a picture as often as the frame rate needs it: once, not at all, or several times if the window is slow.
 
-        Parameters
-        ----------
-        picture : (height, width, 3) uint8
+        `picture` (height, width, 3) uint8.
         """
         now_s = self._clock()
         self._began_s = now_s if self._began_s is None else self._began_s
@@ -336,13 +282,7 @@ class ScreenVideo:
 
 
 class RangeVideo:
-    """Records a range of the flight: the play head goes to the time of each frame, however long drawing takes.
-
-    Parameters
-    ----------
-    path : Path
-    part : VideoRange
-    """
+    """Records a range of the flight: the play head goes to the time of each frame, however long drawing takes."""
 
     def __init__(self, path: Path, part: VideoRange) -> None:
         self.path = path
@@ -372,12 +312,7 @@ class RangeVideo:
         return True
 
     def add(self, picture: Picture) -> None:
-        """Add a picture, after the window is drawn without the dialog.
-
-        Parameters
-        ----------
-        picture : (height, width, 3) uint8
-        """
+        """Add a picture, after the window is drawn without the dialog; `picture` (height, width, 3) uint8."""
         if self._settling or self.is_done:
             self._settling -= 1
             return

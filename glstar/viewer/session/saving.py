@@ -43,10 +43,7 @@ _FILES: Final = frozenset({".png", ".mp4", ".md", ".tlog"})
 def save_frame(session: Session) -> None:
     """Save the image shown as an export of one frame, with truth and manifest, and the settings beside it.
 
-    Parameters
-    ----------
-    session : Session
-        Its attribute `export` becomes the running export; errors become notifications.
+    `session`: its attribute `export` becomes the running export; errors become notifications.
     """
     image, loaded = session.image, session.loaded
     if image.scene is None or loaded is None or image.gap is not None:
@@ -75,17 +72,9 @@ def save_range(
 ) -> None:
     """Begin to export the camera's exposures of a part of the flight.
 
-    Parameters
-    ----------
-    session : Session
-        Its attribute `export` becomes the running export.
-    directory : Path
-    start_s, stop_s : float
-        From the flight's first attitude, s; of a live flight, the part that is in the buffer.
-    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
-        None for the one that fits the sensor.
-    noiseless : bool
-        Write the noiseless image too.
+    `session`: its attribute `export` becomes the running export; `start_s`, `stop_s`: from the flight's first attitude,
+    s; of a live flight, the part that is in the buffer; `image_format` {"png", "png16", "tiff", "fits", "jpeg"} or
+    None: none for the one that fits the sensor; `noiseless`: write the noiseless image too.
     """
     loaded = session.loaded
     if loaded is None:
@@ -144,13 +133,7 @@ def _write_inputs_and_prepare(
 
 
 def save_settings(session: Session, path: Path) -> None:
-    """Save the settings as TOML, for ``glstar export --config``.
-
-    Parameters
-    ----------
-    session : Session
-    path : Path
-    """
+    """Save the settings as TOML, for ``glstar export --config``."""
     try:
         write_text(path, session.config.to_toml())
     except GlstarError as error:
@@ -160,12 +143,7 @@ def save_settings(session: Session, path: Path) -> None:
 
 
 def save_comparison(session: Session) -> None:
-    """Save the comparison as a picture of full size, with its caption.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Save the comparison as a picture of full size, with its caption."""
     real, pixels, comparison = session.real, session.image.pixels, session.comparison
     if real is None or pixels is None or session.scene is None:
         why = "the real image is still being decoded; save again in a moment"
@@ -196,12 +174,7 @@ def save_comparison(session: Session) -> None:
 
 
 def record_video(session: Session) -> None:
-    """Begin to record what is shown as a video, or end the video that is being recorded.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Begin to record what is shown as a video, or end the video that is being recorded."""
     if session.video is not None:
         session.video.stop()
     elif session.loaded is None:
@@ -212,16 +185,7 @@ def record_video(session: Session) -> None:
 
 
 def file_stem(session: Session) -> str:
-    """Return the beginning of the names of files saved from the flight shown.
-
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    str
-    """
+    """Return the beginning of the names of files saved from the flight shown."""
     loaded = session.loaded
     return "live" if loaded is None or loaded.is_live else Path(loaded.flight.name).stem or "flight"
 
@@ -229,14 +193,8 @@ def file_stem(session: Session) -> str:
 def unused_path(path: Path) -> Path:
     """Return this path, or the first numbered variant of it, that does not exist yet.
 
-    Parameters
-    ----------
-    path : Path
-        A file of `_FILES`, or a directory of frames, beside which are its settings and, of a live flight, its table.
-
-    Returns
-    -------
-    Path
+    `path`: a file of `_FILES`, or a directory of frames, beside which are its settings and, of a live flight, its
+    table.
     """
     number = 2
     chosen = path
@@ -249,18 +207,7 @@ def unused_path(path: Path) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, complete or not at all; its folder is made.
-
-    Parameters
-    ----------
-    path : Path
-    text : str
-
-    Raises
-    ------
-    ExportError
-        If it cannot be written.
-    """
+    """Write a text file, complete or not at all; its folder is made; raises ExportError if it cannot be written."""
     with explain_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())
@@ -281,18 +228,8 @@ class PictureAction(StrEnum):
 def cut_picture(target: Framebuffer, size: tuple[int, int], rectangle: Rectangle | None = None) -> Picture:
     """Return a part of the window.
 
-    Parameters
-    ----------
-    target : Framebuffer
-    size : tuple of int
-        Its width and height, px.
-    rectangle : tuple of int, optional
-        Left, top, width, height, px from the top left corner; by default the whole window.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        Blue, green, red; black outside the window.
+    `size`: its width and height, px; `rectangle`: left, top, width, height, px from the top left corner; by default the
+    whole window.  Returns (height, width, 3) uint8: blue, green, red; black outside the window.
     """
     left, top, width, height = (0, 0, *size) if rectangle is None else rectangle
     x, y = max(left, 0), max(top, 0)
@@ -308,14 +245,7 @@ def cut_picture(target: Framebuffer, size: tuple[int, int], rectangle: Rectangle
 def write_picture(session: Session, path: Path, picture: Picture, what: str) -> None:
     """Write a picture as a PNG, and notify the user.
 
-    Parameters
-    ----------
-    session : Session
-    path : Path
-    picture : (height, width, 3) uint8
-        Blue, green, red.
-    what : str
-        Its name in the message.
+    `picture` (height, width, 3) uint8: blue, green, red; `what`: its name in the message.
     """
     try:
         with explain_disk_errors(path):
@@ -330,12 +260,7 @@ def write_picture(session: Session, path: Path, picture: Picture, what: str) -> 
 def use_picture(session: Session, action: PictureAction, picture: Picture | None) -> None:
     """Save or copy a picture of what is shown.
 
-    Parameters
-    ----------
-    session : Session
-    action : PictureAction
-    picture : (height, width, 3) uint8 or None
-        Blue, green, red; None if there is no picture.
+    `picture` (height, width, 3) uint8 or None: blue, green, red; None if there is no picture.
     """
     if picture is None:
         session.notify(f"no picture to save: {session.status or 'none has been drawn yet'}", is_error=True)
@@ -349,13 +274,8 @@ def use_picture(session: Session, action: PictureAction, picture: Picture | None
 def record(session: Session, video: Video, picture: Picture | None) -> None:
     """Add a picture to the video, and finish the video if this was its last.
 
-    Parameters
-    ----------
-    session : Session
-        Its attribute `video` becomes None when the video is finished or cannot be written.
-    video : Video
-    picture : (height, width, 3) uint8 or None
-        Blue, green, red; None if there is none in this frame.
+    `session`: its attribute `video` becomes None when the video is finished or cannot be written; `picture` (height,
+    width, 3) uint8 or None: blue, green, red; None if there is none in this frame.
     """
     try:
         if picture is not None and not video.is_done:
@@ -378,15 +298,8 @@ def _png(picture: Picture) -> bytes:
 def problem_report(session: Session) -> str:
     """Return what the window shows and runs on, for an issue.
 
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    str
-        Markdown: versions, OpenGL, the flight's facts, the messages, and the settings as TOML.  It has no path and no
-        sample of the log, but the site that the settings give.
+    Returns: markdown: versions, OpenGL, the flight's facts, the messages, and the settings as TOML. It has no path and
+    no sample of the log, but the site that the settings give.
     """
     info = session.renderer.context.info
     libraries = ", ".join(f"{name} {found or 'missing'}" for name, found in library_versions().items())
@@ -416,14 +329,7 @@ def problem_report(session: Session) -> str:
 def save_problem_report(session: Session) -> str:
     """Write the report of a problem to a file, say where, and return it.
 
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    str
-        As of `problem_report`; if the file cannot be written, the window says so.
+    Returns: as of `problem_report`; if the file cannot be written, the window says so.
     """
     report = problem_report(session)
     path = unused_path(session.output / "problem-report.md")

@@ -51,43 +51,12 @@ _CAMERA_FILES: Final = (".yaml", ".yml", ".json")
 class Session:
     """The state of the viewer, and every change of it.
 
-    Parameters
-    ----------
-    renderer : GLRenderer
-        On the window's context.
-    config : Config
-    output : Path, optional
-        Where frames, settings and pictures are saved; by default ``glstar-saved`` in the working directory.
-    clock : callable
-        Returns seconds from any origin.
-
-    Attributes
-    ----------
-    config : Config
-        The present settings.
-    loaded : LoadedFlight or None
-        The flight shown; None until the first is loaded.
-    live : LiveFlight or None
-        The flight that a link receives, if there is a link.
-    loader : FlightLoader
-        Its attribute `missing` lists the missing inputs of the log opened last.
-    image : SimulatedImage
-    notifications : Notifications
-    notify : callable
-        Shows a message for some seconds: `Notifications.add`.
-    view : ImageView
-    stretch : Stretch
-    night, shows_processed : bool
-    shown_overlays : set of Overlay
-    name_vmag_limit : float
-        Magnitude limit of star names.
-    comparison : ComparisonState
-    navigator : NavigatorView
-    export : BackgroundExport or None
-        The export that is running.
-    video : Video or None
-        The video that is being recorded.
-    times : FrameTimes
+    `renderer`: on the window's context; `output`: where frames, settings and pictures are saved; by default
+    ``glstar-saved`` in the working directory; `clock`: returns seconds from any origin.  `config`: the present
+    settings; `loaded`: the flight shown; None until the first is loaded; `live`: the flight that a link receives, if
+    there is a link; `loader`: its attribute `missing` lists the missing inputs of the log opened last; `notify`: shows
+    a message for some seconds: `Notifications.add`; `name_vmag_limit`: magnitude limit of star names; `export`: the
+    export that is running; `video`: the video that is being recorded.
     """
 
     def __init__(
@@ -147,10 +116,7 @@ class Session:
     def update(self, elapsed_s: float) -> None:
         """Advance the play head, install a flight that has been loaded, and draw the image if it changed.
 
-        Parameters
-        ----------
-        elapsed_s : float
-            Time since the last call, s.
+        `elapsed_s`: time since the last call, s.
         """
         self._poll()
         if self.live is not None:
@@ -173,13 +139,7 @@ class Session:
     # --- live flights ---
 
     def follow(self, live: LiveFlight) -> None:
-        """Show the flight that a link receives, as soon as its sky can be drawn.
-
-        Parameters
-        ----------
-        live : LiveFlight
-            The session closes it.
-        """
+        """Show the flight that a link receives, as soon as its sky can be drawn; `live`: the session closes it."""
         self.live, self.navigator.live, self._shows_link = live, live, False
         self.go_live()
 
@@ -266,12 +226,7 @@ class Session:
     # --- opening ---
 
     def open(self, path: Path) -> None:
-        """Open a log, settings (``.toml``), a camera (``.yaml``, ``.json``), or a folder of real images.
-
-        Parameters
-        ----------
-        path : Path
-        """
+        """Open a log, settings (``.toml``), a camera (``.yaml``, ``.json``), or a folder of real images."""
         if path.is_dir() and not is_bag_directory(path):
             self.comparison.open(path)
         elif path.suffix.lower() == ".toml":
@@ -284,10 +239,7 @@ class Session:
     def open_flight(self, path: Path) -> None:
         """Begin to read a log; the present flight plays on, and stays if the log cannot be read.
 
-        Parameters
-        ----------
-        path : Path
-            If it lacks UTC or a site, `missing` says so once it has been read.
+        `path`: if it lacks UTC or a site, `missing` says so once it has been read.
         """
         self.loader.read(path, self._own_config, {})
 
@@ -304,16 +256,8 @@ class Session:
     def give(self, missing: MissingFromLog | MissingFromLink, typed: Mapping[str, str]) -> None:
         """Use the inputs that the user typed: read the log again, or show the link's flight from that site.
 
-        Parameters
-        ----------
-        missing : MissingFromLog or MissingFromLink
-        typed : mapping of str to str
-            By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.
-
-        Raises
-        ------
-        ConfigError
-            If something is missing or not valid; nothing changes then.
+        `typed`: by key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.  Raises
+        ConfigError if something is missing or not valid; nothing changes then.
         """
         if isinstance(missing, MissingFromLog):
             self.loader.read_again(self._own_config, missing, typed)
@@ -334,10 +278,7 @@ class Session:
     def wait_for_flight(self) -> None:
         """Wait until the log that is being read has been read: for scripts.
 
-        Raises
-        ------
-        GlstarError
-            If the log cannot be replayed.
+        Raises GlstarError if the log cannot be replayed.
         """
         if self.loader.is_busy:
             self._install(self.loader.take())
@@ -394,10 +335,6 @@ class Session:
         """Take the settings of a file; the present ones stay if it is not valid.
 
         UTC and site that were given for the log shown stay, too, unless the file has them.
-
-        Parameters
-        ----------
-        path : Path
         """
         before = self._given
         try:
@@ -412,10 +349,7 @@ class Session:
     def change(self, **keys: Any) -> None:
         """Change settings; a value that is not valid changes nothing and is reported.
 
-        Parameters
-        ----------
-        **keys
-            By dotted key: ``session.change(**{"exposure.duration_s": 1.0})``.
+        `**keys`: by dotted key: ``session.change(**{"exposure.duration_s": 1.0})``.
         """
         try:
             self.use(self.config.override(**keys))

@@ -50,16 +50,7 @@ _LONG_PX: Final = 30.0
 class PhotoPanel:
     """Draws a photograph with zoom and pan, and the stars on it.
 
-    Parameters
-    ----------
-    context : Context
-
-    Attributes
-    ----------
-    detected_px : (n, 2) float64
-        Detected stars.
-    corner : (2,) float64
-        Of the panel, screen px.
+    `detected_px` (n, 2): detected stars; `corner` (2,): of the panel, screen px.
     """
 
     def __init__(self, context: Context) -> None:
@@ -73,13 +64,7 @@ class PhotoPanel:
         self._name = 0
 
     def show(self, pixels: NDArray[np.uint16], white_dn: int) -> None:
-        """Show a photograph.
-
-        Parameters
-        ----------
-        pixels : (height, width) uint16
-        white_dn : int
-        """
+        """Show a photograph; `pixels` (height, width) uint16."""
         self._release()
         self.detected_px = np.empty((0, 2))
         height, width = pixels.shape
@@ -95,17 +80,8 @@ class PhotoPanel:
     ) -> tuple[float, float] | None:
         """Draw the photograph.
 
-        Parameters
-        ----------
-        result : CalibratedPhoto or None
-        removed_px : list of (float, float)
-            Detections that the user has removed, px.
-        night : bool
-
-        Returns
-        -------
-        (float, float) or None
-            The position of an identified star that the user has clicked on, px.
+        `removed_px` list of (float, float): detections that the user has removed, px.  Returns (float, float) or None:
+        the position of an identified star that the user has clicked on, px.
         """
         available = imgui.get_content_region_avail()
         size = max(round(available.x), 1), max(round(available.y), 1)
@@ -231,22 +207,9 @@ _ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_p
 class CalibrateWindow:
     """Calibrates a camera from a photograph, and shows the identified stars on it.
 
-    Parameters
-    ----------
-    context : Context
-    files : FileChooser
-
-    Attributes
-    ----------
-    calibrate : callable or None
-        How to calibrate; None if the window cannot.
-    is_open : bool
-    run : CalibrationRun or None
-        The calibration that runs or was made last.
-    result : CalibratedPhoto or None
-        The latest result for the photograph.
-    removed_px : list of (float, float)
-        Detections that the user has removed, px.
+    `calibrate`: how to calibrate; None if the window cannot; `run`: the calibration that runs or was made last;
+    `result`: the latest result for the photograph; `removed_px` list of (float, float): detections that the user has
+    removed, px.
     """
 
     def __init__(self, context: Context, files: FileChooser) -> None:
@@ -265,23 +228,12 @@ class CalibrateWindow:
         self._saving: Future[list[Path]] | None = None
 
     def ask(self, session: Session) -> None:
-        """Let the user choose a photograph.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Let the user choose a photograph."""
         start = Path.cwd() if self._path is None else self._path
         self._files.ask("open", "Open a photograph of the stars", start, lambda path: self.open(session, path))
 
     def open(self, session: Session, path: Path) -> None:
-        """Show a photograph and calibrate with the camera of the settings, if possible.
-
-        Parameters
-        ----------
-        session : Session
-        path : Path
-        """
+        """Show a photograph and calibrate with the camera of the settings, if possible."""
         if self.calibrate is None:
             session.notify("this window cannot calibrate: use glstar view, or glstar calibrate", is_error=True)
             return
@@ -296,14 +248,7 @@ class CalibrateWindow:
         return self._saving is not None or (self.run is not None and self.run.running)
 
     def save(self, result: CalibratedPhoto, path: Path) -> None:
-        """Write a result on a thread, because its report takes a second to draw.
-
-        Parameters
-        ----------
-        result : CalibratedPhoto
-        path : Path
-            With the suffix ``.toml``.
-        """
+        """Write a result on a thread, because its report takes a second to draw; `path`: with the suffix ``.toml``."""
         self._saving = self._writer.submit(result.save, path)
 
     def _report_saved(self, session: Session) -> None:
@@ -331,12 +276,7 @@ class CalibrateWindow:
         self._photo.close()
 
     def draw(self, session: Session) -> None:
-        """Draw the window if it is open.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Draw the window if it is open."""
         self._report_saved(session)
         if not self.is_open:
             return

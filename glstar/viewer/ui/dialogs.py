@@ -40,12 +40,7 @@ _DIALOG_PROGRAMS: Final = ("zenity", "matedialog", "qarma", "kdialog")
 
 
 def has_native_dialogs() -> bool:
-    """Return whether the system has file dialogs.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether the system has file dialogs."""
     if sys.platform in {"darwin", "win32"}:
         return True
     has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -55,10 +50,7 @@ def has_native_dialogs() -> bool:
 class FileChooser:
     """Lets the user choose a path, one at a time.
 
-    Parameters
-    ----------
-    native : bool
-        Whether to open the system's dialogs; otherwise the path is typed into a text field.
+    `native`: whether to open the system's dialogs; otherwise the path is typed into a text field.
     """
 
     def __init__(self, *, native: bool = False) -> None:
@@ -72,14 +64,8 @@ class FileChooser:
     def ask(self, kind: Kind, title: str, path: Path, take: Callable[[Path], None]) -> None:
         """Open the dialog; does nothing while a native dialog is open.
 
-        Parameters
-        ----------
-        kind : {"open", "save", "folder"}
-        title : str
-        path : Path
-            The initial choice.
-        take : callable
-            Called with the chosen path, in `draw`; not called if the user cancels.
+        `kind` {"open", "save", "folder"}; `path`: the initial choice; `take`: called with the chosen path, in `draw`;
+        not called if the user cancels.
         """
         if self._dialog is not None:
             return
@@ -139,12 +125,7 @@ class FileChooser:
 class RangeDialog(ABC):
     """Asks for a part of the flight, from the in to the out point unless others are typed.
 
-    Attributes
-    ----------
-    start_s, stop_s : float
-        The part, s after the first attitude.
-    path : str
-        The file or folder to write.
+    `start_s`, `stop_s`: the part, s after the first attitude; `path`: the file or folder to write.
     """
 
     title: ClassVar[str]
@@ -156,24 +137,14 @@ class RangeDialog(ABC):
         self.path = ""
 
     def ask(self, session: Session) -> None:
-        """Open the dialog for the part between the in and out points of the flight shown.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Open the dialog for the part between the in and out points of the flight shown."""
         if session.head is None or session.flight is None or not self.prepare(session):
             return
         self.start_s, self.stop_s = (end_s - session.head.origin_s for end_s in session.head.part)
         self._opening = True
 
     def draw(self, session: Session) -> None:
-        """Draw the dialog if it is open.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Draw the dialog if it is open."""
         if self._opening:
             imgui.open_popup(self.title)
             self._opening = False
@@ -184,16 +155,7 @@ class RangeDialog(ABC):
 
     @abstractmethod
     def prepare(self, session: Session) -> bool:
-        """Set the path, and return whether the dialog can be opened.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-        """
+        """Set the path, and return whether the dialog can be opened."""
 
     @abstractmethod
     def draw_options(self) -> None:
@@ -201,25 +163,11 @@ class RangeDialog(ABC):
 
     @abstractmethod
     def draw_summary(self, session: Session) -> bool:
-        """Draw what will be written, and return whether it can be.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-        """
+        """Draw what will be written, and return whether it can be."""
 
     @abstractmethod
     def accept(self, session: Session) -> None:
-        """Start what the dialog asked for.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Start what the dialog asked for."""
 
     def _draw_fields(self, session: Session) -> None:
         imgui.push_item_width(scaled_across(_WIDTH) * 0.45)
@@ -253,16 +201,7 @@ class ExportDialog(RangeDialog):
         self._noiseless = False
 
     def prepare(self, session: Session) -> bool:
-        """Name the folder, unless one was typed before.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-        """
+        """Name the folder, unless one was typed before."""
         self.path = self.path or str(session.output / f"{file_stem(session)}-frames")
         return True
 
@@ -273,16 +212,7 @@ class ExportDialog(RangeDialog):
         _, self._noiseless = imgui.checkbox("noiseless image too (float32 TIFF)", self._noiseless)
 
     def draw_summary(self, session: Session) -> bool:
-        """Draw how many exposures the part has.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-        """
+        """Draw how many exposures the part has."""
         assert session.head is not None
         section = session.config.exposure
         count = section.count_within(max(min(self.stop_s, session.head.length_s) - max(self.start_s, 0.0), 0.0))
@@ -290,12 +220,7 @@ class ExportDialog(RangeDialog):
         return count > 0
 
     def accept(self, session: Session) -> None:
-        """Export the frames.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Export the frames."""
         chosen: list[ImageFormat | None] = [None, *get_args(ImageFormat)]
         save_range(
             session,
@@ -319,12 +244,7 @@ class MissingDialog:
         self._focus = False
 
     def draw(self, session: Session) -> None:
-        """Draw the dialog if something is missing.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Draw the dialog if something is missing."""
         missing = session.missing
         if missing is not self._missing:
             self._missing, self._error = missing, ""
@@ -387,16 +307,7 @@ class VideoDialog(RangeDialog):
         self._frames_per_s = SCREEN_FRAMES_PER_S
 
     def prepare(self, session: Session) -> bool:
-        """Name a new file; a video that is being recorded has to end first.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-        """
+        """Name a new file; a video that is being recorded has to end first."""
         if session.video is not None:
             session.notify("a video is being recorded; end it first (Ctrl+R)", is_error=True)
             return False
@@ -409,16 +320,7 @@ class VideoDialog(RangeDialog):
         _, self._frames_per_s = imgui.input_double("frames/s", self._frames_per_s, 0.0, 0.0, "%g")
 
     def draw_summary(self, session: Session) -> bool:
-        """Draw the length of the video, or why it cannot be made.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-        """
+        """Draw the length of the video, or why it cannot be made."""
         try:
             part = self._part(session)
             length_s = part.count / part.frames_per_s
@@ -429,12 +331,7 @@ class VideoDialog(RangeDialog):
         return True
 
     def accept(self, session: Session) -> None:
-        """Record the video.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Record the video."""
         path = Path(self.path.strip()).expanduser()
         session.video = RangeVideo(path if path.suffix else path.with_suffix(".mp4"), self._part(session))
 
@@ -468,12 +365,7 @@ class ConnectDialog:
         self._baud_rate = 0
 
     def ask(self, session: Session) -> None:
-        """Open the dialog, with the serial ports that are there now; a session has one link at most.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Open the dialog, with the serial ports that are there now; a session has one link at most."""
         if session.live is not None:
             session.notify(f"{session.live.status.endpoint} is open already; start another glstar for a second link")
             return
@@ -483,10 +375,7 @@ class ConnectDialog:
     def draw(self) -> str | None:
         """Draw the dialog if it is open.
 
-        Returns
-        -------
-        str or None
-            The connection string that the user has given; None in all other frames.
+        Returns the connection string that the user has given; None in all other frames.
         """
         if self._opening:
             self._opening = False

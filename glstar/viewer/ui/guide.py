@@ -35,13 +35,7 @@ _ORBIT: Final = Path("fly:orbit?radius_m=300&gusts=light")
 def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyAction], None]) -> None:
     """Draw the panel if there is neither a flight nor a link, and none is being opened.
 
-    Parameters
-    ----------
-    session : Session
-    recent : list of str
-        The flights opened last, the latest first.
-    perform : callable
-        Performs an action of the table of keys.
+    `recent`: the flights opened last, the latest first; `perform`: performs an action of the table of keys.
     """
     if session.loaded is not None or session.live is not None or session.loader.is_busy or session.status:
         return
@@ -139,10 +133,7 @@ STEPS: Final = (
 class Tour:
     """A window of its own that leads through the panels, which can be used meanwhile.
 
-    Attributes
-    ----------
-    step : int or None
-        The step shown, from 0; None while the tour is not shown.
+    `step`: the step shown, from 0; None while the tour is not shown.
     """
 
     def __init__(self) -> None:
@@ -238,12 +229,7 @@ _INLINE: Final = (
 
 
 class ManualWindow:
-    """Shows the manual.
-
-    Attributes
-    ----------
-    is_open : bool
-    """
+    """Shows the manual."""
 
     def __init__(self) -> None:
         self.is_open = False
@@ -280,15 +266,8 @@ class ManualWindow:
 def blocks_of(markdown: str) -> list[tuple[str, str]]:
     """Return the blocks of a page.
 
-    Parameters
-    ----------
-    markdown : str
-
-    Returns
-    -------
-    list of tuple of str
-        The kind, which is ``"heading"``, ``"code"``, ``"table"``, ``"item"`` or ``"paragraph"``, and the text: of a
-        paragraph or an item in one line, of code and tables in several.
+    Returns the kind, which is ``"heading"``, ``"code"``, ``"table"``, ``"item"`` or ``"paragraph"``, and the text: of a
+    paragraph or an item in one line, of code and tables in several.
     """
     blocks: list[tuple[str, str]] = []
     in_code = False
@@ -365,17 +344,7 @@ _HELP_PX: Final = (880.0, 730.0)
 
 
 def draw_help(is_open: bool) -> bool:
-    """Draw the window with the table of keys.
-
-    Parameters
-    ----------
-    is_open : bool
-
-    Returns
-    -------
-    bool
-        Whether it stays open.
-    """
+    """Draw the window with the table of keys; returns whether it stays open."""
     if not is_open:
         return False
     centre_next_window()

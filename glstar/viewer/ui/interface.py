@@ -68,12 +68,7 @@ class Keyboard:
         return len(imgui.get_current_context().input_events_queue) > 0
 
     def poll(self, perform: Callable[[AnyAction], None]) -> None:
-        """Perform the actions of the keys that are pressed; Escape closes menus and dialogs.
-
-        Parameters
-        ----------
-        perform : callable
-        """
+        """Perform the actions of the keys that are pressed; Escape closes menus and dialogs."""
         popup = imgui.is_popup_open("", _ANY_POPUP)
         modifiers_now, before = imgui.get_io().key_mods, self._modifiers_before
         self._modifiers_before = modifiers_now
@@ -95,17 +90,7 @@ class Keyboard:
 
 
 def parse_chord(text: str) -> tuple[imgui.Key, int]:
-    """Return the key and the modifiers of a chord.
-
-    Parameters
-    ----------
-    text : str
-        Such as ``"Ctrl+Left"``.
-
-    Returns
-    -------
-    imgui.Key, int
-    """
+    """Return the key and the modifiers of a chord; `text`: such as ``"Ctrl+Left"``."""
     *modifiers, name = text.replace("++", "+=").split("+")
     code = getattr(imgui.Key, _KEY_NAMES.get(name, name.lower()))
     return code, sum(int(_MODIFIERS[modifier]) for modifier in modifiers)
@@ -117,40 +102,13 @@ _Asks = FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette
 class Interface:
     """Draws a session, and performs the user's actions on it.
 
-    Parameters
-    ----------
-    session : Session
-    context : Context
-        The current one, the renderer's.
-    layout : Path, optional
-        The file that stores the layout of the panels; without it the layout is not stored.
-    scale : float
-        Of the screen: 2 if it has twice the pixels.
-    native_dialogs : bool
-        Whether files are chosen in the system's dialogs.
-
-    Attributes
-    ----------
-    session : Session
-    wants_to_quit, wants_full_screen : bool
-    screenshot : Path or None
-        Where to save a picture of the next frame.
-    picture : PictureAction or None
-        What to do with a picture of the next frame.
-    wanted_link : str or None
-        The connection string of a link that the user has asked for.
-    recent : list of str
-        The flights opened last, the latest first.
-    text_scale : float
-        Size of the text that the user has chosen; 1 at first.
-    drawn_notifications : list of Notification
-        Those of the last frame; a paused window is drawn again when they change.
-    selection : Selection
-        The star, constellation or body that the user has selected.
-    files : FileChooser
-    keyboard : Keyboard
-    tour : Tour
-    calibration : CalibrateWindow
+    `context`: the current one, the renderer's; `layout`: the file that stores the layout of the panels; without it the
+    layout is not stored; `scale`: of the screen: 2 if it has twice the pixels; `native_dialogs`: whether files are
+    chosen in the system's dialogs.  `screenshot`: where to save a picture of the next frame; `picture`: what to do with
+    a picture of the next frame; `wanted_link`: the connection string of a link that the user has asked for; `recent`:
+    the flights opened last, the latest first; `text_scale`: size of the text that the user has chosen; 1 at first;
+    `drawn_notifications`: those of the last frame; a paused window is drawn again when they change; `selection`: the
+    star, constellation or body that the user has selected.
     """
 
     def __init__(
@@ -211,12 +169,7 @@ class Interface:
     def frame(self, new_platform_frame: Callable[[], None], elapsed_s: float) -> None:
         """Advance time and build the interface; `paint` draws it onto a target.
 
-        Parameters
-        ----------
-        new_platform_frame : callable
-            Gives imgui the window's size, time and mouse.
-        elapsed_s : float
-            Time since the last frame, s.
+        `new_platform_frame`: gives imgui the window's size, time and mouse; `elapsed_s`: time since the last frame, s.
         """
         session = self.session
         if self._themed is not session.night:
@@ -255,14 +208,7 @@ class Interface:
         imgui.render()
 
     def paint(self, target: Framebuffer, size: tuple[int, int]) -> None:
-        """Draw the interface that `frame` built.
-
-        Parameters
-        ----------
-        target : Framebuffer
-        size : tuple of int
-            Its width and height, px.
-        """
+        """Draw the interface that `frame` built; `size`: its width and height, px."""
         times = self.session.times
         surface = imgui.get_style_color_vec4(imgui.Col_.window_bg)
         with times.span("presenting"):
@@ -291,12 +237,7 @@ class Interface:
         return self._image.plain_picture()
 
     def open_dropped(self, path: Path) -> None:
-        """Open what the user has dropped onto the window: a photograph to calibrate from, or see `Session.open`.
-
-        Parameters
-        ----------
-        path : Path
-        """
+        """Open what the user has dropped onto the window: a photograph to calibrate from, or see `Session.open`."""
         if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file():
             self.calibration.open(self.session, path)
         else:
@@ -305,12 +246,7 @@ class Interface:
     # --- actions and menus ---
 
     def perform(self, action: AnyAction) -> None:
-        """Perform the action of a key or a menu entry.
-
-        Parameters
-        ----------
-        action : Action or Overlay
-        """
+        """Perform the action of a key or a menu entry."""
         session = self.session
         if perform(action, session) or self._ask_for_path(action) or self._take_earlier_settings(action):
             return

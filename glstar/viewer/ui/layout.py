@@ -54,15 +54,7 @@ _NOTHING: Final = (0.0, 0.0)
 class Panels:
     """Draws the panels of a session.
 
-    Parameters
-    ----------
-    session : Session
-    image : ImagePanel
-    selection : Selection
-    perform : callable
-        Performs an action of the table of keys.
-    has_layout : bool
-        Whether imgui has a stored layout.
+    `perform`: performs an action of the table of keys; `has_layout`: whether imgui has a stored layout.
     """
 
     def __init__(
@@ -101,12 +93,7 @@ class Panels:
         self._lays_out = True
 
     def show(self, title: str) -> None:
-        """Bring a panel to the front.
-
-        Parameters
-        ----------
-        title : str
-        """
+        """Bring a panel to the front."""
         imgui.set_window_focus(title)
 
     def draw(self) -> None:

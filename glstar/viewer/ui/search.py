@@ -32,13 +32,7 @@ _TOP: Final = 60.0
 class SearchWindow(Generic[T]):
     """A query and its matches.
 
-    Parameters
-    ----------
-    title : str
-    hint : str
-        What can be typed, shown while the query is empty.
-    nothing : str
-        Shown when nothing matches.
+    `hint`: what can be typed, shown while the query is empty; `nothing`: shown when nothing matches.
     """
 
     def __init__(self, title: str, hint: str, nothing: str) -> None:
@@ -49,30 +43,15 @@ class SearchWindow(Generic[T]):
         self._chosen = 0
 
     def open(self, matches: Sequence[T] = ()) -> None:
-        """Open the window with an empty query.
-
-        Parameters
-        ----------
-        matches : sequence
-            Listed until the user types.
-        """
+        """Open the window with an empty query; `matches`: listed until the user types."""
         self._is_open = self._focus = True
         self._query, self._matches, self._chosen = "", list(matches), 0
 
     def draw(self, search: Callable[[str], Sequence[T]], label: Callable[[T], str]) -> T | None:
         """Draw the window if it is open.
 
-        Parameters
-        ----------
-        search : callable
-            Query to matches, the best first.
-        label : callable
-            Match to its line in the list.
-
-        Returns
-        -------
-        object or None
-            The match that the user has taken in this frame.
+        `search`: query to matches, the best first; `label`: match to its line in the list.  Returns the match that the
+        user has taken in this frame.
         """
         if not self._is_open:
             return None
@@ -122,13 +101,7 @@ class CommandPalette:
         self._window.open(KEYS[:_ACTION_ROWS])
 
     def draw(self) -> AnyAction | None:
-        """Draw the window if it is open.
-
-        Returns
-        -------
-        Action or Overlay or None
-            The action that the user has taken in this frame.
-        """
+        """Draw the window if it is open; returns the action that the user has taken in this frame."""
         taken = self._window.draw(lambda query: matching_actions(query)[:_ACTION_ROWS], _action_line)
         return None if taken is None else taken.action
 
@@ -136,15 +109,8 @@ class CommandPalette:
 def matching_actions(query: str) -> list[KeyBinding]:
     """Return the actions whose menu and label contain all words of a query.
 
-    Parameters
-    ----------
-    query : str
-        Words or their beginnings, in any order and case.
-
-    Returns
-    -------
-    list of KeyBinding
-        Those whose label begins with the query first, then in the order of the menus.
+    `query`: words or their beginnings, in any order and case.  Returns: those whose label begins with the query first,
+    then in the order of the menus.
     """
     parts = query.casefold().split()
     found = [
@@ -164,12 +130,7 @@ _OBJECT_ROWS: Final = 10
 
 
 class FindWindow:
-    """Selects what the user finds.
-
-    Parameters
-    ----------
-    selection : Selection
-    """
+    """Selects what the user finds."""
 
     def __init__(self, selection: Selection) -> None:
         self._selection = selection
@@ -180,29 +141,14 @@ class FindWindow:
         )
 
     def ask(self, session: Session) -> None:
-        """Open the window.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Open the window."""
         if session.loaded is None:
             session.notify("there is no sky to search yet: open a flight first (Ctrl+O)")
         else:
             self._window.open()
 
     def draw(self, session: Session) -> bool:
-        """Draw the window if it is open.
-
-        Parameters
-        ----------
-        session : Session
-
-        Returns
-        -------
-        bool
-            Whether the user has selected an object in this frame.
-        """
+        """Draw the window if it is open; returns whether the user has selected an object in this frame."""
         if session.loaded is None:
             return False
         catalogue = session.loaded.simulator.sky.catalogue

@@ -26,14 +26,7 @@ _STRETCH: Final = int(imgui.TableColumnFlags_.width_stretch)
 
 
 def draw_link(session: Session, live: LiveFlight) -> None:
-    """Draw the panel into the current imgui window.
-
-    Parameters
-    ----------
-    session : Session
-    live : LiveFlight
-        The session's.
-    """
+    """Draw the panel into the current imgui window; `live`: the session's."""
     _draw_status(live)
     _draw_vehicles(session, live)
     _draw_missing(session, live)
@@ -127,16 +120,7 @@ def _draw_events(live: LiveFlight) -> None:
 
 
 def latency_label(live: LiveFlight) -> str:
-    """Return the latency of the latest images.
-
-    Parameters
-    ----------
-    live : LiveFlight
-
-    Returns
-    -------
-    str
-    """
+    """Return the latency of the latest images."""
     return "none yet" if live.latency_now_s is None else f"{1e3 * live.latency_now_s:.0f} ms"
 
 
@@ -180,12 +164,7 @@ _GROUP_SPACING_PX: Final = 36.0
 
 
 def draw_status_bar(session: Session) -> None:
-    """Draw the status bar.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Draw the status bar."""
     height = imgui.get_frame_height()
     viewport = imgui.get_main_viewport()
     if imgui.internal.begin_viewport_side_bar("##status", viewport, imgui.Dir.down, height, _BAR):
@@ -325,15 +304,7 @@ def draw_notifications(session: Session) -> list[Notification]:
     """Draw the notifications in the bottom right corner, the latest lowest.
 
     A click dismisses an error. A message lets the mouse through to the controls that it covers for some seconds.
-
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    list of Notification
-        Those that were drawn.
+    Returns: those that were drawn.
     """
     viewport = imgui.get_main_viewport()
     right = viewport.work_pos.x + viewport.work_size.x - _MARGIN_PX

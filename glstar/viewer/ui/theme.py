@@ -91,10 +91,7 @@ def error() -> ImVec4:
 def load_font(scale: float = 1.0) -> None:
     """Load the font; called once after the imgui context has been made.
 
-    Parameters
-    ----------
-    scale : float
-        Of the screen: 2 if it has twice the pixels.
+    `scale`: of the screen: 2 if it has twice the pixels.
     """
     style = imgui.get_style()
     style.font_size_base = FONT_PX
@@ -107,17 +104,7 @@ def load_font(scale: float = 1.0) -> None:
 def resized_text(scale: float, steps: int) -> float:
     """Return a size of the text.
 
-    Parameters
-    ----------
-    scale : float
-        The present one; 1 at first.
-    steps : int
-        Steps of a tenth; negative ones shrink.
-
-    Returns
-    -------
-    float
-        0.7 to 2.5.
+    `scale`: the present one; 1 at first; `steps`: steps of a tenth; negative ones shrink.  Returns: 0.7 to 2.5.
     """
     return min(max(round(10 * scale) + steps, _TEXT_TENTHS[0]), _TEXT_TENTHS[1]) / 10
 
@@ -125,31 +112,14 @@ def resized_text(scale: float, steps: int) -> float:
 def scaled(px: float) -> float:
     """Return a length on this screen: it grows with the resolution of the screen and with the text.
 
-    Parameters
-    ----------
-    px : float
-        The length on a usual screen with text of the first size.
-
-    Returns
-    -------
-    float
-        px of this screen.
+    `px`: the length on a usual screen with text of the first size.  Returns: px of this screen.
     """
     style = imgui.get_style()
     return float(px * style.font_scale_dpi * style.font_scale_main)
 
 
 def scaled_across(px: float) -> float:
-    """Return a width on this screen as `scaled` does, at most as wide as a dialog can be in the window.
-
-    Parameters
-    ----------
-    px : float
-
-    Returns
-    -------
-    float
-    """
+    """Return a width on this screen as `scaled` does, at most as wide as a dialog can be in the window."""
     return min(scaled(px), imgui.get_main_viewport().size.x - 2 * _DIALOG_MARGIN_PX[0])
 
 
@@ -161,27 +131,14 @@ def button_size() -> ImVec2:
 def dialog_size(width_px: float, height_px: float) -> ImVec2:
     """Return the size of a dialog on this screen, which leaves a margin of the window around it.
 
-    Parameters
-    ----------
-    width_px, height_px : float
-        On a usual screen with text of the first size.
-
-    Returns
-    -------
-    ImVec2
+    `width_px`, `height_px`: on a usual screen with text of the first size.
     """
     free_px = imgui.get_main_viewport().size.y - 2 * _DIALOG_MARGIN_PX[1]
     return ImVec2(scaled_across(width_px), min(scaled(height_px), free_px))
 
 
 def apply_theme(*, night: bool) -> None:
-    """Colour the interface.
-
-    Parameters
-    ----------
-    night : bool
-        Whether to use shades of red only.
-    """
+    """Colour the interface; `night`: whether to use shades of red only."""
     style = imgui.get_style()
     imgui.style_colors_dark(style)
     for name, colour in _COLOURS.items():
@@ -223,17 +180,10 @@ _MARK_PX: Final = 3.0
 class Palette:
     """The colours of the timeline.
 
-    Parameters
-    ----------
-    lines : tuple of three colours
-        Of roll, pitch and yaw, and of the rates about their axes.
-    gap, part, exposures, shown, missing, marker, head : colour
-        Of gaps, the part between the in and out points, exposures, the exposure shown, the same if it touches a gap,
-        markers, and the play head.
-    mode, message, trigger, image : colour
-        Of flight modes, messages, triggers of the camera and times of real images.
-    light : sequence of four colours
-        Of day and of civil, nautical and astronomical twilight.
+    `lines`: of roll, pitch and yaw, and of the rates about their axes; `gap`, `part`, `exposures`, `shown`, `missing`,
+    `marker`, `head`: of gaps, the part between the in and out points, exposures, the exposure shown, the same if it
+    touches a gap, markers, and the play head; `mode`, `message`, `trigger`, `image`: of flight modes, messages,
+    triggers of the camera and times of real images; `light`: of day and of civil, nautical and astronomical twilight.
     """
 
     def __init__(

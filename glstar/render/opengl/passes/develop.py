@@ -38,18 +38,10 @@ _MOST_COMPONENTS: Final = 48
 
 
 class EffectSources(NamedTuple):
-    """Sources that the shaders of the develop pass include.
+    """Sources that the shaders of the develop pass include."""
 
-    Attributes
-    ----------
-    by_name : mapping of str to str
-        GLSL by the name in ``#include``.
-    numbers : mapping of str to str
-        Names that effects give to numbers, by the names of the uniforms of the vertex shader.
-    """
-
-    by_name: Mapping[str, str]
-    numbers: Mapping[str, str]
+    by_name: Mapping[str, str]  # GLSL by the name in ``#include``
+    numbers: Mapping[str, str]  # Names that effects give to numbers, by the names of the uniforms of the vertex shader
 
 
 def composed_sources(effects: Sequence[Effect]) -> EffectSources:
@@ -57,14 +49,6 @@ def composed_sources(effects: Sequence[Effect]) -> EffectSources:
 
     The numbers that an effect declares as ``uniform`` become inputs of the fragment shader, which the vertex shader
     sets from uniforms: on software OpenGL that takes a third of the time.  The values are the same.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-
-    Returns
-    -------
-    EffectSources
     """
     sources: dict[str, str] = {}
     types: dict[str, str] = {}
@@ -105,19 +89,11 @@ _NO_TEXTURES: Mapping[str, moderngl.Texture] = MappingProxyType({})
 
 
 class DevelopOutput(NamedTuple):
-    """What the shaders of the develop pass draw.
+    """What the shaders of the develop pass draw."""
 
-    Attributes
-    ----------
-    output, lines : int
-        ``OUTPUT`` and ``LINES`` of develop.frag.
-    points : int
-        ``POINTS`` of develop.vert.
-    """
-
-    output: int
+    output: int  # ``OUTPUT`` and ``LINES`` of develop.frag
     lines: int
-    points: int = 0
+    points: int = 0  # ``POINTS`` of develop.vert
 
 
 class DrawDeveloped(Protocol):
@@ -134,12 +110,7 @@ class DrawDeveloped(Protocol):
 
 
 class ChargeTransferPass:
-    """Draws an image, finds the lines in which charge moves, and draws these again.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    """
+    """Draws an image, finds the lines in which charge moves, and draws these again."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -149,15 +120,8 @@ class ChargeTransferPass:
     ) -> None:
         """Draw an image in which charge moves.
 
-        Parameters
-        ----------
-        transfer : ChargeTransfer
-        width_px : int
-            Width of the image, px.
-        image : moderngl.Framebuffer
-            The target of the image, whose texels have several pixels each.
-        developed : callable
-            Draws the image, or the signal before the charge moves.
+        `width_px`: width of the image, px; `image`: the target of the image, whose texels have several pixels each;
+        `developed`: draws the image, or the signal before the charge moves.
         """
         by_columns = transfer.along == "columns"
         lines = 1 if by_columns else 2
@@ -253,23 +217,10 @@ class DevelopPass:
     """Applies the effects to the noiseless signal: sky, noise, quantisation and others.
 
     The shader is composed of the GLSL of the active effects in the order of their stages; each combination of active
-    effects and their options is compiled when it is first used.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        The context to draw with, current on this thread.
-    effects : sequence of Effect
-
-    Raises
-    ------
-    ShaderError
-        If the driver rejects the shader of the effects that are active by default.
-
-    Notes
-    -----
-    Teague & Chahl, eq. (40).  The image is drawn as texels of 16 bytes, each of them 16 pixels of 8 bits or 8 pixels
-    of 16 bits side by side, because that takes half the time on software OpenGL.
+    effects and their options is compiled when it is first used.  `context`: the context to draw with, current on this
+    thread.  Raises ShaderError if the driver rejects the shader of the effects that are active by default.  Teague &
+    Chahl, eq. (40).  The image is drawn as texels of 16 bytes, each of them 16 pixels of 8 bits or 8 pixels of 16 bits
+    side by side, because that takes half the time on software OpenGL.
     """
 
     def __init__(self, context: moderngl.Context, effects: Sequence[Effect] = EFFECTS) -> None:
@@ -294,28 +245,11 @@ class DevelopPass:
     ) -> None:
         """Develop an image.
 
-        Parameters
-        ----------
-        scene : Scene
-        signal : moderngl.Texture
-            The noiseless signal with its guard band, one float32 a texel, DN.
-        guard_band_px : int
-            Width of the guard band around the image, px.
-        image : moderngl.Framebuffer
-            Where to draw: four unsigned integers of 32 bits a texel.
-        dtype : numpy.uint8 or numpy.uint16
-            The type of the image's pixels.
-        seed : int
-            Seed of the noise, 0 to 2**32 - 1.
-        noiseless : bool
-            Whether to leave out the noise.
-
-        Raises
-        ------
-        ShaderError
-            If the driver rejects the shader of these effects.
-        RenderError
-            If an effect declares a uniform and gives no value for it, or several effects move charge.
+        `signal`: the noiseless signal with its guard band, one float32 a texel, DN; `guard_band_px`: width of the guard
+        band around the image, px; `image`: where to draw: four unsigned integers of 32 bits a texel; `dtype`: the type
+        of the image's pixels; `seed`: seed of the noise, 0 to 2**32 - 1; `noiseless`: whether to leave out the noise.
+        Raises ShaderError if the driver rejects the shader of these effects; RenderError if an effect declares a
+        uniform and gives no value for it, or several effects move charge.
         """
         active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
         inputs = _Inputs(scene, signal, guard_band_px, dtype, seed, _settings(active, scene))

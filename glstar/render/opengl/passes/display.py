@@ -19,106 +19,53 @@ _CLEAR: Final = (0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Which part of the picture is drawn on the target, and where.
+    """Which part of the picture is drawn on the target, and where."""
 
-    Attributes
-    ----------
-    size : tuple of int
-        Width and height of the target, screen px.
-    corner_px : tuple of float
-        The position of the target's top-left corner on the picture, px from the picture's own top-left corner.
-    image_px_per_screen_px : float
-        The side of a screen pixel on the picture, px.
-    scissor : tuple of int
-        Left, top, width, height of the part of the target that the picture covers, screen px; the rest is not computed.
-    """
-
-    size: tuple[int, int]
+    size: tuple[int, int]  # Width and height of the target, screen px
+    # The position of the target's top-left corner on the picture, px from the picture's own top-left corner.
     corner_px: tuple[float, float]
-    image_px_per_screen_px: float
+    image_px_per_screen_px: float  # The side of a screen pixel on the picture, px
+    # Left, top, width, height of the part of the target that the picture covers, screen px; the rest is not computed.
     scissor: tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tone:
-    """The display stretch; see `glstar.viewer.picture.view.Stretch`.
+    """The display stretch; see `glstar.viewer.picture.view.Stretch`."""
 
-    Attributes
-    ----------
-    black : float
-        The level shown black, as a fraction of white.
-    boost : float
-        Gain.
-    softening : float
-        Scale of the asinh stretch; 0 for a linear one.
-    colours : (256, 3) uint8 or None
-        Red, green, blue by brightness; None for shades of grey.
-    night : bool
-        Whether to draw in shades of red.
-    """
-
-    black: float
-    boost: float
-    softening: float
-    colours: NDArray[np.uint8] | None
-    night: bool
+    black: float  # The level shown black, as a fraction of white
+    boost: float  # Gain
+    softening: float  # Scale of the asinh stretch; 0 for a linear one
+    colours: NDArray[np.uint8] | None  # (256, 3) uint8 or None: red, green, blue by brightness; None for shades of grey
+    night: bool  # Whether to draw in shades of red
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonInput:
-    """A real image of the size of the simulated one, and how it is compared.
+    """A real image of the size of the simulated one, and how it is compared."""
 
-    Attributes
-    ----------
-    pixels : (height, width) uint8 or uint16
-        Uploaded again only if it is another array.
-    white_dn : int
-    covered_px : tuple of float
-        Left, top, right, bottom of the part of `pixels` that the real image covers.
-    mode : int
-        A constant of ``display.frag``: 1 real, 2 wipe, 3 difference, 4 side by side.
-    wipe : float
-        Where the line between the images is, 0 to 1.
-    black, gain : float
-        The level subtracted from the real image, as a fraction of its white, and the gain applied to the difference.
-    more_rgb, less_rgb : tuple of float
-        The colours of positive and negative differences.
-    """
-
-    pixels: NDArray[Any]
+    pixels: NDArray[Any]  # (height, width) uint8 or uint16: uploaded again only if it is another array
     white_dn: int
+    # Left, top, right, bottom of the part of `pixels` that the real image covers.
     covered_px: tuple[float, float, float, float]
-    mode: int
-    wipe: float
+    mode: int  # A constant of ``display.frag``: 1 real, 2 wipe, 3 difference, 4 side by side
+    wipe: float  # Where the line between the images is, 0 to 1
+    # The level subtracted from the real image, as a fraction of its white, and the gain applied to the difference.
     black: float
     gain: float
-    more_rgb: tuple[float, float, float]
+    more_rgb: tuple[float, float, float]  # The colours of positive and negative differences
     less_rgb: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowPart:
-    """A part of a window that a picture is drawn onto.
+    """A part of a window that a picture is drawn onto."""
 
-    Attributes
-    ----------
-    framebuffer : moderngl.Framebuffer
-        Of the window; row 0 is the bottom.
-    size : tuple of int
-        Its width and height, px.
-    corner_px : tuple of int
-        Left and top of the part, px from the window's top-left corner.
-    clip_px : tuple of int
-        Left, top, right and bottom of what is drawn of it, px from the same corner.
-    colour : tuple of float
-        Red, green, blue behind the picture.
-    """
-
-    framebuffer: moderngl.Framebuffer
-    size: tuple[int, int]
-    corner_px: tuple[int, int]
-    clip_px: tuple[int, int, int, int]
-    colour: tuple[float, float, float]
+    framebuffer: moderngl.Framebuffer  # Of the window; row 0 is the bottom
+    size: tuple[int, int]  # Its width and height, px
+    corner_px: tuple[int, int]  # Left and top of the part, px from the window's top-left corner
+    clip_px: tuple[int, int, int, int]  # Left, top, right and bottom of what is drawn of it, px from the same corner
+    colour: tuple[float, float, float]  # Red, green, blue behind the picture
 
     @property
     def screen_from_fragment_px(self) -> tuple[float, float, float, float]:
@@ -138,12 +85,7 @@ class WindowPart:
 
 
 class DisplayPass:
-    """Draws developed images at the resolution of the screen, on the current context.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    """
+    """Draws developed images at the resolution of the screen, on the current context."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -166,20 +108,9 @@ class DisplayPass:
     ) -> int:
         """Draw the picture and return the OpenGL name of its texture, which is valid until the size changes.
 
-        Parameters
-        ----------
-        image : moderngl.Texture or (height, width, 3) uint8
-            A developed image of one unsigned integer component, or the red, green and blue of a processed one, which is
-            shown without stretch and comparison; row 0 is the top.
-        white_dn : int
-            Its largest digital number.
-        placement : Placement
-        tone : Tone
-        compared : ComparisonInput, optional
-
-        Returns
-        -------
-        int
+        `image` moderngl.Texture or (height, width, 3) uint8: a developed image of one unsigned integer component, or
+        the red, green and blue of a processed one, which is shown without stretch and comparison; row 0 is the top;
+        `white_dn`: its largest digital number.
         """
         target, texture = self._target_of(placement.size)
         panel = self._prepared(image, white_dn, placement, tone, compared, None)
@@ -198,12 +129,7 @@ class DisplayPass:
     ) -> None:
         """Draw the picture onto a window that has been cleared: the pixels of `draw`.
 
-        Parameters
-        ----------
-        part : WindowPart
-            Of the size of `placement`.
-        image, white_dn, placement, tone, compared
-            As for `draw`.
+        `part`: of the size of `placement`; `image`, `white_dn`, `placement`, `tone`, `compared`: as for `draw`.
         """
         panel = self._prepared(image, white_dn, placement, tone, compared, part)
         part.framebuffer.use()

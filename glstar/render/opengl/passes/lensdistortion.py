@@ -39,23 +39,9 @@ def distortion_patches(camera: Camera) -> tuple[NDArray[np.float32], Bounds]:
     """Return the patches of an image and their bounds in the undistorted plane.
 
     Patches are divided until a biquadratic function is accurate; at the limit of the lens they are single pixels.
-
-    Parameters
-    ----------
-    camera : Camera
-        With a lens.
-
-    Returns
-    -------
-    patches : (n, 25) float32
-        The vertices of warp.vert: left, top and side, bounds in the undistorted plane, nine coefficients for x and y.
-    bounds_px : tuple of float
-        Left, top, right, bottom, px.
-
-    Raises
-    ------
-    RenderError
-        If no pixel of the image sees anything.
+    `camera`: with a lens.  Returns `patches` (n, 25) float32: the vertices of warp.vert: left, top and side, bounds in
+    the undistorted plane, nine coefficients for x and y; `bounds_px`: left, top, right, bottom, px.  Raises
+    RenderError if no pixel of the image sees anything.
     """
     accepted_patches: list[Float] = []
     side_px = LARGE_PATCH_PX if camera.width_px * camera.height_px > _LARGE_IMAGE_PX2 else _PATCH_PX
@@ -91,15 +77,7 @@ def distortion_patches(camera: Camera) -> tuple[NDArray[np.float32], Bounds]:
 def max_pixel_sides_px(patches: NDArray[np.float32]) -> Float:
     """Return the largest extent of a pixel of each patch in the undistorted plane.
 
-    Parameters
-    ----------
-    patches : (n, 25) float32
-        See `distortion_patches`.
-
-    Returns
-    -------
-    (n, 2) float64
-        Across and down, px.
+    `patches` (n, 25) float32: see `distortion_patches`.  Returns (n, 2) across and down, px.
     """
     u, v = np.array([(-1, -1), (1, -1), (0, 0), (-1, 1), (1, 1)]).T
     zero, one = np.zeros(5), np.ones(5)
@@ -197,25 +175,11 @@ class _PatchGroup(NamedTuple):
 class DistortionPass:
     """The lens of one camera on the GPU.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    camera : Camera
-        With a lens.
-
-    Raises
-    ------
-    RenderError
-        If the lens's field of view is too wide for a plane.
-    ShaderError
-        If the driver rejects a shader.
-
-    Notes
-    -----
-    Teague & Chahl, section 2.3: the distortion is applied after a star is rendered, so that its point spread function
-    is distorted too.  The paper does not say what happens to its brightness.  Here the flux is preserved: behind a
-    barrel distortion a star is smaller and its peak higher towards the corners, and the sum over its pixels stays
-    `Sensor.flux_dn`.
+    `camera`: with a lens.  Raises RenderError if the lens's field of view is too wide for a plane; ShaderError if the
+    driver rejects a shader.  Teague & Chahl, section 2.3: the distortion is applied after a star is rendered, so that
+    its point spread function is distorted too.  The paper does not say what happens to its brightness.  Here the flux
+    is preserved: behind a barrel distortion a star is smaller and its peak higher towards the corners, and the sum over
+    its pixels stays `Sensor.flux_dn`.
     """
 
     def __init__(self, context: moderngl.Context, camera: Camera) -> None:
@@ -237,14 +201,6 @@ class DistortionPass:
 
         It is the largest magnification of the lens, or more for stars narrower than 1.5 px.  Stars below 0.5 px are
         mostly pixel: the part of a pixel that they are drawn wider by counts as their width.
-
-        Parameters
-        ----------
-        sensor : Sensor
-
-        Returns
-        -------
-        float
         """
         sigma_px, least_px = sensor.core.psf_sigma_px, _MIN_SIGMA_PX
         if sigma_px < _MOSTLY_PIXEL_PX and _pixel_px2(sensor):
@@ -255,15 +211,8 @@ class DistortionPass:
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene as a pinhole sees it, with a field and a resolution sufficient for resampling.
 
-        Parameters
-        ----------
-        scene : Scene
-            Of this camera.
-
-        Returns
-        -------
-        Scene
-            The same stars and times; stars are narrower by as much as resampling widens them.
+        `scene`: of this camera.  Returns the same stars and times; stars are narrower by as much as resampling widens
+        them.
         """
         # A frame needs it several times.
         if self._undistorted is None or self._undistorted[0] is not scene:
@@ -273,14 +222,7 @@ class DistortionPass:
     def undistorted_gaussians(self, scene: Scene) -> list[Scene]:
         """Return scenes as a pinhole sees them, with one Gaussian per star, which add up to `undistorted`.
 
-        Parameters
-        ----------
-        scene : Scene
-            Of this camera.
-
-        Returns
-        -------
-        list of Scene
+        `scene`: of this camera.
         """
         if scene.sensor.point_spread.is_gaussian:
             return gaussian_scenes(self.undistorted(scene))
@@ -324,14 +266,7 @@ class DistortionPass:
     def resampling_px2(self, sensor: Sensor) -> float:
         """Return the variance that resampling adds to the undistorted signal, px^2 of its target.
 
-        Parameters
-        ----------
-        sensor : Sensor
-
-        Returns
-        -------
-        float
-            Of the interpolation and of the samples of a pixel on the axis.
+        Returns: of the interpolation and of the samples of a pixel on the axis.
         """
         sampled_px2 = _pixel_px2(sensor) * (1 - _drawn_pixel_px(sensor) ** 2)
         return _INTERPOLATION_PX2 + sampled_px2 * self.oversampling(sensor) ** 2
@@ -339,15 +274,7 @@ class DistortionPass:
     def target_for(self, undistorted: Scene, guard_band_px: int) -> SignalTarget:
         """Return the target for the signal of an undistorted scene.
 
-        Parameters
-        ----------
-        undistorted : Scene
-        guard_band_px : int
-
-        Returns
-        -------
-        SignalTarget
-            Owned by this object, and valid until another size is requested.
+        Returns: owned by this object, and valid until another size is requested.
         """
         key = (undistorted.camera.width_px, undistorted.camera.height_px, guard_band_px)
         if self._target is None or self._target.key != key:
@@ -358,14 +285,8 @@ class DistortionPass:
     def resample(self, scene: Scene, light: moderngl.Framebuffer, *, channel: Channel | None = None) -> None:
         """Resample the undistorted signal into the pixels of an image.
 
-        Parameters
-        ----------
-        scene : Scene
-            The distorted one.
-        light : moderngl.Framebuffer
-            One float per pixel, of the image's size.
-        channel : {"r", "g", "b"} or None
-            Draw only its pixels of the scene's mosaic, and keep the others; None for all.
+        `scene`: the distorted one; `light`: one float per pixel, of the image's size; `channel` {"r", "g", "b"} or
+        None: draw only its pixels of the scene's mosaic, and keep the others; None for all.
         """
         assert self._target is not None
         colour = scene.sensor.colour

@@ -35,11 +35,7 @@ from glstar.render.scene.scene import Scene
 class TextureTable:
     """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    count : int
-        Number of textures.
+    `count`: number of textures.
     """
 
     def __init__(self, context: moderngl.Context, count: int) -> None:
@@ -90,33 +86,16 @@ _NARROW_VARIANCE_PX2: Final = 0.00705189
 
 
 class SegmentKinds(NamedTuple):
-    """What is known of all segments of a scene: ALL_SHORT and COMPONENTS of star_path.frag.
+    """What is known of all segments of a scene: ALL_SHORT and COMPONENTS of star_path.frag."""
 
-    Attributes
-    ----------
-    are_short : bool
-        Whether they are SHORT.
-    have_components : bool
-        Whether each star of the draw list has a Gaussian of its own width.
-    """
-
-    are_short: bool
-    have_components: bool = False
+    are_short: bool  # Whether they are SHORT
+    have_components: bool = False  # Whether each star of the draw list has a Gaussian of its own width
 
 
 def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
     """Return whether all segments of a scene are surely SHORT.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its stars are plain Gaussians.
-    trails : AnalyticSegments
-        The scene's.
-
-    Returns
-    -------
-    bool
+    `scene`: its stars are plain Gaussians; `trails`: the scene's.
     """
     limit_px = SHAPE_LIMITS.short_sigma * scene.sensor.effective_sigma_px
     return trails.longest_segment_px(scene.camera.pinhole) < _SURELY_SHORT * limit_px
@@ -125,14 +104,7 @@ def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
 def drawn_sigma_px(sensor: Sensor) -> float:
     """Return the width of the Gaussians that are drawn: with that of a pixel, or of the parts of a narrow one.
 
-    Parameters
-    ----------
-    sensor : Sensor
-
-    Returns
-    -------
-    float
-        px.
+    Returns: px.
     """
     if sensor.needs_erf:
         return float(np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2))
@@ -147,18 +119,7 @@ def falloff_per_px2(sensor: Sensor) -> float:
 def still_peak_dn(sensor: Sensor, duration_s: float, span: float = 1.0) -> float:
     """Return the peak, as drawn, of a star of magnitude 0 that does not move.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    duration_s : float
-        Exposure time, s.
-    span : float
-        Of a rolling shutter: `ReadoutClock.span`.
-
-    Returns
-    -------
-    float
-        DN.
+    `duration_s`: exposure time, s; `span`: of a rolling shutter: `ReadoutClock.span`.  Returns: DN.
     """
     peak = (sensor.psf_sigma_px / drawn_sigma_px(sensor)) ** 2
     return peak * float(sensor.peak_dn(0.0, duration_s)) * span
@@ -167,16 +128,7 @@ def still_peak_dn(sensor: Sensor, duration_s: float, span: float = 1.0) -> float
 class PathPass:
     """Computes the paths of stars: `project_stars.frag` their positions, `star_path.frag` the paths through these.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    stars, segments : int
-        The largest numbers of a call.
-
-    Raises
-    ------
-    ShaderError
-        If the driver rejects a shader.
+    `stars`, `segments`: the largest numbers of a call.  Raises ShaderError if the driver rejects a shader.
     """
 
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
@@ -209,16 +161,8 @@ class PathPass:
     ) -> None:
         """Set the uniforms for a scene.
 
-        Parameters
-        ----------
-        scene : Scene
-        trails : AnalyticSegments
-            The scene's.
-        guard_band_px : int
-            Width of the target's border around the image.
-        clock : ReadoutClock
-            When the pixels of the target open.
-        kinds : SegmentKinds
+        `trails`: the scene's; `guard_band_px`: width of the target's border around the image; `clock`: when the pixels
+        of the target open.
         """
         sensor = scene.sensor
         sigma_px = drawn_sigma_px(sensor)
@@ -239,10 +183,8 @@ class PathPass:
     def set_times(self, texels: Float32) -> None:
         """Set the orientations at the ends and the middles of segments.
 
-        Parameters
-        ----------
-        texels : (2 m + 1, 5, 4) float32
-            With durations, weights and starts of segments: the uniform ``pointing`` of star_path.frag.
+        `texels` (2 m + 1, 5, 4) float32: with durations, weights and starts of segments: the uniform ``pointing`` of
+        star_path.frag.
         """
         self._pointing.write(texels, viewport=(0, 0, TEXELS_PER_TIME, len(texels)))
 
@@ -251,23 +193,9 @@ class PathPass:
     ) -> list[moderngl.Texture]:
         """Return the textures of the paths of some stars.
 
-        Parameters
-        ----------
-        number : int
-            The textures hold until the next call with the same number and kind.
-        field : moderngl.Texture
-            All stars.
-        chosen : (2 or 4, c, 3) float32
-            The uniform ``chosen`` of project_stars.frag and star_path.frag.
-        passage : (m, c) float32 or None
-            Transmission of cloud.
-        segments : int
-            m.
-
-        Returns
-        -------
-        list of moderngl.Texture
-            The outputs of star_path.frag.
+        `number`: the textures hold until the next call with the same number and kind; `field`: all stars; `chosen` (2
+        or 4, c, 3) float32: the uniform ``chosen`` of project_stars.frag and star_path.frag; `passage` (m, c) float32
+        or None: transmission of cloud; `segments`: m.  Returns the outputs of star_path.frag.
         """
         rows, stars, times = *chosen.shape[:2], 2 * segments + 1
         self._passage.write_table(np.ones((1, 1), np.float32) if passage is None else passage)
@@ -342,32 +270,15 @@ _SHORT_SIGMA: Final = 0.5
 
 
 class StarComponents(NamedTuple):
-    """The Gaussians of the stars of a scene, one star after the other of the first, then those of the second and so on.
+    """The Gaussians of the stars of a scene: the first ones of all stars, then the second ones, and so on."""
 
-    Attributes
-    ----------
-    sensors : tuple of Sensor
-        The sensor of each Gaussian, `Sensor.of_component`.
-    of_star : (k,) intp
-        The Gaussian that each star of the scene's draw list has.
-    """
-
-    sensors: tuple[Sensor, ...]
-    of_star: NDArray[np.intp]
+    sensors: tuple[Sensor, ...]  # The sensor of each Gaussian, `Sensor.of_component`
+    of_star: NDArray[np.intp]  # (k,) intp: the Gaussian that each star of the scene's draw list has
 
     def texels(self, duration_s: float, span: float) -> Float32:
         """Return what star_path.frag reads of each star of the draw list, (2, k, 3): rows 2 and 3 of `chosen`.
 
-        Parameters
-        ----------
-        duration_s : float
-            Exposure time, s.
-        span : float
-            `ReadoutClock.span`.
-
-        Returns
-        -------
-        (2, k, 3) float32
+        `duration_s`: exposure time, s; `span`: `ReadoutClock.span`.  Returns (2, k, 3) float32.
         """
         rows = [
             (
@@ -388,17 +299,8 @@ class StarComponents(NamedTuple):
 def drawn_together(scenes: Iterable[Scene], clock: ReadoutClock) -> Iterator[list[Scene]]:
     """Yield scenes whose stars are plain Gaussians: those that `in_one_scene` joins as one list, others one by one.
 
-    Parameters
-    ----------
-    scenes : iterable of Scene
-        Those without stars are left out.
-    clock : ReadoutClock
-        When the pixels of the target open.
-
-    Yields
-    ------
-    list of Scene
-        In the same order.  Several have the same stars on the same paths, whose segments are well below their widths.
+    `scenes`: those without stars are left out; `clock`: when the pixels of the target open.  Yields: in the same order;
+    several have the same stars on the same paths, whose segments are well below their widths.
     """
     drawn = (one for one in scenes if len(one.draw_list))
     for _, same in groupby(drawn, key=lambda one: (id(one.stars), id(one.trails), one.camera)):
@@ -422,15 +324,7 @@ def _are_short(scenes: Sequence[Scene], *, rolling: bool) -> bool:
 def in_one_scene(scenes: Sequence[Scene]) -> tuple[Scene, StarComponents]:
     """Return scenes of `drawn_together` as one, in which a star occurs once for each of its Gaussians.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-
-    Returns
-    -------
-    scene : Scene
-        With the sensor of the first one.
-    components : StarComponents
+    Returns `scene`: with the sensor of the first one.
     """
     lists = [scene.draw_list for scene in scenes]
     of_star = np.repeat(np.arange(len(scenes)), [len(one) for one in lists])

@@ -42,15 +42,8 @@ _UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3, "p
 class StarSprites:
     """A list of sprites, each a column (star) and a row (part of its trail), the textures they read, and programs.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    stars : StarTextures
-        Not released here.
-    pointing_size : tuple of int
-        Columns and rows of the texture of orientations.
-    chosen_rows : int
-        Rows of the texture of what is known of each star of a call.
+    `stars`: not released here; `pointing_size`: columns and rows of the texture of orientations; `chosen_rows`: rows of
+    the texture of what is known of each star of a call.
     """
 
     def __init__(
@@ -98,13 +91,8 @@ class StarSprites:
     ) -> None:
         """Write what is known of the stars of a call.
 
-        Parameters
-        ----------
-        chosen : (rows, k, 3) float32
-        tints : (k, 4) float32 or None
-            Their colours in a mosaic.
-        passage : (n, k) float32 or None
-            What cloud transmits of them during each part of their trails; None without cloud.
+        `chosen` (rows, k, 3) float32; `tints` (k, 4) float32 or None: their colours in a mosaic; `passage` (n, k)
+        float32 or None: what cloud transmits of them during each part of their trails; None without cloud.
         """
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, chosen.shape[1], len(chosen)))
         if tints is not None:
@@ -138,16 +126,7 @@ _PIECES_PER_CALL: Final = 4096
 class PiecePass:
     """Adds the flux of `TrailPieces` to a target.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-    stars : StarTextures
-        Not released here.
-
-    Raises
-    ------
-    ShaderError
-        If the driver rejects a shader.
+    `stars`: not released here.  Raises ShaderError if the driver rejects a shader.
     """
 
     def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
@@ -164,16 +143,8 @@ class PiecePass:
     ) -> None:
         """Add the flux of a scene's stars to a target.
 
-        Parameters
-        ----------
-        part : ScenePart
-            Behind cloud with the passage of each piece.
-        light : moderngl.Framebuffer
-            32-bit float; in use afterwards.
-        guard_band_px : int
-            Width of its border around the image.
-        clock : ReadoutClock
-            When the pixels of the target open.
+        `part`: behind cloud with the passage of each piece; `light`: 32-bit float; in use afterwards; `guard_band_px`:
+        width of its border around the image; `clock`: when the pixels of the target open.
         """
         scene, drawn = part.scene, part.scene.draw_list
         tints = cell_tints(scene, guard_band_px)
@@ -273,14 +244,7 @@ _TIMES_OF_END: Final = 3
 
 
 class EndPass:
-    """Adds the flux of `EndPieces` to a target.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-    stars : StarTextures
-        Not released here.
-    """
+    """Adds the flux of `EndPieces` to a target; `stars`: not released here."""
 
     def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
         self._context = context
@@ -291,17 +255,8 @@ class EndPass:
     ) -> None:
         """Add the flux of a scene's stars during some pieces to a target.
 
-        Parameters
-        ----------
-        scene : Scene
-        ends : EndPieces
-            Of its draw list.
-        light : moderngl.Framebuffer
-            32-bit float, in use.
-        guard_band_px : int
-            Width of its border around the image.
-        clock : ReadoutClock
-            When the pixels of the target open, of a rolling shutter.
+        `ends`: of its draw list; `light`: 32-bit float, in use; `guard_band_px`: width of its border around the image;
+        `clock`: when the pixels of the target open, of a rolling shutter.
         """
         drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
         program, vertices = self._sprites.program(

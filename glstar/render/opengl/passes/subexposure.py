@@ -37,19 +37,8 @@ _SUB_EXPOSURES_PER_CALL: Final = 1024
 class SubExposurePass:
     """Adds the flux of `SubExposures` to a target.
 
-    Parameters
-    ----------
-    context : moderngl.Context
-
-    Raises
-    ------
-    ShaderError
-        If the driver rejects a shader.
-
-    Notes
-    -----
-    Teague & Chahl, section 2.6.  Departs from the paper, which centres its kernel on whole pixels, with errors up to
-    0.7 px: sprites are drawn at sub-pixel positions.
+    Raises ShaderError if the driver rejects a shader.  Teague & Chahl, section 2.6.  Departs from the paper, which
+    centres its kernel on whole pixels, with errors up to 0.7 px: sprites are drawn at sub-pixel positions.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -100,17 +89,8 @@ class SubExposurePass:
     ) -> None:
         """Add the flux of a scene's stars to a target.
 
-        Parameters
-        ----------
-        scene : Scene
-        trails : SubExposures
-            The scene's.
-        light : moderngl.Framebuffer
-            In use; 32-bit float.
-        guard_band_px : int
-            Width of its border around the image.
-        clock : ReadoutClock
-            When the pixels of the target open.
+        `trails`: the scene's; `light`: in use; 32-bit float; `guard_band_px`: width of its border around the image;
+        `clock`: when the pixels of the target open.
         """
         program = self._program_for(scene, trails, light, guard_band_px, clock)
         vertices = self._stars_of(scene, guard_band_px).vertices(program)
@@ -188,23 +168,9 @@ class SubExposurePass:
 def with_drawable_sprites(scene: Scene, core_sigma_px: float, point_size_px: float) -> Scene:
     """Return a scene of plain Gaussians whose sprites are not larger than a driver draws.
 
-    Parameters
-    ----------
-    scene : Scene
-    core_sigma_px : float
-        The narrowest Gaussian of the whole point spread function, which decides the distance of sub-exposures, px.
-    point_size_px : float
-        The largest sprite of the driver, px.
-
-    Returns
-    -------
-    Scene
-        With smaller truncation radii if necessary, of 3.5 sigma or more.
-
-    Raises
-    ------
-    RenderError
-        If such sprites are too large.
+    `core_sigma_px`: the narrowest Gaussian of the whole point spread function, which decides the distance of
+    sub-exposures, px; `point_size_px`: the largest sprite of the driver, px.  Returns: with smaller truncation radii if
+    necessary, of 3.5 sigma or more.  Raises RenderError if such sprites are too large.
     """
     sensor, draw_list = scene.sensor, scene.draw_list
     moves = isinstance(scene.trails, SubExposures) and len(scene.trails) > 1

@@ -38,12 +38,8 @@ class DrawQueue:
     """Draws to one target, in the order in which they were added.
 
     Software OpenGL finishes what was drawn to a target whenever another is bound.  In an image of 12 megapixels each
-    time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.
-
-    Parameters
-    ----------
-    light : moderngl.Framebuffer
-        The target.  It is cleared first.
+    time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.  `light`: the target; it is
+    cleared first.
     """
 
     def __init__(self, light: moderngl.Framebuffer) -> None:
@@ -55,13 +51,7 @@ class DrawQueue:
         return len(self._waiting)
 
     def add(self, draw: Callable[[], None]) -> None:
-        """Let a draw wait.
-
-        Parameters
-        ----------
-        draw : callable
-            Called when the target is bound.
-        """
+        """Let a draw wait; `draw`: called when the target is bound."""
         self._waiting.append(draw)
 
     def run(self) -> None:
@@ -75,27 +65,13 @@ _Owned = TypeVar("_Owned", moderngl.Program, moderngl.VertexArray, moderngl.Buff
 
 
 class _Shape(NamedTuple):
-    """One value of SHAPE in trail.vert or trail_rows.vert.
+    """One value of SHAPE in trail.vert or trail_rows.vert."""
 
-    Attributes
-    ----------
-    number : int
-        The value.
-    shaders : tuple of str
-        The vertex and the fragment shader.
-    mode : int
-        The trails to draw.
-    vertices : int
-        Vertices per segment.
-    layout : str
-        Which of the repeated entries of the list of segments its vertices read.
-    """
-
-    number: int
-    shaders: tuple[str, str]
-    mode: int
-    vertices: int
-    layout: str
+    number: int  # The value
+    shaders: tuple[str, str]  # The vertex and the fragment shader
+    mode: int  # The trails to draw
+    vertices: int  # Vertices per segment
+    layout: str  # Which of the repeated entries of the list of segments its vertices read
 
 
 class _DrawPass(NamedTuple):
@@ -141,16 +117,7 @@ class TrailPass:
     Where short pieces cost less than segments, `PiecePass` draws them.  Of segments, `project_stars.frag` computes the
     positions of the stars at the ends and the middles, and `star_path.frag` the path through each three of them.
     `trail.vert` makes geometry that encloses the flux, and `trail_short.frag`, `trail.frag` and `trail_middle.frag`
-    integrate it.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-
-    Raises
-    ------
-    ShaderError
-        If the driver rejects a shader.
+    integrate it.  Raises ShaderError if the driver rejects a shader.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -192,17 +159,8 @@ class TrailPass:
     ) -> None:
         """Add the flux of a scene's stars to a target.
 
-        Parameters
-        ----------
-        scene : Scene
-        trails : AnalyticSegments
-            The scene's.
-        queue : DrawQueue
-            Its target is of 32-bit float.  Some draws wait when this returns.
-        guard_band_px : int
-            Width of its border around the image.
-        clock : ReadoutClock
-            When the pixels of the target open.
+        `trails`: the scene's; `queue`: its target is of 32-bit float; some draws wait when this returns;
+        `guard_band_px`: width of its border around the image; `clock`: when the pixels of the target open.
         """
         openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
         if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
@@ -227,11 +185,7 @@ class TrailPass:
     ) -> None:
         """Add the flux of several Gaussians of the same stars to a target: scenes that `drawn_together` lists together.
 
-        Parameters
-        ----------
-        scenes : sequence of Scene
-        queue, guard_band_px, clock
-            As for `draw`.
+        `queue`, `guard_band_px`, `clock`: as for `draw`.
         """
         scene, components = in_one_scene(scenes)
         assert isinstance(scene.trails, AnalyticSegments)

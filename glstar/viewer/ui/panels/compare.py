@@ -32,27 +32,14 @@ _LIST_ROWS: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class PanelRequests:
-    """Requests of the user that the caller has to perform.
+    """Requests of the user that the caller has to perform."""
 
-    Attributes
-    ----------
-    seek_utc_s : float or None
-        Where to move the play head, UTC seconds since 1970 of the log's clock.
-    save_view : bool
-        Whether to save the comparison as an image.
-    """
-
-    seek_utc_s: float | None = None
-    save_view: bool = False
+    seek_utc_s: float | None = None  # Where to move the play head, UTC seconds since 1970 of the log's clock
+    save_view: bool = False  # Whether to save the comparison as an image
 
 
 class ComparisonPanel:
-    """Widgets for a `ComparisonState`, drawn into the current imgui window.
-
-    Parameters
-    ----------
-    state : ComparisonState
-    """
+    """Widgets for a `ComparisonState`, drawn into the current imgui window."""
 
     def __init__(self, state: ComparisonState) -> None:
         self._state = state
@@ -69,20 +56,9 @@ class ComparisonPanel:
     ) -> PanelRequests:
         """Draw the panel, and change the state as the user does.
 
-        Parameters
-        ----------
-        utc_s : float
-            The play head, UTC seconds since 1970 of the log's clock.
-        image : RealImage or None
-            The real image that is shown.
-        fitted : FittedImage or None
-            Its pixels, None while they are decoded.
-        status : str
-            Why no simulated image belongs to the real one; see `comparisonview.outside`.
-
-        Returns
-        -------
-        PanelRequests
+        `utc_s`: the play head, UTC seconds since 1970 of the log's clock; `image`: the real image that is shown;
+        `fitted`: its pixels, None while they are decoded; `status`: why no simulated image belongs to the real one; see
+        `comparisonview.outside`.
         """
         state = self._state
         self._draw_opening()
@@ -240,12 +216,7 @@ class FitPanel:
         self._fits_time = self._fits_mount = True
 
     def draw(self, session: Session) -> None:
-        """Draw the panel; start, stop and apply fits as the user does.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Draw the panel; start, stop and apply fits as the user does."""
         comparison = session.comparison
         if comparison.images is None or session.loaded is None or comparison.fit_images is None:
             return
@@ -307,18 +278,7 @@ class FitPanel:
 
 
 def fit_report(result: FitResult, ahead_s: float) -> list[str]:
-    """Return what a fit found, as lines.
-
-    Parameters
-    ----------
-    result : FitResult
-    ahead_s : float
-        Camera clock minus log clock before the fit, s.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return what a fit found, as lines; `ahead_s`: camera clock minus log clock before the fit, s."""
     lines = []
     if result.clock_change_s is not None:
         lines.append(
@@ -338,14 +298,7 @@ def fit_report(result: FitResult, ahead_s: float) -> list[str]:
 def residuals_of(session: Session) -> TrailResiduals | str | None:
     """Return the residuals of the real image shown, if they are shown.
 
-    Parameters
-    ----------
-    session : Session
-
-    Returns
-    -------
-    TrailResiduals, str or None
-        Or why there are none; None while they are measured, without a real image, and if they are not shown.
+    Returns: or why there are none; None while they are measured, without a real image, and if they are not shown.
     """
     comparison, loaded = session.comparison, session.loaded
     if Overlay.RESIDUALS not in session.shown_overlays or loaded is None or comparison.residuals.measure is None:
@@ -365,12 +318,7 @@ def residuals_of(session: Session) -> TrailResiduals | str | None:
 
 
 def draw_residual_figures(session: Session) -> None:
-    """Draw the switch of the residuals and their figures into the current imgui window.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Draw the switch of the residuals and their figures into the current imgui window."""
     if session.comparison.images is None or session.comparison.residuals.measure is None:
         return
     imgui.separator_text("Residuals")

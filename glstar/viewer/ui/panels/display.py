@@ -36,12 +36,7 @@ class DisplayPanel:
         self._limits: tuple[float, float] | None = None
 
     def draw(self, session: Session) -> None:
-        """Draw the settings of the display.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Draw the settings of the display."""
         imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
         self._draw_histogram(session)
         _draw_stretch(session)

@@ -85,16 +85,7 @@ class FlightMap:
         self._lowest_m = 0.0
 
     def draw(self, loaded: LoadedFlight, state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
-        """Draw the map into the current imgui window.
-
-        Parameters
-        ----------
-        loaded : LoadedFlight
-        state : AircraftState
-        beliefs : sequence of Belief
-            Of the navigator.
-        night : bool
-        """
+        """Draw the map into the current imgui window; `beliefs`: of the navigator."""
         self._take(loaded, state.site)
         here = self._east_north_m(state.site)
         places = [
@@ -349,12 +340,7 @@ class FlightPanel:
         self._map = FlightMap()
 
     def draw(self, session: Session) -> None:
-        """Draw the panel into the current imgui window.
-
-        Parameters
-        ----------
-        session : Session
-        """
+        """Draw the panel into the current imgui window."""
         draw_attitude_controls(session)
         loaded, scene = session.loaded, session.scene
         if loaded is None or scene is None or session.head is None:

@@ -42,13 +42,7 @@ _EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
 
 
 class ImagePanel:
-    """Draws the image into the current imgui window.
-
-    Parameters
-    ----------
-    display : Display
-    selection : Selection
-    """
+    """Draws the image into the current imgui window."""
 
     def __init__(self, display: Display, selection: Selection) -> None:
         self._picture = PanelPicture(display)
@@ -67,10 +61,7 @@ class ImagePanel:
     def plain_picture(self) -> NDArray[np.uint8] | None:
         """Return the visible part of the picture without overlays.
 
-        Returns
-        -------
-        (height, width, 3) uint8 or None
-            Red, green, blue; None if there is no picture.
+        Returns (height, width, 3) uint8 or None: red, green, blue; None if there is no picture.
         """
         if self._visible is None:
             return None
@@ -84,13 +75,8 @@ class ImagePanel:
     def draw(self, session: Session, *, labelled: bool = True, is_lowest: bool = False) -> None:
         """Draw the image, and zoom and pan with the mouse.
 
-        Parameters
-        ----------
-        session : Session
-        labelled : bool
-            Whether the sides of a comparison have labels.
-        is_lowest : bool
-            Whether nothing lies below the panel but the cleared window.
+        `labelled`: whether the sides of a comparison have labels; `is_lowest`: whether nothing lies below the panel but
+        the cleared window.
         """
         origin, available = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
         width, height = max(round(available.x), 1), max(round(available.y), 1)

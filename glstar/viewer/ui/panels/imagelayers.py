@@ -42,16 +42,7 @@ _PLAIN: Final = str.maketrans(_RARE, "456789")
 def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
     """Return the colour of an overlay.
 
-    Parameters
-    ----------
-    overlay : Overlay
-    night : bool
-        Whether to use shades of red only.
-
-    Returns
-    -------
-    red, green, blue, opacity : int
-        0 to 255.
+    `night`: whether to use shades of red only.  Returns `red, green, blue, opacity`: 0 to 255.
     """
     red, green, blue, opacity = overlay.spec.colour
     return (overlay.spec.night_red, 0, 0, opacity) if night else (red, green, blue, opacity)
@@ -67,17 +58,9 @@ def draw_shapes(
 ) -> None:
     """Draw shapes into an imgui draw list.
 
-    Parameters
-    ----------
-    draw_list : imgui.ImDrawList
-        Of a window of the current frame.
-    shapes : Shapes
-    to_screen : callable
-        Converts positions on the image (n, 2), px, to positions on the screen (n, 2), px.
-    clip : tuple of float
-        Left, top, right, bottom of the panel, screen px; nothing is drawn outside.
-    night : bool
-        Whether to use shades of red only.
+    `draw_list`: of a window of the current frame; `to_screen`: converts positions on the image (n, 2), px, to positions
+    on the screen (n, 2), px; `clip`: left, top, right, bottom of the panel, screen px; nothing is drawn outside;
+    `night`: whether to use shades of red only.
     """
     draw_list.push_clip_rect(clip[:2], clip[2:], True)
     for lines in shapes.lines:
@@ -166,14 +149,7 @@ def draw_comparison_labels(
 ) -> None:
     """Write which image is which, and draw the line of a wipe with its handle.
 
-    Parameters
-    ----------
-    session : Session
-    draw_list : imgui.ImDrawList
-    corner : (2,) float64
-        The panel's top-left corner, screen px.
-    clip : tuple of float
-        Left, top, right, bottom of the panel, screen px.
+    `corner` (2,): the panel's top-left corner, screen px; `clip`: left, top, right, bottom of the panel, screen px.
     """
     shown = session.shown
     is_compared = shown is not None and shown.real is not None and shown.comparison is not ComparisonMode.OFF
@@ -259,14 +235,7 @@ def draw_pixel_grid(
 ) -> None:
     """Draw the borders of the image's pixels, and their digital numbers while the flight does not play.
 
-    Parameters
-    ----------
-    session : Session
-    draw_list : imgui.ImDrawList
-    corner : (2,) float64
-        The panel's top-left corner, screen px.
-    clip : tuple of float
-        Left, top, right, bottom of the panel, screen px.
+    `corner` (2,): the panel's top-left corner, screen px; `clip`: left, top, right, bottom of the panel, screen px.
     """
     view, scene = session.view, session.scene
     if scene is None or view.zoom < _BORDERS_FROM:

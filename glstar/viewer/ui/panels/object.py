@@ -24,13 +24,7 @@ _NO_INPUT: Final = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot
 
 
 def draw_object(session: Session, selection: Selection) -> None:
-    """Draw the panel.
-
-    Parameters
-    ----------
-    session : Session
-    selection : Selection
-    """
+    """Draw the panel."""
     found, scene, simulator = selection.selected, session.scene, session.image.simulator
     if found is None or scene is None or simulator is None:
         _wrapped("Click a star in the image, or press Ctrl+F to find a star, constellation or planet by name.")

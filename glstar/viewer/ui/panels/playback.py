@@ -18,22 +18,14 @@ _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFl
 class PlaybackControls:
     """The controls of the play head: play, step, direction, speed, loop, mode, marker, and a field for the time.
 
-    Attributes
-    ----------
-    error : str or None
-        Why the time typed last is not valid.
+    `error`: why the time typed last is not valid.
     """
 
     def __init__(self) -> None:
         self.error: str | None = None
 
     def draw(self, head: PlayHead) -> None:
-        """Draw the controls into the current imgui window, and apply them.
-
-        Parameters
-        ----------
-        head : PlayHead
-        """
+        """Draw the controls into the current imgui window, and apply them."""
         if _button("|<", "to the start of the flight"):
             head.first()
         if _button("<<", "one exposure back"):

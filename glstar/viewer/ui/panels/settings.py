@@ -67,12 +67,8 @@ _MOUNT: Final = {
 def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None:
     """Draw the settings and apply the changes of the user.
 
-    Parameters
-    ----------
-    session : Session
-    effects : sequence of Effect
-        Effects whose controls are shown: those of ``[sensor]`` with the sensor or in the group of their stage, others
-        under a heading of their own.
+    `effects`: effects whose controls are shown: those of ``[sensor]`` with the sensor or in the group of their stage,
+    others under a heading of their own.
     """
     config = session.config
     changes: dict[str, Any] = {}
@@ -300,10 +296,7 @@ _INTERPOLATIONS: Final = {
 def draw_attitude_controls(session: Session) -> None:
     """Draw the controls under a heading, and apply the changes of the user: the log is read again.
 
-    Parameters
-    ----------
-    session : Session
-        Nothing is drawn for a flight received from a link.
+    `session`: nothing is drawn for a flight received from a link.
     """
     loaded = session.loaded
     if loaded is None or loaded.path is None or not imgui.collapsing_header("Attitude of the log"):

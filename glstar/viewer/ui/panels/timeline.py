@@ -35,27 +35,12 @@ class Bands:
 
     @classmethod
     def of(cls, start_s: Float, stop_s: Float) -> "Bands":
-        """Return the boxes of intervals, s from the origin of the timeline.
-
-        Parameters
-        ----------
-        start_s, stop_s : (n,) float64
-
-        Returns
-        -------
-        Bands
-        """
+        """Return the boxes of intervals, s from the origin of the timeline; `start_s`, `stop_s` (n,)."""
         x = np.stack([start_s, start_s, stop_s, stop_s], axis=-1).ravel()
         return cls(x, np.tile(BOX, len(start_s)))
 
     def draw(self, label: str, style: implot.Spec) -> None:
-        """Draw the boxes into the current plot, on its axis from 0 to 1.
-
-        Parameters
-        ----------
-        label : str
-        style : implot.Spec
-        """
+        """Draw the boxes into the current plot, on its axis from 0 to 1."""
         if self.x.size:
             implot.plot_shaded(label, self.x, self.y, 0.0, style)
 
@@ -75,16 +60,8 @@ _NAMES_AT: Final = 0.82
 class TimelineEvents:
     """The events of a flight on the timeline.
 
-    Parameters
-    ----------
-    flight : Flight
-    origin_s : float
-        UTC seconds since 1970, from which the timeline counts.
-
-    Attributes
-    ----------
-    count : int
-        Number of modes, messages and triggers.
+    `origin_s`: UTC seconds since 1970, from which the timeline counts.  `count`: number of modes, messages and
+    triggers.
     """
 
     def __init__(self, flight: Flight, origin_s: float) -> None:
@@ -99,14 +76,7 @@ class TimelineEvents:
     def draw(self, axis: TimeAxis, width_px: float, palette: Palette, images_s: Float) -> None:
         """Draw the marks into the current plot, on its axis from 0 to 1.
 
-        Parameters
-        ----------
-        axis : TimeAxis
-        width_px : float
-            Of the plot.
-        palette : Palette
-        images_s : (n,) float64
-            When the real images were taken, s from the origin.
+        `width_px`: of the plot; `images_s` (n,): when the real images were taken, s from the origin.
         """
         modes_s = np.array([second for second, _ in self._modes])
         if modes_s.size:
@@ -134,18 +104,7 @@ class TimelineEvents:
     def near(self, second: float, width_px: float, axis: TimeAxis) -> list[str]:
         """Return what happened at a time, within a few pixels.
 
-        Parameters
-        ----------
-        second : float
-            s from the origin.
-        width_px : float
-            Of the plot.
-        axis : TimeAxis
-
-        Returns
-        -------
-        list of str
-            The mode that holds, then messages and triggers.
+        `second`: s from the origin; `width_px`: of the plot.  Returns the mode that holds, then messages and triggers.
         """
         within_s = _NEAR_PX * axis.span_s / max(width_px, 1.0)
         held = [text for at_s, text in self._modes if at_s <= second]
@@ -236,30 +195,11 @@ class Timeline:
     """Curves over time, with day, twilight, gaps, exposures, events, markers and play head.
 
     A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, and a double click
-    shows the complete flight.
-
-    Parameters
-    ----------
-    flight : Flight
-    lines : FlightLines, optional
-        Its curves, if they have been computed already.
-    grows : bool
-        Whether the flight is live.
-
-    Attributes
-    ----------
-    axis : TimeAxis
-        The part of the flight that is shown.
-    follow : bool
-        Whether the axis follows the play head.
-    grows : bool
-        Whether the flight is live.
-    utc : bool
-        Whether the axis shows the time of day instead of seconds from the first attitude.
-    curves : set of TimelineCurve
-        The plots that are shown.
-    shows_events : bool
-        Whether flight modes, messages, triggers and real images are marked.
+    shows the complete flight.  `lines`: its curves, if they have been computed already; `grows`: whether the flight is
+    live.  `axis`: the part of the flight that is shown; `follow`: whether the axis follows the play head; `grows`:
+    whether the flight is live; `utc`: whether the axis shows the time of day instead of seconds from the first
+    attitude; `curves`: the plots that are shown; `shows_events`: whether flight modes, messages, triggers and real
+    images are marked.
     """
 
     def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
@@ -285,22 +225,12 @@ class Timeline:
         self._followed_s = first_s
 
     def show(self, lines: FlightLines) -> None:
-        """Show newer curves of the same flight; the part that is shown stays.
-
-        Parameters
-        ----------
-        lines : FlightLines
-        """
+        """Show newer curves of the same flight; the part that is shown stays."""
         self._lines = lines
         self._gaps = Bands.of(*lines.gaps_s.T)
 
     def show_flight(self, flight: Flight) -> None:
-        """Show positions and events of a newer copy of the same flight.
-
-        Parameters
-        ----------
-        flight : Flight
-        """
+        """Show positions and events of a newer copy of the same flight."""
         self._flight, self._position = flight, flight.position
         self._motion: dict[TimelineCurve, tuple[Trace, ...]] | None = None
         self._events = TimelineEvents(flight, self._origin_s)
@@ -310,16 +240,8 @@ class Timeline:
     ) -> None:
         """Draw the timeline into the current imgui window, and move the play head with the mouse.
 
-        Parameters
-        ----------
-        head : PlayHead
-            Of the same flight.
-        night : bool
-            Whether to use shades of red only.
-        samples : SkySamples, optional
-            For the curves that need simulated exposures.
-        images_s : (n,) float64
-            When the real images were taken, s from the flight's first attitude.
+        `head`: of the same flight; `night`: whether to use shades of red only; `samples`: for the curves that need
+        simulated exposures; `images_s` (n,): when the real images were taken, s from the flight's first attitude.
         """
         self._draw_controls()
         self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
