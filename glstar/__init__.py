@@ -7,7 +7,7 @@ The names in ``__all__`` are the public interface; ``glstar manual python`` desc
 first used: ``import glstar`` itself loads no OpenGL, no window toolkit and no MAVLink library.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # The module that defines each public name; __init__.pyi gives type checkers the same list.
 _MODULES = {
@@ -51,6 +51,7 @@ _MODULES = {
     "TelemetryError": "glstar.errors",
     "TrackRangeError": "glstar.errors",
     "asset": "glstar.system.resources",
+    "calibrate_photographs": "glstar.calibrate.pipeline",
     "camera_from_file": "glstar.camera.camerafile",
     "camera_from_preset": "glstar.camera.presets",
     "detect_trails": "glstar.compare.detection",
@@ -102,6 +103,7 @@ __all__ = [
     "TelemetryError",
     "TrackRangeError",
     "asset",
+    "calibrate_photographs",
     "camera_from_file",
     "camera_from_preset",
     "detect_trails",

@@ -1,5 +1,6 @@
 from typing import Final
 
+from glstar.calibrate.pipeline import calibrate_photographs as calibrate_photographs
 from glstar.camera.camerafile import camera_from_file as camera_from_file
 from glstar.camera.distortion import Lens as Lens
 from glstar.camera.exposure import Exposure as Exposure

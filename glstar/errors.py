@@ -133,7 +133,8 @@ class CalibrationError(GlstarError):
     ) -> None:
         super().__init__(message if path is None else f"{path}: {message}")
         self.path = None if path is None else str(path)
-        self.stars_used, self.stars_needed = stars_used, stars_needed
+        self.stars_used = stars_used
+        self.stars_needed = stars_needed
 
 
 class TelemetryError(GlstarError):
@@ -164,7 +165,10 @@ class LogFormatError(TelemetryError, ValueError):
         lacks: Mapping[Literal["UTC", "position"], str] = MappingProxyType({}),
     ) -> None:
         super().__init__(f"{path}: {message}")
-        self.path, self.offset, self.reason, self.lacks = str(path), offset, message, dict(lacks)
+        self.path = str(path)
+        self.offset = offset
+        self.reason = message
+        self.lacks = dict(lacks)
 
 
 class LinkError(TelemetryError, OSError):
@@ -196,7 +200,8 @@ class LinkTimeoutError(TelemetryError, TimeoutError):
         super().__init__(
             f"no packets on {endpoint} for {waited_s:.1f} s; is the vehicle on, and is no other program using the link?"
         )
-        self.endpoint, self.waited_s = endpoint, waited_s
+        self.endpoint = endpoint
+        self.waited_s = waited_s
 
 
 class TrackRangeError(GlstarError, ValueError):
@@ -209,16 +214,15 @@ class TrackRangeError(GlstarError, ValueError):
     """
 
     def __init__(self, asked_s: float, first_s: float, last_s: float) -> None:
-        miss = (
-            f"{first_s - asked_s:.3f} s before it starts"
-            if asked_s < first_s
-            else f"{asked_s - last_s:.3f} s after it ends"
-        )
+        before, after = f"{first_s - asked_s:.3f} s before it starts", f"{asked_s - last_s:.3f} s after it ends"
+        miss = before if asked_s < first_s else after
         super().__init__(
             f"the attitude track lasts {last_s - first_s:.3f} s and cannot answer for a time {miss};"
             " move the exposure inside the log"
         )
-        self.asked_s, self.first_s, self.last_s = asked_s, first_s, last_s
+        self.asked_s = asked_s
+        self.first_s = first_s
+        self.last_s = last_s
 
 
 class RenderError(GlstarError):
@@ -244,7 +248,9 @@ class ShaderError(RenderError):
 
     def __init__(self, file: str, line: int | None, log: str) -> None:
         super().__init__(f"{file}{'' if line is None else f':{line}'}: the driver refuses the shader: {log.strip()}")
-        self.file, self.line, self.log = file, line, log
+        self.file = file
+        self.line = line
+        self.log = log
 
 
 class ExportError(GlstarError):

@@ -23,47 +23,33 @@ _LINEAR_RAD = 1e-8
 
 
 def about_x(angle_rad: ArrayLike) -> Float:
-    """Return R1, the coordinate transformation for a rotation of the axes about x.
-
-    `angle_rad` (...): angle, right-handed, rad.  Returns (..., 3, 3).
-    """
+    """Return R1, the coordinate transformations, (..., 3, 3), for right-handed rotations of the axes about x."""
     c, s, zero, one = _cosine_sine(angle_rad)
     return _stack([[one, zero, zero], [zero, c, s], [zero, -s, c]])
 
 
 def about_y(angle_rad: ArrayLike) -> Float:
-    """Return R2, the coordinate transformation for a rotation of the axes about y.
-
-    `angle_rad` (...): angle, right-handed, rad.  Returns (..., 3, 3).
-    """
+    """Return R2, the coordinate transformations, (..., 3, 3), for right-handed rotations of the axes about y."""
     c, s, zero, one = _cosine_sine(angle_rad)
     return _stack([[c, zero, -s], [zero, one, zero], [s, zero, c]])
 
 
 def about_z(angle_rad: ArrayLike) -> Float:
-    """Return R3, the coordinate transformation for a rotation of the axes about z.
-
-    `angle_rad` (...): angle, right-handed, rad.  Returns (..., 3, 3).
-    """
+    """Return R3, the coordinate transformations, (..., 3, 3), for right-handed rotations of the axes about z."""
     c, s, zero, one = _cosine_sine(angle_rad)
     return _stack([[c, s, zero], [-s, c, zero], [zero, zero, one]])
 
 
 def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
-    """Return C_body_ned of an attitude given by Euler angles: yaw, then pitch, then roll.
+    """Return C_body_ned, (..., 3, 3), of aerospace Euler angles, (...): yaw, then pitch, then roll.
 
-    `roll_rad`, `pitch_rad`, `yaw_rad` (...): aerospace Euler angles, rad.  Returns (..., 3, 3) matrices from NED to
-    body components.  Teague & Chahl, eq. (30) = R1(roll) R2(pitch) R3(yaw).
+    Teague & Chahl, eq. (30) = R1(roll) R2(pitch) R3(yaw).
     """
     return about_x(roll_rad) @ about_y(pitch_rad) @ about_z(yaw_rad)
 
 
 def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
-    """Return q_body_ned of an attitude given by Euler angles: yaw, then pitch, then roll.
-
-    `roll_rad`, `pitch_rad`, `yaw_rad` (...): aerospace Euler angles, rad.  Returns (..., 4) unit quaternions (w, x, y,
-    z), NED to body.  The quaternion of Teague & Chahl, eq. (30).
-    """
+    """Return q_body_ned, (..., 4), of aerospace Euler angles, (...): the quaternion of Teague & Chahl, eq. (30)."""
     half = [np.asarray(angle, dtype=np.float64) / 2 for angle in np.broadcast_arrays(roll_rad, pitch_rad, yaw_rad)]
     (cr, cp, cy), (sr, sp, sy) = (np.cos(angle) for angle in half), (np.sin(angle) for angle in half)
     q_ned_body = np.stack(
@@ -79,11 +65,9 @@ def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: Ar
 
 
 def euler_from_quaternion(q_body_ned: ArrayLike) -> tuple[Float, Float, Float]:
-    """Return roll, pitch and yaw of an attitude.
+    """Return roll and yaw, -pi to pi, and pitch, -pi/2 to pi/2, of attitudes, (..., 4), in the order roll, pitch, yaw.
 
-    `q_body_ned` (..., 4): unit quaternions (w, x, y, z), NED to body.  Returns `roll_rad, pitch_rad, yaw_rad` (...):
-    roll and yaw from -pi to pi, pitch from -pi/2 to pi/2; at a pitch of +-pi/2 only the difference or the sum of roll
-    and yaw is defined.
+    At a pitch of +-pi/2 only the difference or the sum of roll and yaw is defined.
     """
     w, x, y, z = np.moveaxis(conjugate(q_body_ned), -1, 0)
     return (
@@ -94,10 +78,7 @@ def euler_from_quaternion(q_body_ned: ArrayLike) -> tuple[Float, Float, Float]:
 
 
 def matrix_from_quaternion(q: ArrayLike) -> Float:
-    """Return the matrix of a unit quaternion: C_to_from of q_to_from.
-
-    `q` (..., 4): unit quaternions (w, x, y, z).  Returns (..., 3, 3).
-    """
+    """Return the matrices of unit quaternions, (..., 4): C_to_from, (..., 3, 3), of q_to_from."""
     q = np.asarray(q, dtype=np.float64)
     # One product of matrices for all quaternions, because a scene needs hundreds of them.
     doubled = 2 * q[..., :, np.newaxis] * q[..., np.newaxis, :]
@@ -119,10 +100,7 @@ _MATRIX_OF_PRODUCTS: Final = _matrix_of_products()
 
 
 def quaternion_from_matrix(C: ArrayLike) -> Float:
-    """Return the unit quaternion of one rotation matrix, w >= 0.
-
-    `C` (3, 3): a rotation matrix C_to_from.  Returns (4,) q_to_from, (w, x, y, z).
-    """
+    """Return the unit quaternion of one rotation matrix, w >= 0: q_to_from, (4,), of C_to_from, (3, 3)."""
     C = np.asarray(C, dtype=np.float64)
     # Bar-Itzhack's symmetric matrix: its eigenvector of the largest eigenvalue is the quaternion, whatever the angle.
     skew = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
@@ -135,10 +113,9 @@ def quaternion_from_matrix(C: ArrayLike) -> Float:
 
 
 def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
-    """Return q_to_from for a rotation of the axes by a rotation vector.
+    """Return q_to_from, (..., 4), for rotations of the axes by rotation vectors.
 
-    `turn_rad` (..., 3): the axis times the angle, right-handed, rad; the same three numbers in both frames.  Returns
-    (..., 4) unit quaternions (w, x, y, z).
+    `turn_rad` (..., 3): the axis times the angle, right-handed; the same three numbers in both frames.
     """
     turn = np.asarray(turn_rad, dtype=np.float64)
     x, y, z = turn[..., 0], turn[..., 1], turn[..., 2]
@@ -150,58 +127,49 @@ def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
 
 
 def turn_from_quaternion(q: ArrayLike) -> Float:
-    """Return the rotation vector of a quaternion, by the smaller angle; the inverse of `quaternion_from_turn`.
+    """Return rotation vectors, (..., 3), of quaternions of either sign, by the smaller angle, at most pi.
 
-    `q` (..., 4): unit quaternions q_to_from, (w, x, y, z), of either sign.  Returns (..., 3) the axis times the angle,
-    right-handed, rad; its length is at most pi.
+    The inverse of `quaternion_from_turn`.
     """
     q = np.asarray(q, dtype=np.float64)
     w, sine = q[..., 0], np.linalg.norm(q[..., 1:], axis=-1)
     half = np.arctan2(sine, np.abs(w))  # keeps its digits at small angles, where arccos has none
     # The angle divided by the sine of its half; 2 at an angle of 0.
     scale = np.copysign(2 / np.sinc(half / np.pi) / np.hypot(w, sine), -w)
-    turn: Float = scale[..., np.newaxis] * q[..., 1:]
-    return turn
+    return np.asarray(scale[..., np.newaxis] * q[..., 1:])
 
 
 def turn_from_matrix(C: ArrayLike) -> Float:
-    """Return the rotation vector of a matrix.
+    """Return rotation vectors, (..., 3), of matrices C_to_from, (..., 3, 3).
 
-    `C` (..., 3, 3): rotation matrices C_to_from by less than 180 deg: at 180 deg the axis is ambiguous.  Returns (...,
-    3) the axis times the angle, right-handed, rad; its length is less than pi.
+    The rotations are by less than 180 deg, at which the axis is ambiguous.
     """
     C = np.asarray(C, dtype=np.float64)
     twice_sine = (C - np.swapaxes(C, -1, -2))[..., [1, 2, 0], [2, 0, 1]]
     angle = np.arctan2(np.linalg.norm(twice_sine, axis=-1), np.trace(C, axis1=-2, axis2=-1) - 1)
-    turn: Float = twice_sine / (2 * np.sinc(angle / np.pi))[..., np.newaxis]
-    return turn
+    return np.asarray(twice_sine / (2 * np.sinc(angle / np.pi))[..., np.newaxis])
 
 
 def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
-    """Return the least-squares rotation between two sets of unit vectors.
+    """Return the least-squares rotation C, (3, 3), with to = C from, between two sets of unit vectors, (n, 3).
 
-    `from_unit`, `to_unit` (n, 3).  Returns (3, 3) C with to = C from.  Wahba's problem by singular value
-    decomposition (Markley 1988).
+    Wahba's problem by singular value decomposition (Markley 1988).
     """
     u, _, vt = np.linalg.svd(to_unit.T @ from_unit)
-    rotation: Float = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
-    return rotation
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt)
 
 
 def turn_between(q1: ArrayLike, q2: ArrayLike) -> Float:
-    """Return the rotation vector from one attitude to another, by the smaller angle.
+    """Return rotation vectors, (..., 3), from attitudes `q1` to `q2`, (..., 4), by the smaller angle.
 
-    `q1`, `q2` (..., 4): unit quaternions q_to_from, (w, x, y, z), of either sign, with the same source frame.  Returns
-    (..., 3) the axis times the angle, rad, in the target frame (body for ``q_body_ned``); its length is at most pi.
+    The quaternions q_to_from, of either sign, have the same source frame; the vectors are in the target frame (body for
+    ``q_body_ned``).
     """
     return turn_from_quaternion(multiply(q2, conjugate(q1)))
 
 
 def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
-    """Return the product of two quaternions, q_c_a of q_c_b and q_b_a.
-
-    `q_c_b`, `q_b_a` (..., 4): unit quaternions (w, x, y, z).  Returns (..., 4).
-    """
+    """Return the products of quaternions, (..., 4): q_c_a of q_c_b and q_b_a."""
     a, b, c, d = np.moveaxis(np.asarray(q_c_b, dtype=np.float64), -1, 0)
     w, x, y, z = np.moveaxis(np.asarray(q_b_a, dtype=np.float64), -1, 0)
     return np.stack(
@@ -216,21 +184,18 @@ def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
 
 
 def conjugate(q: ArrayLike) -> Float:
-    """Return the conjugate, which is the inverse rotation: q_from_to of q_to_from.
-
-    `q` (..., 4): unit quaternions (w, x, y, z).  Returns (..., 4).
-    """
-    opposite: Float = np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
-    return opposite
+    """Return the conjugates, (..., 4), which are the inverse rotations: q_from_to of q_to_from."""
+    return np.asarray(np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
     """Interpolate between two quaternions along the shorter arc (spherical linear interpolation).
 
-    `q1`, `q2` (..., 4): unit quaternions (w, x, y, z); `u` (...): fractions of the arc: 0 gives `q1` and 1 gives
-    `q2`.  Returns (..., 4) unit quaternions.  Teague & Chahl, eq. (41).  Departs from eq. (41): q2 is negated if q1
-    . q2 < 0, because q and -q are the same attitude and a log may alternate between them.  Otherwise the interpolation
-    would take the longer arc, with an error of 180 deg in its middle.
+    `q1`, `q2` (..., 4): unit quaternions; `u` (...): fractions of the arc, 0 at `q1` and 1 at `q2`.
+
+    Teague & Chahl, eq. (41).  Departs from eq. (41): q2 is negated if q1 . q2 < 0, because q and -q are the same
+    attitude and a log may alternate between them.  Otherwise the interpolation would take the longer arc, with an error
+    of 180 deg in its middle.
     """
     q1, q2 = np.asarray(q1, dtype=np.float64), np.asarray(q2, dtype=np.float64)
     u = np.asarray(u, dtype=np.float64)
@@ -243,11 +208,9 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
     first, second, sine = np.sin((1 - u) * angle), np.sin(u * angle), np.sin(angle)
     linear = angle < _LINEAR_RAD
     if np.count_nonzero(linear):
-        first, second, sine = (
-            np.where(linear, 1 - u, first),
-            np.where(linear, u, second),
-            np.where(linear, 1, sine),
-        )
+        first = np.where(linear, 1 - u, first)
+        second = np.where(linear, u, second)
+        sine = np.where(linear, 1, sine)
     first, second = first / sine, second / sine
     q: Float = first[..., np.newaxis] * q1 + second[..., np.newaxis] * q2
     q /= np.sqrt(_dot(q, q))[..., np.newaxis]
@@ -257,15 +220,15 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
 def _dot(q1: Float, q2: Float) -> Float:
     """Return the dot products of pairs of quaternions, (...); `np.sum` over an axis of 4 takes three times as long."""
     products = q1 * q2
-    total: Float = products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3]
-    return total
+    return np.asarray(products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3])
 
 
 def _cosine_sine(angle_rad: ArrayLike) -> tuple[Float, Float, Float, Float]:
+    """Return the cosines and sines of angles, zeros and ones."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     return np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
 
 
 def _stack(rows: list[list[Float]]) -> Float:
-    """Return the (..., 3, 3) matrices whose entries are given as arrays."""
+    """Return the matrices, (..., 3, 3), of entries, (...)."""
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -5,10 +5,6 @@ from numpy.typing import ArrayLike
 
 
 def robust_std(values: ArrayLike, middle: float = 0.0) -> float:
-    """Return a robust standard deviation: 1.4826 times the median absolute deviation.
-
-    `values`: values in any unit; `middle`: the value from which deviations are measured, in the same unit.  Returns: in
-    the same unit; 0.0 if there are no values.
-    """
-    off = np.abs(np.asarray(values) - middle)
-    return 1.4826 * float(np.median(off)) if off.size else 0.0
+    """Return a robust standard deviation: 1.4826 times the median deviation from `middle`; 0 without values."""
+    deviations = np.abs(np.asarray(values) - middle)
+    return 1.4826 * float(np.median(deviations)) if deviations.size else 0.0

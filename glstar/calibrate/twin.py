@@ -1,8 +1,6 @@
-"""The twin of a photograph: the image that the simulator makes of the same stars, and how it differs.
+"""The twin of a photograph: the image that the simulator makes of the same stars, and how the two differ."""
 
-A photograph beside its twin as a PNG: both images, sky, noise against level, star profiles and peaks.
-"""
-
+import json
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from typing import Any, Final
@@ -11,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.identify.platesolution import ReferenceStars, sidereal_trails
-from glstar.calibrate.photo.photograph import Photograph, linearised, recorded_again
+from glstar.calibrate.photo.photograph import Photograph, encoded_image, linearised, recorded_again
 from glstar.calibrate.photo.psf import fit_stars
 from glstar.calibrate.photo.sky import NoiseAgainstLevel, SkyMap, measure_noise
 from glstar.calibrate.sensor.calibration import Calibration
@@ -75,6 +73,55 @@ class Twin:
     peaks_dn: Float  # (2, n) peaks of stars in photograph and twin
     profiles_dn: Float  # (2, k) mean radial profiles of the ten brightest stars, at 0, 1, 2 ... px
     noise: NoiseAgainstLevel | None  # Of the twin
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwinResult:
+    """A calibration with its twin."""
+
+    calibration: Calibration
+    model: PhotographModel
+    twin: Twin
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers as JSON-serialisable values."""
+        numbers = self.calibration.to_json() | {"sensor": self.model.calibration.sensor.keys}
+        return numbers | {"photograph": self.model.to_json(), "twin": self.twin.figures.to_json()}
+
+    def files(self, name: str) -> dict[str, bytes]:
+        """Return all numbers, the twin and the comparison, by file name; `name`: without suffix."""
+        recorded = recorded_again(self.calibration.image, self.twin.pixels)
+        return {
+            f"{name}.json": (json.dumps(self.to_json(), indent=1) + "\n").encode(),
+            f"{name}.twin.png": encoded_image(".png", recorded),
+            f"{name}.pair.png": draw_twin(self.model, self.twin),
+        }
+
+
+def model_files(model: PhotographModel, name: str) -> dict[str, bytes]:
+    """Return a model and the maps that it refers to, by file name; `name`: without suffix."""
+    sky_map, dark_frame, brightness = f"{name}.sky.tiff", f"{name}.hot.tiff", f"{name}.brightness.csv"
+    files = {brightness: model.brightness.to_csv().encode()}
+    if model.has_map:
+        files[sky_map] = encoded_image(".tiff", model.sky_texels)
+    if model.dark_frame is not None:
+        files[dark_frame] = encoded_image(".tiff", model.dark_frame)
+    return files | {f"{name}.toml": model.to_toml(sky_map, dark_frame, brightness).encode()}
+
+
+def make_twin(calibration: Calibration, model: PhotographModel, config: Config) -> TwinResult:
+    """Return the twin of a photograph, and how the two differ.
+
+    `config`: what `model_files` holds, read from its files.  Raises CalibrationError as `render_twin`.
+    """
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only where an image is drawn
+
+    with GLRenderer.headless() as renderer:
+        pixels = render_twin(model, config, renderer)
+        again = render_twin(model, config, renderer, seed=2)
+        of_catalogue = render_twin(model, config, renderer, catalogue_brightness=True)
+    calibration = replace(calibration, notes=model.calibration.notes)
+    return TwinResult(calibration, model, compare_twin(model, pixels, again, of_catalogue))
 
 
 def render_twin(
@@ -143,8 +190,8 @@ def _turning(C_camera_eq: Float, exposure_s: float, fraction: Float) -> Float:
 def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[Any], of_catalogue: NDArray[Any]) -> Twin:
     """Return how a twin differs from its photograph.
 
-    `pixels` (height, width) uint8 or uint16: the twin; `again` (height, width) uint8 or uint16: a twin with other
-    noise; `of_catalogue` (height, width) uint8 or uint16: a twin whose stars have the brightness of the catalogue.
+    The images are (height, width) uint8 or uint16: the twin; `again`, a twin with other noise; `of_catalogue`, a twin
+    whose stars have the brightness of the catalogue.
     """
     calibration = model.calibration
     real = calibration.image.pixels_dn
@@ -209,12 +256,12 @@ def _correlation(residual: Float, is_sky: NDArray[np.bool_]) -> float:
     """Return the correlation of horizontal and vertical neighbours, without that of pixels at 6 px from each other."""
     scale = np.median(np.abs(residual[is_sky])) * 1.4826
     good = is_sky & (np.abs(residual) < 3.5 * max(float(scale), 0.5))
-    left = np.where(good, residual - residual[good].mean(), 0.0)
-    variance = float((left**2).sum() / max(good.sum(), 1))
+    noise = np.where(good, residual - residual[good].mean(), 0.0)
+    variance = float((noise**2).sum() / max(good.sum(), 1))
 
     def at(lag: int) -> float:
         pairs = (good[:, lag:] & good[:, :-lag]).sum() + (good[lag:] & good[:-lag]).sum()
-        total = (left[:, lag:] * left[:, :-lag]).sum() + (left[lag:] * left[:-lag]).sum()
+        total = (noise[:, lag:] * noise[:, :-lag]).sum() + (noise[lag:] * noise[:-lag]).sum()
         return float(total / max(pairs, 1))
 
     return (at(1) - at(6)) / max(variance, 1e-9)
@@ -222,11 +269,11 @@ def _correlation(residual: Float, is_sky: NDArray[np.bool_]) -> float:
 
 def _peaks_dn(image: Float, xy_px: Index) -> Float:
     """Return the largest pixel around each position above the median of its surroundings, DN."""
-    found = []
+    peaks_dn = []
     for x, y in xy_px:
         near = image[max(0, y - _SKY_PX) : y + _SKY_PX + 1, max(0, x - _SKY_PX) : x + _SKY_PX + 1]
-        found.append(image[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2].max() - np.median(near))
-    return np.array(found)
+        peaks_dn.append(image[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2].max() - np.median(near))
+    return np.array(peaks_dn)
 
 
 def _unsaturated(calibration: Calibration, both: tuple[Float, Float], star: Index) -> bool:
@@ -251,14 +298,14 @@ def _profile(image: Float, xy_px: Index) -> Float:
     """Return the mean radial profile of stars above their sky at 0, 1, 2 ... px, DN."""
     along = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
     radius = np.rint(np.hypot(along, along[:, np.newaxis])).astype(int)
-    found = []
+    profiles_dn = []
     for x, y in xy_px:
         if min(x, y) < _SKY_PX or x + _SKY_PX >= image.shape[1] or y + _SKY_PX >= image.shape[0]:
             continue
         near = image[y - _SKY_PX : y + _SKY_PX + 1, x - _SKY_PX : x + _SKY_PX + 1]
         above = image[y - _PROFILE_PX : y + _PROFILE_PX + 1, x - _PROFILE_PX : x + _PROFILE_PX + 1] - np.median(near)
-        found.append([above[radius == r].mean() for r in range(_PROFILE_PX + 1)])
-    return np.mean(found, axis=0) if found else np.zeros(_PROFILE_PX + 1)
+        profiles_dn.append([above[radius == r].mean() for r in range(_PROFILE_PX + 1)])
+    return np.mean(profiles_dn, axis=0) if profiles_dn else np.zeros(_PROFILE_PX + 1)
 
 
 _DPI: Final = 110
@@ -273,11 +320,11 @@ _MEASURED, _SIMULATED = "k", "tab:red"
 def draw_twin(model: PhotographModel, twin: Twin) -> bytes:
     """Return a photograph beside its twin as a PNG.
 
-    Returns: both images, a detail in the shadows, and measured beside simulated: the pixels of the sky, their noise
+    It shows both images, a detail in the shadows, and measured beside simulated: the pixels of the sky, their noise
     against the level, the mean profile of the ten brightest stars, and the peaks of all.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
 
     figure = Figure(figsize=(15, 11))
     FigureCanvasAgg(figure)

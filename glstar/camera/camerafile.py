@@ -17,10 +17,6 @@ JSON is a subset of YAML and is read too.  All dialects put pixel (0, 0) at the 
 does, so that no position is shifted.  The lens models are OpenCV's (`glstar.camera.distortion`): plumb_bob (radtan),
 rational_polynomial and fisheye (equidistant).  If a file does not name its model, the number of coefficients decides:
 4 or 5 mean plumb_bob, and 8, 12 or 14 mean rational.  A fisheye must be named.
-
-Cameras in the dialects of YAML that `glstar.camera.camerafile` lists.
-
-YAML of calibration files: the keys at the top level, and checked values with short messages.
 """
 
 import re
@@ -185,7 +181,8 @@ def _not_a_number(key: str, value: object, wanted: str) -> NoReturn:
 
 # Common names of the same key, normalized: lower case, without underscores, hyphens and spaces.
 _MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx")
-_WIDTH, _HEIGHT = ("imagewidth", "width", "imgwidth"), ("imageheight", "height", "imgheight")
+_WIDTH = ("imagewidth", "width", "imgwidth")
+_HEIGHT = ("imageheight", "height", "imgheight")
 _SIZE = ("imagesize", "resolution", "imgsize")
 
 # Names of lens models in OpenCV, ROS and Kalibr files.  None: the number of coefficients decides, as in OpenCV's files.
@@ -216,7 +213,7 @@ def _key_of_another_file(keys: Keys) -> str:
 def camera_from_keys(keys: Keys, name: str | None) -> Camera:
     """Return the only camera of a file, or the one with the given name."""
     chain = [key for key in keys if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
-    orb_slam = sorted({found[1] for key in keys if (found := re.fullmatch(r"(Camera\d?)\.fx", str(key)))})
+    orb_slam = sorted({match[1] for key in keys if (match := re.fullmatch(r"(Camera\d?)\.fx", str(key)))})
     if chain:
         return _kalibr(keys, _chosen(chain, name))
     if orb_slam:
@@ -228,8 +225,8 @@ def camera_from_keys(keys: Keys, name: str | None) -> Camera:
 
 def _opencv_or_ros(keys: Keys) -> Camera:
     entries = {normalized(key): (str(key), value) for key, value in keys.items()}
-    found = next((entries[name] for name in _MATRIX if name in entries), None)
-    if found is None:
+    matrix = next((entries[name] for name in _MATRIX if name in entries), None)
+    if matrix is None:
         raise CalibrationError(
             f"has no camera matrix under any name that glstar knows; it reads {DIALECTS}, and here"
             f" {_key_of_another_file(keys)}"
@@ -237,7 +234,7 @@ def _opencv_or_ros(keys: Keys) -> Camera:
     _refuse_binning(entries)
     lens = _lens(entries)
     width_px, height_px = _size(entries)
-    return replace(_camera(width_px, height_px, *found), lens=lens)
+    return replace(_camera(width_px, height_px, *matrix), lens=lens)
 
 
 def _chosen(names: list[str], name: str | None) -> str:
@@ -254,13 +251,13 @@ def _chosen(names: list[str], name: str | None) -> str:
 
 def _orb_slam(keys: Keys, name: str) -> Camera:
     """Return a camera of ORB-SLAM2 or ORB-SLAM3, with keys such as ``Camera.fx`` and ``Camera1.k1``."""
-    own = {
-        normalized(str(key).partition(".")[2]): (str(key), keys[key]) for key in keys if str(key).startswith(f"{name}.")
-    }
-    shared = {
-        normalized(str(key).partition(".")[2]): (str(key), keys[key]) for key in keys if str(key).startswith("Camera.")
-    }
-    return _by_name(shared | own, label(shared.get("type", ("", "PinHole"))[1]))
+
+    def entries(camera: str) -> dict[str, tuple[str, object]]:
+        of_camera = [str(key) for key in keys if str(key).partition(".")[0] == camera and "." in str(key)]
+        return {normalized(key.partition(".")[2]): (key, keys[key]) for key in of_camera}
+
+    shared = entries("Camera")
+    return _by_name(shared | entries(name), label(shared.get("type", ("", "PinHole"))[1]))
 
 
 def _camodocal(keys: Keys) -> Camera:
@@ -283,13 +280,13 @@ def _camodocal(keys: Keys) -> Camera:
     return _by_name(entries, model)
 
 
-def _by_name(entries: Mapping[str, tuple[str, object]], said: str) -> Camera:
+def _by_name(entries: Mapping[str, tuple[str, object]], model_name: str) -> Camera:
     """Return a camera with one key per number: fx, fy, cx, cy, and k1, k2, p1, p2, k3 or k1 to k4."""
-    model = _MODELS.get(normalized(said))
+    model = _MODELS.get(normalized(model_name))
     if model is None:
         raise CalibrationError(
-            f"has a camera of the model {abbreviated(said)}; glstar knows pinhole with radial-tangential distortion and"
-            " Kannala-Brandt (fisheye): calibrate with one of these"
+            f"has a camera of the model {abbreviated(model_name)}; glstar knows pinhole with radial-tangential"
+            " distortion and Kannala-Brandt (fisheye): calibrate with one of these"
         )
     missing = [name for name in ("fx", "fy", "cx", "cy") if name not in entries]
     if missing:
@@ -332,7 +329,9 @@ def _camera(width_px: int, height_px: int, key: str, value: object) -> Camera:
     if K[1, 0] != 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
         rows = "; ".join(" ".join(f"{number:g}" for number in row) for row in K)
         raise CalibrationError(f"{key} is [{rows}]; a camera matrix is [fx skew cx; 0 fy cy; 0 0 1]")
-    return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), float(K[0, 1]))
+    fx_px, skew_px, cx_px = K[0].tolist()
+    _, fy_px, cy_px = K[1].tolist()
+    return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px, skew_px=skew_px)
 
 
 def _size(entries: Mapping[str, tuple[str, object]]) -> tuple[int, int]:
@@ -346,13 +345,13 @@ def _size(entries: Mapping[str, tuple[str, object]]) -> tuple[int, int]:
             return read_integer(key, numbers[0]), read_integer(key, numbers[1])
     sides = []
     for names in (_WIDTH, _HEIGHT):
-        found = next((entries[name] for name in names if name in entries), None)
-        if found is None:
+        side = next((entries[name] for name in names if name in entries), None)
+        if side is None:
             raise CalibrationError(
                 "does not give the image size; add it, px:"
                 " image_width: and image_height: (in a Kalibr camchain, resolution: [width, height])"
             )
-        sides.append(read_integer(found[0], read_number(*found)))
+        sides.append(read_integer(side[0], read_number(*side)))
     return sides[0], sides[1]
 
 
@@ -368,15 +367,15 @@ def _refuse_binning(entries: Mapping[str, tuple[str, object]]) -> None:
 
 def _lens(entries: Mapping[str, tuple[str, object]]) -> Lens | None:
     """Return the lens of a file; None for a pinhole."""
-    said = label(entries.get("distortionmodel", ("", ""))[1] or "").strip()
+    model_name = label(entries.get("distortionmodel", ("", ""))[1] or "").strip()
     if "fisheyemodel" in entries and read_number(*entries["fisheyemodel"]) != 0:
-        said = "fisheye"
-    if normalized(said) not in _MODELS:
+        model_name = "fisheye"
+    if normalized(model_name) not in _MODELS:
         raise CalibrationError(
-            f"has a lens of the model {said}; glstar knows plumb_bob (radtan), rational_polynomial and fisheye"
+            f"has a lens of the model {model_name}; glstar knows plumb_bob (radtan), rational_polynomial and fisheye"
             " (equidistant): calibrate with one of these, or rectify the images"
         )
-    model = _MODELS[normalized(said)]
+    model = _MODELS[normalized(model_name)]
     coefficients = [
         number
         for name, (key, value) in entries.items()
@@ -433,7 +432,7 @@ def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Came
 
 
 def camera_warnings(camera: Camera) -> tuple[str, ...]:
-    """Return warnings about implausible numbers of a camera; returns: messages; empty for a plausible camera."""
+    """Return warnings about implausible numbers of a camera."""
     warnings = []
     if not camera.contains([camera.cx_px, camera.cy_px]):
         warnings.append(
@@ -456,10 +455,10 @@ def camera_warnings(camera: Camera) -> tuple[str, ...]:
 
 
 def camera_to_yaml(camera: Camera, *comments: str) -> str:
-    """Return a camera as a calibration file that `camera_from_file`, ROS and OpenCV's FileStorage read.
+    """Return a camera as ROS camera_info YAML, which `camera_from_file`, ROS and OpenCV's FileStorage read.
 
-    `*comments`: lines written at the top, such as the origin of the numbers.  Returns: ROS camera_info YAML; reading it
-    returns the same numbers.
+    Lines of `comments`, such as the origin of the numbers, are written at the top.  Reading it returns the same
+    numbers.
     """
     lens = camera.lens
     K = camera.K
@@ -467,10 +466,10 @@ def camera_to_yaml(camera: Camera, *comments: str) -> str:
     # ROS expects five numbers for a plumb_bob and eight for a rational_polynomial.
     coefficients = list(lens.coefficients) if lens is not None else []
     if lens is None or lens.model != "rational":
-        least = 4 if lens is not None and lens.model == "fisheye" else 5
+        count = 4 if lens is not None and lens.model == "fisheye" else 5
     else:
-        least = next(n for n in (8, 12, 14) if len(coefficients) <= n)
-    coefficients += [0.0] * (least - len(coefficients))
+        count = next(count for count in (8, 12, 14) if len(coefficients) <= count)
+    coefficients += [0.0] * (count - len(coefficients))
     lines = [
         *(f"# {line}" for comment in comments for line in comment.splitlines()),
         f"image_width: {camera.width_px}",

@@ -1,15 +1,7 @@
-"""Lens distortion: from the undistorted image plane to the distorted one and back.
+"""Lens distortion, by OpenCV's models: from the undistorted image plane to the distorted one and back.
 
 A point of the undistorted plane is (x, y) = (X / Z, Y / Z) of a direction in the camera frame; the camera matrix turns
-the distorted point (x', y') into pixels.  `glstar.camera.distortion` has the formulas.
-
-The polynomials of the models are not monotonic everywhere: beyond some radius, stars outside the field would come back
-into the image.  A lens ends at that radius (`Lens.limit`), and directions beyond it have no pixel position.
-
-Formulas of OpenCV's lens models.
-
-A lens maps a point (x, y) = (X / Z, Y / Z) of the undistorted image plane, at r from the axis, to the distorted point
-(x', y').  With q = r^2 and theta = arctan(r):
+the distorted point (x', y') into pixels.  With r the distance from the axis, q = r^2 and theta = arctan(r):
 
 ==============  ===================================================================  ============================
 model           r'                                                                   coefficients
@@ -20,7 +12,9 @@ model           r'                                                              
 ``fisheye``     theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)        k1, k2, k3, k4
 ==============  ===================================================================  ============================
 
-To add a model, write its two functions and add a line to `LENS_MODELS`.
+The polynomials are not monotonic everywhere: beyond some radius, stars outside the field would come back into the
+image.  A lens ends at that radius (`Lens.limit`), and directions beyond it have no pixel position.  To add a model,
+write its two functions and add a line to `LENS_MODELS`.
 """
 
 from collections.abc import Callable
@@ -81,12 +75,14 @@ def _polynomial_radial(coefficients: Coefficients, q: Float) -> tuple[Float, Flo
 
 def _polynomial_limit(coefficients: Coefficients) -> float:
     k = padded(coefficients)
-    numerator, denominator = np.array([1, k[0], k[1], k[4]]), np.array([1, *k[5:8]])
+    numerator = np.array([1, k[0], k[1], k[4]])
+    denominator = np.array([1, *k[5:8]])
     polynomial = np.polynomial.polynomial
     # d(r N/D)/dr = (N D + 2 q (N' D - N D')) / D^2, in powers of q.
-    left = polynomial.polymul(polynomial.polyder(numerator), denominator)
-    right = polynomial.polymul(numerator, polynomial.polyder(denominator))
-    crossed = polynomial.polysub(left, right)
+    crossed = polynomial.polysub(
+        polynomial.polymul(polynomial.polyder(numerator), denominator),
+        polynomial.polymul(numerator, polynomial.polyder(denominator)),
+    )
     derivative = polynomial.polyadd(polynomial.polymul(numerator, denominator), polynomial.polymulx(2 * crossed))
     return float(np.sqrt(min(_smallest_root(derivative), _smallest_root(denominator))))
 
@@ -154,7 +150,8 @@ def tangential_derivatives(
 ) -> tuple[Float, Float, Float, Float]:
     """Return the derivatives of `tangential`: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
     _, _, p1, p2, _, _, _, _, s1, s2, s3, s4, _, _ = padded(coefficients)
-    prism_x, prism_y = 2 * (s1 + 2 * s2 * q), 2 * (s3 + 2 * s4 * q)
+    prism_x = 2 * (s1 + 2 * s2 * q)
+    prism_y = 2 * (s3 + 2 * s4 * q)
     return (
         2 * p1 * y + 6 * p2 * x + prism_x * x,
         2 * p1 * x + 2 * p2 * y + prism_x * y,
@@ -290,10 +287,10 @@ class Lens:
             inverse = np.asarray(np.linalg.inv(tilt_homography(self.coefficients)), dtype=np.float64)
             points = _transformed(inverse, points)
         flat = points.reshape(-1, 2)
-        found = np.empty_like(flat)
+        undistorted = np.empty_like(flat)
         for first in range(0, len(flat), _BLOCK):
-            found[first : first + _BLOCK] = self._undistorted(flat[first : first + _BLOCK])
-        return found.reshape(points.shape)
+            undistorted[first : first + _BLOCK] = self._undistorted(flat[first : first + _BLOCK])
+        return undistorted.reshape(points.shape)
 
     def _undistorted(self, distorted: Float) -> Float:
         radius, distorted_radius = _table(self)
@@ -351,7 +348,8 @@ class Lens:
         c, s = np.cos(roll), np.sin(roll)
         rolled = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         tilted = tilted @ rolled.T
-        tau_x, tau_y = np.arctan2(tilted[1, 2], tilted[1, 1]), np.arctan2(tilted[2, 0], tilted[0, 0])
+        tau_x = np.arctan2(tilted[1, 2], tilted[1, 1])
+        tau_y = np.arctan2(tilted[2, 0], tilted[0, 0])
         # Tangential and thin-prism coefficients are vectors in the image plane.
         (p2, p1), (s1, s3), (s2, s4) = (
             (rolled @ quarter)[:2, :2] @ vector for vector in ((p2, p1), (s1, s3), (s2, s4))

@@ -1,4 +1,4 @@
-"""Exposure times."""
+"""Exposures: when the shutter opens and closes, row by row, for one exposure or a stack of short ones."""
 
 from dataclasses import dataclass, replace
 from math import ceil, isfinite
@@ -172,10 +172,10 @@ class Exposure:
         """
         largest_dn = saturation_dn * self.signal_factor
         if largest_dn > MAX_DN:
-            most = MAX_DN // saturation_dn
+            most_frames = MAX_DN // saturation_dn
             raise ConfigError(
                 f"is {self.frames}, and the sum of {self.frames} exposures of up to {saturation_dn} DN reaches"
-                f" {largest_dn} DN, more than 16 bits hold ({MAX_DN} DN); take at most {most}, a smaller"
+                f" {largest_dn} DN, more than 16 bits hold ({MAX_DN} DN); take at most {most_frames}, a smaller"
                 ' sensor.bit_depth, or exposure.stack = "mean"',
                 key="exposure.frames",
             )
@@ -277,8 +277,7 @@ class Exposure:
 def check_readouts(duration_s: float, readout_s: float, frames: float, gap_s: float) -> None:
     """Raise if a rolling shutter would begin to read a short exposure before it has read the one before it.
 
-    `duration_s`, `readout_s`, `frames`, `gap_s`: see `Exposure`.  Raises ConfigError if the readout time is longer than
-    the time between two short exposures.
+    Raises ConfigError if the readout time is longer than the time between two short exposures.
     """
     # A tolerance for sums such as 0.1 + 0.2.
     if frames > 1 and readout_s > (duration_s + gap_s) * (1 + 1e-9):
@@ -292,9 +291,8 @@ def check_readouts(duration_s: float, readout_s: float, frames: float, gap_s: fl
 def exposure_span_s(
     duration_s: Seconds, readout_s: Seconds, frames: float | NDArray[np.float64], gap_s: Seconds
 ) -> Seconds:
-    """Return the time from the first opening to the last closing of exposures.
+    """Return the time from the first opening to the last closing of exposures, s.
 
-    `duration_s`, `readout_s`, `frames`, `gap_s` (...): see `Exposure`.  Returns (...) s.  Every row is exposed
-    `frames` times with gaps between; the last row is later than the first by the readout time.
+    Every row is exposed `frames` times with gaps between; the last row is later than the first by the readout time.
     """
     return frames * duration_s + (frames - 1) * gap_s + readout_s

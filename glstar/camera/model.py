@@ -1,7 +1,4 @@
-"""The camera: a pixel grid behind a pinhole or a lens, and its mount on the aircraft.
-
-The error of a camera's attitude, as a viewer of its image sees it.
-"""
+"""The camera: a pixel grid behind a pinhole or a lens, its mount on the aircraft, and errors of its attitude."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -387,10 +384,7 @@ class AttitudeError:
 
     @classmethod
     def between(cls, C_camera_icrs: Float, C_answered_icrs: Float) -> Self:
-        """Return the error of a rotation from ICRS, or another frame, to the camera.
-
-        `C_camera_icrs`, `C_answered_icrs` (3, 3): the true one and the other one.
-        """
+        """Return the error of an answered rotation from ICRS, or another frame, to the camera, (3, 3)."""
         turn = turn_from_matrix(C_answered_icrs @ C_camera_icrs.T)
         # The optical axis turns about the image's right axis downwards, about its down axis to the left.
         return cls(float(turn[1]), float(-turn[0]), float(turn[2]))

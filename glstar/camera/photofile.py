@@ -1,7 +1,4 @@
-"""Photographs in the formats of cameras that OpenCV does not read: DNG, HEIC and FITS.
-
-Alignment of digital numbers of fewer than 16 bits within the 16 bits of a file's pixels.
-"""
+"""Photographs in formats that OpenCV does not read (DNG, HEIC and FITS), and numbers shifted up within 16 bits."""
 
 import re
 import struct
@@ -15,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.sensor.pixelpattern import read_fits
-from glstar.system.imagefiles import MAX_MEGAPIXELS
+from glstar.system.imagefiles import MAX_MEGAPIXELS, PNG_SIGNATURE
 from glstar.system.installation import install_command
 
 _FITS: Final = b"SIMPLE  ="
@@ -25,10 +22,21 @@ _DNG_TAGS: Final = (b"\x12\xc6\x01\x00\x04\x00\x00\x00", b"\xc6\x12\x00\x01\x00\
 _HEAD_BYTES: Final = 1 << 16
 _HEIF_BRANDS: Final = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1", b"avif")
 # First bytes of the other formats that OpenCV reads.
+_PORTABLE_MAPS: Final = tuple(f"P{kind}".encode() for kind in "1234567fF")
 _SIGNATURES: Final = (
-    *(b"\x89PNG", b"\xff\xd8\xff", b"BM", b"GIF8", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51", b"\x76\x2f\x31\x01"),
-    *(b"#?RGBE", b"#?RADIANCE", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"P7", b"Pf", b"PF", b"\x59\xa6\x6a\x95"),
-    *(b"II+\0", b"MM\0+"),
+    b"\x89PNG",
+    b"\xff\xd8\xff",  # JPEG
+    b"BM",
+    b"GIF8",
+    b"\0\0\0\x0cjP  ",  # JPEG 2000
+    b"\xff\x4f\xff\x51",
+    b"\x76\x2f\x31\x01",  # OpenEXR
+    b"#?RGBE",
+    b"#?RADIANCE",
+    b"\x59\xa6\x6a\x95",  # Sun raster
+    b"II+\0",  # BigTIFF
+    b"MM\0+",
+    *_PORTABLE_MAPS,
 )
 _LARGEST_DN: Final = 65535
 # Stored numbers to a digital number of 15 to 9 bits that is in the highest of 16.
@@ -48,21 +56,17 @@ class PhotoPixels:
 
 
 def has_image_signature(start: bytes) -> bool:
-    """Return whether a file begins like an image of a format that glstar reads.
-
-    `start`: at least the first 16 bytes.
-    """
+    """Return whether the first 16 bytes of a file, or more, are those of an image format that glstar reads."""
     is_webp = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     return start.startswith((*_SIGNATURES, *_TIFF, _FITS)) or is_webp or _is_heif(start)
 
 
 def decode_photo(content: bytes, *, demosaiced: bool = True, upright: bool = False) -> PhotoPixels | None:
-    """Return the pixels of a DNG, HEIC or FITS file.
+    """Return the pixels of a DNG, HEIC or FITS file; None for a file of another kind.
 
-    `content`: the file; `demosaiced`: whether a DNG's mosaic becomes a colour image, by bilinear interpolation of its
-    digital numbers; black level and white balance stay as they are; `upright`: whether a DNG is rotated as it says that
-    it was taken.  Returns: none if the file is of another kind.  Raises ValueError if it is damaged or too large, or
-    the library that reads it is not installed; the message continues "FILE: ".
+    `demosaiced` turns a DNG's mosaic into a colour image, by bilinear interpolation of its digital numbers; black level
+    and white balance stay as they are.  `upright` rotates a DNG as it says that it was taken.  Raises ValueError if the
+    file is damaged or too large, or the library that reads it is not installed; the message continues "FILE: ".
     """
     if content.startswith(_FITS):
         return PhotoPixels(_decoded_fits(content), _white_dn_of_fits(content))
@@ -100,15 +104,16 @@ def _white_dn_of_fits(content: bytes) -> int | None:
 
 def _decoded_dng(content: bytes, *, demosaiced: bool, upright: bool) -> PhotoPixels:
     try:
-        import rawpy  # noqa: PLC0415 - an extra
+        import rawpy  # noqa: PLC0415 - an extra, only when a DNG is read
     except ImportError as error:
         raise ValueError(f"is a DNG, which needs rawpy: {install_command('raw')}") from error
     try:
         with rawpy.imread(BytesIO(content)) as raw:
             _refuse_large(raw.sizes.raw_width, raw.sizes.raw_height)
-            mosaic, white_dn = np.array(raw.raw_image_visible), int(raw.white_level)
+            mosaic = np.array(raw.raw_image_visible)
+            white_dn = int(raw.white_level)
             quarters = _QUARTER_TURNS.get(raw.sizes.flip, 0) if upright else 0
-            pattern = "".join(raw.color_desc.decode()[int(n)] for n in np.asarray(raw.raw_pattern).ravel())
+            pattern = "".join(raw.color_desc.decode()[int(colour)] for colour in np.asarray(raw.raw_pattern).ravel())
     except rawpy.LibRawError as error:
         raise ValueError(f"is a DNG that cannot be decoded ({error})") from error
     if mosaic.ndim != 2 or mosaic.dtype != np.uint16:
@@ -120,7 +125,7 @@ def _decoded_dng(content: bytes, *, demosaiced: bool, upright: bool) -> PhotoPix
 
 def _bilinear(mosaic: NDArray[np.uint16], pattern: str) -> NDArray[np.uint16]:
     """Return a mosaic as blue, green and red."""
-    import cv2  # noqa: PLC0415 - when a raw image is read
+    import cv2  # noqa: PLC0415 - cv2, only when a raw image is read
 
     codes = {
         "RGGB": cv2.COLOR_BayerRGGB2BGR,
@@ -135,18 +140,18 @@ def _bilinear(mosaic: NDArray[np.uint16], pattern: str) -> NDArray[np.uint16]:
 
 def _decoded_heif(content: bytes) -> PhotoPixels:
     try:
-        import pillow_heif  # noqa: PLC0415 - an extra
+        import pillow_heif  # noqa: PLC0415 - an extra, only when a HEIC is read
     except ImportError as error:
         raise ValueError(f"is a HEIC image, which needs pillow-heif: {install_command('heic')}") from error
     with _damage_of_heic_explained():
-        found = pillow_heif.open_heif(BytesIO(content), convert_hdr_to_8bit=False, bgr_mode=True)
-    _refuse_large(*found.size)
+        image = pillow_heif.open_heif(BytesIO(content), convert_hdr_to_8bit=False, bgr_mode=True)
+    _refuse_large(*image.size)
     with _damage_of_heic_explained():
-        pixels = np.asarray(found)
-    bits = int(found.info.get("bit_depth", 8))
+        pixels = np.asarray(image)
+    bits = int(image.info.get("bit_depth", 8))
     if pixels.dtype == np.uint16:  # pillow-heif moves the bits of deeper images to the top of 16
         pixels = pixels >> (16 - bits)
-    exif = (found.info.get("exif") or b"").removeprefix(b"Exif\0\0")
+    exif = (image.info.get("exif") or b"").removeprefix(b"Exif\0\0")
     return PhotoPixels(np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[..., :3]), 2**bits - 1, exif)
 
 
@@ -166,37 +171,33 @@ def _refuse_large(width_px: int, height_px: int) -> None:
 # Tag of TIFF 6.0 with the largest value that a pixel can have.
 MAX_SAMPLE_VALUE: Final = 281
 _FILE_BITS: Final = 16
-_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
-_TIFF_STARTS: Final = (b"II*\0", b"MM\0*")
 _TIFF_SHORT: Final = 3
 
 
 def shift_bits(full_scale_dn: int) -> int:
     """Return by how many bits digital numbers are shifted up to fill the pixels of a file.
 
-    `full_scale_dn`: the largest digital number.  Returns: 4 for 12 bits in 16; 0 if 8 bits hold the numbers.
+    It is 4 for 12 bits in 16, and 0 if 8 bits hold the largest number.
     """
     bits = int(full_scale_dn).bit_length()
     return 0 if bits <= 8 else _FILE_BITS - bits
 
 
 def stated_shift_bits(content: bytes) -> int:
-    """Return by how many bits an image file says that its digital numbers are shifted up.
+    """Return by how many bits, 0 to 15, a PNG or TIFF says that its digital numbers are shifted up; 0 for other files.
 
-    `content`: a PNG or TIFF of one channel; 0 for other files.  Returns: 0 to 15.  PNG specification, third edition,
-    section 11.3.2.7 (sBIT); TIFF 6.0, section 8 (MaxSampleValue).
+    PNG specification, third edition, section 11.3.2.7 (sBIT); TIFF 6.0, section 8 (MaxSampleValue).
     """
-    if content.startswith(_PNG_START):
+    if content.startswith(PNG_SIGNATURE):
         return _shift_of_png(content)
-    return _shift_of_tiff(content) if content.startswith(_TIFF_STARTS) else 0
+    return _shift_of_tiff(content) if content.startswith(_TIFF) else 0
 
 
 def as_digital_numbers(pixels: NDArray[Any], shift: int) -> NDArray[Any]:
-    """Return digital numbers that a file has shifted up.
+    """Return the digital numbers, (height, width), that a file has shifted up by `stated_shift_bits`.
 
-    `pixels` (height, width); `shift`: from `stated_shift_bits`.  Returns (height, width) the same pixels if they are
-    not of 16 bits, or if some have bits below the shift: a file of another program may state its significant bits and
-    leave the numbers where they are.
+    Pixels stay if they are not of 16 bits, or if some have bits below the shift: a file of another program may state
+    its significant bits and leave the numbers where they are.
     """
     if not shift or pixels.dtype != np.uint16 or pixels.ndim != 2 or (pixels & ((1 << shift) - 1)).any():
         return pixels
@@ -204,7 +205,7 @@ def as_digital_numbers(pixels: NDArray[Any], shift: int) -> NDArray[Any]:
 
 
 def _shift_of_png(content: bytes) -> int:
-    at = len(_PNG_START)
+    at = len(PNG_SIGNATURE)
     while at + 8 <= len(content):
         (length,) = struct.unpack_from(">I", content, at)
         kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]

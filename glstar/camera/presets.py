@@ -1,11 +1,12 @@
-"""Cameras that ship with glstar.
+"""Presets: cameras that ship with glstar, and image sensors with modes, gains, wells and noises, each with its source.
 
-Image sensors that glstar knows: their modes, gains, wells and noises, each with its source.
+``"imx477:2028x1520"`` is a mode of a sensor in `assets/sensors.toml`; ``"sensors.toml:NAME:WIDTHxHEIGHT"`` is one in a
+file of the user's, which has the same tables.
 """
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
 
@@ -14,10 +15,12 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor.colourband import BANDS_WITH_COLOURS
 from glstar.errors import ConfigError
 from glstar.system.resources import asset
-from glstar.system.userinput import nearest_word
+from glstar.system.userinput import nearest_word, read_text
 
 # Bits of the digital numbers in `assets/sensors.toml`.
 _TABLE_BITS: Final = 12
+# Size limit of a user's file of sensors, bytes.
+_LARGEST_BYTES: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +46,7 @@ class SensorMode:
     values: Mapping[str, float]  # Keys of ``[sensor]``, for its binned pixels
 
     def camera(self, lens_mm: float) -> Camera:
-        """Return the camera of this mode behind a lens without distortion; `lens_mm`: focal length, mm."""
+        """Return the camera of this mode behind a lens of a focal length in mm, without distortion."""
         focal_px = 1000.0 * lens_mm / self.pixel_um
         middle = (self.width_px - 1) / 2, (self.height_px - 1) / 2
         return Camera(self.width_px, self.height_px, focal_px, focal_px, *middle)
@@ -72,34 +75,53 @@ def sensor_presets() -> Mapping[str, SensorPreset]:
     return _sensor_presets()
 
 
-def is_sensor_mode(name: str) -> bool:
-    """Return whether a name is that of a sensor, or of a mode of one, rather than of a camera.
+def preset_file(name: str) -> str | None:
+    """Return the path of the user's file that a preset such as ``"sensors.toml:NAME"`` is in; None for glstar's own."""
+    file, is_file, _ = name.rpartition(".toml:")
+    return f"{file}.toml" if is_file else None
 
-    `name`: such as ``"imx477:2028x1520"``.
+
+def is_sensor_mode(name: str) -> bool:
+    """Return whether a name is that of a sensor, or of a mode such as ``"imx477:2028x1520"``, not that of a camera."""
+    return preset_file(name) is not None or name.lower().partition(":")[0] in _sensor_presets()
+
+
+def sensor_preset(name: str) -> SensorPreset:
+    """Return the sensor of a name such as ``"imx477"``, ``"imx477:2028x1520"`` or ``"sensors.toml:NAME"``.
+
+    Raises ConfigError if there is no such sensor, or its file is not valid; the message lists those that there are.
     """
-    return name.lower().partition(":")[0] in _sensor_presets()
+    file = preset_file(name)
+    presets = _sensor_presets() if file is None else _presets_of_file(file)
+    sensor = _without_file(name).partition(":")[0]
+    if sensor not in presets:
+        near = nearest_word(sensor, presets, cutoff=0.5)
+        hint = "there" if near is None else f'did you mean "{near}"? There'
+        where, requested = ("", name) if file is None else (f"{file}: ", sensor)
+        listed = f"{hint} are {', '.join(presets)}"
+        raise ConfigError(f'{where}there is no sensor "{label(requested)}" ({listed})', key="preset")
+    return presets[sensor]
+
+
+def _without_file(name: str) -> str:
+    """Return the sensor and the mode of a name, in lower case."""
+    return name.rpartition(".toml:")[2].lower()
 
 
 def sensor_mode(name: str) -> SensorMode | None:
-    """Return a mode of a sensor.
+    """Return the mode ``"imx477:2028x1520"`` of a sensor; of a sensor's name alone, its full resolution.
 
-    `name`: ``"imx477:2028x1520"``, or a sensor's name for its full resolution.  Returns: none for a sensor without
-    modes: ``"generic"``.  Raises ConfigError if there is no such sensor or mode; the message lists those that there
-    are.
+    It is None for a sensor without modes, ``"generic"``.  Raises ConfigError if there is no such sensor or mode; the
+    message lists those that there are.
     """
-    sensor, colon, size = name.lower().partition(":")
-    if sensor not in _sensor_presets():
-        near = nearest_word(sensor, _sensor_presets(), cutoff=0.5)
-        hint = "there" if near is None else f'did you mean "{near}"? There'
-        raise ConfigError(
-            f'there is no sensor "{label(name)}" ({hint} are {", ".join(_sensor_presets())})', key="preset"
-        )
-    modes = {mode.name.partition(":")[2]: mode for mode in _sensor_presets()[sensor].modes}
+    preset = sensor_preset(name)
+    modes = {mode.name.rpartition(":")[2]: mode for mode in preset.modes}
+    _, colon, size = _without_file(name).partition(":")
     if not colon:
         return next(iter(modes.values()), None)
     if size not in modes:
-        there = f"its modes are {', '.join(modes)}" if modes else "it has no modes"
-        raise ConfigError(f'the sensor {sensor} has no mode "{label(size)}" ({there})', key="preset")
+        listed = f"its modes are {', '.join(modes)}" if modes else "it has no modes"
+        raise ConfigError(f'the sensor {preset.name} has no mode "{label(size)}" ({listed})', key="preset")
     return modes[size]
 
 
@@ -109,8 +131,31 @@ def _sensor_presets() -> dict[str, SensorPreset]:
     return {name: _preset(name, table) for name, table in tables.items()}
 
 
+def _presets_of_file(file: str) -> dict[str, SensorPreset]:
+    """Return the sensors of a user's file by name, in lower case."""
+    try:
+        tables = tomllib.loads(read_text(file, _LARGEST_BYTES))
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ConfigError(f"{file} cannot be read: {reason}", key="preset") from error
+    presets = {}
+    numbers = _sensor_presets()["generic"].numbers
+    for name, table in tables.items():
+        try:
+            preset = _preset(f"{file}:{name.lower()}", table)
+            presets[name.lower()] = replace(preset, numbers={key: preset.numbers[key] for key in numbers})
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            fault = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+            raise ConfigError(f"{file}: [{name}] is no sensor: {fault}", key="preset") from error
+    return presets
+
+
 def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
-    numbers = {key: Sourced(**entry) for key, entry in table.items() if isinstance(entry, dict)}
+    numbers = {
+        key: Sourced(float(entry["value"]), str(entry["source"]))
+        for key, entry in table.items()
+        if isinstance(entry, dict)
+    }
     modes = tuple(_mode(name, mode, numbers) for mode in table.get("modes", ()))
     return SensorPreset(name, table["description"], numbers, modes, name if name in BANDS_WITH_COLOURS else None)
 
@@ -179,12 +224,12 @@ def camera_from_preset(name: str, lens_mm: float | None = None) -> Camera:
     if name not in presets:
         near = nearest_word(name.lower(), presets, cutoff=0.5)
         hint = "there" if near is None else f'did you mean "{near}"? There'
-        there = f"{', '.join(presets)}, and the sensors that glstar camera presets lists"
-        raise ConfigError(f'there is no camera "{label(name)}" ({hint} are {there})', key="camera.preset")
+        listed = f"{', '.join(presets)}, and the sensors that glstar camera presets lists"
+        raise ConfigError(f'there is no camera "{label(name)}" ({hint} are {listed})', key="camera.preset")
     preset = presets[name]
     if "binned" in preset:
         return _binned(camera_from_preset(preset["binned"]["of"]), preset["binned"]["by"])
-    width_px, height_px, focal_px = preset["width_px"], preset["height_px"], preset["focal_px"]
+    width_px, height_px, focal_px = (preset[key] for key in ("width_px", "height_px", "focal_px"))
     return Camera(width_px, height_px, focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2)
 
 
@@ -215,11 +260,11 @@ def _binned(camera: Camera, by: int) -> Camera:
     """Return a camera with pixels binned `by` times `by`."""
     # Pixel centres have integer coordinates, so the corner of the image is at -0.5; binning leaves it there.
     return Camera(
-        camera.width_px // by,
-        camera.height_px // by,
-        camera.fx_px / by,
-        camera.fy_px / by,
-        (camera.cx_px + 0.5) / by - 0.5,
-        (camera.cy_px + 0.5) / by - 0.5,
-        camera.skew_px / by,
+        width_px=camera.width_px // by,
+        height_px=camera.height_px // by,
+        fx_px=camera.fx_px / by,
+        fy_px=camera.fy_px / by,
+        cx_px=(camera.cx_px + 0.5) / by - 0.5,
+        cy_px=(camera.cy_px + 0.5) / by - 0.5,
+        skew_px=camera.skew_px / by,
     )

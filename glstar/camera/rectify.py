@@ -16,13 +16,13 @@ _BLOCK_ROWS = 256
 
 
 def rectify(image: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], Camera]:
-    """Return an image as a pinhole of the same size, focal length and principal point would have recorded it.
+    """Return an image as a pinhole would have recorded it, and the pinhole: of the same size and camera matrix.
 
-    `image` (height, width) or (height, width, channels) uint8, uint16, float32 or float64: the image of `camera`; row 0
-    is the top; `camera`: without a lens, the image is returned unchanged.  Returns `image`: zero where the lens has no
-    image; `camera`: the pinhole.  Raises CalibrationError if the size of the image is not that of the camera.  Teague
-    & Chahl, section 2.3.  Values are interpolated (bicubic): the level of the sky is preserved, and the flux of a star
-    changes with the local magnification of the lens; centroids are preserved.
+    `image` is (height, width) or (height, width, channels) of uint8, uint16, float32 or float64; row 0 is the top.  The
+    result is zero where the lens has no image; without a lens it is the image itself.  Values are interpolated
+    (bicubic): the level of the sky is preserved, and the flux of a star changes with the local magnification of the
+    lens; centroids are preserved.  Raises CalibrationError if the size of the image is not that of the camera.  Teague
+    & Chahl, section 2.3.
     """
     if image.shape[:2] != (camera.height_px, camera.width_px):
         raise CalibrationError(

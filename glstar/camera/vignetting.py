@@ -5,7 +5,7 @@ solid angle of the sky, which makes a surface fainter and leaves a star as it is
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Literal
 
@@ -66,19 +66,12 @@ class Vignetting:
     vignetting_file: str = ""  # File of the flat field for ``"flat"``
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> "Vignetting":
-        """Return the vignetting of these keys of ``[lens]``.
-
-        `values`: with or without ``lens.`` before each key; others are ignored, and missing ones have their defaults.
-        """
-        given = {key.removeprefix("lens."): value for key, value in values.items()}
-        return cls(**{field.name: given[field.name] for field in fields(cls) if field.name in given})
+    def of(cls, effects: Mapping[str, Any]) -> "Vignetting":
+        """Return the vignetting that the keys of ``[lens]`` describe, given `Sensor.effects`; others have defaults."""
+        return cls(**{name: effects[f"lens.{name}"] for name in cls.__slots__ if f"lens.{name}" in effects})
 
     def of_sky(self, camera: Camera, xy_px: ArrayLike) -> Float:
-        """Return the brightness of a uniform sky over that on the axis, per pixel.
-
-        `xy_px` (..., 2): positions, px.  Returns (...) 0 where the lens shows nothing.
-        """
+        """Return the brightness of a uniform sky over that on the axis, (...); 0 where the lens shows nothing."""
         xy = np.asarray(xy_px, dtype=np.float64)
         if self.vignetting == "cos4":
             return _cosine(camera, xy) * relative_solid_angle(camera, xy)
@@ -92,11 +85,7 @@ class Vignetting:
         return np.ones(xy.shape[:-1])
 
     def of_stars(self, camera: Camera, xy_px: ArrayLike) -> Float:
-        """Return the fraction of a star's light that arrives, over that on the axis.
-
-        `xy_px` (..., 2): positions, px.  Returns (...) `of_sky` over `relative_solid_angle`; 0 where the lens shows
-        nothing.
-        """
+        """Return the fraction of a star's light that arrives over that on the axis, (...): `of_sky` per solid angle."""
         if self.vignetting == "none":
             return np.ones(np.shape(xy_px)[:-1])
         solid_angle = relative_solid_angle(camera, xy_px)
@@ -117,10 +106,9 @@ class Vignetting:
 
 
 def image_grid(camera: Camera, columns: int, rows: int) -> Float:
-    """Return the middles of the cells that divide an image: positions (rows, columns, 2), px.
+    """Return the middles of the cells that divide an image into columns and rows, (rows, columns, 2) px.
 
-    `columns`, `rows`: number of cells.  Returns (rows, columns, 2) the same as the texel centres of a texture that
-    covers the image.
+    They are the texel centres of a texture that covers the image.
     """
     x = (np.arange(columns) + 0.5) * camera.width_px / columns - 0.5
     y = (np.arange(rows) + 0.5) * camera.height_px / rows - 0.5
@@ -128,23 +116,22 @@ def image_grid(camera: Camera, columns: int, rows: int) -> Float:
 
 
 def relative_solid_angle(camera: Camera, xy_px: ArrayLike) -> Float:
-    """Return the solid angle of pixels over that of a pixel on the optical axis.
+    """Return the solid angle of pixels, (..., 2) px, over that of a pixel on the optical axis, (...).
 
-    `xy_px` (..., 2): positions, px.  Returns (...) cos^3 of the field angle for a pinhole; 0 where the lens shows
-    nothing.  The solid angle of an area of the undistorted plane is cos^3 of it; the Jacobian of the distortion gives
-    the area.
+    It is cos^3 of the field angle for a pinhole, and 0 where the lens shows nothing.  The solid angle of an area of the
+    undistorted plane is cos^3 of it; the Jacobian of the distortion gives the area.
     """
     ray = camera.unproject(xy_px)
-    area = (
-        1.0 if camera.lens is None else _magnification(camera, ray) / _magnification(camera, np.array([0.0, 0.0, 1.0]))
-    )
-    found = _cosine_of(ray) ** 3 / area
-    return np.asarray(np.where(np.isfinite(found), found, 0.0))
+    solid_angle = _cosine_of(ray) ** 3
+    if camera.lens is not None:
+        solid_angle /= _magnification(camera, ray) / _magnification(camera, np.array([0.0, 0.0, 1.0]))
+    return np.asarray(np.where(np.isfinite(solid_angle), solid_angle, 0.0))
 
 
 def _magnification(camera: Camera, ray: Float) -> Float:
     """Return the pixels per area of the undistorted plane at rays (x, y, 1)."""
-    step_x, step_y = np.array([_STEP, 0.0, 0.0]), np.array([0.0, _STEP, 0.0])
+    step_x = np.array([_STEP, 0.0, 0.0])
+    step_y = np.array([0.0, _STEP, 0.0])
     by_x = camera.project(ray + step_x) - camera.project(ray - step_x)
     by_y = camera.project(ray + step_y) - camera.project(ray - step_y)
     return np.asarray(np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]))
@@ -166,20 +153,21 @@ def _fit(vignetting: Vignetting, camera: Camera) -> FalloffFit:
     xy = np.stack(np.meshgrid(x, y), axis=-1)
     plane = camera.pinhole.unproject(xy)[..., :2]
     q = (plane**2).sum(axis=-1).ravel()
-    star, sky = vignetting.of_stars(camera, xy).ravel(), vignetting.of_sky(camera, xy).ravel()
+    star = vignetting.of_stars(camera, xy).ravel()
+    sky = vignetting.of_sky(camera, xy).ravel()
     seen = star > 0
     largest_q = float(q[seen].max())
     bend = largest_q if vignetting.vignetting == "cos4" else 0.0
     u = q[seen] / largest_q
     w = (1 + bend) * u / (1 + bend * u)
-    wanted = np.stack([star[seen], sky[seen]], axis=1)
+    transmission = np.stack([star[seen], sky[seen]], axis=1)
     for terms in _TERMS:
         powers = np.vander(w, terms, increasing=True)
-        found = np.asarray(np.linalg.lstsq(powers, wanted, rcond=None)[0], dtype=np.float64)
-        if np.all(np.abs(powers @ found - wanted) <= _TOLERANCE * wanted):
+        coefficients = np.asarray(np.linalg.lstsq(powers, transmission, rcond=None)[0], dtype=np.float64)
+        if np.all(np.abs(powers @ coefficients - transmission) <= _TOLERANCE * transmission):
             break
-    star_terms, sky_terms = (tuple(column.tolist()) for column in found.T)
-    return FalloffFit(star_terms, sky_terms, largest_q, bend, _curvature(found, largest_q, bend))
+    star_terms, sky_terms = (tuple(column.tolist()) for column in coefficients.T)
+    return FalloffFit(star_terms, sky_terms, largest_q, bend, _curvature(coefficients, largest_q, bend))
 
 
 def _curvature(coefficients: Float, largest_q: float, bend: float) -> float:

@@ -23,7 +23,7 @@ from glstar.system.process import EXIT_INTERRUPTED
 __all__ = ["COMMANDS", "main"]
 
 
-# Key of the words of the command line, for the options that are processed before the others.
+# Key of the arguments of the command line, for the options that are processed before the others.
 _WORDS: Final = "glstar.words"
 
 
@@ -58,9 +58,9 @@ class _OneLineErrors(TyperGroup):
 class _Command(NamedTuple):
     """A command."""
 
-    module: str  # The module in ``glstar.cli``
-    name: str  # Its function, or ``app``: a group of commands
-    summary: str  # The first paragraph of its help, shown by ``glstar --help``
+    module: str  # module in ``glstar.cli``
+    name: str  # function in the module, or ``app``: a group of commands
+    summary: str  # first paragraph of its help, shown by ``glstar --help``
 
 
 COMMANDS: Final = {
@@ -153,17 +153,18 @@ def _keep_brackets(commands: typer.Typer) -> None:
             continue
         command.help = escape(cleandoc(command.callback.__doc__ or ""))
         for parameter in signature(command.callback).parameters.values():
-            for described in getattr(parameter.annotation, "__metadata__", ()):
-                text = getattr(described, "help", None) or ""
+            for option in getattr(parameter.annotation, "__metadata__", ()):
+                text = getattr(option, "help", None) or ""
                 # Several commands share some options.
                 if "[" in text and "\\[" not in text:
-                    described.help = escape(text)
+                    option.help = escape(text)
     for group in commands.registered_groups:
         if group.typer_instance is not None:
             _keep_brackets(group.typer_instance)
 
 
 def _version(ctx: typer.Context, wanted: bool) -> None:
+    """Print the version and exit."""
     if wanted:
         typer.echo(f"glstar {__version__}")
         if {"-v", "--verbose"} & set(ctx.meta.get(_WORDS, ())):
@@ -176,10 +177,10 @@ def _version(ctx: typer.Context, wanted: bool) -> None:
 
 def _glstar(
     ctx: typer.Context,
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show the traceback of an error.")] = False,  # noqa: ARG001
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show the traceback of an error.")] = False,  # noqa: ARG001 - read by `_OneLineErrors`
     quiet: Quiet = False,
     verbose: Verbose = False,
-    version: Annotated[  # noqa: ARG001
+    version: Annotated[  # noqa: ARG001 - its callback prints it
         bool,
         typer.Option(
             "--version", callback=_version, is_eager=True, help="Show the version and exit; with -v the driver too."
@@ -219,7 +220,7 @@ def _build(names: Iterable[str], *, summaries: bool = False) -> typer.Typer:
 
 
 def _summarised() -> None:
-    """Do nothing: the list of commands shows this placeholder with a summary."""
+    """Do nothing: a placeholder of a command in the list of commands."""
 
 
 def _program(words: list[str]) -> typer.Typer:

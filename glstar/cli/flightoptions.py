@@ -1,12 +1,9 @@
-"""The options of every command that reads a flight log.
+"""The options of the commands that read a flight log or draw images, and the completion of their values."""
 
-Options of the commands that draw images: which camera takes them.
-"""
-
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import wraps
+from functools import partial, wraps
 from inspect import Parameter, signature
 from itertools import chain
 from pathlib import Path
@@ -14,8 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from glstar.camera.presets import is_sensor_mode, sensor_mode
-from glstar.cli.completion import camera_names, column_maps
+from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_mode, sensor_presets
 from glstar.cli.verbosity import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flight import SYNTHETIC
@@ -25,15 +21,6 @@ from glstar.flight import Interpolation
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.system.resources import bundled_flight
 
-CameraName = Annotated[
-    str | None,
-    typer.Option(
-        "--camera",
-        help="A preset of glstar camera presets, the mode of a sensor such as imx477:2028x1520, or a calibration file.",
-        show_default="the config's",
-        autocompletion=camera_names,
-    ),
-]
 LensMm = Annotated[
     float | None, typer.Option("--lens-mm", help="Focal length of the lens before --camera's sensor, mm.", min=0.01)
 ]
@@ -41,32 +28,6 @@ FNumber = Annotated[
     float | None, typer.Option("--f-number", help="Focal length over aperture of that lens.", min=0.1, max=100)
 ]
 AnalogueGain = Annotated[float | None, typer.Option("--gain", help="Analogue gain of --camera's sensor.", min=0.001)]
-
-
-def camera_settings(
-    camera: str | None, lens_mm: float | None, f_number: float | None, gain: float | None = None
-) -> dict[str, object]:
-    """Return the keys of the config that the options set.
-
-    `camera`: with the mode of a sensor, the sensor counts electrons as that mode does, its rows are read out as fast,
-    and the lens has vignetting; `lens_mm`, `f_number`: the lens before the sensor; `gain`: analogue gain of the sensor.
-    Returns: by dotted key; None for what the options leave as it is.
-    """
-    lens: dict[str, object] = {
-        "camera.lens_mm": lens_mm,
-        "camera.f_number": f_number,
-        "sensor.analogue_gain": gain,
-    }
-    if camera is None:
-        return lens
-    if is_sensor_mode(camera):
-        mode = sensor_mode(camera) if lens_mm is not None else None
-        # The config refuses a missing lens and an unknown mode.
-        readout_s = None if mode is None else mode.readout_s
-        keys = {"camera.preset": camera, "sensor.preset": camera, "lens.vignetting": "cos4"}
-        return {**keys, "exposure.readout_s": readout_s, **lens}
-    return {"camera.file" if is_file_name(camera) else "camera.preset": camera, **lens}
-
 
 # Flags of the camera, for commands that draw no images.
 CAMERA_FLAGS = frozenset({"camera", "lens_mm", "f_number", "gain"})
@@ -130,6 +91,75 @@ Position = Annotated[
         help="A track with the positions of the flight: GPX, KML, KMZ, NMEA or IGC.", show_default="the log's"
     ),
 ]
+
+Format = Annotated[
+    Literal["png", "png16", "tiff", "fits", "jpeg"] | None,
+    typer.Option(
+        "--format",
+        help="8-bit PNG, or PNG, TIFF or FITS of 16 bits, or JPEG.",
+        show_default="png; png16 over 8 bits",
+    ),
+]
+
+
+def completion(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return a function that lists the names that begin with a word; they are read only where the shell asks."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
+
+    return complete
+
+
+def _cameras() -> Iterable[str]:
+    return [*camera_presets(), *(mode.name for preset in sensor_presets().values() for mode in preset.modes)]
+
+
+def _column_maps() -> Iterable[str]:
+    from glstar.telemetry.tables.mapped import ready_maps  # noqa: PLC0415 - only where the shell asks
+
+    return ready_maps()
+
+
+camera_names = completion(_cameras)
+sensor_names = completion(sensor_presets)
+column_maps = completion(_column_maps)
+
+CameraName = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        help="A preset of glstar camera presets, the mode of a sensor such as imx477:2028x1520, or a calibration file.",
+        show_default="the config's",
+        autocompletion=camera_names,
+    ),
+]
+
+
+def camera_settings(
+    camera: str | None, lens_mm: float | None, f_number: float | None, gain: float | None = None
+) -> dict[str, object]:
+    """Return the values of the config, by dotted key, that the options set; None for keys that they leave unchanged.
+
+    The mode of a sensor also sets its noise, its readout time and the vignetting of the lens.  `lens_mm`, `f_number`:
+    the lens before the sensor; `gain`: analogue gain of the sensor.
+    """
+    lens: dict[str, object] = {
+        "camera.lens_mm": lens_mm,
+        "camera.f_number": f_number,
+        "sensor.analogue_gain": gain,
+    }
+    if camera is None:
+        return lens
+    if is_sensor_mode(camera):
+        mode = sensor_mode(camera) if lens_mm is not None else None
+        # The config refuses a missing lens and an unknown mode.
+        readout_s = None if mode is None else mode.readout_s
+        keys = {"camera.preset": camera, "sensor.preset": camera, "lens.vignetting": "cos4"}
+        return {**keys, "exposure.readout_s": readout_s, **lens}
+    return {"camera.file" if is_file_name(camera) else "camera.preset": camera, **lens}
+
+
 Columns = Annotated[
     str | None,
     typer.Option(
@@ -137,14 +167,6 @@ Columns = Annotated[
         " inav), a .toml file, or key=column,key=column; see glstar manual logs.",
         show_default="by its header",
         autocompletion=column_maps,
-    ),
-]
-Format = Annotated[
-    Literal["png", "png16", "tiff", "fits", "jpeg"] | None,
-    typer.Option(
-        "--format",
-        help="8-bit PNG, or PNG, TIFF or FITS of 16 bits, or JPEG.",
-        show_default="png; png16 over 8 bits",
     ),
 ]
 
@@ -175,8 +197,8 @@ def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]
 class FlightFlags:
     """The flags of a command that control how a log is read."""
 
-    config: ConfigFile = None  # The config file
-    utc_start: UtcStart = None  # One for each key of ``[flight]`` with a flag; None if it was not given
+    config: ConfigFile = None
+    utc_start: UtcStart = None  # this and the next fields are keys of ``[flight]``
     lat: Lat = None
     lon: Lon = None
     sysid: Sysid = None
@@ -187,19 +209,19 @@ class FlightFlags:
     interpolation: Interpolate = None
     columns: Columns = None
     position: Position = None
-    camera: CameraName = None  # The camera and its lens: see `camera_settings`
+    camera: CameraName = None  # this and the next fields: see `camera_settings`
     lens_mm: LensMm = None
     f_number: FNumber = None
     gain: AnalogueGain = None
 
     def settings(self, **others: object) -> Config:
-        """Return the config of the file, with the flags applied.
+        """Return the config of the file with the flags and other values, by dotted key, applied.
 
-        `**others`: other flags of the command, by dotted key.  Raises ConfigError if the file or a flag is invalid.
+        Raises ConfigError if the file or a value is not valid.
         """
         lens = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
-        given = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
-        settings = (Config() if self.config is None else Config.load(self.config)).override(**given, **lens, **others)
+        flight = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
+        settings = (Config() if self.config is None else Config.load(self.config)).override(**flight, **lens, **others)
         echo_catalogue_note(settings.sky.catalogue)
         return settings
 
@@ -214,33 +236,36 @@ def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., N
 
     `but`: flags that the command does not have, by their names in `FlightFlags`.  Returns a decorator.
     """
-    options = [
-        Parameter(one.name, Parameter.KEYWORD_ONLY, default=None, annotation=one.type)
-        for one in fields(FlightFlags)
-        if one.name not in but
-    ]
+    return partial(with_fields_as_options, parameter="flags", kind=FlightFlags, but=but)
 
-    def spell(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
-        def spelled(**given: Any) -> None:
-            flags = FlightFlags(**{option.name: given.pop(option.name) for option in options})
-            command(**given, flags=flags)
 
-        own = signature(command)
-        parameters = chain.from_iterable(options if one.name == "flags" else [one] for one in own.parameters.values())
-        spelled.__signature__ = own.replace(  # type: ignore[attr-defined]
-            parameters=[one.replace(kind=Parameter.KEYWORD_ONLY) for one in parameters]
-        )
-        return spelled
+def with_fields_as_options(
+    command: Callable[..., None], parameter: str, kind: Any, *, but: Collection[str] = ()
+) -> Callable[..., None]:
+    """Replace a parameter of a command by one option for each field of its dataclass `kind`, except those in `but`."""
+    options = {
+        field.name: Parameter(field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type)
+        for field in fields(kind)
+        if field.name not in but
+    }
 
-    return spell
+    @wraps(command)
+    def with_options(**values: Any) -> None:
+        chosen = {name: values.pop(name) for name in options if name in values}
+        command(**values, **{parameter: kind(**chosen)})
+
+    own = signature(command)
+    parameters = chain.from_iterable(
+        options.values() if name == parameter else [other] for name, other in own.parameters.items()
+    )
+    with_options.__signature__ = own.replace(  # type: ignore[attr-defined]
+        parameters=[option.replace(kind=Parameter.KEYWORD_ONLY) for option in parameters]
+    )
+    return with_options
 
 
 def echo_catalogue_note(catalogue: str) -> None:
-    """Write notes on a star catalogue to standard error; nothing if it cannot be opened.
-
-    `catalogue`: its name or path.
-    """
+    """Write notes on a star catalogue, by its name or path, to standard error; nothing if it cannot be opened."""
     # The bundled file belongs to the installed version.
     if catalogue == "bsc5":
         return
@@ -251,4 +276,5 @@ def echo_catalogue_note(catalogue: str) -> None:
 
 
 def _name(flag: str) -> str:
+    """Return the field of `FlightFlags` for a flag."""
     return flag.removeprefix("--").replace("-", "_")

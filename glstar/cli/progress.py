@@ -25,10 +25,10 @@ class _Rate(ProgressColumn):
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
-    """Show progress, rate and remaining time on standard error, if that is a terminal.
+    """Show progress, rate and remaining time on standard error, after a label, if that is a terminal.
 
-    A verbose command writes progress to other files too, as lines; a quiet one writes none.  `label`: printed before
-    the bar.  Yields: to be called with the number of finished items and of all items.
+    A verbose command writes progress to other files too, as lines; a quiet one writes none.  Yields a function to call
+    with the number of finished items and of all items.
     """
     in_terminal = sys.stderr.isatty()
     if verbosity() is Verbosity.VERBOSE and not in_terminal:

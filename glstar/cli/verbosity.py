@@ -10,6 +10,11 @@ from typing import Annotated, Any, Final
 
 import typer
 
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no notes; results and errors only.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="More on standard error: the driver, and progress without a terminal.")
+]
+
 
 class Verbosity(IntEnum):
     """What a command writes beside its result, its warnings and its errors."""
@@ -22,10 +27,6 @@ class Verbosity(IntEnum):
     """Details as well, and progress in lines where there is no terminal."""
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no notes; results and errors only.")]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="More on standard error: the driver, and progress without a terminal.")
-]
 _CURRENT: Final = ContextVar("verbosity", default=Verbosity.NORMAL)
 
 
@@ -51,14 +52,11 @@ def echo_detail(message: str) -> None:
 
 @contextmanager
 def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
-    """Set the verbosity for the time of a command; without either flag it stays as it is.
-
-    `quiet`, `verbose`: the flags.  Raises typer.BadParameter if both are given.
-    """
+    """Set the verbosity for the time of a command; raises typer.BadParameter if both flags are given."""
     if quiet and verbose:
         raise typer.BadParameter("contradict each other; leave one out", param_hint="--quiet and --verbose")
-    wanted = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else verbosity()
-    before = _CURRENT.set(wanted)
+    louder = Verbosity.VERBOSE if verbose else verbosity()
+    before = _CURRENT.set(Verbosity.QUIET if quiet else louder)
     try:
         yield
     finally:
@@ -66,21 +64,18 @@ def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
 
 
 def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the flags ``--quiet`` and ``--verbose``.
-
-    `command`: the function of a command that writes notes or progress.  Returns the command with two parameters more.
-    """
+    """Return a command with the flags ``--quiet`` and ``--verbose`` added."""
 
     @wraps(command)
-    def reported(*, quiet: bool = False, verbose: bool = False, **given: Any) -> None:
+    def reported(*, quiet: bool = False, verbose: bool = False, **values: Any) -> None:
         with reporting(quiet=quiet, verbose=verbose):
-            command(**given)
+            command(**values)
 
     own = signature(command)
     flags = [
         Parameter("quiet", Parameter.KEYWORD_ONLY, default=False, annotation=Quiet),
         Parameter("verbose", Parameter.KEYWORD_ONLY, default=False, annotation=Verbose),
     ]
-    parameters = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in own.parameters.values()]
+    parameters = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in own.parameters.values()]
     reported.__signature__ = own.replace(parameters=parameters + flags)  # type: ignore[attr-defined]
     return reported

@@ -1,13 +1,10 @@
 """The camera clock's offset, the mount's angles and the readout time, fitted to the trails of real images.
 
-Each trail gives four residuals: its shift along x and y, its stretch and its turn.  For small errors they are linear in
-the mount's error (a rotation of the camera, the same in every image), in the clock's error (a shift along the path,
-larger where the aircraft turns faster), in the readout time of a rolling shutter (the same shift times the number of
-the row) and in the attitude's own error in each image.  The attitude's error is a second rotation that may grow during
-the exposure: a heading error turns with the aircraft, and a log of few samples cuts corners.  It dominates the error
-budget, so its size is estimated together with the other parameters.  Its growth widens the uncertainty only; without
-it, the stated error of a clock offset from the stretch of trails would be many times too small.  ``python -m
-tests.bench.clockoffset`` checks the stated errors.
+Each trail gives four residuals: shifts along x and y, stretch and turn.  They are linear in a rotation of the camera
+(the mount's error), in a delay (the clock's error, larger where the aircraft turns faster), in a rolling shutter's
+readout time (a delay times the number of the row) and in each image's attitude error, a second rotation that may grow
+during the exposure.  That error dominates the budget, so its size is estimated with the other parameters; its growth
+only widens the uncertainty.  ``python -m tests.bench.clockoffset`` checks the stated errors.
 """
 
 import itertools
@@ -72,15 +69,15 @@ FindTrails = Callable[[int, Mount, float, float], Pairing | None]
 class Alignment:
     """A fitted clock offset, mount and readout time.
 
-    A standard error is half of a 95 % interval.  With few images it is therefore wider than the scatter of the fit: by
-    Student's t, 2.3 times for three images and 1.1 times for twelve.
+    A standard error is half of a 95 % interval, so with few images it exceeds the scatter of the fit: by Student's t,
+    2.3 times for three images and 1.1 times for twelve.
     """
 
     mount: Mount  # The fitted mount, or the given one
     # (3,) rotation of the camera from the given mount to the fitted one, about the camera's right, down and forward
     # axes, rad; zeros if the mount was not fitted.
     turn_rad: Float
-    turn_std_rad: Float  # (3,) its standard errors, rad; see Notes
+    turn_std_rad: Float  # (3,) its standard errors, rad
     # Delay of the exposures against the given times on the flight's clock, s: the camera clock's offset is smaller by
     # this.
     delay_s: float
@@ -128,7 +125,7 @@ class _State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _NormalEquations:
-    """The normal equations of one image: N motion = g, with its number of stars and the speed of its trails."""
+    """The normal equations of one image, normal @ motion = right, its number of stars and the speed of its trails."""
 
     normal: Float
     right: Float
@@ -151,11 +148,11 @@ def fit_alignment(
 ) -> Alignment | None:
     """Fit clock offset, mount, readout time, or several of them to the trails of real images.
 
-    `find_trails`: ``find_trails(number, mount, delay_s, readout_s)`` returns the trails of one image; `count`: number
-    of images; `mount`: the mount to start from; `fit_time`, `fit_mount`, `fit_readout`: the parameters to fit;
-    `readout_s`: the given readout time, s; `focal_px`: focal length, px; `start` ((3,) float64, float, float),
-    optional: start values: a rotation of the camera, rad, a delay, s, and a readout time, s; `on_step`: called with the
-    number of images done, and the largest possible number.  Returns: none if no image shows its trails.
+    `find_trails`: returns the trails of one image; `count`: number of images; `mount`: the mount to start from;
+    `readout_s`: the configured readout time, s; `focal_px`: focal length, px; `start`: a rotation of the camera (3,),
+    rad, a delay, s, and a readout time, s, to start from; `on_step`: called with the number of images done, and the
+    largest possible number.  Returns None if no image shows its trails.
+
     Gauss-Newton; images are rendered again in every iteration.  A robust fit combines the stars of each image.  The
     variances of the attitude error and of its growth follow from restricted maximum likelihood.  The stated
     uncertainty is the larger of the covariance's and the jackknife's, widened by Student's t for few images.
@@ -240,7 +237,7 @@ def _alignment(
         readout_std_s=float(estimate.std[_READOUT]) if fitted_readout else float("nan"),
         attitude_std_rad=estimate.attitude_std_rad,
         images=len(equations) - estimate.set_aside,
-        stars=sum(one.stars for one in equations),
+        stars=sum(image.stars for image in equations),
         set_aside=estimate.set_aside,
         fitted_time=fitted_time,
         fitted_mount=fitted_mount,
@@ -291,34 +288,36 @@ def _added_turn(mount: Mount, turn_rad: Float, step_rad: Float) -> Float:
 
 def _image_equations(pairing: Pairing, focal_px: float, *, fit_readout: bool) -> _NormalEquations:
     """Return the normal equations of one image by a robust fit of its trails."""
-    there = pairing.found_indices
-    P, y, W = pairing.trails.jacobian[there].copy(), np.zeros((len(there), 4)), np.zeros((len(there), 4, 4))
+    detected = pairing.found_indices
+    count = len(detected)
+    jacobian = pairing.trails.jacobian[detected].copy()
     if not fit_readout:
-        P[..., _READOUT] = 0
-    dof = np.zeros(len(there), dtype=np.intp)
-    for n, k in enumerate(there):
-        trail = pairing.found[k]
+        jacobian[..., _READOUT] = 0
+    measured, information = np.zeros((count, 4)), np.zeros((count, 4, 4))
+    degrees = np.zeros(count, dtype=np.intp)  # of freedom of each trail
+    for row, star in enumerate(detected):
+        trail = pairing.found[star]
         assert trail is not None
-        m = dof[n] = 4 if trail.bent else 2
-        P[n, m:] = 0
-        y[n, :m] = trail.modes[:m]
-        W[n, :m, :m] = np.linalg.inv(trail.covariance[:m, :m])
-    weight = np.ones(len(y))
+        modes = degrees[row] = 4 if trail.bent else 2
+        jacobian[row, modes:] = 0
+        measured[row, :modes] = trail.modes[:modes]
+        information[row, :modes, :modes] = np.linalg.inv(trail.covariance[:modes, :modes])
+    weight = np.ones(count)
     for _ in range(10):
-        N = np.einsum("k,kia,kij,kjb->ab", weight, P, W, P)
-        g = np.einsum("k,kia,kij,kj->a", weight, P, W, y)
-        left = y - P @ np.linalg.solve(N + np.diag(_PRIOR**-2), g)
+        normal = np.einsum("k,kia,kij,kjb->ab", weight, jacobian, information, jacobian)
+        right = np.einsum("k,kia,kij,kj->a", weight, jacobian, information, measured)
+        residual = measured - jacobian @ np.linalg.solve(normal + np.diag(_PRIOR**-2), right)
         # 1 if noise alone causes the residuals.
-        ratio = np.einsum("ki,kij,kj->k", left, W, left) / chi2.median(dof)
+        ratio = np.einsum("ki,kij,kj->k", residual, information, residual) / chi2.median(degrees)
         spread = max(1.0, float(np.median(ratio)))
         # Cauchy's weights.
         weight = 1 / (1 + ratio / (6 * spread))
-    speed_px = np.linalg.norm(pairing.trails.jacobian[pairing.found_indices, :2, 3], axis=-1)
-    return _NormalEquations(N / spread, g / spread, len(y), float(np.sqrt(np.mean(speed_px**2))) / focal_px)
+    speed_px = np.linalg.norm(pairing.trails.jacobian[detected, :2, 3], axis=-1)
+    return _NormalEquations(normal / spread, right / spread, count, float(np.sqrt(np.mean(speed_px**2))) / focal_px)
 
 
 def _is_turning(equations: Sequence[_NormalEquations]) -> bool:
-    return max(one.speed_rad_per_s for one in equations) > _MIN_SIDEREAL_RATES * _SIDEREAL_RATE_RAD_PER_S
+    return max(image.speed_rad_per_s for image in equations) > _MIN_SIDEREAL_RATES * _SIDEREAL_RATE_RAD_PER_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -335,20 +334,20 @@ def _estimate(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) ->
     """Return the least-squares motions, without the images whose attitude error is an outlier."""
     included = np.ones(len(equations), dtype=np.bool_)
     for _ in range(4):
-        some = [one for one, keep in zip(equations, included, strict=True) if keep]
+        selected = [image for image, keep in zip(equations, included, strict=True) if keep]
         # A growing rotation would absorb the clock's error, so it enters the uncertainty only.
-        std_rad = np.array([_turn_std_rad(some, free), _MIN_ATTITUDE_RAD])
-        motion = _combined(some, free, std_rad)[0]
-        off_rad = np.array([np.linalg.norm(_own_turn(one, motion, std_rad)) for one in equations])
-        limit_rad = max(_OUTLIER_RATIO * float(np.median(off_rad[included])) / 1.538, 1e-4)
-        still = off_rad <= limit_rad
-        if len(some) < 4 or (still == included).all():
+        std_rad = np.array([_turn_std_rad(selected, free), _MIN_ATTITUDE_RAD])
+        motion = _combined(selected, free, std_rad)[0]
+        error_rad = np.array([np.linalg.norm(_own_turn(image, motion, std_rad)) for image in equations])
+        limit_rad = max(_OUTLIER_RATIO * float(np.median(error_rad[included])) / 1.538, 1e-4)
+        within = error_rad <= limit_rad
+        if len(selected) < 4 or (within == included).all():
             break
-        included = still
-    true_std_rad = _attitude_std_rad(some, free)
-    covariance = _covariance(some, free, std_rad, true_std_rad)
+        included = within
+    true_std_rad = _attitude_std_rad(selected, free)
+    covariance = _covariance(selected, free, std_rad, true_std_rad)
     # Errors that the model lacks and that differ between images show in the jackknife only.
-    std = np.maximum(np.sqrt(np.diag(covariance)), _jackknife_std(some, free, std_rad))
+    std = np.maximum(np.sqrt(np.diag(covariance)), _jackknife_std(selected, free, std_rad))
     return _Estimate(motion, std, float(true_std_rad[0]), int((~included).sum()))
 
 
@@ -356,20 +355,20 @@ def _covariance(
     equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float, true_std_rad: Float
 ) -> Float:
     """Return the covariance of the motions, (5, 5), if `std_rad` weights the images and `true_std_rad` is true."""
-    N, V = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((_MOTIONS, _MOTIONS))
-    for one in equations:
-        own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
+    normal, spread = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((_MOTIONS, _MOTIONS))
+    for image in equations:
+        own = image.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
         # The matrix that takes the image's right-hand side to that of the shared motions.
-        K = np.eye(_MOTIONS, len(one.right))
-        K[:, _OWN] -= np.linalg.solve(own, one.normal[_OWN, _SHARED]).T
-        N = N + K @ one.normal[:, _SHARED]
-        true = one.normal[:, _OWN] * np.repeat(true_std_rad, 3)
-        V = V + K @ (one.normal + true @ true.T) @ K.T
+        to_shared = np.eye(_MOTIONS, len(image.right))
+        to_shared[:, _OWN] -= np.linalg.solve(own, image.normal[_OWN, _SHARED]).T
+        normal = normal + to_shared @ image.normal[:, _SHARED]
+        attitude = image.normal[:, _OWN] * np.repeat(true_std_rad, 3)
+        spread = spread + to_shared @ (image.normal + attitude @ attitude.T) @ to_shared.T
     block = np.ix_(free, free)
     covariance = np.zeros((_MOTIONS, _MOTIONS))
     if free.any():
-        inverse = np.linalg.inv(N[block])
-        covariance[block] = inverse @ V[block] @ inverse
+        inverse = np.linalg.inv(normal[block])
+        covariance[block] = inverse @ spread[block] @ inverse
     return covariance
 
 
@@ -384,11 +383,11 @@ def _jackknife_std(equations: Sequence[_NormalEquations], free: NDArray[np.bool_
     return np.asarray(few * np.sqrt((count - 1) * without.var(axis=0)))
 
 
-def _own_turn(one: _NormalEquations, motion: Float, std_rad: Float) -> Float:
+def _own_turn(image: _NormalEquations, motion: Float, std_rad: Float) -> Float:
     """Return the most likely attitude error of one image, (3,) rad."""
-    left = (one.right - one.normal[:, _SHARED] @ motion)[_OWN]
-    own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
-    return np.asarray(np.linalg.solve(own, left)[_TURN])
+    residual = (image.right - image.normal[:, _SHARED] @ motion)[_OWN]
+    own = image.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
+    return np.asarray(np.linalg.solve(own, residual)[_TURN])
 
 
 def _combined(
@@ -399,21 +398,22 @@ def _combined(
     The attitude error of each image is marginalized; `std_rad`, (2,), has the standard deviations of its rotation and
     of the growth during the exposure.
     """
-    normal, right = np.stack([one.normal for one in equations]), np.stack([one.right for one in equations])
-    own = normal[:, _OWN[:, np.newaxis], _OWN] + np.diag(np.repeat(std_rad**-2, 3))
-    across = normal[:, _SHARED][:, :, _OWN]
-    seen = np.concatenate([np.swapaxes(across, 1, 2), right[:, _OWN, np.newaxis]], axis=2)
-    solved = np.linalg.solve(own, seen)
-    N = np.diag(_PRIOR[_SHARED] ** -2) + (normal[:, _SHARED, _SHARED] - across @ solved[..., :_MOTIONS]).sum(axis=0)
-    g = (right[:, _SHARED] - (across @ solved[..., _MOTIONS:])[..., 0]).sum(axis=0)
+    normals, rights = np.stack([image.normal for image in equations]), np.stack([image.right for image in equations])
+    own = normals[:, _OWN[:, np.newaxis], _OWN] + np.diag(np.repeat(std_rad**-2, 3))
+    across = normals[:, _SHARED][:, :, _OWN]
+    columns = np.concatenate([np.swapaxes(across, 1, 2), rights[:, _OWN, np.newaxis]], axis=2)
+    solved = np.linalg.solve(own, columns)
+    normal = np.diag(_PRIOR[_SHARED] ** -2)
+    normal = normal + (normals[:, _SHARED, _SHARED] - across @ solved[..., :_MOTIONS]).sum(axis=0)
+    right = (rights[:, _SHARED] - (across @ solved[..., _MOTIONS:])[..., 0]).sum(axis=0)
     log_loss = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(equations) * float(np.log(std_rad).sum())
-    log_loss -= float(np.sum(right[:, _OWN] * solved[..., _MOTIONS]))
+    log_loss -= float(np.sum(rights[:, _OWN] * solved[..., _MOTIONS]))
     block = np.ix_(free, free)
     covariance, motion = np.zeros((_MOTIONS, _MOTIONS)), np.zeros(_MOTIONS)
     if free.any():
-        covariance[block] = np.linalg.inv(N[block])
-        motion[free] = covariance[block] @ g[free]
-        log_loss += float(np.linalg.slogdet(N[block])[1]) - float(g[free] @ motion[free])
+        covariance[block] = np.linalg.inv(normal[block])
+        motion[free] = covariance[block] @ right[free]
+        log_loss += float(np.linalg.slogdet(normal[block])[1]) - float(right[free] @ motion[free])
     return motion, covariance, log_loss
 
 

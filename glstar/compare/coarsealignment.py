@@ -25,18 +25,16 @@ Float = NDArray[np.float64]
 class _CoarseSearch:
     """The search for a start value, on binned images."""
 
-    side_px: int = 192  # Longer side of the binned images, px
-    images: int = 6  # Number of images, evenly chosen
-    samples: int = 24  # Samples along each star path, in each short exposure of a stacked image
-    most_samples: int = 240  # Largest number of samples along the path of a stacked image
-    step_s: float = 0.0125  # Step of the clock offset, s
-    max_offsets: int = 200  # Number of steps in each direction of time
-    readout_s: float = 0.25  # Largest readout time, s
-    # Step of the readout time, s: a third of a bin at the border of the image, at 20 deg/s and a field of 50 deg.
-    readout_step_s: float = 0.0125
-    # The given readout time is kept unless the correlation of another one is higher by this factor.
-    least_gain: float = 1.01
-    stars: int = 150  # Number of stars, the brightest
+    side_px: int = 192  # longer side of the binned images
+    images: int = 6  # number of images, evenly chosen
+    samples: int = 24  # samples along each star path, in each short exposure of a stacked image
+    most_samples: int = 240  # largest number of samples along the path of a stacked image
+    step_s: float = 0.0125  # step of the clock offset
+    max_offsets: int = 200  # number of steps in each direction of time
+    readout_s: float = 0.25  # largest readout time
+    readout_step_s: float = 0.0125  # a third of a bin at the border of the image, at 20 deg/s and a field of 50 deg
+    least_gain: float = 1.01  # a readout time replaces the configured one if its correlation is higher by this factor
+    stars: int = 150  # number of stars, the brightest
 
 
 _COARSE: Final = _CoarseSearch()
@@ -52,10 +50,9 @@ def likely_start(
 ) -> tuple[Float, float]:
     """Return start values of the mount and the clock, by cross-correlation of binned images.
 
-    `images` sequence of (Exposure, SubtractedImage): images; six of them are used; `search_px`: the largest common
-    shift of the images, px; `search_s`: the largest absolute delay, s; 0 to search the mount only; `on_step`: called
-    with the number of delays tried, and of all.  Returns `turn_rad` (3,): a rotation of the camera about its right,
-    down and forward axes, rad.
+    `images`: six of them are used; `search_px`: the largest common shift of the images, px; `search_s`: the largest
+    absolute delay, s; 0 to search the mount only; `on_step`: called with the number of delays tried, and of all.
+    Returns a rotation of the camera about its right, down and forward axes, (3,) rad, and a delay, s.
     """
     report = on_step or (lambda *_: None)
     search = _Correlations(images, simulator, search_px)
@@ -81,10 +78,10 @@ def likely_readout(
 ) -> tuple[Float, float]:
     """Return start values of the mount and the readout time, by cross-correlation of binned images.
 
-    `images` sequence of (Exposure, SubtractedImage): images; six of them are used; `search_px`: the largest common
-    shift of the images, px; `given_s`: the given readout time, s; `exposure_at`: returns the exposure of an image, by
-    its index, at a readout time, s: negative if the rows open in the opposite direction.  Returns `turn_rad` (3,): a
-    rotation of the camera about its right, down and forward axes, rad.
+    `images`: six of them are used; `search_px`: the largest common shift of the images, px; `given_s`: the configured
+    readout time, s; `exposure_at`: returns the exposure of an image, by its index, at a readout time, s: negative if
+    the rows open in the opposite direction.  Returns a rotation of the camera about its right, down and forward axes,
+    (3,) rad, and a readout time, s.
     """
     search = _Correlations(images, simulator, search_px)
     steps = round(_COARSE.readout_s / _COARSE.readout_step_s)

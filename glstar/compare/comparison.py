@@ -1,6 +1,6 @@
-"""The result of a comparison: the images, the paired stars, and the images that were left out.
+"""The result of a comparison: compared and rejected images, pairs of stars, and the paper's measures of the pairs.
 
-Statistics of all pairs: the paper's measures, in total and per star.
+Measures are over all pairs and per star: Teague & Chahl, section 3.
 """
 
 from collections import Counter, defaultdict
@@ -28,6 +28,15 @@ _PAIRS_A_CELL: Final = 20
 _MIN_FIELD_PX: Final = 40.0
 # Weights grow up to this signal-to-noise ratio: beyond it, model errors exceed the noise.
 _MAX_SIGNAL: Final = 100.0
+# Number of best and of worst pairs that are kept with their cutouts.
+_SHOWN_PAIRS: Final = 8
+# An image counts as identified if 3 of its predicted stars and a tenth of them are found, or half of fewer than 6: a
+# single match among many predictions is chance.
+_MANY_PREDICTED, _MIN_FOUND, _MIN_FOUND_FRACTION = 6, 3, 0.1
+# Trails found by chance: at most this fraction of those predicted, and at least this scatter about a common motion, px.
+_MOST_BY_CHANCE, _CHANCE_SCATTER_PX = 0.5, 1.2
+# An image without found stars is reported as saturated above this fraction of saturated pixels.
+_SATURATED_FRACTION: Final = 0.3
 
 
 def column(pairs: Sequence[Pair], name: str) -> Float:
@@ -36,10 +45,7 @@ def column(pairs: Sequence[Pair], name: str) -> Float:
 
 
 def percentage_errors(real_dn: Float, simulated_dn: Float) -> Float:
-    """Return simulated minus real intensities, in percent of the real ones.
-
-    `real_dn`, `simulated_dn` (n,).  Returns (n,).
-    """
+    """Return simulated minus real intensities, (n,), in percent of the real ones."""
     return np.asarray(100 * (simulated_dn - real_dn) / real_dn)
 
 
@@ -48,15 +54,15 @@ def intensity(real_dn: Float, simulated_dn: Float) -> dict[str, Any]:
     if not len(real_dn):
         return {"pairs": 0}
     percent = float(np.abs(percentage_errors(real_dn, simulated_dn)).mean())
-    off_mag = magnitude_difference(simulated_dn / real_dn)
+    error_mag = magnitude_difference(simulated_dn / real_dn)
     return {
         "pairs": len(real_dn),
         "mean_error_dn": float((simulated_dn - real_dn).mean()),
         "mean_absolute_percentage_error": percent,
         # The error in magnitudes by eq. (36), as in the paper: 47.4 % are 0.42 mag.
         "magnitude_error": float(-magnitude_difference(np.array([1 + percent / 100]))[0]),
-        "magnitude_difference_mean": float(off_mag.mean()),
-        "magnitude_difference_std": float(off_mag.std(ddof=1)) if len(off_mag) > 1 else None,
+        "magnitude_difference_mean": float(error_mag.mean()),
+        "magnitude_difference_std": float(error_mag.std(ddof=1)) if len(error_mag) > 1 else None,
     }
 
 
@@ -79,9 +85,9 @@ class ShiftGrid:
 
 
 def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
-    """Return the shifts of pairs over a grid, each pair weighted by its signal-to-noise ratio squared.
+    """Return the shifts of pairs over a grid, weighted by their squared signal-to-noise ratios.
 
-    `pairs`: at least one.  Returns: cells without pairs are omitted.
+    `pairs`: at least one.  Cells without pairs are omitted.
     """
     position = np.column_stack([column(pairs, "x_px"), column(pairs, "y_px")])
     shift = np.column_stack([column(pairs, "shift_x_px"), column(pairs, "shift_y_px")])
@@ -107,10 +113,9 @@ def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
 
 
 def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """Return the paper's measures over all pairs.
+    """Return the paper's measures over all pairs, ready for JSON: Teague & Chahl, section 3.
 
-    `pairs`: at least one.  Returns: ready for JSON. Differences are simulated minus real.  Teague & Chahl, section
-    3.  Intensities exclude saturated trails.
+    `pairs`: at least one.  Differences are simulated minus real; intensities exclude saturated trails.
     """
     lone = [pair for pair in pairs if not pair.saturated]
     long = [pair for pair in pairs if isfinite(pair.length_difference_px)]
@@ -152,6 +157,34 @@ def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
     }
 
 
+def figures(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Return labels and values of the paper's measures for a person; differences are simulated minus real."""
+    centroid, own, shift, trail = (summary[key] for key in ("centroid", "centroid_in_own_region", "shift", "trail"))
+    rows = [
+        ("centroid distance", _mean_and_median(centroid)),
+        ("of it noise", f"{centroid['noise_px']:.3f} px"),
+        ("each in its own region", _mean_and_median(own)),
+        ("a straight line there", f"mean {own['baseline_mean_px']:.3f}, median {own['baseline_median_px']:.3f} px"),
+        ("shift", f"{shift['x_px']:+.3f}, {shift['y_px']:+.3f} px in the mean"),
+    ]
+    for label, key in (("peak intensity", "peak"), ("brightest pixel", "brightest_pixel")):
+        measured = summary[key]
+        if measured["pairs"]:
+            error = f"{measured['mean_error_dn']:+.1f} DN, absolute {measured['mean_absolute_percentage_error']:.1f} %"
+            rows.append((label, f"{error}, {measured['magnitude_error']:.2f} mag"))
+    if summary["saturated_pairs"]:
+        rows.append(("saturated, not in these", f"{summary['saturated_pairs']}"))
+    if trail["pairs"]:
+        length_px, percent = trail["length_difference_px"]["mean"], trail["length_difference_percent"]["mean"]
+        rows.append(("length", f"{length_px:+.2f} px, {percent:+.1f} %"))
+        rows.append(("direction", f"{trail['direction_difference_deg']['mean']:+.2f}\N{DEGREE SIGN}"))
+    return tuple(rows)
+
+
+def _mean_and_median(measured: dict[str, float]) -> str:
+    return f"mean {measured['mean_px']:.3f}, median {measured['median_px']:.3f} px"
+
+
 def _spread(values: Float) -> dict[str, float | None]:
     if not len(values):
         return {"mean": None, "median": None, "mean_absolute": None}
@@ -163,16 +196,13 @@ def _spread(values: Float) -> dict[str, float | None]:
 
 
 def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
-    """Return statistics of each star over the images, the one found most often first.
-
-    Returns: ready for JSON; unidentified stars are omitted.
-    """
-    of: dict[tuple[str, int], list[Pair]] = defaultdict(list)
+    """Return statistics of each identified star over the images, ready for JSON, the star found most often first."""
+    pairs_of: dict[tuple[str, int], list[Pair]] = defaultdict(list)
     for pair in pairs:
         if pair.star_id:
-            of[pair.catalogue, pair.star_id].append(pair)
+            pairs_of[pair.catalogue, pair.star_id].append(pair)
     stars = []
-    for (catalogue, star_id), own in of.items():
+    for (catalogue, star_id), own in pairs_of.items():
         lone = [pair for pair in own if not pair.saturated]
         stars.append(
             {
@@ -189,24 +219,13 @@ def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
     return sorted(stars, key=lambda star: (-star["found"], star["vmag"], star["star_id"]))
 
 
-# Number of best and of worst pairs that are kept with their cutouts.
-_SHOWN_PAIRS: Final = 8
-# An image counts as identified if 3 of its predicted stars and a tenth of them are found, or half of fewer than 6: a
-# single match among many predictions is chance.
-# Trails found by chance: at most this fraction of those predicted, and at least this scatter about a common motion, px.
-_MOST_BY_CHANCE, _CHANCE_SCATTER_PX = 0.5, 1.2
-_MANY_PREDICTED, _MIN_FOUND, _MIN_FOUND_FRACTION = 6, 3, 0.1
-# An image without found stars is reported as saturated above this fraction of saturated pixels.
-_SATURATED_FRACTION: Final = 0.3
-
-
 @dataclass(frozen=True, slots=True)
 class RejectedImage:
     """An image that could not be compared."""
 
     file: str
-    reason: str  # Why it could not be compared, as a sentence
-    kind: str  # A short form of the reason, for counts
+    reason: str  # why it could not be compared, as a sentence
+    kind: str  # a short form of the reason, for counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,13 +235,11 @@ class ComparedImage:
     file: str
     # Start of the simulated exposure on the flight's clock, UTC seconds since 1970; None without a flight.
     start_utc_s: float | None
-    # Number of trails that were predicted, found, and found but rejected as outliers of the common motion; number of
-    # stars that were not searched for because they overlap another star or leave the image.
-    predicted: int
-    found: int
-    astray: int
-    blended: int
-    cut_off: int
+    predicted: int  # trails that were searched for
+    found: int  # trails that were found
+    astray: int  # trails that were found but are outliers of the common motion
+    blended: int  # stars that were not searched for because they overlap another star
+    cut_off: int  # stars that were not searched for because they leave the image
     # Small motion of the camera from the given attitude that fits the trails: rotations about its right, down and
     # forward axes, rad; None without a flight.
     turn_rad: tuple[float, ...] | None
@@ -235,17 +252,20 @@ class Comparison:
     images: tuple[ComparedImage, ...]
     left_out: tuple[RejectedImage, ...]
     pairs: tuple[Pair, ...]
-    # Tuple of (Pair, Cutouts): the pairs with the smallest centroid distance, and those with the largest one beyond the
-    # noise.
-    best: tuple[tuple[Pair, Cutouts], ...]
-    worst: tuple[tuple[Pair, Cutouts], ...]
-    alignment: Alignment | None  # The clock offset and mount that were fitted first
-    time_sources: str  # Where the times of the images come from, or how the images were paired
+    best: tuple[tuple[Pair, Cutouts], ...]  # the pairs with the smallest centroid distances
+    worst: tuple[tuple[Pair, Cutouts], ...]  # the pairs with the largest centroid distances beyond the noise
+    alignment: Alignment | None  # the clock offset and mount that were fitted first
+    time_sources: str  # where the times of the images come from, or how the images were paired
 
     @property
     def summary(self) -> dict[str, Any]:
         """The paper's numbers over all pairs; see `summarize`."""
         return summarize(self.pairs)
+
+    @property
+    def figures(self) -> tuple[tuple[str, str], ...]:
+        """The paper's measures as labels and values; see `figures`."""
+        return figures(self.summary)
 
     @property
     def stars(self) -> list[dict[str, Any]]:
@@ -268,18 +288,15 @@ class Collector:
         self.images.append(image)
         self.pairs.extend(measures.pairs)
         own = list(zip(measures.pairs, measures.pictures, strict=True))
-        self._best = sorted(self._best + own, key=lambda one: one[0].centroid_px)[:_SHOWN_PAIRS]
-        self._worst = sorted(self._worst + own, key=lambda one: -one[0].beyond_noise_px)[:_SHOWN_PAIRS]
+        self._best = sorted(self._best + own, key=lambda shown: shown[0].centroid_px)[:_SHOWN_PAIRS]
+        self._worst = sorted(self._worst + own, key=lambda shown: -shown[0].beyond_noise_px)[:_SHOWN_PAIRS]
 
     def reject(self, file: str, kind: str, reason: str) -> None:
         """Add an image that cannot be compared; `file`, `kind`, `reason`: the attributes of `RejectedImage`."""
         self.left_out.append(RejectedImage(file, reason, kind))
 
     def result(self, alignment: Alignment | None, time_sources: str, folder: Path) -> Comparison:
-        """Return the comparison.
-
-        `folder`: the folder of the images, for the error message.  Raises ImagesError if no star was paired.
-        """
+        """Return the comparison of the images in a folder; raises ImagesError if no star was paired."""
         if not self.pairs:
             raise ImagesError(folder, _nothing_paired(self.left_out))
         return Comparison(
@@ -294,18 +311,19 @@ class Collector:
 
 
 def _nothing_paired(left_out: Sequence[RejectedImage]) -> str:
-    kinds = Counter(one.kind for one in left_out)
-    counted = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-    first = next((one for one in left_out if one.kind == kinds.most_common(1)[0][0]), None) if left_out else None
-    return f"no star of any image could be paired: {counted}; {first.file}: {first.reason}" if first else "no image"
+    if not left_out:
+        return "no image"
+    kinds = Counter(image.kind for image in left_out).most_common()
+    counted = ", ".join(f"{count} {kind}" for kind, count in kinds)
+    first = next(image for image in left_out if image.kind == kinds[0][0])
+    return f"no star of any image could be paired: {counted}; {first.file}: {first.reason}"
 
 
 def chance(pairing: Pairing) -> tuple[str, str] | None:
-    """Return why the trails that were found in an image are no evidence of its stars.
+    """Return why the trails that were found may be other stars, as kind and reason; None if they are evidence.
 
-    Returns (str, str) or None: kind and reason, as in `RejectedImage`; None if the trails move together, or most of
-    them were found.  Other stars in the search windows scatter over these: by 1.3 to 2.8 px per axis in images of
-    another part of the sky, where up to 36 % of the windows had one.  The same stars scatter by less than 0.1 px if
+    They are if they move together or most were found.  In images of another part of the sky, where up to 36 % of the
+    search windows had a star, these scattered by 1.3 to 2.8 px per axis; the same stars scatter by less than 0.1 px if
     attitude and lens are right.
     """
     predicted, found = len(pairing.trails), len(pairing.found_indices)
@@ -318,10 +336,7 @@ def chance(pairing: Pairing) -> tuple[str, str] | None:
 
 
 def rejection(pairing: Pairing, sky: SubtractedImage) -> tuple[str, str] | None:
-    """Return why an image cannot be compared.
-
-    Returns (str, str) or None: kind and reason, as in `RejectedImage`; None if enough of its stars were found.
-    """
+    """Return why an image cannot be compared, as kind and reason; None if enough of its stars were found."""
     predicted, found = len(pairing.trails), len(pairing.found_indices)
     if not predicted:
         if sky.saturated_fraction > _SATURATED_FRACTION:

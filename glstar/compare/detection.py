@@ -1,9 +1,7 @@
-"""Detection of star trails on an image, without knowing the sky: their ends, middles, centroids and fluxes.
+"""Background subtraction of real images, and detection of star trails without knowing the sky.
 
-Background subtraction of real images, with their noise and a mask of saturated pixels.
-
-The paper rectifies its images before it measures them.  Here both images are compared with their lens distortion: the
-simulated one is rendered through the camera's lens model.
+The paper rectifies its images before it measures them.  Here both images keep their lens distortion: the simulated one
+is rendered through the camera's lens model.
 """
 
 from dataclasses import dataclass
@@ -17,6 +15,8 @@ from scipy.special import erf
 
 from glstar.calibrate.photo.detection import background_of
 
+Float = NDArray[np.float64]
+
 # A pixel above this fraction of the largest digital number counts as saturated.
 _SATURATION_FRACTION: Final = 0.98
 
@@ -25,9 +25,9 @@ _SATURATION_FRACTION: Final = 0.98
 class SubtractedImage:
     """A real image minus its background."""
 
-    above_dn: NDArray[np.float32]  # (height, width) float32: digital numbers minus the local level of the background
-    noise_dn: NDArray[np.float32]  # (height, width) float32: standard deviation of the background noise, DN
-    usable: NDArray[np.bool_]  # (height, width) bool: mask of the pixels that are not saturated
+    above_dn: NDArray[np.float32]  # (height, width) pixels minus the local level of the background
+    noise_dn: NDArray[np.float32]  # (height, width) standard deviation of the background
+    usable: NDArray[np.bool_]  # (height, width) pixels that are not saturated
 
     @property
     def usual_noise_dn(self) -> float:
@@ -61,32 +61,22 @@ def subtract_background(pixels: NDArray[Any], *, saturation_dn: float) -> Subtra
     )
 
 
-Float = NDArray[np.float64]
-
-
 @dataclass(frozen=True, slots=True)
 class _Limits:
     """Thresholds of detection."""
 
-    # Width of the smoothing that detects pixels, px.
-    smoothing_px: float = 1.5
-    # A trail has a smoothed pixel of this signal-to-noise ratio, and all connected ones above the second.
+    smoothing_px: float = 1.5  # width of the smoothing before pixels are detected
+    # A trail has a smoothed pixel of the first signal-to-noise ratio, and all connected ones above the second.
     seed_snr: float = 5.5
     grow_snr: float = 3.0
-    # Smallest number of pixels of a trail: a hot pixel smoothed is smaller.
-    least_pixels: int = 5
-    # Longer patches, px, and patches wider than this multiple of the point spread function, are no trails.
-    most_length_px: float = 2000.0
-    most_width: float = 3.0
-    # Patches shorter than this multiple of the point spread function are points.
-    point_sigma: float = 6.0
-    # So are trails shorter than this one: the patch of a bright star is large.
-    least_length_sigma: float = 3.0
-    # Half the width of the strip that is summed across a trail, and how far beyond its ends it reaches, in sigma.
-    strip_sigma: float = 3.0
-    beyond_sigma: float = 8.0
-    # How often a trail that continues beyond the strip is followed.
-    most_extensions: int = 12
+    least_pixels: int = 5  # smallest number of pixels of a trail: a smoothed hot pixel is smaller
+    most_length_px: float = 2000.0  # longer patches are no trails
+    most_width: float = 3.0  # patches wider than this multiple of the point spread function are no trails
+    point_sigma: float = 6.0  # patches shorter than this multiple of the point spread function are points
+    least_length_sigma: float = 3.0  # shorter trails are points: the patch of a bright star is large
+    strip_sigma: float = 3.0  # half the width of the strip that is summed across a trail
+    beyond_sigma: float = 8.0  # length of the strip beyond each end of the trail
+    most_extensions: int = 12  # how often a trail that continues beyond the strip is followed
 
 
 _LIMITS: Final = _Limits()
@@ -125,8 +115,7 @@ class DetectedTrails:
     @property
     def length_px(self) -> Float:
         """Distance of the two ends, (n,) float64, px."""
-        length: Float = np.linalg.norm(self.ends_px[:, 1] - self.ends_px[:, 0], axis=-1)
-        return length
+        return np.asarray(np.linalg.norm(self.ends_px[:, 1] - self.ends_px[:, 0], axis=-1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +159,7 @@ def detect_trails(
     _, labels, boxes, _ = cv2.connectedComponentsWithStats((significance > _LIMITS.grow_snr).astype(np.uint8))
     strongest = np.zeros(len(boxes), dtype=np.float32)
     np.maximum.at(strongest, labels.ravel(), significance.ravel())
-    found = []
+    trails = []
     for label in np.flatnonzero((strongest >= _LIMITS.seed_snr) & (boxes[:, cv2.CC_STAT_AREA] >= _LIMITS.least_pixels)):
         if label == 0:
             continue
@@ -179,15 +168,15 @@ def detect_trails(
         rows, columns = (index.astype(np.float64) for index in np.nonzero(inside))
         trail = _measured(sky, columns + left, rows + top, psf_sigma_px)
         if trail is not None:
-            found.append(trail)
-    found = _without_repeats(found, psf_sigma_px)
+            trails.append(trail)
+    trails = _without_repeats(trails, psf_sigma_px)
     return DetectedTrails(
-        np.array([trail.ends for trail in found], dtype=np.float64).reshape(-1, 2, 2),
-        np.array([trail.middle for trail in found], dtype=np.float64).reshape(-1, 2),
-        np.array([trail.centroid for trail in found], dtype=np.float64).reshape(-1, 2),
-        np.array([trail.flux for trail in found], dtype=np.float64),
-        np.array([trail.snr for trail in found], dtype=np.float64),
-        np.array([trail.at_edge for trail in found], dtype=np.bool_),
+        np.array([trail.ends for trail in trails], dtype=np.float64).reshape(-1, 2, 2),
+        np.array([trail.middle for trail in trails], dtype=np.float64).reshape(-1, 2),
+        np.array([trail.centroid for trail in trails], dtype=np.float64).reshape(-1, 2),
+        np.array([trail.flux for trail in trails], dtype=np.float64),
+        np.array([trail.snr for trail in trails], dtype=np.float64),
+        np.array([trail.at_edge for trail in trails], dtype=np.bool_),
     )
 
 
@@ -337,10 +326,10 @@ class _Strip:
         start = np.array([self.along_px[above[0]], self.along_px[above[-1]], level])
         root = np.sqrt(2) * sigma_px
 
-        def residual(p: Float) -> Float:
-            model = p[2] / 2 * (erf((self.along_px - p[0]) / root) - erf((self.along_px - p[1]) / root))
-            difference: Float = (model - self.profile_dn) / level
-            return difference
+        def residual(parameters: Float) -> Float:
+            first, last, height = parameters
+            model = height / 2 * (erf((self.along_px - first) / root) - erf((self.along_px - last) / root))
+            return np.asarray((model - self.profile_dn) / level)
 
         fitted = least_squares(residual, start, loss="soft_l1", f_scale=0.3, x_scale=np.array([1.0, 1.0, level])).x
         first, last, level = (float(value) for value in fitted)

@@ -2,6 +2,7 @@
 
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,7 @@ from glstar.compare.prediction import Trails, predicted_trails
 from glstar.errors import ConfigError, ImagesError
 from glstar.export.frame import frame_seed
 from glstar.images import RealImage, TimeReference, exposure_of, read_grey
+from glstar.render.effects import scaled_keys
 from glstar.render.scene.scene import Renderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
@@ -30,18 +32,22 @@ OnStep = Callable[[int, int], None]
 
 # Memory for background-subtracted images between the iterations of a fit, bytes.
 _CACHE_BYTES: Final = 600 * 2**20
+_BYTES_PER_PX: Final = 9
 # Largest number of images in a fit, evenly chosen: its error falls with the square root, its time grows in proportion.
 _MAX_FITTED: Final = 48
+# A mount with a larger standard error is not determined, deg.
+_MAX_MOUNT_STD_DEG: Final = 1.0
+_BY_HAND: Final = "set clock or mount by hand first"
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
     """How stars are searched for."""
 
-    angle_rad: float = float(np.deg2rad(1.5))  # The largest error of the camera's direction, rad
-    time_s: float = 1.0  # The largest error of the camera's clock if its offset is fitted, s
-    least_signal: float = 10.0  # Smallest signal-to-noise ratio of a whole trail
-    most_stars: int = 60  # Largest number of stars per image, those of the highest signal-to-noise ratio
+    angle_rad: float = float(np.deg2rad(1.5))  # largest error of the camera's direction
+    time_s: float = 1.0  # largest error of the camera's clock if its offset is fitted
+    least_signal: float = 10.0  # smallest signal-to-noise ratio of a whole trail
+    most_stars: int = 60  # largest number of stars per image, those of the highest signal-to-noise ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +83,8 @@ class FlightComparison:
         problems: Sequence[str] = (),
         seed: int = 0,
     ) -> None:
-        self._simulator, self._renderer = simulator, renderer
+        self._simulator = simulator
+        self._renderer = renderer
         self._search = search or Search()
         self._seed = seed
         self._sensor: Sensor | None = None
@@ -128,7 +135,7 @@ class FlightComparison:
                 collected.reject(image.path.name, *reason)
             else:
                 trails = pairing.trails
-                found = ComparedImage(
+                compared = ComparedImage(
                     image.path.name,
                     self._exposure_at(number, delay_s, readout_s).start_utc_s,
                     len(trails),
@@ -138,7 +145,7 @@ class FlightComparison:
                     trails.cut_off,
                     tuple(float(x) for x in pairing.motion),
                 )
-                collected.add(found, measure(image.path.name, sky, pairing))
+                collected.add(compared, measure(image.path.name, sky, pairing))
             report(number + 1, len(self._exposures))
         return collected.result(alignment, self._time_sources, self._folder)
 
@@ -148,40 +155,30 @@ class FlightComparison:
         """Fit the clock offset, the mount, the readout time, or several of them to the trails of up to 48 images.
 
         `fit_time`, `fit_mount`, `fit_readout`: the parameters to fit; `on_step`: called with the number of images done,
-        and the largest possible number.  Returns: none if no image shows its trails.
+        and the largest possible number.  Returns None if no image shows its trails.
         """
         if fit_readout and self._stack.frames > 1:
             raise ConfigError(
                 f"is {self._stack.frames}, and the readout time is fitted to single exposures; set exposure.frames = 1",
                 key="exposure.frames",
             )
-        good = []
-        for number in (
-            np.unique(np.linspace(0, len(self._exposures) - 1, _MAX_FITTED).astype(int)) if self._exposures else ()
-        ):
-            try:
-                self._subtracted_image(self._exposures[number][0])
-            except ImagesError:
-                continue
-            good.append(int(number))
-        if not good:
+        usable = self._usable_images()
+        if not usable:
             return None
         simulator = self._simulator_for()
         camera = simulator.camera
-        start = self._start(good, fit_time=fit_time, fit_readout=fit_readout)
+        start = self._start(usable, fit_time=fit_time, fit_readout=fit_readout)
 
         def find_trails(which: int, mount: Mount, delay_s: float, readout_s: float) -> Pairing | None:
-            pairing = self._find_trails(good[which], mount, delay_s, readout_s)
-            if (
-                pairing is None
-                or rejection(pairing, self._subtracted_image(self._exposures[good[which]][0])) is not None
-            ):
+            pairing = self._find_trails(usable[which], mount, delay_s, readout_s)
+            if pairing is None:
                 return None
-            return pairing
+            sky = self._subtracted_image(self._exposures[usable[which]][0])
+            return pairing if rejection(pairing, sky) is None else None
 
         return fit_alignment(
             find_trails,
-            len(good),
+            len(usable),
             simulator.mount,
             fit_time=fit_time,
             fit_mount=fit_mount,
@@ -192,10 +189,38 @@ class FlightComparison:
             on_step=on_step,
         )
 
-    def _start(self, good: Sequence[int], *, fit_time: bool, fit_readout: bool) -> tuple[Float, float, float]:
+    def _usable_images(self) -> list[int]:
+        """Return the numbers of up to 48 images that can be read, evenly chosen."""
+        if not self._exposures:
+            return []
+        usable = []
+        for number in np.unique(np.linspace(0, len(self._exposures) - 1, _MAX_FITTED).astype(int)).tolist():
+            with suppress(ImagesError):
+                self._subtracted_image(self._exposures[number][0])
+                usable.append(number)
+        return usable
+
+    def require_alignment(self, *, fit_time: bool, fit_mount: bool, on_step: OnStep | None = None) -> Alignment:
+        """Return what `align` fits; raises ImagesError if the images do not determine the mount, or nothing at all."""
+        fitted = self.align(fit_time=fit_time, fit_mount=fit_mount, on_step=on_step)
+        if fitted is None:
+            raise ImagesError(self._folder, f"no image shows the trails that the flight predicts; {_BY_HAND}")
+        error_deg = float(np.rad2deg(fitted.turn_std_rad.max())) if fitted.fitted_mount else 0.0
+        if not error_deg <= _MAX_MOUNT_STD_DEG:
+            raise ImagesError(
+                self._folder,
+                f"{fitted.stars} stars in {fitted.images} images determine the mount only to {error_deg:.1f} deg: other"
+                f" stars, by chance; {_BY_HAND}",
+            )
+        if not (fitted.fitted_time or fitted.fitted_mount):
+            reason = "; ".join(fitted.notes) or "the images determine neither the clock nor the mount"
+            raise ImagesError(self._folder, reason)
+        return fitted
+
+    def _start(self, usable: Sequence[int], *, fit_time: bool, fit_readout: bool) -> tuple[Float, float, float]:
         """Return start values: a rotation of the camera, rad, a delay, s, and a readout time, s."""
         simulator, search_px, given_s = self._simulator_for(), self._search_px(), self._given_readout_s
-        images = [(self._exposures[number][1], self._subtracted_image(self._exposures[number][0])) for number in good]
+        images = [(self._exposures[number][1], self._subtracted_image(self._exposures[number][0])) for number in usable]
         search_s = self._search.time_s if fit_time else 0.0
         turn_rad, delay_s = likely_start(images, simulator, search_px=search_px, search_s=search_s)
         if not fit_readout:
@@ -205,13 +230,13 @@ class FlightComparison:
             # Another readout time of an unknown clock leaves the middle of the middle row where it is.
             return delay_s + fit_time * (0.5 - before) * (given_s - abs(readout_s))
 
-        before = float(np.mean([self._fraction_before(number) for number in good]))
+        before = float(np.mean([self._fraction_before(number) for number in usable]))
         turn_rad, readout_s = likely_readout(
             images,
             simulator,
             search_px=search_px,
             given_s=given_s,
-            exposure_at=lambda k, value_s: self._exposure_at(good[k], compensated_s(value_s), value_s),
+            exposure_at=lambda k, value_s: self._exposure_at(usable[k], compensated_s(value_s), value_s),
         )
         return turn_rad, compensated_s(readout_s), readout_s
 
@@ -284,10 +309,9 @@ class FlightComparison:
 
     def _subtracted_image(self, image: RealImage) -> SubtractedImage:
         """Return a real image without its background; all must have the bit depth of the first."""
-        there = self._subtracted.get(image.path)
-        if there is not None:
+        if image.path in self._subtracted:
             self._subtracted.move_to_end(image.path)
-            return there
+            return self._subtracted[image.path]
         pixels = read_grey(image.path)
         camera = self._simulator.camera
         if pixels.shape != (camera.height_px, camera.width_px):
@@ -307,18 +331,16 @@ class FlightComparison:
         saturation_dn = _saturation_dn(pixels, sensor, self._stack)
         sky = subtract_background(pixels, saturation_dn=saturation_dn)
         self._subtracted[image.path] = sky
-        while (
-            len(self._subtracted) > 1
-            and sum(9 * each.above_dn.size for each in self._subtracted.values()) > _CACHE_BYTES
-        ):
-            self._subtracted.popitem(last=False)
+        cached_px = sum(cached.above_dn.size for cached in self._subtracted.values())
+        while len(self._subtracted) > 1 and _BYTES_PER_PX * cached_px > _CACHE_BYTES:
+            cached_px -= self._subtracted.popitem(last=False)[1].above_dn.size
         return sky
 
 
 def _by_signed_readout(jacobian: Float, before: float, readout_s: float) -> Float:
-    """Return the Jacobian of trails whose readout time is longer at the same time of the image, not the same start.
+    """Return the Jacobian of trails for a readout time that is longer at the same image time, not the same start.
 
-    `before` is the fraction of the exposure before that time; a negative readout time has its rows open in the opposite
+    `before`: fraction of the exposure before that time.  With a negative readout time, the rows open in the opposite
     direction.
     """
     signed = jacobian.copy()
@@ -329,10 +351,7 @@ def _by_signed_readout(jacobian: Float, before: float, readout_s: float) -> Floa
 
 
 def _saturation_dn(pixels: NDArray[Any], sensor: Sensor, exposure: Exposure) -> float:
-    """Return the digital number from which a pixel of an image may be saturated.
-
-    In a stacked image that of one saturated short exposure and the sky of the others.
-    """
+    """Return the smallest value of a pixel that may be saturated, DN; in a stacked image, in one short exposure."""
     if exposure.frames == 1:
         return sensor.saturation_dn
     whole_dn = float(exposure.full_scale_dn(sensor.saturation_dn))
@@ -354,13 +373,15 @@ def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path, exposure: Expos
     if pixels.dtype == np.uint8 and sensor.bit_depth > 8:
         raise ImagesError(path, f"has 8 bits and the sensor of the config {sensor.bit_depth}; calibrate this camera")
     if pixels.dtype == np.uint16 and sensor.bit_depth <= 8:
-        return sensor.with_bit_depth(16)
+        return sensor.with_bit_depth(16, scaled_keys())
     return sensor
 
 
 def _kind_of(error: ImagesError) -> str:
-    words = str(error)
-    return "of another size" if " px and the camera " in words else "of another depth" if " bits" in words else "broken"
+    message = str(error)
+    if " px and the camera " in message:
+        return "of another size"
+    return "of another depth" if " bits" in message else "broken"
 
 
 def _named(problem: str) -> tuple[str, str]:

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,10 +38,9 @@ _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
 def paired_files(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[list[tuple[Path, Path]], list[Path]]:
-    """Pair the simulated images with the real ones.
+    """Return pairs of a real and a simulated image, and the real images without a simulated one.
 
-    Returns `pairs` list of (Path, Path): files with the same name except for the suffix, else with the same last number
-    in their names; `alone`: real images without a simulated one.
+    Two images are a pair if their names without suffix are equal, or else the last numbers in their names.
     """
     by_name = {path.stem: path for path in simulated}
     by_number: dict[int, list[Path]] = {}
@@ -81,14 +81,14 @@ def compare_folders(
     collected = Collector()
     for path in alone:
         collected.reject(path.name, "without a counterpart", f"{simulated} holds no image of this name or number")
-    for done, (one, other) in enumerate(pairs):
+    for done, (path, counterpart) in enumerate(pairs):
         try:
-            sky, drawn = _opened(one, other)
+            sky, drawn = _opened(path, counterpart)
         except ImagesError as error:
-            collected.reject(one.name, "broken or not alike", str(error).removeprefix(f"{one}: "))
+            collected.reject(path.name, "broken or not alike", str(error).removeprefix(f"{path}: "))
         else:
-            trails = _trails_on(drawn, truth.get(other.name), sky.usual_noise_dn, least_signal, most_stars)
-            _compare_image(collected, one.name, sky, trails, search_px)
+            trails = _trails_on(drawn, truth.get(counterpart.name), sky.usual_noise_dn, least_signal, most_stars)
+            _compare_image(collected, path.name, sky, trails, search_px)
         report(done + 1, len(pairs))
     return collected.result(None, "not used; images paired by name or number", simulated)
 
@@ -126,15 +126,19 @@ def _number(path: Path) -> int | None:
 
 
 def _opened(real: Path, simulated: Path) -> tuple[SubtractedImage, SubtractedImage]:
-    one, other = read_grey(real), read_grey(simulated)
-    if one.shape != other.shape:
-        (h, w), (height, width) = one.shape, other.shape
+    """Return a real and a simulated image without their backgrounds; raises ImagesError if size or depth differ."""
+    first, second = read_grey(real), read_grey(simulated)
+    if first.shape != second.shape:
+        (h, w), (height, width) = first.shape, second.shape
         raise ImagesError(real, f"is {w} x {h} px and {simulated.name} {width} x {height} px")
-    if one.dtype != other.dtype:
-        raise ImagesError(
-            real, f"is of {one.dtype.itemsize * 8} bits and {simulated.name} of {other.dtype.itemsize * 8}"
-        )
-    return tuple(subtract_background(each, saturation_dn=float(np.iinfo(each.dtype).max)) for each in (one, other))  # type: ignore[return-value]
+    if first.dtype != second.dtype:
+        bits, other_bits = first.dtype.itemsize * 8, second.dtype.itemsize * 8
+        raise ImagesError(real, f"is of {bits} bits and {simulated.name} of {other_bits}")
+    saturation_dn = float(np.iinfo(first.dtype).max)
+    return (
+        subtract_background(first, saturation_dn=saturation_dn),
+        subtract_background(second, saturation_dn=saturation_dn),
+    )
 
 
 def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
@@ -151,11 +155,12 @@ def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
 def _trails_on(
     drawn: SubtractedImage, truth: dict[str, Any] | None, noise_dn: float, least_signal: float, most: int
 ) -> Trails:
-    """Detect the trails of a simulated image."""
+    """Return the trails detected on a simulated image, identified by its truth if there is one."""
     significance = drawn.significance(_USUAL_SIGMA_PX)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats((significance > _EDGE_SIGNAL).astype(np.uint8))
     height, width = significance.shape
-    paths, signal, cut_off = [], [], 0
+    paths, signals = list[Float](), list[float]()
+    cut_off = 0
     for label in range(1, count):
         left, top, wide, high, area = boxes[label]
         if area < _MIN_PIXELS:
@@ -168,10 +173,11 @@ def _trails_on(
             cut_off += 1
             continue
         light = np.where(inside, drawn.above_dn[box], 0).clip(min=0).astype(np.float64)
-        signal.append(float(np.sqrt(np.sum(light**2))) / noise_dn)
+        signals.append(float(np.sqrt(np.sum(light**2))) / noise_dn)
         paths.append(_line_through(light) + np.array([left, top]))
-    order = np.argsort(-np.array(signal), kind="stable")
-    order = order[np.array(signal)[order] >= least_signal][:most] if len(order) else order
+    signal = np.array(signals)
+    order = np.argsort(-signal, kind="stable")
+    order = order[signal[order] >= least_signal][:most]
     path = np.stack([paths[k] for k in order], axis=1) if len(order) else np.zeros((_POINTS, 0, 2))
     star_id, name, vmag = _named(path, truth["stars"] if truth else ())
     trails = Trails(
@@ -185,7 +191,7 @@ def _trails_on(
         headroom_dn=float(drawn.above_dn[drawn.usable].max(initial=1.0)),
         sigma_px=_USUAL_SIGMA_PX,
         jacobian=np.zeros((len(order), 4, 3)),
-        signal_to_noise=np.array(signal)[order] if len(order) else np.zeros(0),
+        signal_to_noise=signal[order],
         cut_off=cut_off,
     )
     # The motions are a shift and a rotation about the centre.
@@ -193,36 +199,32 @@ def _trails_on(
     fields[..., 0, 0] = fields[..., 1, 1] = 1.0
     fields[..., 0, 2] = -(path[..., 1] - height / 2)
     fields[..., 1, 2] = path[..., 0] - width / 2
-    return Trails(
-        **{name: getattr(trails, name) for name in Trails.__slots__} | {"jacobian": trail_jacobian(fields, trails)}
-    )
+    return replace(trails, jacobian=trail_jacobian(fields, trails))
 
 
 def _line_through(light: Float) -> Float:
     """Return the straight line with the centroid, direction and length of a signal, (n, 2) px."""
     rows, columns = np.indices(light.shape, dtype=np.float64)
-    M = light.sum()
-    middle = np.array([(columns * light).sum(), (rows * light).sum()]) / M
+    total = light.sum()
+    middle = np.array([(columns * light).sum(), (rows * light).sum()]) / total
     x, y = columns - middle[0], rows - middle[1]
-    spread = (
-        np.array([[(x * x * light).sum(), (x * y * light).sum()], [(x * y * light).sum(), (y * y * light).sum()]]) / M
-    )
-    across, along = np.linalg.eigh(spread)[0]
+    xx, xy, yy = (x * x * light).sum(), (x * y * light).sum(), (y * y * light).sum()
+    (across, along), axes = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]) / total)
     # A uniform line of length L has the variance L^2 / 12; the star's width adds to both directions.
     length = np.sqrt(12 * max(along - across, 0.0))
-    direction = np.linalg.eigh(spread)[1][:, 1]
-    return np.asarray(middle + np.linspace(-0.5, 0.5, _POINTS)[:, np.newaxis] * length * direction)
+    return np.asarray(middle + np.linspace(-0.5, 0.5, _POINTS)[:, np.newaxis] * length * axes[:, 1])
 
 
 def _named(path_px: Float, stars: Sequence[dict[str, Any]]) -> tuple[NDArray[np.int32], tuple[str, ...], Float]:
-    """Return number, name and magnitude of the brightest star within 3 px of each path's centre."""
+    """Return numbers, names and magnitudes of the brightest stars within 3 px of the centres of paths, (n, k, 2)."""
     count = path_px.shape[1]
     star_id, vmag = np.zeros(count, dtype=np.int32), np.full(count, np.nan)
     positions = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in stars], dtype=np.float64)
     for k in range(count if len(positions) else 0):
-        off = np.linalg.norm(positions - path_px[:, k].mean(axis=0), axis=-1)
-        near = np.flatnonzero(off < 3.0)
+        distance_px = np.linalg.norm(positions - path_px[:, k].mean(axis=0), axis=-1)
+        near = np.flatnonzero(distance_px < 3.0)
         if near.size:
             star = min((stars[int(n)] for n in near), key=lambda star: star["vmag"])
-            star_id[k], vmag[k] = star["star_id"], star["vmag"]
+            star_id[k] = star["star_id"]
+            vmag[k] = star["vmag"]
     return star_id, ("",) * count, vmag

@@ -37,8 +37,8 @@ _DAMPING: Final = 1e-9
 class Cutouts:
     """Cutouts of one pair, DN above the background."""
 
-    real: NDArray[np.float32]  # (h, w) float32
-    simulated: NDArray[np.float32]
+    real: NDArray[np.float32]  # (h, w)
+    simulated: NDArray[np.float32]  # (h, w)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +46,8 @@ class Pairing:
     """The result of a search for trails in one real image."""
 
     trails: Trails  # The predicted trails
-    found: tuple[FoundTrail | None, ...]  # Tuple of (FoundTrail or None): one for each predicted trail
-    astray: int  # Number of trails that were found but are outliers of the common motion; they do not count as found
+    found: tuple[FoundTrail | None, ...]  # one for each predicted trail; None if it was not found, or is an outlier
+    astray: int  # trails that were found but are outliers of the common motion
     motion: Float  # (m,) the small motion of the camera that fits the trails; see `Trails.jacobian`
     # Standard deviation, per axis, of the trails that were found about that motion, px; NaN if none was.
     scatter_px: float = np.nan
@@ -70,9 +70,9 @@ class Pair:
     star_id: int  # Its number there; 0 if the star is unknown
     name: str
     vmag: float
-    x_px: float  # The middle of the simulated trail
+    x_px: float  # middle of the simulated trail
     y_px: float
-    signal_to_noise: float  # Of the simulated trail on the real image's noise
+    signal_to_noise: float  # simulated trail over the noise of the real image
     # Peak intensities above the background by the fit of the whole trail, DN. The real one is the peak that the star's
     # flux would have along the simulated path.
     peak_real_dn: float
@@ -121,8 +121,8 @@ class CrossCorrelation:
     def to(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the cross-correlation with a simulated image.
 
-        `density` (h, w) float32: in units of the real image's noise.  Returns (2 r + 1, 2 r + 1) float32: for shifts of
-        the real image by -r to r px down (rows) and to the right (columns); -inf beyond the largest.
+        `density` (h, w): in units of the real image's noise.  Returns (2 r + 1, 2 r + 1) values, for shifts of the real
+        image by -r to r px down (rows) and to the right (columns); -inf beyond the largest shift.
         """
         expected = np.clip(density, 0.0, _MAX_SIGNAL)
         product = np.conj(self._transformed(expected)) * self._real
@@ -153,36 +153,36 @@ def pair_trails(sky: SubtractedImage, trails: Trails, *, search_px: float, expec
     """Find the trails of a simulated image in a real one.
 
     `search_px`: the largest shift of the whole image, px; `expected_px` (k, 2): expected shift of each trail, to 1 or 2
-    px; if it is given, the common shift is not searched for.  Returns: it may have no trail that was found.  The
-    common shift by cross-correlation, then each trail near its shifted position, then the motion of the camera that
-    most trails agree on, then each trail near its position by that motion.
+    px; if it is given, the common shift is not searched for.
+
+    Four steps: the common shift by cross-correlation, each trail near its shifted position, the motion of the camera
+    that most trails agree on, and each trail near its position by that motion.
     """
     if not len(trails):
         return Pairing(trails, (), 0, np.zeros(3))
     if expected_px is None:
-        found = _first_found(sky, trails, search_px)
-        motion, good = _common_motion(trails, found)
-        if not good.any():
+        motion, agrees = _common_motion(trails, _first_detections(sky, trails, search_px))
+        if not agrees.any():
             return Pairing(trails, (None,) * len(trails), 0, motion)
         expected_px = trails.jacobian[:, :2, :3] @ motion
-    found = _found(sky, trails, expected_px, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
-    motion, good = _common_motion(trails, found)
-    astray = sum(trail is not None and not good[k] for k, trail in enumerate(found))
-    kept = tuple(trail if good[k] else None for k, trail in enumerate(found))
-    return Pairing(trails, kept, astray, motion, _scatter_px(trails, kept, motion))
+    detections = _detections(sky, trails, expected_px, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
+    motion, agrees = _common_motion(trails, detections)
+    outliers = sum(trail is not None and not agrees[k] for k, trail in enumerate(detections))
+    kept = tuple(trail if agrees[k] else None for k, trail in enumerate(detections))
+    return Pairing(trails, kept, outliers, motion, _scatter_px(trails, kept, motion))
 
 
 def _scatter_px(trails: Trails, found: Sequence[FoundTrail | None], motion: Float) -> float:
     """Return the standard deviation per axis of trails about a motion of the camera, px; NaN without trails."""
-    off = [
+    distance_px = [
         np.linalg.norm(trail.modes[:2] - turn @ motion)
         for turn, trail in zip(trails.jacobian[:, :2, :3], found, strict=True)
         if trail is not None
     ]
-    return float(np.median(off)) / _RAYLEIGH_MEDIAN if off else np.nan
+    return float(np.median(distance_px)) / _RAYLEIGH_MEDIAN if distance_px else np.nan
 
 
-def _first_found(sky: SubtractedImage, trails: Trails, search_px: float) -> list[FoundTrail | None]:
+def _first_detections(sky: SubtractedImage, trails: Trails, search_px: float) -> list[FoundTrail | None]:
     """Find the trails near the shift of the largest cross-correlation."""
     shape = sky.above_dn.shape
     side = coarse_side(shape, _COARSE_SIDE_PX)
@@ -193,10 +193,10 @@ def _first_found(sky: SubtractedImage, trails: Trails, search_px: float) -> list
     middle = trails.path_px.mean(axis=0)
     from_centre_px = np.linalg.norm(middle - np.array(shape[::-1]) / 2, axis=-1)
     windows_px = _FIRST_WINDOW_PX + side + _MAX_ROLL_RAD * from_centre_px
-    return _found(sky, trails, np.tile(shift_px, (len(trails), 1)), windows_px, bend=False)
+    return _detections(sky, trails, np.tile(shift_px, (len(trails), 1)), windows_px, bend=False)
 
 
-def _found(
+def _detections(
     sky: SubtractedImage, trails: Trails, expected_px: Float, windows_px: Float, *, bend: bool
 ) -> list[FoundTrail | None]:
     elongated = trails.elongated & bend
@@ -214,34 +214,32 @@ def _found(
     ]
 
 
-def _common_motion(trails: Trails, found: list[FoundTrail | None]) -> tuple[Float, NDArray[np.bool_]]:
+def _common_motion(trails: Trails, found: Sequence[FoundTrail | None]) -> tuple[Float, NDArray[np.bool_]]:
     """Return the rotation of the camera that most of the trails agree on, and a mask of those that do."""
     turns = trails.jacobian[:, :2, :3]
-    there = np.array([trail is not None for trail in found])
-    if not there.any():
-        return np.zeros(turns.shape[-1]), there
-    P = turns[there]
-    y = np.array([trail.modes[:2] for trail in found if trail is not None])
-    std = np.array([_spread_px(trail) for trail in found if trail is not None])
-    scale = np.abs(P).max(axis=(0, 1)) + 1e-300
-    weight = np.ones(len(y))
-    motion = np.zeros(P.shape[-1])
-    off = np.zeros(len(y))
-    limit = np.inf
+    detected = np.array([trail is not None for trail in found])
+    if not detected.any():
+        return np.zeros(turns.shape[-1]), detected
+    jacobian = turns[detected]
+    shift_px = np.array([trail.modes[:2] for trail in found if trail is not None])
+    std_px = np.array([_spread_px(trail) for trail in found if trail is not None])
+    scale = np.abs(jacobian).max(axis=(0, 1)) + 1e-300
+    scaled = jacobian / scale
+    weight = np.ones(len(shift_px))
     for _ in range(12):
-        w = weight / std**2
-        A = np.einsum("k,kip,kiq->pq", w, P / scale, P / scale)
+        information = weight / std_px**2
+        normal = np.einsum("k,kip,kiq->pq", information, scaled, scaled)
         # A single star does not determine a rotation about itself; the damping selects the smallest motion.
-        A += np.diag(np.full(len(A), _DAMPING * max(np.trace(A), 1e-300)))
-        motion = np.linalg.solve(A, np.einsum("k,kip,ki->p", w, P / scale, y)) / scale
-        off = np.linalg.norm(y - P @ motion, axis=-1)
-        spread = float(np.median(off)) / _RAYLEIGH_MEDIAN
-        limit = max(_OUTLIER_SCATTERS * spread, _OUTLIER_PX)
+        normal += np.diag(np.full(len(normal), _DAMPING * max(np.trace(normal), 1e-300)))
+        motion = np.linalg.solve(normal, np.einsum("k,kip,ki->p", information, scaled, shift_px)) / scale
+        residual_px = np.linalg.norm(shift_px - jacobian @ motion, axis=-1)
+        spread_px = float(np.median(residual_px)) / _RAYLEIGH_MEDIAN
+        limit_px = max(_OUTLIER_SCATTERS * spread_px, _OUTLIER_PX)
         # Tukey's biweight: wrongly identified stars have no weight.
-        weight = np.clip(1 - (off / (1.5 * limit + 3 * std)) ** 2, 0, None) ** 2 + 1e-9
-    good = there.copy()
-    good[there] = off <= limit + 3 * std
-    return motion, good
+        weight = np.clip(1 - (residual_px / (1.5 * limit_px + 3 * std_px)) ** 2, 0, None) ** 2 + 1e-9
+    agrees = detected.copy()
+    agrees[detected] = residual_px <= limit_px + 3 * std_px
+    return motion, agrees
 
 
 def _spread_px(trail: FoundTrail) -> float:
@@ -253,15 +251,15 @@ class Measures:
     """Measurements of one real image."""
 
     pairs: tuple[Pair, ...]
-    pictures: tuple[Cutouts, ...]  # One for each pair
+    pictures: tuple[Cutouts, ...]  # one for each pair
 
 
 def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
     """Return the paper's measurements of every trail that was found.
 
-    `image`: the real image's name.  Teague & Chahl, section 3, eqs (44)-(46).  Departs from eq. (44): the background
-    is subtracted because it pulls every centroid to the centre of the region; pixels outside of the trail's aperture
-    are excluded; the centre of a region is computed from the centres of its pixels, to a fraction of a pixel.
+    `image`: the real image's name.  Teague & Chahl, section 3, eqs (44)-(46), with three departures from eq. (44): the
+    background is subtracted because it pulls every centroid to the centre of the region; pixels outside of the trail's
+    aperture are excluded; the centre of a region is computed from the centres of its pixels, to a fraction of a pixel.
     """
     pairs, pictures = [], []
     for k in pairing.found_indices:
@@ -276,15 +274,13 @@ def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
 def _measured(image: str, sky: SubtractedImage, trails: Trails, k: int, found: FoundTrail) -> tuple[Pair, Cutouts]:
     path = trails.path_px[:, k]
     moved = moved_path(path, found.modes)
-    here, there = (
-        stamp_of(path, trails.half_width_px),
-        _clipped(stamp_of(moved, trails.half_width_px), sky.above_dn.shape),
-    )
-    simulated = np.where(here.mask, here.of(trails.signal_dn), 0).astype(np.float64).clip(max=trails.headroom_dn)
-    real = np.where(there.mask, there.of(sky.above_dn) - found.sky_dn, 0).astype(np.float64)
-    centroid_simulated, _ = _centroid(simulated, here, 0.0)
-    noise_dn = float(there.of(sky.noise_dn).mean())
-    centroid_real, noise_px = _centroid(real, there, noise_dn)
+    stamp = stamp_of(path, trails.half_width_px)
+    real_stamp = _clipped(stamp_of(moved, trails.half_width_px), sky.above_dn.shape)
+    simulated = np.where(stamp.mask, stamp.of(trails.signal_dn), 0).astype(np.float64).clip(max=trails.headroom_dn)
+    real = np.where(real_stamp.mask, real_stamp.of(sky.above_dn) - found.sky_dn, 0).astype(np.float64)
+    centroid_simulated, _ = _centroid(simulated, stamp, 0.0)
+    noise_dn = float(real_stamp.of(sky.noise_dn).mean())
+    centroid_real, noise_px = _centroid(real, real_stamp, noise_dn)
     middle_simulated, middle_real = _middle(path), _middle(moved)
     shape = (centroid_simulated - middle_simulated) - (centroid_real - middle_real)
     length_px = float(trails.length_px[k])
@@ -305,7 +301,7 @@ def _measured(image: str, sky: SubtractedImage, trails: Trails, k: int, found: F
         peak_real_dn=found.brightness * (1 + float(modes[2])) * peak_dn,
         peak_simulated_dn=peak_dn,
         pixel_real_dn=float(real.max()),
-        pixel_simulated_dn=float(np.where(here.mask, here.of(trails.pixels_dn), -np.inf).max()),
+        pixel_simulated_dn=float(np.where(stamp.mask, stamp.of(trails.pixels_dn), -np.inf).max()),
         saturated=saturated,
         centroid_px=float(np.linalg.norm(centroid_simulated - centroid_real)),
         shape_px=float(np.linalg.norm(shape)),
@@ -337,12 +333,12 @@ def _clipped(stamp: Stamp, shape: tuple[int, ...]) -> Stamp:
 
 def _centroid(light: Float, stamp: Stamp, noise_dn: float) -> tuple[Float, float]:
     """Return the centroid of eq. (44) in image coordinates, px, and its standard deviation due to noise, px."""
-    M = float(light.sum())
+    total = float(light.sum())
     rows, columns = np.nonzero(stamp.mask)
     weights = light[rows, columns]
-    place = np.column_stack([columns, rows]).astype(np.float64)
-    centre = weights @ place / M
-    noise_px = noise_dn * float(np.sqrt(np.sum((place - centre) ** 2))) / abs(M)
+    position = np.column_stack([columns, rows]).astype(np.float64)
+    centre = weights @ position / total
+    noise_px = noise_dn * float(np.sqrt(np.sum((position - centre) ** 2))) / abs(total)
     return centre + np.array([stamp.left, stamp.top]), noise_px
 
 

@@ -1,6 +1,6 @@
-"""Predicted star trails: the stars to search for in a real image, with their paths.
+"""Predicted star trails: the stars to search for in a real image, and their paths while the shutter is open.
 
-Sampled star paths while the shutter is open: of single exposures, rolling shutters and stacked exposures.
+Paths are sampled for single exposures, rolling shutters and stacked exposures.
 """
 
 from dataclasses import dataclass, replace
@@ -13,40 +13,51 @@ from numpy.typing import NDArray
 from glstar.render.readout.rows import recorded_paths
 from glstar.render.scene.scene import Frame, Scene
 
-_Float = NDArray[np.float64]
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Number = TypeVar("Number", bound=np.generic)
 
 # Largest number of samples along a path.
 _MAX_SAMPLES: Final = 240
-# Smallest number in each piece of the path of a stacked image: a rate at its ends needs three.
+# Smallest number of samples in each piece of the path of a stacked image: a rate at its ends needs three.
 _LEAST_SAMPLES: Final = 3
 # Number of samples along a path that a rolling shutter records.
 _ROLLING_SAMPLES: Final = 64
+# Half the width of the aperture along a path, in sigma: it holds all but 0.2 % of the flux.
+_APERTURE_SIGMA: Final = 3.5
+# Distance from the image's edge to the aperture of a complete trail, px: room for the fit to move.
+_EDGE_PX: Final = 5.0
+# A star is blended if other stars add more than this fraction of its flux to its aperture.
+_BLENDED_FRACTION: Final = 0.05
+# Number of small motions: rotations, a delay, a readout time, and rotations that grow.
+_MOTIONS: Final = 8
+# Shorter trails, in sigma, do not determine a length or a direction.
+_MIN_TRAIL_SIGMA: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExposedPaths:
     """Paths of stars at n times that are evenly spaced while the shutter is open."""
 
-    in_camera: _Float  # (n, k, 3) vectors in the camera frame; NaN below the horizon
+    in_camera: Float  # (n, k, 3) vectors in the camera frame; NaN below the horizon
     step_s: float  # Time between two samples of one piece, s
-    exposed_fraction: _Float  # (k,) how long each star is recorded over the exposure time
+    exposed_fraction: Float  # (k,) how long each star is recorded over the exposure time
     # (n,) times after the middle, over the time from the first opening to the last closing: -1/2 to 1/2.
-    since_mid: _Float
-    # Number of pieces with gaps between, of as many samples each: the short exposures of a stacked image.
-    pieces: int = 1
+    since_mid: Float
+    pieces: int = 1  # short exposures of a stacked image, each with the same number of samples
 
-    def rate_of(self, values: _Float) -> _Float:
+    def rate_of(self, values: Float) -> Float:
         """Return the derivative by time of values at the samples, (n, ...) float64, 1/s, each piece by itself."""
         pieces = values.reshape(self.pieces, len(values) // self.pieces, *values.shape[1:])
         return np.asarray(np.gradient(pieces, self.step_s, axis=1, edge_order=2).reshape(values.shape))
 
 
-def exposed_paths(scene: Scene, direction_eq: _Float) -> ExposedPaths:
+def exposed_paths(scene: Scene, direction_eq: Float) -> ExposedPaths:
     """Return the sampled paths of stars while the shutter is open.
 
     `scene`: of a single exposure, or of a stacked image; `direction_eq` (k, 3): geocentric apparent unit vectors, true
-    equator and equinox.  Returns: under a rolling shutter while the row of each star is open; a delay of the exposure
-    also delays its rows, so that the time between samples in which a star moves is that of a star at rest.
+    equator and equinox.  Under a rolling shutter a path is sampled while the row of its star is open; a delay of the
+    exposure also delays its rows, so the time between samples is that of a star at rest.
     """
     if not scene.shorts:
         return _single(scene, direction_eq)
@@ -56,7 +67,7 @@ def exposed_paths(scene: Scene, direction_eq: _Float) -> ExposedPaths:
     even = (np.arange(count) + 0.5) / count
     starts_s = scene.exposure.short_times_s()[:, 0] - scene.exposure.start_utc_s
     duration_s = scene.exposure.duration_s
-    # Of each star's own rows: all of them are delayed alike.
+    # Time from the first opening to the last closing of any row: all rows are delayed alike.
     open_s = scene.exposure.span_s - scene.exposure.readout_s
     since_start_s = (starts_s[:, np.newaxis] + even * duration_s).ravel()
     return ExposedPaths(
@@ -68,7 +79,7 @@ def exposed_paths(scene: Scene, direction_eq: _Float) -> ExposedPaths:
     )
 
 
-def _single(scene: Scene, direction_eq: _Float) -> ExposedPaths:
+def _single(scene: Scene, direction_eq: Float) -> ExposedPaths:
     """Return the paths of a single exposure."""
     duration_s = scene.exposure.duration_s
     if scene.exposure.readout_s and scene.motion is not None:
@@ -81,22 +92,6 @@ def _single(scene: Scene, direction_eq: _Float) -> ExposedPaths:
         exposed_fraction = np.ones(len(direction_eq))
     since_mid = (np.arange(len(in_camera)) + 0.5) / len(in_camera) - 0.5
     return ExposedPaths(in_camera, step_s, exposed_fraction, since_mid)
-
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Number = TypeVar("Number", bound=np.generic)
-
-# Half the width of the aperture along a path, in sigma: it holds all but 0.2 % of the flux.
-_APERTURE_SIGMA: Final = 3.5
-# Distance from the image's edge to the aperture of a complete trail, px: room for the fit to move.
-_EDGE_PX: Final = 5.0
-# A star is blended if other stars add more than this fraction of its flux to its aperture.
-_BLENDED_FRACTION: Final = 0.05
-# Number of small motions: rotations, a delay, a readout time, and rotations that grow.
-_MOTIONS: Final = 8
-# Shorter trails, in sigma, do not determine a length or a direction.
-_MIN_TRAIL_SIGMA: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +114,8 @@ class Trails:
     # small motions of the camera.
     jacobian: Float
     signal_to_noise: Float  # (k,) signal-to-noise ratio of the whole trail on the real image, if it is as bright there
-    blended: int = 0  # Number of stars that were excluded because they overlap another one or leave the image
-    cut_off: int = 0
+    blended: int = 0  # stars that were excluded because they overlap another one
+    cut_off: int = 0  # stars that were excluded because they leave the image
 
     def __len__(self) -> int:
         return len(self.star_id)
@@ -157,9 +152,9 @@ class Trails:
 class Stamp:
     """The smallest rectangle of an image that holds a trail."""
 
-    left: int  # Its first column and row
-    top: int
-    mask: Mask  # (h, w) bool: mask of the pixels in the trail's aperture
+    left: int  # first column
+    top: int  # first row
+    mask: Mask  # (h, w) pixels in the trail's aperture
 
     def of(self, image: NDArray[Number]) -> NDArray[Number]:
         """Return an image's pixels inside, (h, w)."""
@@ -173,10 +168,9 @@ class Stamp:
 
 
 def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Stamp:
-    """Return the stamp of one path.
+    """Return the stamp of a path, (n, 2) px; it may extend beyond the image.
 
-    `path_px` (n, 2); `half_width_px`: half the width of the aperture, px; `margin_px`: margin of the stamp around the
-    mask, px.  Returns: it may extend beyond the image.
+    `half_width_px`: half the width of the aperture; `margin_px`: margin of the stamp around the mask.
     """
     low = np.floor(path_px.min(axis=0) - half_width_px).astype(int) - margin_px
     high = np.ceil(path_px.max(axis=0) + half_width_px).astype(int) + margin_px
@@ -193,9 +187,11 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
 
     `frame`: the rendered frame, with its noiseless signal; `noise_dn`: standard deviation of the real image's noise,
     DN; `least_signal`: smallest signal-to-noise ratio of a whole trail; `most`: largest number of trails, those of the
-    highest signal-to-noise ratio.  Returns the motions of their Jacobian are rotations of the camera about its right,
-    down and forward axes (rad), a delay of the exposure (s), a longer readout time with the same start of the exposure
-    (s), and rotations about the same axes that grow from -1/2 to +1/2 during the exposure (rad).
+    highest signal-to-noise ratio.
+
+    The motions of the Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay of
+    the exposure (s), a longer readout time with the same start of the exposure (s), and rotations about the same axes
+    that grow from -1/2 to +1/2 during the exposure (rad).
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
@@ -205,9 +201,9 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     pixels = frame.pixels.astype(np.float32) - np.float32(background_dn)
     vmag = scene.stars.vmag[scene.visible]
     flux_dn = exposure.signal_factor * sensor.flux_dn(sensor.peak_dn(scene.observed_mag, exposure.duration_s))
-    # Upper bound: the signal-to-noise ratio of stars without motion.
-    clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
-    likely = np.flatnonzero(clearest >= least_signal)
+    # Signal-to-noise ratios of stars without motion.
+    upper_bound = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
+    likely = np.flatnonzero(upper_bound >= least_signal)
     paths = exposed_paths(scene, scene.stars.direction_eq[scene.visible[likely]])
     flux_dn[likely] *= paths.exposed_fraction
     path = camera.project(paths.in_camera)
@@ -222,22 +218,21 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         path_px=path,
         signal_dn=frame.light_dn,
         pixels_dn=pixels,
-        # That of one short exposure: where it is saturated, the sum of all is too small.
+        # Where one short exposure is saturated, the sum of all is too small.
         headroom_dn=max((sensor.saturation_dn - short_background_dn) * exposure.signal_factor / exposure.frames, 1.0),
         sigma_px=sensor.effective_sigma_px,
         jacobian=np.zeros((len(likely), 4, _MOTIONS)),
-        signal_to_noise=clearest[likely],
+        signal_to_noise=upper_bound[likely],
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
-    chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
-    jacobian = _trail_jacobians(scene, paths, np.flatnonzero(whole)[chosen[0]], chosen[1])
-    return replace(chosen[1], jacobian=jacobian)
+    chosen, selected = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
+    return replace(selected, jacobian=_trail_jacobians(scene, paths, np.flatnonzero(whole)[chosen], selected))
 
 
 def _clear_and_alone(
     trails: Trails, flux_dn: Float, noise_dn: float, least_signal: float, most: int
 ) -> tuple[NDArray[np.intp], Trails]:
-    """Return the trails that are above the noise and not blended, with their indices."""
+    """Return the indices of the trails that are above the noise and not blended, and these trails."""
     signal = np.zeros(len(trails))
     alone = np.zeros(len(trails), dtype=np.bool_)
     for k in range(len(trails)):
@@ -246,9 +241,9 @@ def _clear_and_alone(
         signal[k] = float(np.sqrt(light @ light)) / noise_dn
         alone[k] = light.sum() <= (1 + _BLENDED_FRACTION) * flux_dn[k]
     order = np.argsort(-signal, kind="stable")
-    good = order[(alone & (signal >= least_signal))[order]][:most]
-    kept = replace(trails, signal_to_noise=signal).only(good)
-    return good, replace(kept, blended=int((~alone & (signal >= least_signal)).sum()))
+    chosen = order[(alone & (signal >= least_signal))[order]][:most]
+    selected = replace(trails, signal_to_noise=signal).only(chosen)
+    return chosen, replace(selected, blended=int((~alone & (signal >= least_signal)).sum()))
 
 
 def _trail_jacobians(scene: Scene, paths: ExposedPaths, stars: NDArray[np.intp], trails: Trails) -> Float:
@@ -275,10 +270,9 @@ def _row_fraction(scene: Scene, xy_px: Float) -> Float:
 
 
 def trail_jacobian(fields: Float, trails: Trails) -> Float:
-    """Return the Jacobian of shift, stretch and turn of trails, from the motion of their points.
+    """Return the Jacobian of trails, (k, 4, m): shift along x and y (px), stretch (a fraction) and turn (rad).
 
-    `fields` (n, k, 2, m): displacement of each point of each path per unit of each of m motions, px.  Returns (k, 4, m)
-    shift along x and y, px; stretch along the trail, a fraction; turn, rad; by least squares.
+    `fields` (n, k, 2, m): displacement of each point of each path per unit of each of m motions, px.  By least squares.
     """
     jacobian = np.zeros((len(trails), 4, fields.shape[-1]))
     jacobian[:, :2] = fields.mean(axis=0)

@@ -1,7 +1,4 @@
-"""A comparison's files: JSON, a table of the pairs, plots and cutouts of pairs.
-
-Plots of a comparison, like the paper's figures 8 and 9, and cutouts of pairs.
-"""
+"""A comparison's files: JSON, a table of the pairs, plots like the paper's figures 8 and 9, and cutouts of pairs."""
 
 import csv
 import json
@@ -29,6 +26,8 @@ from glstar.system.files import write_atomically
 
 Float = NDArray[np.float64]
 
+SCHEMA: Final = "glstar-compare-2"
+
 _DPI: Final = 110
 _REAL, _BASELINE, _SATURATED = "tab:red", "0.6", "tab:orange"
 _COLOUR: Final = "tab:blue"
@@ -38,9 +37,8 @@ _BINS: Final = 40
 def draw_plots(comparison: Comparison) -> bytes:
     """Return a PNG with plots of all pairs.
 
-    Returns: peak intensities of the three stars found most often and of all, measured against simulated (the paper's
-    figure 8); centroid distances beside those of a straight line (figure 9); magnitudes, lengths, directions and
-    shifts.
+    Peak intensities, measured against simulated, of the three stars found most often and of all stars (the paper's
+    figure 8); centroid distances beside those of a straight line (figure 9); magnitudes, lengths, directions, shifts.
     """
     figure = Figure(figsize=(15, 13.2))
     FigureCanvasAgg(figure)
@@ -79,10 +77,7 @@ def draw_plots(comparison: Comparison) -> bytes:
 
 
 def draw_pairs(shown: Sequence[tuple[Pair, Cutouts]], title: str) -> bytes:
-    """Return a PNG of pairs, one per row: real, simulated, and real minus simulated.
-
-    `shown` sequence of (Pair, Cutouts).
-    """
+    """Return a PNG of pairs, two per row: real, simulated, and real minus simulated."""
     rows = -(-len(shown) // 2)
     figure = Figure(figsize=(15, 0.7 + 2.3 * rows))
     FigureCanvasAgg(figure)
@@ -178,32 +173,32 @@ def _label(kind: str, values: Float) -> str:
 
 def _magnitudes(axes: Any, pairs: Sequence[Pair]) -> None:
     lone = [pair for pair in pairs if not pair.saturated]
-    off = magnitude_difference(column(lone, "peak_simulated_dn") / column(lone, "peak_real_dn"))
-    if len(off):
-        axes.hist(off, _BINS, color=_COLOUR)
-        axes.set_title(f"magnitudes: {off.mean():+.2f} in the mean, scatter {off.std():.2f}", fontsize=9)
+    error_mag = magnitude_difference(column(lone, "peak_simulated_dn") / column(lone, "peak_real_dn"))
+    if len(error_mag):
+        axes.hist(error_mag, _BINS, color=_COLOUR)
+        axes.set_title(f"magnitudes: {error_mag.mean():+.2f} in the mean, scatter {error_mag.std():.2f}", fontsize=9)
     axes.axvline(0, color="k", lw=0.8)
     axes.set_xlabel("simulated fainter by, mag", fontsize=8)
     axes.set_ylabel("pairs", fontsize=8)
 
 
 def _lengths(axes: Any, pairs: Sequence[Pair]) -> None:
-    length, off = column(pairs, "length_px"), column(pairs, "length_difference_px")
-    axes.plot(length, off, ".", color=_COLOUR, ms=4)
-    axes.axhline(0, color="k", lw=0.8)
-    axes.set_xlabel("length of the simulated trail, px", fontsize=8)
-    axes.set_ylabel("longer than the real one by, px", fontsize=8)
-    axes.set_title(f"trail lengths: {_middle(off)} px in the median", fontsize=9)
-    axes.grid(visible=True, alpha=0.3)
+    error_px = column(pairs, "length_difference_px")
+    _by_length(axes, pairs, error_px, "longer than the real one by, px")
+    axes.set_title(f"trail lengths: {_middle(error_px)} px in the median", fontsize=9)
 
 
 def _directions(axes: Any, pairs: Sequence[Pair]) -> None:
-    length, off = column(pairs, "length_px"), np.rad2deg(column(pairs, "direction_difference_rad"))
-    axes.plot(length, off, ".", color=_COLOUR, ms=4)
+    error_deg = np.rad2deg(column(pairs, "direction_difference_rad"))
+    _by_length(axes, pairs, error_deg, "turned clockwise by, deg")
+    axes.set_title(f"trail directions: {_middle(error_deg)} deg in the median", fontsize=9)
+
+
+def _by_length(axes: Any, pairs: Sequence[Pair], errors: Float, label: str) -> None:
+    axes.plot(column(pairs, "length_px"), errors, ".", color=_COLOUR, ms=4)
     axes.axhline(0, color="k", lw=0.8)
     axes.set_xlabel("length of the simulated trail, px", fontsize=8)
-    axes.set_ylabel("turned clockwise by, deg", fontsize=8)
-    axes.set_title(f"trail directions: {_middle(off)} deg in the median", fontsize=9)
+    axes.set_ylabel(label, fontsize=8)
     axes.grid(visible=True, alpha=0.3)
 
 
@@ -248,16 +243,9 @@ def _png(figure: Figure) -> bytes:
     return drawn.getvalue()
 
 
-SCHEMA: Final = "glstar-compare-2"
-
-
 def comparison_json(comparison: Comparison, **about: Any) -> dict[str, Any]:
-    """Return a comparison, ready to be written as JSON.
-
-    `**about`: additional entries, placed first.  Returns ``schema, images, summary, stars, alignment, left_out``;
-    unknown values are null.
-    """
-    kinds = Counter(one.kind for one in comparison.left_out)
+    """Return a comparison as the content of ``compare.json``; unknown values are None; `about` has more entries."""
+    kinds = Counter(image.kind for image in comparison.left_out)
     facts = {
         "schema": SCHEMA,
         **about,
@@ -267,14 +255,13 @@ def comparison_json(comparison: Comparison, **about: Any) -> dict[str, Any]:
         "alignment": None if comparison.alignment is None else alignment_json(comparison.alignment),
         "stars": comparison.stars,
         "images": [
-            asdict(one) | {"turn_rad": None if one.turn_rad is None else list(one.turn_rad)}
-            for one in comparison.images
+            asdict(image) | {"turn_rad": None if image.turn_rad is None else list(image.turn_rad)}
+            for image in comparison.images
         ],
         "left_out": {"count": len(comparison.left_out), "kinds": dict(kinds.most_common())},
-        "left_out_images": [asdict(one) for one in comparison.left_out],
+        "left_out_images": [asdict(image) for image in comparison.left_out],
     }
-    finite: dict[str, Any] = _finite(facts)
-    return finite
+    return dict(_finite(facts))
 
 
 def alignment_json(alignment: Alignment) -> dict[str, Any]:
@@ -298,26 +285,23 @@ def alignment_json(alignment: Alignment) -> dict[str, Any]:
 
 
 def comparison_table(comparison: Comparison) -> str:
-    """Return the pairs as CSV, one per line, in the order of the images.
-
-    Returns the columns are the attributes of `Pair`, angles in degrees; empty if unknown.
-    """
+    """Return the pairs as CSV: the attributes of `Pair`, one pair per line, angles in degrees, empty if unknown."""
     written = StringIO()
     table = csv.writer(written, lineterminator="\n")
     names = [field.name for field in fields(Pair)]
     table.writerow([re.sub("_rad$", "_deg", name) for name in names])
     for pair in comparison.pairs:
-        given = ((name, getattr(pair, name)) for name in names)
-        table.writerow([_cell(degrees(value) if name.endswith("_rad") else value) for name, value in given])
+        values = ((name, getattr(pair, name)) for name in names)
+        table.writerow([_cell(degrees(value) if name.endswith("_rad") else value) for name, value in values])
     return written.getvalue()
 
 
 def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> list[Path]:
     """Write a comparison's files, each atomically.
 
-    `directory`: created if it does not exist; `**about`: additional entries of ``compare.json``.  Returns
-    ``compare.json``, ``pairs.csv``, ``compare.png``, ``best.png``, ``worst.png``.  Raises ExportError if they cannot be
-    written.
+    `directory`: created if it does not exist; `about`: more entries of ``compare.json``.  Returns the paths of
+    ``compare.json``, ``pairs.csv``, ``compare.png``, ``best.png`` and ``worst.png``.  Raises ExportError if they cannot
+    be written.
     """
     facts = json.dumps(comparison_json(comparison, **about), indent=1, allow_nan=False) + "\n"
     contents = {

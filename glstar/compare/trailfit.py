@@ -43,15 +43,14 @@ _SLOPE: Final = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12
 class FoundTrail:
     """How a trail of the real image differs from the simulated one."""
 
-    # (4,) real minus simulated: shift along x and y, px; stretch, a fraction of the length; turn, rad, clockwise on the
-    # image.
+    # (4,) real minus simulated: shift along x and y, px; stretch, a fraction of the length; turn, rad, clockwise.
     modes: Float
     covariance: Float  # (4, 4) covariance of the modes; zero for modes that were not fitted
-    bent: bool  # Whether stretch and turn were fitted
-    brightness: float  # Ratio of the real signal to the simulated one, per pixel
+    bent: bool  # whether stretch and turn were fitted
+    brightness: float  # ratio of the real signal to the simulated one, per pixel
     brightness_std: float
-    sky_dn: float  # Residual background level under the trail, DN
-    saturated: bool  # Whether it has saturated pixels
+    sky_dn: float  # residual background level under the trail
+    saturated: bool  # whether it has saturated pixels
 
 
 def find_trail(
@@ -66,11 +65,12 @@ def find_trail(
 ) -> FoundTrail | None:
     """Find one trail in a real image.
 
-    `signal_dn` (height, width) float32: the simulated noiseless signal; `path_px` (n, 2): the star path on the
-    simulated image; `half_width_px`: half the width of the aperture along the path, px; `expected_px` (2,): expected
-    shift, px; `window_px`: half the size of the search window around it, px; `bends`: whether it is long enough to fit
-    stretch and turn.  Returns: none if no matching signal is in the window.  Levenberg-Marquardt fit of brightness,
-    sky, shift, stretch and turn, by least squares over the pixels that are not saturated.
+    `signal_dn` (height, width): the simulated noiseless signal; `path_px` (n, 2): the star path on the simulated image;
+    `half_width_px`: half the width of the aperture along the path; `expected_px` (2,): expected shift; `window_px`:
+    half the size of the search window around it; `bends`: whether stretch and turn are fitted.  Returns None if no
+    matching signal is in the window.
+
+    Levenberg-Marquardt fit of brightness, sky, shift, stretch and turn, by least squares over unsaturated pixels.
     """
     stamp = stamp_of(path_px, half_width_px, margin_px=_MARGIN_PX)
     if not stamp.inside(signal_dn.shape):
@@ -98,11 +98,11 @@ def _brightest_offset(
     sky: SubtractedImage, template: NDArray[np.float32], stamp: Stamp, expected_px: Float, window_px: float
 ) -> NDArray[np.intp] | None:
     """Return the whole-pixel shift of the largest correlation with a template, near the expected one."""
-    w = int(np.ceil(window_px))
+    margin_px = int(np.ceil(window_px))
     middle = np.rint(expected_px).astype(int)
-    left, top = stamp.left + middle[0] - w, stamp.top + middle[1] - w
+    left, top = stamp.left + middle[0] - margin_px, stamp.top + middle[1] - margin_px
     height, width = template.shape
-    right, bottom = left + width + 2 * w, top + height + 2 * w
+    right, bottom = left + width + 2 * margin_px, top + height + 2 * margin_px
     # The window is smaller at the edges of the image.
     low = np.array([max(0, left), max(0, top)])
     high = np.array([min(sky.above_dn.shape[1], right), min(sky.above_dn.shape[0], bottom)])
@@ -124,13 +124,15 @@ class _Fit:
         self._along = offsets_and_directions(path_px[:, np.newaxis])[1][0]
         self._bends = bends
         rows, columns = np.indices(self.template.shape, dtype=np.float64)
-        self._columns, self._rows = columns - self._centre[0], rows - self._centre[1]
+        self._columns = columns - self._centre[0]
+        self._rows = rows - self._centre[1]
         # Around the trail only dark pixels count: other stars there may have another brightness error.
         grown = cv2.dilate(stamp.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         dark = self.template < _DARK_FRACTION * float(self.template[stamp.mask].max())
         self._counts = stamp.mask | (grown & dark)
         self.modes = np.zeros(4)
-        self.brightness, self.sky_dn = 1.0, 0.0
+        self.brightness = 1.0
+        self.sky_dn = 0.0
         self.is_valid = False
 
     def to(self, sky: SubtractedImage, cut: Stamp) -> bool:
@@ -144,11 +146,11 @@ class _Fit:
         real = cut.of(sky.above_dn).astype(np.float64)
         free = np.array([True, True, True, True, self._bends, self._bends])
         damping = 1e-4
-        J, r = self._linear(real, weight)
-        cost = self._cost(r)
+        jacobian, residual = self._linear(real, weight)
+        cost = self._cost(residual)
         for _ in range(_MAX_ITERATIONS):
-            normal = (J.T @ J + np.diag(_PRIOR))[np.ix_(free, free)]
-            gradient = (J.T @ r - _PRIOR * np.concatenate([np.zeros(4), self.modes[2:]]))[free]
+            normal = (jacobian.T @ jacobian + np.diag(_PRIOR))[np.ix_(free, free)]
+            gradient = (jacobian.T @ residual - _PRIOR * np.concatenate([np.zeros(4), self.modes[2:]]))[free]
             step = np.zeros(6)
             step[free] = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), gradient)
             # The expected decrease of chi squared: the squared distance to the minimum in standard deviations.
@@ -160,66 +162,69 @@ class _Fit:
             self.sky_dn += float(step[1])
             self.modes = self.modes + step[2:]
             self.modes[2:] = self.modes[2:].clip(-_MAX_DEFORMATION, _MAX_DEFORMATION)
-            J_new, r_new = self._linear(real, weight)
-            cost_new = self._cost(r_new)
-            if cost_new <= cost:
-                J, r, cost, damping = J_new, r_new, cost_new, damping / 5
+            new_jacobian, new_residual = self._linear(real, weight)
+            new_cost = self._cost(new_residual)
+            if new_cost <= cost:
+                jacobian, residual, cost = new_jacobian, new_residual, new_cost
+                damping /= 5
             else:
                 self.brightness, self.sky_dn, self.modes = before
                 damping = max(damping, 1e-3) * 10
             if np.abs(self.modes[:2]).max() > _MARGIN_PX or damping > 1e3:
                 break
-        return self._conclude(J, r, free, len(self._inside))
+        return self._conclude(jacobian, residual, free)
 
-    def _cost(self, r: Float) -> float:
-        return float(r @ r) + float(np.sum(self.modes[2:] ** 2)) / _PRIOR_STD**2
+    def _cost(self, residual: Float) -> float:
+        return float(residual @ residual) + float(np.sum(self.modes[2:] ** 2)) / _PRIOR_STD**2
 
     def _linear(self, real: Float, weight: Float) -> tuple[Float, Float]:
         """Return the weighted Jacobian (p, 6) and residuals (p,) of the model."""
         x, y = self._columns - self.modes[0], self._rows - self.modes[1]
         back = np.linalg.inv(deformation(self._along, self.modes))
-        source = (
-            back[1, 0] * x + back[1, 1] * y + self._centre[1],
-            back[0, 0] * x + back[0, 1] * y + self._centre[0],
+        source_x = back[0, 0] * x + back[0, 1] * y + self._centre[0]
+        source_y = back[1, 0] * x + back[1, 1] * y + self._centre[1]
+        model = map_coordinates(self._spline, (source_y, source_x), order=3, prefilter=False, mode="nearest")
+        across = cv2.filter2D(model, -1, _SLOPE, borderType=cv2.BORDER_REPLICATE)
+        down = cv2.filter2D(model, -1, _SLOPE.T, borderType=cv2.BORDER_REPLICATE)
+        model, across, down, x, y, weight, real = (
+            image.ravel()[self._inside] for image in (model, across, down, x, y, weight, real)
         )
-        T = map_coordinates(self._spline, source, order=3, prefilter=False, mode="nearest")
-        across = cv2.filter2D(T, -1, _SLOPE, borderType=cv2.BORDER_REPLICATE)
-        down = cv2.filter2D(T, -1, _SLOPE.T, borderType=cv2.BORDER_REPLICATE)
-        inside = self._inside
-        T, across, down, x, y, w = (each.ravel()[inside] for each in (T, across, down, x, y, weight))
-        u, a = self._along, self.brightness
-        J = np.empty((len(T), 6))
-        J[:, 0] = T
-        J[:, 1] = 1.0
-        J[:, 2] = -a * across
-        J[:, 3] = -a * down
-        J[:, 4] = -a * (x * u[0] + y * u[1]) * (across * u[0] + down * u[1])
-        J[:, 5] = -a * (down * x - across * y)
-        J *= w[:, np.newaxis]
-        return J, (real.ravel()[inside] - a * T - self.sky_dn) * w
+        u, brightness = self._along, self.brightness
+        jacobian = np.empty((len(model), 6))
+        jacobian[:, 0] = model
+        jacobian[:, 1] = 1.0
+        jacobian[:, 2] = -brightness * across
+        jacobian[:, 3] = -brightness * down
+        jacobian[:, 4] = -brightness * (x * u[0] + y * u[1]) * (across * u[0] + down * u[1])
+        jacobian[:, 5] = -brightness * (down * x - across * y)
+        jacobian *= weight[:, np.newaxis]
+        return jacobian, (real - brightness * model - self.sky_dn) * weight
 
-    def _conclude(self, J: Float, r: Float, free: NDArray[np.bool_], pixels: int) -> bool:
-        normal = (J.T @ J + np.diag(_PRIOR))[np.ix_(free, free)]
+    def _conclude(self, jacobian: Float, residual: Float, free: NDArray[np.bool_]) -> bool:
+        """Set the covariance of the modes and whether the fit is valid; return False if it has no covariance."""
+        normal = (jacobian.T @ jacobian + np.diag(_PRIOR))[np.ix_(free, free)]
         try:
             inverse = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
             return False
         # Residuals above the noise widen the covariance: the trail then differs from the simulated shape.
-        spare = max(1.0, float(r @ r) / max(1, pixels - int(free.sum())))
-        whole = np.zeros((6, 6))
-        whole[np.ix_(free, free)] = inverse * spare
-        self._covariance = whole[2:, 2:] + np.diag([_FLOOR_PX**2, _FLOOR_PX**2, 0, 0])
-        self._brightness_std = float(np.sqrt(whole[0, 0]))
-        power = float(np.sum((self.brightness * J[:, 0]) ** 2))
-        left = float(r @ r) - pixels
+        chi_squared = float(residual @ residual)
+        reduced = max(1.0, chi_squared / max(1, len(residual) - int(free.sum())))
+        covariance = np.zeros((6, 6))
+        covariance[np.ix_(free, free)] = inverse * reduced
+        self._covariance = covariance[2:, 2:] + np.diag([_FLOOR_PX**2, _FLOOR_PX**2, 0, 0])
+        self._brightness_std = float(np.sqrt(covariance[0, 0]))
+        power = float(np.sum((self.brightness * jacobian[:, 0]) ** 2))
+        excess = chi_squared - len(residual)
         self.is_valid = (
             self.brightness >= _MIN_SIGNAL * float(np.sqrt(inverse[0, 0]))
-            and left <= _MAX_RESIDUAL * power
+            and excess <= _MAX_RESIDUAL * power
             and float(np.abs(self.modes[2:]).max()) < _MAX_DEFORMATION
         )
         return True
 
     def result(self, offset: NDArray[np.intp]) -> FoundTrail:
+        """Return the fitted trail, if the last cutout was shifted by `offset`, (2,) px."""
         modes = self.modes.copy()
         modes[:2] += offset
         return FoundTrail(

@@ -1,9 +1,4 @@
-"""The section of the config for exposure times.
-
-``[lens]``: the checks of its vignetting that concern several keys, or a file.
-
-``[output]``: the tone curve, which may be a list of points or a file.
-"""
+"""The sections ``[camera]`` and ``[exposure]``, and checks of ``[lens]`` and ``[output]`` on several keys or a file."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
+from glstar.camera.distortion import LensModel
 from glstar.camera.exposure import MAX_FRAMES, Exposure, Readout, Stack, Trail
 from glstar.camera.model import Camera
 from glstar.camera.sensor.pixelpattern import read_map
@@ -29,7 +25,7 @@ _MOST_EXPOSURES = 2.0**53
 class ExposureSection(Section):
     """``[exposure]``: exposure times, and how trails are drawn."""
 
-    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")  # Exposure time, s
+    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
     # When exposures begin: when the log says that the camera was triggered; None for a regular interval.
     at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
     # Time from a trigger of the camera to the opening of its shutter, s.
@@ -38,28 +34,27 @@ class ExposureSection(Section):
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     # The minimum number of sub-exposures per second, for "sprites".
     rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
-    trail: Trail = _EXPOSURE.trail  # {"auto", "analytic", "sprites"}: how trails are drawn: see `Exposure`
+    trail: Trail = _EXPOSURE.trail  # how trails are drawn: see `Exposure`
     # Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
     path_tolerance_px: float = Field(default=_EXPOSURE.path_tolerance_px, ge=0, description="a number of px, 0 or more")
-    # Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
+    # Fainter analytic trails are omitted, up to 0.05 % of the flux, DN: see `Exposure`.
     faintest_dn: float = Field(default=_EXPOSURE.faintest_dn, ge=0, description="a number of DN, 0 or more")
     # Readout time of a rolling shutter, s; 0 for a global shutter.
     readout_s: float = Field(default=_EXPOSURE.readout_s, ge=0, description="a number of seconds, 0 or more")
-    # {"down", "up", "left", "right"}: direction in which the rolling shutter proceeds.
-    readout: Readout = _EXPOSURE.readout
+    readout: Readout = _EXPOSURE.readout  # direction in which the rolling shutter proceeds
     # Number of short exposures that are stacked into each image.
     frames: int = Field(
         default=_EXPOSURE.frames, ge=1, le=MAX_FRAMES, description=f"a whole number from 1 to {MAX_FRAMES}"
     )
     # Time from the end of one short exposure to the start of the next, s.
     gap_s: float = Field(default=_EXPOSURE.gap_s, ge=0, description="a number of seconds, 0 or more")
-    stack: Stack = _EXPOSURE.stack  # {"sum", "mean"}: whether short exposures are added or averaged
+    stack: Stack = _EXPOSURE.stack  # whether short exposures are added or averaged
 
     @field_validator("trail", mode="before")
     @classmethod
-    def _analytic_was_swept(cls, given: object) -> object:
+    def _analytic_was_swept(cls, value: object) -> object:
         """Accept "swept", the name of "analytic" up to glstar 0.1."""
-        return "analytic" if given == "swept" else given
+        return "analytic" if value == "swept" else value
 
     def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
         """Return one exposure of the sequence that a camera records on a flight.
@@ -86,12 +81,12 @@ class ExposureSection(Section):
         """
         duration_s = self.duration_s if duration_s is None else duration_s
         return Exposure(
-            start_utc_s,
-            duration_s,
-            self.rate_hz,
-            self.trail,
-            self.readout_s,
-            self.readout,
+            start_utc_s=start_utc_s,
+            duration_s=duration_s,
+            rate_hz=self.rate_hz,
+            trail=self.trail,
+            readout_s=self.readout_s,
+            readout=self.readout,
             path_tolerance_px=self.path_tolerance_px,
             faintest_dn=self.faintest_dn,
             frames=self.frames,
@@ -100,22 +95,19 @@ class ExposureSection(Section):
         )
 
     def count_within(self, length_s: float) -> int:
-        """Return the number of exposures of the sequence that end within a time span.
-
-        `length_s`: time from the start of the first exposure to the end of the last, s.  Returns: 0 if none fits.
-        """
+        """Return the number of exposures of the sequence in a time from the first start to the last end."""
         return int(exposures_within(length_s, self.span_s, self.interval_s))
 
 
 def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
-    """Return the number of exposures of a sequence that end within a time span.
+    """Return the numbers of exposures of a sequence, (...), that end within a time span; 0 where none fits.
 
-    `length_s` (...): time from the start of the first exposure to the end of the last, s; `span_s`, `interval_s` (...):
-    time from the start of an exposure to its end (of a rolling shutter, until the last row closes), and from the start
-    of one exposure to the start of the next, s.  Returns (...) int64: 0 where none fits.
+    `length_s` (...): time from the start of the first exposure to the end of the last; `span_s` (...): time from the
+    start of an exposure to its end (with a rolling shutter, until the last row closes); `interval_s` (...): time from
+    one start to the next.
     """
     # A tolerance of half the resolution of the clock, so that the last exposure may end with the track.
-    length, span, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, span_s, interval_s))
+    length, span, interval = (np.asarray(time, dtype=np.float64) for time in (length_s, span_s, interval_s))
     remaining_s = length - span + CLOCK_GRAIN_S / 2
     with np.errstate(over="ignore"):
         counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
@@ -126,7 +118,7 @@ def checked_lens(values: dict[str, Any], camera: Camera, folder: Path, faults: l
     """Return the values of ``[lens]`` with the absolute path of its flat field.
 
     `values`: the section, each key checked on its own; `camera`: the flat field must have its size; `folder`: the
-    folder that the path is relative to; `faults` list of (key, message): errors are appended.
+    folder that the path is relative to; `faults`: errors are appended.
     """
     file = values["vignetting_file"]
     if values["vignetting"] != "flat":
@@ -152,19 +144,19 @@ def checked_output(values: dict[str, Any], folder: Path, faults: list[tuple[str,
     """Return the values of ``[output]`` with the points of the tone curve as text.
 
     `values`: the section, each key checked on its own; `folder`: the folder that the path of a curve is relative to;
-    `faults` list of (key, message): errors are appended.
+    `faults`: errors are appended.
     """
-    given = values["tone_curve"]
-    if not given:
+    curve = values["tone_curve"]
+    if not curve:
         return {**values, "tone_curve": ""}
     if values["gamma"] != "linear":
         faults.append(("output.tone_curve", "is a tone curve, and so is gamma; leave one out"))
         return values
     try:
-        if not isinstance(given, str):
-            points = checked_points(given)
+        if not isinstance(curve, str):
+            points = checked_points(curve)
         else:
-            points = parse_curve(given) if is_curve_text(given) else read_curve((folder / given).absolute())
+            points = parse_curve(curve) if is_curve_text(curve) else read_curve((folder / curve).absolute())
     except ValueError as error:
         faults.append(("output.tone_curve", str(error)))
         return values
@@ -185,7 +177,7 @@ class CameraSection(Section):
     cx_px: float | None = Field(default=None, description="a number of pixels from the centre of the leftmost one")
     cy_px: float | None = Field(default=None, description="a number of pixels from the centre of the topmost one")
     skew_px: float | None = Field(default=None, description="a number of pixels")
-    lens: Literal["none", "plumb_bob", "rational", "fisheye"] = "none"
+    lens: Literal["none", LensModel] = "none"
     distortion: list[float] | None = Field(
         default=None, max_length=14, description="a list of numbers, OpenCV's distortion coefficients in its order"
     )
@@ -202,5 +194,5 @@ class CameraSection(Section):
 
 def camera_numbers(camera: Camera) -> dict[str, Any]:
     """Return the keys of ``[camera]``."""
-    numbers = {f.name: getattr(camera, f.name) for f in fields(Camera) if f.name != "lens"}
+    numbers = {field.name: getattr(camera, field.name) for field in fields(Camera) if field.name != "lens"}
     return numbers if camera.lens is None else numbers | camera.lens.keys

@@ -1,6 +1,4 @@
-"""Where each value of a config comes from: a flag, the file, a preset, or the default.
-
-All settings of glstar as one value.
+"""All settings of glstar as one value, and the origin of each: a flag, the file, a preset, or the default.
 
 Degrees are converted to radians here; the other packages use SI units, radians and pixels.
 """
@@ -14,7 +12,9 @@ from types import MappingProxyType
 from typing import Any, Final, Self
 
 from glstar.camera.model import Camera, Mount
+from glstar.camera.presets import preset_file
 from glstar.camera.sensor.sensor import Sensor
+from glstar.config import reading
 from glstar.config.camera import CameraSection, ExposureSection, camera_numbers, checked_lens, checked_output
 from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, MountSection, NavigatorSection, SyntheticSection
 from glstar.config.keys import (
@@ -28,27 +28,6 @@ from glstar.config.keys import (
     split_key,
     toml_value,
 )
-from glstar.config.reading import (
-    BUNDLED_CAMERA,
-    Tables,
-    absolute,
-    bundled_camera,
-    camera_of,
-    extinction_of,
-    flight_of,
-    is_path,
-    known_tables,
-    observed_sky,
-    section_of,
-    sensor_of,
-    sky_effects,
-    sky_of,
-    source_of,
-    star_brightness_of,
-    synthetic_of,
-    toml_of,
-    with_readout,
-)
 from glstar.config.sensor import SensorSection, for_another_noise_model, sensor_from
 from glstar.config.sky import HORIZONS, SkySection, resolved_sky
 from glstar.config.sweep import START, Sweep
@@ -60,6 +39,10 @@ from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.photometry import StarBrightness
 from glstar.system.userinput import did_you_mean
 from glstar.telemetry import Survey, TelemetrySource, open_source, read_flight, survey
+
+DEFAULT: Final = "default"
+# A value and where it comes from.
+Origin = tuple[Any, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +80,14 @@ class Config:
     navigator: NavigatorSection = field(default_factory=NavigatorSection)
     sweep: Sweep = field(default_factory=Sweep)
     file: Path | None = field(default=None, compare=False)
-    _camera: Camera = field(default_factory=bundled_camera)
+    _camera: Camera = field(default_factory=reading.bundled_camera)
     _mount: MountSection = field(default_factory=MountSection)
     _sensor: SensorSection = field(default_factory=SensorSection)
     _star_brightness: StarBrightness | None = None
     # Values of the effects that have their own table, by table and key.
-    _effects: Tables = field(default_factory=lambda: effect_values(lambda model, _: model()), hash=False)
-    # The values as given: `override` checks them again, and `resolved` reports their sources.
-    _tables: Tables = field(default_factory=dict, compare=False, repr=False)
+    _effects: reading.Tables = field(default_factory=lambda: effect_values(lambda model, _: model()), hash=False)
+    # The values of the file and of flags: `override` checks them again, and `resolved` reports their sources.
+    _tables: reading.Tables = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
@@ -125,9 +108,9 @@ class Config:
             If the file cannot be read or is not TOML; otherwise with all validation errors at once, each with the
             key, the values it may have, and the value given.
         """
-        document = toml_of(path)
+        document = reading.toml_of(path)
         swept = document.pop("sweep", {})
-        tables, faults = known_tables(document)
+        tables, faults = reading.known_tables(document)
         sweep = Sweep.of(swept, faults)
         config = replace(cls._made(tables, faults, Path(path).absolute(), source=path), sweep=sweep)
         for settings in sweep.extremes():
@@ -156,7 +139,7 @@ class Config:
             With all validation errors at once.
         """
         folder = Path() if self.file is None else self.file.parent
-        flags = {key: absolute(key, value, folder) for key, value in settings.items() if key != START}
+        flags = {key: reading.absolute(key, value, folder) for key, value in settings.items() if key != START}
         return replace(self.override(**flags), sweep=Sweep())
 
     def override(self, **flags: Any) -> Self:
@@ -180,7 +163,7 @@ class Config:
             With all validation errors at once.
         """
         tables = {section: dict(keys) for section, keys in self._tables.items()}
-        given = {key: absolute(key, value, Path.cwd()) for key, value in flags.items() if value is not None}
+        given = {key: reading.absolute(key, value, Path.cwd()) for key, value in flags.items() if value is not None}
         if {"camera.file", "camera.preset"} & given.keys():
             tables["camera"] = {}
         if "sensor.file" in given:
@@ -272,10 +255,10 @@ class Config:
     def sensor(self) -> Sensor:
         """Return the sensor, with its brightness in DN."""
         effects = {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
-        effects |= sky_effects(self.sky)
+        effects |= reading.sky_effects(self.sky)
         sensor = sensor_from(self._sensor.numbers, effects)
-        given = {key: value for key, value in sensor.effects.items() if value != EFFECT_DEFAULTS.get(key)}
-        return replace(sensor, effects=given)
+        changed = {key: value for key, value in sensor.effects.items() if value != EFFECT_DEFAULTS.get(key)}
+        return replace(sensor, effects=changed)
 
     def star_brightness(self) -> StarBrightness | None:
         """Return the measured magnitudes of stars in the camera's band.
@@ -359,35 +342,36 @@ class Config:
         """
         if stars is None:
             stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
+        sensor = self.sensor() if sensor is None else sensor
         return Simulator.of(
             flight=flight,
-            sky=observed_sky(self.sky, stars),
+            sky=reading.observed_sky(self.sky, stars),
             camera=self.camera(),
             mount=self.navigator.real_mount(self.mount()),
             gimbal=self.gimbal,
-            sensor=self.sensor() if sensor is None else sensor,
+            sensor=sensor,
             pressure_hpa=self.air.pressure_hpa,
             temperature_c=self.air.temperature_c,
             star_brightness=self.star_brightness(),
             bodies=self.sky.bodies,
-            extinction=extinction_of(self.sky, self.air, (self.sensor() if sensor is None else sensor).colour),
+            extinction=reading.extinction_of(self.sky, self.air, sensor.colour),
         )
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Absolute paths of the camera, sensor and star brightness files, which `at` reads again for each sample."""
+        """Absolute paths of the camera, sensor, preset and star brightness files, which `at` reads for each sample."""
         folder = Path() if self.file is None else self.file.parent
-        given = [(f"{name}.{key}", value) for name, keys in self._tables.items() for key, value in keys.items()]
-        given += [(axis.key, value) for axis in self.sweep.axes for value in axis.values]
+        values = [(f"{name}.{key}", value) for name, keys in self._tables.items() for key, value in keys.items()]
+        values += [(axis.key, value) for axis in self.sweep.axes for value in axis.values]
         named = {
-            absolute(key, value, folder)
-            for key, value in given
-            if is_path(key, value) and key not in {"sky.catalogue", "flight.columns", "flight.position"}
+            reading.absolute(key, value, folder)
+            for key, value in values
+            if reading.is_path(key, value) and key not in {"sky.catalogue", "flight.columns", "flight.position"}
             if key != "sky.horizon" or value not in HORIZONS
         }
         if self._star_brightness is not None:
             named.add(str(self._star_brightness.path))
-        return tuple(Path(name) for name in sorted(map(str, named)))
+        return tuple(Path(name) for name in sorted({preset_file(str(name)) or str(name) for name in named}))
 
     def resolved(self) -> dict[str, dict[str, Any]]:
         """Return every value of the config, section by section, ready for JSON and TOML.
@@ -399,12 +383,12 @@ class Config:
             that were not given are left out.
         """
         # Without [camera], the bundled camera is used.
-        camera_keys = self._tables.get("camera") or {"preset": BUNDLED_CAMERA}
+        camera_keys = self._tables.get("camera") or {"preset": reading.BUNDLED_CAMERA}
         return {
-            "camera": camera_numbers(self._camera) | source_of(camera_keys),
+            "camera": camera_numbers(self._camera) | reading.source_of(camera_keys),
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(exclude_none=True),
-            "sensor": self._sensor.given | source_of(self._tables.get("sensor", {})),
+            "sensor": self._sensor.given | reading.source_of(self._tables.get("sensor", {})),
             "sky": resolved_sky(self.sky),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
@@ -425,39 +409,58 @@ class Config:
             lines.append(f"[{section}]")
             for key, value in values.items():
                 if (section, key, self.sky.dut1_s) == ("sky", "dut1_s", None):
-                    continue  # not given: another computer may have the IERS table
+                    continue  # another computer may have the IERS table
                 lines.append(f"{'# from ' if key in SOURCES else ''}{key} = {toml_value(value)}")
             lines.append("")
         return "\n".join(lines)
 
     @classmethod
-    def _made(cls, tables: Tables, faults: list[Fault], file: Path | None, source: str | PathLike[str] | None) -> Self:
+    def _made(
+        cls, tables: reading.Tables, faults: list[Fault], file: Path | None, source: str | PathLike[str] | None
+    ) -> Self:
         """Return the config of these tables; raise one ConfigError with all validation errors.
 
         The message names the source file, if there is one.
         """
         folder = Path() if file is None else file.parent
-        lens = section_of(CameraSection, "camera", tables, faults)
-        camera = camera_of(lens, tables, folder, faults)
-        mount = section_of(MountSection, "mount", tables, faults)
-        exposure = section_of(ExposureSection, "exposure", tables, faults)
-        sensor = sensor_of(section_of(SensorSection, "sensor", tables, faults), tables, folder, faults, camera, lens)
-        star_brightness = star_brightness_of(sensor, faults)
-        sky = sky_of(section_of(SkySection, "sky", tables, faults), folder, faults)
-        air = section_of(AirSection, "air", tables, faults)
-        flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
-        synthetic = synthetic_of(section_of(SyntheticSection, SYNTHETIC, tables, faults), faults)
-        navigator = section_of(NavigatorSection, "navigator", tables, faults)
-        effects = effect_values(lambda model, name: section_of(model, name, tables, faults))
+        lens = reading.section_of(CameraSection, "camera", tables, faults)
+        camera = reading.camera_of(lens, tables, folder, faults)
+        mount = reading.section_of(MountSection, "mount", tables, faults)
+        exposure = reading.section_of(ExposureSection, "exposure", tables, faults)
+        sensor = reading.sensor_of(
+            reading.section_of(SensorSection, "sensor", tables, faults), tables, folder, faults, camera, lens
+        )
+        star_brightness = reading.star_brightness_of(sensor, faults)
+        sky = reading.sky_of(reading.section_of(SkySection, "sky", tables, faults), folder, faults)
+        air = reading.section_of(AirSection, "air", tables, faults)
+        flight = reading.flight_of(reading.section_of(FlightSection, "flight", tables, faults), faults)
+        synthetic = reading.synthetic_of(reading.section_of(SyntheticSection, SYNTHETIC, tables, faults), faults)
+        navigator = reading.section_of(NavigatorSection, "navigator", tables, faults)
+        effects = effect_values(lambda model, name: reading.section_of(model, name, tables, faults))
         effects["lens"] = checked_lens(effects["lens"], camera, folder, faults)
         effects["output"] = checked_output(effects["output"], folder, faults)
         if faults:
             raise config_error(faults, source)
-        exposure = with_readout(exposure, tables, lens.preset, sensor.preset)
-        paths = {key: absolute(f"flight.{key}", getattr(flight, key), folder) for key in ("columns", "position")}
-        flight = flight.model_copy(update=paths)
-        flown = (exposure, sky, air, flight, synthetic, navigator)
-        return cls(*flown, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
+        presets = (reading.absolute("camera.preset", lens.preset, folder), sensor.preset)
+        exposure = reading.with_readout(exposure, tables, *(str(name) for name in presets if name is not None))
+        paths = {
+            key: reading.absolute(f"flight.{key}", getattr(flight, key), folder) for key in ("columns", "position")
+        }
+        return cls(
+            exposure=exposure,
+            sky=sky,
+            air=air,
+            flight=flight.model_copy(update=paths),
+            synthetic=synthetic,
+            navigator=navigator,
+            file=file,
+            _camera=camera,
+            _mount=mount,
+            _sensor=sensor,
+            _star_brightness=star_brightness,
+            _effects=effects,
+            _tables=tables,
+        )
 
 
 def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySource:
@@ -465,37 +468,31 @@ def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySour
     return open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, columns=flight.columns)
 
 
-DEFAULT: Final = "default"
-# A value and where it comes from.
-Origin = tuple[Any, str]
-
-
 def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Origin]]:
-    """Return every value of a config with its origin.
+    """Return every value of a config with its origin, by section and key.
 
-    `flags`: flag by dotted key, of the keys that were given on the command line.  Returns: dict of str to dict of str
-    to (value, str): by section and key; the origin is a flag, the config file, a preset or file that it names, or
-    "default".
+    `flags`: flags of the command line, by dotted key.  An origin is a flag, the config file, a preset or file that it
+    names, or "default".
     """
-    document = {} if config.file is None else toml_of(config.file)
+    document = {} if config.file is None else reading.toml_of(config.file)
     name = "" if config.file is None else config.file.name
     resolved = config.resolved()
     defaults = Config().resolved()
-    counting = Config().override(**{"sensor.noise": "electrons"}).resolved()["sensor"]
-    defaults["sensor"] = counting | {"noise": "paper"} | defaults["sensor"]
+    electrons = Config().override(**{"sensor.noise": "electrons"}).resolved()["sensor"]
+    defaults["sensor"] = electrons | {"noise": "paper"} | defaults["sensor"]
     sources = {section: _source(document, section, values) for section, values in resolved.items()}
-    # Modes of sensors have the time of their readout.
+    # The mode of a sensor has its readout time.
     sources["exposure"] = sources["camera"] or sources["sensor"]
-    found: dict[str, dict[str, Origin]] = {}
+    origins_of: dict[str, dict[str, Origin]] = {}
     for section, values in resolved.items():
         table, former = _table(document, section), defaults.get(section, {})
-        found[section] = {}
+        origins_of[section] = {}
         for key, value in values.items():
             origin = name if key in table else ""
             if key not in table and (section == "camera" or value != former.get(key, value)):
                 origin = sources[section]
-            found[section][key] = value, flags.get(f"{section}.{key}", origin or DEFAULT)
-    return found
+            origins_of[section][key] = value, flags.get(f"{section}.{key}", origin or DEFAULT)
+    return origins_of
 
 
 def _source(document: Mapping[str, Any], section: str, values: Mapping[str, Any]) -> str:

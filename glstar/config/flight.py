@@ -1,7 +1,4 @@
-"""``[flight.synthetic]``: a flight without a log, with the keys of its description in one line.
-
-``[navigator]``: what the aircraft believes, as ``nav.jsonl`` gives it to a solver.
-"""
+"""The sections ``[flight]``, ``[flight.synthetic]``, ``[navigator]``, ``[mount]`` and ``[air]`` of the config."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -41,9 +38,44 @@ _LISTS: Final = {
 }
 # Keys that do not change how long a flight lasts.
 _OF_ANY_LENGTH: Final = {
-    *("latitude_deg", "longitude_deg", "height_m", "start_utc", "direction", "pitch_deg", "roll_deg", "gusts"),
-    *("yaw_rate_deg_per_s", "height_above_ground_m", "span_m", "natural_frequency_hz", "damping", "vibration", "seed"),
+    "latitude_deg",
+    "longitude_deg",
+    "height_m",
+    "start_utc",
+    "direction",
+    "pitch_deg",
+    "roll_deg",
+    "gusts",
+    "yaw_rate_deg_per_s",
+    "height_above_ground_m",
+    "span_m",
+    "natural_frequency_hz",
+    "damping",
+    "vibration",
+    "seed",
 }
+
+_DEGREES = "a number of degrees"
+_SPREAD = "a number of degrees, 0 or more"
+
+_MOUNT, _EXTINCTION = Mount(), Extinction()
+
+# Command-line flags of the keys of [flight].
+FLIGHT_FLAGS: Final = MappingProxyType(
+    {
+        "utc_start": "--utc-start",
+        "latitude_deg": "--lat",
+        "longitude_deg": "--lon",
+        "sysid": "--sysid",
+        "boot": "--boot",
+        "attitude": "--attitude",
+        "time_offset_s": "--time-offset",
+        "max_gap_s": "--max-gap",
+        "interpolation": "--interpolation",
+        "columns": "--columns",
+        "position": "--position",
+    }
+)
 
 
 class _SyntheticKeys(Section):
@@ -53,15 +85,15 @@ class _SyntheticKeys(Section):
 
     @field_validator("start_utc", mode="before", check_fields=False)
     @classmethod
-    def _toml_time(cls, given: object) -> object:
+    def _toml_time(cls, value: object) -> object:
         """Accept a time without quotes, which TOML reads as a datetime."""
-        return given.isoformat() if hasattr(given, "isoformat") else given
+        return value.isoformat() if hasattr(value, "isoformat") else value
 
     @property
     def settings(self) -> dict[str, str]:
         """The values of `KEYS` that are given, as text."""
-        given = {key: getattr(self, key) for key in KEYS}
-        return {key: _text(value) for key, value in given.items() if value is not None}
+        values = {key: getattr(self, key) for key in KEYS}
+        return {key: _text(value) for key, value in values.items() if value is not None}
 
     @property
     def description(self) -> str | None:
@@ -74,8 +106,8 @@ class _SyntheticKeys(Section):
     def flight(self) -> SyntheticFlight:
         """Return the described flight; raises ConfigError if there is no path, or a value is impossible."""
         if self.path is None:
-            given = next(iter(self.settings), None)
-            message = "is missing" if given is None else f"is missing beside {given}"
+            key = next(iter(self.settings), None)
+            message = "is missing" if key is None else f"is missing beside {key}"
             raise ConfigError(f'path {message}; it makes the section a flight, such as path = "orbit"')
         return synthetic_flight(self.path, self.settings)
 
@@ -126,10 +158,6 @@ def changes_length(keys: Mapping[str, Any]) -> bool:
     )
 
 
-_DEGREES = "a number of degrees"
-_SPREAD = "a number of degrees, 0 or more"
-
-
 class NavigatorSection(Section):
     """``[navigator]``: estimated attitude, mount, clock and position; without any key there is no ``nav.jsonl``."""
 
@@ -151,7 +179,7 @@ class NavigatorSection(Section):
     mount_yaw_error_deg: float = Field(default=0.0, description=_DEGREES)
     clock_offset_s: float = Field(default=0.0, ge=-3600, le=3600, description="a number of seconds, -3600 to 3600")
     gps: Literal["known", "denied"] = "denied"
-    seed: int = Field(default=0, ge=0, description="a whole number, 0 or more")  # Of the random errors
+    seed: int = Field(default=0, ge=0, description="a whole number, 0 or more")  # of the random errors
 
     @property
     def errors(self) -> AttitudeErrorModel:
@@ -178,10 +206,7 @@ class NavigatorSection(Section):
         )
 
     def real_mount(self, nominal: Mount) -> Mount:
-        """Return the mount of the camera that draws the frames.
-
-        `nominal`: as in ``[mount]``, which is what the navigator knows.
-        """
+        """Return the mount of the camera that takes the frames; the navigator knows the nominal one of ``[mount]``."""
         if self.mount_error == MountError():
             return nominal
         return Mount.from_matrix(self.mount_error.applied(nominal.C_camera_body), reading=nominal.reading)
@@ -192,9 +217,6 @@ class NavigatorSection(Section):
         return MountError(
             radians(self.mount_roll_error_deg), radians(self.mount_pitch_error_deg), radians(self.mount_yaw_error_deg)
         )
-
-
-_MOUNT, _EXTINCTION = Mount(), Extinction()
 
 
 class MountSection(Section):
@@ -218,7 +240,7 @@ class MountSection(Section):
 
 
 class AirSection(Section):
-    """``[air]``: pressure and temperature, which determine the refraction, and what the air takes of the light."""
+    """``[air]``: pressure and temperature, which determine the refraction, and the extinction."""
 
     # Pressure at the aircraft (not reduced to sea level), hPa.
     pressure_hpa: float = Field(
@@ -264,9 +286,9 @@ class FlightSection(Section):
     boot: int | None = Field(default=None, ge=1, description="a whole number from 1")
     # The longest data gap of the attitude to interpolate across, s; frames in longer gaps are skipped.
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
-    # {"slerp", "spline", "gyro"}: interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
+    # Interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
     interpolation: Interpolation = "slerp"
-    # What the columns of a table mean; see `glstar.telemetry.column_map`.
+    # Meaning of the columns of a table; see `glstar.telemetry.column_map`.
     columns: str | None = Field(
         default=None, min_length=1, description='a column map such as "airdata", a .toml file, or "time=t,roll=phi,..."'
     )
@@ -308,21 +330,3 @@ class FlightSection(Section):
         if text is not None:
             parse_known_utc(text)
         return text
-
-
-# Command-line flags of the keys of [flight].
-FLIGHT_FLAGS: Final = MappingProxyType(
-    {
-        "utc_start": "--utc-start",
-        "latitude_deg": "--lat",
-        "longitude_deg": "--lon",
-        "sysid": "--sysid",
-        "boot": "--boot",
-        "attitude": "--attitude",
-        "time_offset_s": "--time-offset",
-        "max_gap_s": "--max-gap",
-        "interpolation": "--interpolation",
-        "columns": "--columns",
-        "position": "--position",
-    }
-)

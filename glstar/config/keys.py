@@ -1,9 +1,4 @@
-"""The sections of the config: their keys, allowed values and defaults.
-
-Messages about invalid settings: the key, its allowed values, and a suggestion.
-
-Values as TOML.
-"""
+"""The sections of the config: keys, allowed values and defaults, messages about invalid ones, and values as TOML."""
 
 import re
 from collections.abc import Callable
@@ -35,15 +30,6 @@ EFFECT_DEFAULTS: Final = MappingProxyType(
     {f"{effect.section}.{key.name}": key.default for effect in EFFECTS for key in effect.keys}
 )
 
-
-def effect_values(checked: Callable[[type[Section], str], Section]) -> dict[str, dict[str, Any]]:
-    """Return the values of the effects that have their own section.
-
-    `checked`: takes a model and the name of a section, and returns the checked section.  Returns: by section and key.
-    """
-    return {name: checked(model, name).model_dump() for name, model in EFFECT_SECTIONS.items()}
-
-
 SECTIONS: dict[str, type[Section]] = {
     "camera": CameraSection,
     "mount": MountSection,
@@ -58,15 +44,36 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 PATHS = (
-    *("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "sky.horizon"),
+    "camera.file",
+    "sensor.file",
+    "sensor.star_brightness",
+    "sky.catalogue",
+    "sky.horizon",
     "sky.satellites",
-    *("flight.columns", "flight.position"),
+    "flight.columns",
+    "flight.position",
     *(f"sensor.{key}" for key in SENSOR_MAPS),
     "lens.vignetting_file",
     "output.tone_curve",
 )
+# Keys whose value may be a preset in a file: ``sensors.toml:NAME``.
+PRESETS = ("camera.preset", "sensor.preset")
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")
+
+# A validation error: a dotted key and the message.
+Fault = tuple[str, str]
+
+# Values and keys are cut to this many characters in messages.
+_LONGEST = 60
+
+
+def effect_values(checked: Callable[[type[Section], str], Section]) -> dict[str, dict[str, Any]]:
+    """Return the values of the effects that have their own section, by section and key.
+
+    `checked`: takes a model and the name of a section, and returns the checked section.
+    """
+    return {name: checked(model, name).model_dump() for name, model in EFFECT_SECTIONS.items()}
 
 
 def split_key(dotted: str) -> tuple[str, str]:
@@ -77,24 +84,16 @@ def split_key(dotted: str) -> tuple[str, str]:
 
 
 def toml_value(value: object) -> str:
-    """Return a value as TOML, on one line.
+    """Return a value as TOML, on one line; raises TypeError if TOML has no such value.
 
-    `tomli_w.dumps` has no comments and writes each item of an array on a line of its own; config and calibration files
-    have comments beside their values.  `value`: infinities and NaN are TOML's ``inf`` and ``nan``.  Raises TypeError
-    if TOML has no such value.
+    Config and calibration files have comments beside their values, which `tomli_w.dumps` cannot write; it also puts
+    each item of an array on a line of its own.
     """
     if isinstance(value, list | tuple):
         return f"[{', '.join(toml_value(item) for item in value)}]"
     if isinstance(value, float):
         value = float(value)  # NumPy's float64 is a float with another repr
     return tomli_w.dumps({"value": value}).removeprefix("value = ").removesuffix("\n")
-
-
-# A validation error: a dotted key and the message.
-Fault = tuple[str, str]
-
-# Values and keys are cut to this many characters in messages.
-_LONGEST = 60
 
 
 def config_error(faults: list[Fault], file: str | PathLike[str] | None) -> ConfigError:

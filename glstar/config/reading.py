@@ -14,13 +14,13 @@ from glstar.camera.camerafile import camera_from_file
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.exposure import check_readouts
 from glstar.camera.model import Camera
-from glstar.camera.presets import camera_from_preset, is_sensor_mode, sensor_mode
+from glstar.camera.presets import camera_from_preset, is_sensor_mode, preset_file, sensor_mode
 from glstar.camera.sensor.colourband import ColourBand
 from glstar.camera.sensor.sensor import EffectValue
 from glstar.camera.sensor.tonecurve import is_curve_text
 from glstar.config.camera import CameraSection, ExposureSection
 from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, SyntheticSection
-from glstar.config.keys import PATHS, SECTIONS, SOURCES, Fault, allowed, at_home, hint, key_text, shown
+from glstar.config.keys import PATHS, PRESETS, SECTIONS, SOURCES, Fault, allowed, at_home, hint, key_text, shown
 from glstar.config.section import Section, is_file_name
 from glstar.config.sensor import SENSOR_MAPS, SensorSection, completed_sensor
 from glstar.config.sky import HORIZONS, SkySection
@@ -47,6 +47,9 @@ _LARGEST_BYTES = 2**20
 
 # The values of each section by key, as given, before any check.
 Tables = dict[str, dict[str, Any]]
+
+S = TypeVar("S", bound=Section)
+_PLACE = ("latitude_deg", "longitude_deg")
 
 
 def bundled_camera() -> Camera:
@@ -85,17 +88,13 @@ def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
 
 def _with_subsections(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document with sections inside others under dotted names: ``[flight.synthetic]``."""
-    found = dict(document)
+    sections = dict(document)
     for dotted in SECTIONS:
         outer, _, inner = dotted.rpartition(".")
-        if outer and isinstance(found.get(outer), Mapping) and inner in found[outer]:
-            found[dotted] = found[outer][inner]
-            found[outer] = {key: value for key, value in found[outer].items() if key != inner}
-    return found
-
-
-S = TypeVar("S", bound=Section)
-_PLACE = ("latitude_deg", "longitude_deg")
+        if outer and isinstance(sections.get(outer), Mapping) and inner in sections[outer]:
+            sections[dotted] = sections[outer][inner]
+            sections[outer] = {key: value for key, value in sections[outer].items() if key != inner}
+    return sections
 
 
 def section_of(model: type[S], name: str, tables: Tables, faults: list[Fault]) -> S:
@@ -135,7 +134,7 @@ def synthetic_of(section: SyntheticSection, faults: list[Fault]) -> SyntheticSec
 
 
 def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:
-    """Return the camera of the section; if it has errors, append them to `faults` and return any camera."""
+    """Return the camera of the section; if it has errors, append them to `faults` and return the bundled camera."""
     keys = tables.get("camera", {})
     numbers = [key for key in keys if key in CameraSection.model_fields and key not in (*SOURCES, *_LENS_OF_A_SENSOR)]
     faults.extend(_lens_faults(section))
@@ -156,7 +155,7 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
             faults.append(("camera.file", str(error)))
     elif section.preset is not None:
         try:
-            return camera_from_preset(section.preset, section.lens_mm)
+            return camera_from_preset(str(absolute("camera.preset", section.preset, folder)), section.lens_mm)
         except ConfigError as error:
             key = error.key or "camera.preset"
             faults.append((key, str(error).removeprefix(f"{key}: ")))
@@ -165,14 +164,14 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
         faults.extend((f"camera.{key}", "is missing from a camera given in numbers") for key in missing)
         if section.width_px and section.height_px and section.fx_px and section.fy_px:
             return Camera(
-                section.width_px,
-                section.height_px,
-                section.fx_px,
-                section.fy_px,
-                (section.width_px - 1) / 2 if section.cx_px is None else section.cx_px,
-                (section.height_px - 1) / 2 if section.cy_px is None else section.cy_px,
-                section.skew_px or 0.0,
-                _lens(section, faults),
+                width_px=section.width_px,
+                height_px=section.height_px,
+                fx_px=section.fx_px,
+                fy_px=section.fy_px,
+                cx_px=(section.width_px - 1) / 2 if section.cx_px is None else section.cx_px,
+                cy_px=(section.height_px - 1) / 2 if section.cy_px is None else section.cy_px,
+                skew_px=section.skew_px or 0.0,
+                lens=_lens(section, faults),
             )
     return bundled_camera()
 
@@ -194,13 +193,13 @@ def _camera_of_calibration(path: Path, faults: list[Fault]) -> Camera:
         faults.append(("camera.file", str(error)))
         return bundled_camera()
     # The file may have other tables, such as [sensor]; only [camera] is read here.
-    inside, found = known_tables({"camera": document.get("camera")}) if "camera" in document else ({}, [])
+    tables, problems = known_tables({key: document[key] for key in ("camera",) if key in document})
     if "camera" not in document:
-        found = [("camera", "is missing; a calibration in TOML has a [camera] section")]
-    elif {"file", "preset"} & set(inside.get("camera", {})):
-        found = [("camera", "must hold the numbers, not file or preset")]
-    camera = camera_of(section_of(CameraSection, "camera", inside, found), inside, path.parent, found)
-    faults.extend(("camera.file", f"{path}: {key}: {message}") for key, message in found)
+        problems = [("camera", "is missing; a calibration in TOML has a [camera] section")]
+    elif {"file", "preset"} & set(tables.get("camera", {})):
+        problems = [("camera", "must hold the numbers, not file or preset")]
+    camera = camera_of(section_of(CameraSection, "camera", tables, problems), tables, path.parent, problems)
+    faults.extend(("camera.file", f"{path}: {key}: {message}") for key, message in problems)
     return camera
 
 
@@ -225,15 +224,15 @@ def sensor_of(
     aperture_mm = lens.lens_mm / lens.f_number if lens.lens_mm and lens.f_number else None
     others = [key for key in tables.get("sensor", {}) if key in SensorSection.model_fields and key != "file"]
     if section.file is None:
-        found: list[Fault] = []
-        section = _at_its_place(section, folder)
-        section = completed_sensor(section, tables.get("sensor", {}), camera, aperture_mm, found)
-        _check_sky_map(section, found)
+        problems: list[Fault] = []
+        section = _with_absolute_paths(section, folder)
+        section = completed_sensor(section, tables.get("sensor", {}), camera, aperture_mm, problems)
+        _check_sky_map(section, problems)
         if section.noise == "electrons" and _is_lit_naturally(tables):
             section = section.model_copy(update={"sky_e_per_s": 0.0})
         # Without a valid camera, it is not known which mode of a sensor fits.
         has_camera = not any(key.startswith("camera") for key, _ in faults)
-        faults.extend(fault for fault in found if has_camera or fault[0] != "sensor.preset")
+        faults.extend(fault for fault in problems if has_camera or fault[0] != "sensor.preset")
         return section
     if others:
         faults.append(("sensor", f"has file and {others[0]}; give a file or numbers, not both"))
@@ -245,22 +244,22 @@ def sensor_of(
         faults.append(("sensor.file", str(error)))
         return section
     # The file may have other tables, such as [camera]; only [sensor] is read here.
-    inside, found = known_tables({"sensor": document.get("sensor")}) if "sensor" in document else ({}, [])
+    own_tables, problems = known_tables({key: document[key] for key in ("sensor",) if key in document})
     if "sensor" not in document:
-        found = [("sensor", "is missing; a sensor calibration is a TOML file with a [sensor] section")]
-    elif "file" in inside.get("sensor", {}):
-        found = [("sensor.file", "is not allowed in a calibration file, which must hold the numbers")]
+        problems = [("sensor", "is missing; a sensor calibration is a TOML file with a [sensor] section")]
+    elif "file" in own_tables.get("sensor", {}):
+        problems = [("sensor.file", "is not allowed in a calibration file, which must hold the numbers")]
     else:
-        section = _at_its_place(section_of(SensorSection, "sensor", inside, found), path.parent)
-        section = completed_sensor(section, inside.get("sensor", {}), camera, aperture_mm, found)
-        _check_sky_map(section, found)
-    faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
+        section = _with_absolute_paths(section_of(SensorSection, "sensor", own_tables, problems), path.parent)
+        section = completed_sensor(section, own_tables.get("sensor", {}), camera, aperture_mm, problems)
+        _check_sky_map(section, problems)
+    faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in problems)
     return section
 
 
-def _at_its_place(section: SensorSection, folder: Path) -> SensorSection:
-    """Return the sensor's section with the absolute paths of its star brightness table and its maps."""
-    keys = ("star_brightness", *SENSOR_MAPS)
+def _with_absolute_paths(section: SensorSection, folder: Path) -> SensorSection:
+    """Return the sensor's section with the absolute paths of its preset's file, star brightness table and maps."""
+    keys = ("preset", "star_brightness", *SENSOR_MAPS)
     return section.model_copy(update={key: absolute(f"sensor.{key}", getattr(section, key), folder) for key in keys})
 
 
@@ -275,7 +274,7 @@ def _check_sky_map(section: SensorSection, faults: list[Fault]) -> None:
 
 
 def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrightness | None:
-    """Return the star brightness table of the section; None if there is none, or on an error, appended to `faults`."""
+    """Return the section's table of star brightness; None if there is none, or with an error appended to `faults`."""
     if section.star_brightness is None:
         return None
     try:
@@ -298,12 +297,14 @@ def with_readout(section: ExposureSection, tables: Tables, *presets: str | None)
 
 
 def source_of(keys: Mapping[str, Any]) -> dict[str, str]:
-    """Return those of these keys that name the source of the numbers."""
+    """Return the keys that name the source of the numbers."""
     return {key: keys[key] for key in SOURCES if key in keys}
 
 
 def is_path(dotted: str, value: object) -> bool:
-    """Return whether this value of a key is a path; some keys have other values too."""
+    """Return whether this value of a key is a path, or a preset in a file; some keys have other values too."""
+    if dotted in PRESETS:
+        return isinstance(value, str) and preset_file(value) is not None
     if dotted not in PATHS or not isinstance(value, str | PathLike) or not str(value):
         return False
     return dotted != "output.tone_curve" or not is_curve_text(str(value))
@@ -343,13 +344,13 @@ def observed_sky(section: SkySection, stars: StarCatalogue) -> Sky:
     Raises ConfigError if the file of a horizon profile or of satellites has changed and is no longer valid.
     """
     return Sky(
-        stars,
-        ASTROMETRY[section.astrometry],
-        section.dut1_s,
-        section.refraction,
-        section.horizon == "dip",
-        _horizon_profile(section),
-        _satellites(section),
+        catalogue=stars,
+        astrometry=ASTROMETRY[section.astrometry],
+        dut1_s=section.dut1_s,
+        refraction=section.refraction,
+        dip=section.horizon == "dip",
+        profile=_horizon_profile(section),
+        satellites=_satellites(section),
     )
 
 
@@ -362,9 +363,9 @@ def _satellites(section: SkySection) -> Satellites | None:
 
 
 def extinction_of(sky: SkySection, air: AirSection, colour: ColourBand | None = None) -> Extinction | None:
-    """Return the extinction by the air above the aircraft.
+    """Return the extinction by the air above the aircraft; None with ``sky.extinction = "none"``.
 
-    `colour`: of the sensor, for ``sky.extinction_band = "sensor"``.  Returns: none with ``sky.extinction = "none"``.
+    `colour`: the band of the sensor, for ``sky.extinction_band = "sensor"``.
     """
     if sky.extinction == "none":
         return None
@@ -383,7 +384,7 @@ def _is_lit_naturally(tables: Tables) -> bool:
 
 
 def sky_effects(sky: SkySection) -> dict[str, EffectValue]:
-    """Return the values of the effects whose keys are in ``[sky]``; returns: by dotted key."""
+    """Return the values, by dotted key, of the effects whose keys are in ``[sky]``."""
     return {
         f"sky.{key.name}": getattr(sky, key.name)
         for effect in EFFECTS

@@ -1,7 +1,4 @@
-"""The base class of the sections of the config.
-
-The keys that sensor and sky effects add to the sections of the config.
-"""
+"""The base class of the sections of the config, and the keys that sensor and sky effects add to sections."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,10 +19,7 @@ S = TypeVar("S", bound=Section)
 
 
 def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
-    """Add the keys of the effects in a section of the config to its model.
-
-    `name`: the section.  Returns a decorator of a subclass of `Section`.
-    """
+    """Return a decorator that adds the keys of the effects in a section to its subclass of `Section`."""
 
     def extended(model: type[S]) -> type[S]:
         keys = [key for effect in EFFECTS if effect.section == name for key in effect.keys]

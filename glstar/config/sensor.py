@@ -1,4 +1,4 @@
-"""``[sensor]``: the keys of both noise models, and what those of the electron model are where they are not given."""
+"""The section ``[sensor]``: the keys of both noise models, and defaults of the electron model."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
@@ -8,12 +8,12 @@ from typing import Any, Final, Literal
 from pydantic import Field
 
 from glstar.camera.model import Camera
-from glstar.camera.presets import sensor_mode, sensor_presets
+from glstar.camera.presets import sensor_mode, sensor_preset
+from glstar.camera.sensor.pixelpattern import PixelPattern
 from glstar.camera.sensor.sensor import PAPER_KEYS, EffectValue, ElectronModel, NoiseModel, Sensor
 from glstar.config.section import Section, with_effect_keys
 from glstar.errors import ConfigError
 from glstar.render.effects import EFFECTS
-from glstar.render.effects.fixedpattern import pattern_of
 from glstar.sky.photometry import brightness_ratio
 
 _SENSOR = Sensor()
@@ -97,19 +97,13 @@ class SensorSection(Section):
 
 
 def noise_model_of(keys: Mapping[str, Any]) -> NoiseModel:
-    """Return the noise model that the keys of a table ask for: a preset of a sensor counts electrons.
-
-    `keys`: the table ``[sensor]`` as given.  Returns: {"paper", "electrons"}.
-    """
-    counts_electrons = keys.get("noise", "electrons" if "preset" in keys else "paper") == "electrons"
-    return "electrons" if counts_electrons else "paper"
+    """Return the noise model of a table ``[sensor]``: by default, a sensor with a preset counts electrons."""
+    default = "electrons" if "preset" in keys else "paper"
+    return "electrons" if keys.get("noise", default) == "electrons" else "paper"
 
 
 def foreign_keys(keys: Iterable[str], noise: NoiseModel) -> list[str]:
-    """Return which keys of ``[sensor]`` belong to the other noise model.
-
-    `noise` {"paper", "electrons"}: the noise model of the sensor.
-    """
+    """Return the keys of ``[sensor]`` that belong to the other noise model than that of the sensor."""
     other = _ELECTRON_KEYS if noise == "paper" else frozenset(PAPER_KEYS)
     return [key for key in keys if key in other]
 
@@ -125,7 +119,7 @@ def completed_sensor(
 
     `section`: the keys, each checked on its own; `keys`: the table as given; `camera`: the size of its pixels on the
     sky decides the electrons of the sky; `aperture_mm`: diameter of the entrance pupil if ``[camera]`` has a lens;
-    `faults` list of (key, message): errors are appended.
+    `faults`: errors are appended.
     """
     noise = noise_model_of(keys)
     for key in foreign_keys(keys, noise):
@@ -151,7 +145,7 @@ def completed_sensor(
     section = section.model_copy(update=values)
     try:
         sensor = sensor_from(section.numbers, {})
-        pattern_of(sensor.effects).require_size(camera.width_px, camera.height_px)
+        PixelPattern.of(sensor.effects).require_size(camera.width_px, camera.height_px)
     except ConfigError as error:
         faults.append((error.key or "sensor", str(error).removeprefix(f"{error.key}: ")))
     return section
@@ -160,7 +154,7 @@ def completed_sensor(
 def _preset_values(name: str, camera: Camera) -> Mapping[str, float]:
     mode = sensor_mode(name)
     if mode is None:
-        return sensor_presets()[name.lower()].values
+        return sensor_preset(name).values
     size = (camera.width_px, camera.height_px)
     if (mode.width_px, mode.height_px) != size:
         raise ConfigError(
@@ -189,10 +183,10 @@ def zero_point_e_per_s(
 ) -> float:
     """Return the photo-electrons per second of a star of magnitude 0.
 
-    `aperture_mm`: diameter of the entrance pupil: focal length over f-number, mm; `lens_transmission`: fraction of the
+    `aperture_mm`: diameter of the entrance pupil, focal length over f-number; `lens_transmission`: fraction of the
     light that the lens passes; `quantum_efficiency`: at the peak of the passband; `photons_per_s_cm2`: photons of the
-    star through the passband with a peak of 1, 1/(s cm^2).  Returns: electrons per second.  Janesick, Photon Transfer
-    (2007), chapter 2: photons times area times transmission times quantum efficiency.
+    star through the passband with a peak of 1.  Janesick, Photon Transfer (2007), chapter 2: photons times area times
+    transmission times quantum efficiency.
     """
     area_cm2 = pi / 4 * (aperture_mm / 10) ** 2
     return photons_per_s_cm2 * area_cm2 * lens_transmission * quantum_efficiency
@@ -204,19 +198,17 @@ def _pixel_arcsec2(camera: Camera) -> float:
 
 
 def sensor_from(numbers: Mapping[str, EffectValue], effects: Mapping[str, EffectValue]) -> Sensor:
-    """Return the sensor of these keys.
+    """Return the sensor of `SensorSection.numbers` and values of effects in other sections, by dotted key.
 
-    `numbers`: as `SensorSection.numbers` has them; `effects`: values of effects in sections of their own, by dotted
-    key.  Raises ConfigError if a value is not valid; `key` names it.
+    Raises ConfigError, with the key, if a value is not valid.
     """
-    rest: dict[str, Any] = dict(numbers)
+    remaining: dict[str, Any] = dict(numbers)
     electrons = None
-    if rest.pop("noise", "paper") == "electrons":
-        electrons = ElectronModel(**{name: rest.pop(name) for name in _ELECTRON_FIELDS})
-    own = {name: rest.pop(name) for name in _SENSOR.keys if name in rest}
-    return Sensor(
-        **own, electrons=electrons, effects={**{f"sensor.{key}": value for key, value in rest.items()}, **effects}
-    )
+    if remaining.pop("noise", "paper") == "electrons":
+        electrons = ElectronModel(**{name: remaining.pop(name) for name in _ELECTRON_FIELDS})
+    own = {name: remaining.pop(name) for name in _SENSOR.keys if name in remaining}
+    own_effects = {f"sensor.{key}": value for key, value in remaining.items()}
+    return Sensor(**own, electrons=electrons, effects={**own_effects, **effects})
 
 
 def for_another_noise_model(
@@ -228,6 +220,6 @@ def for_another_noise_model(
     noise = noise_model_of(changed)
     dropped = {"noise", *foreign_keys(keys, noise)}
     if "preset" in changed or noise != noise_model_of(keys):
-        # Another sensor has numbers of its own.
+        # Another sensor has its own numbers.
         dropped |= {"bit_depth", *foreign_keys(keys, "paper")}
     return {key: value for key, value in keys.items() if key not in dropped}

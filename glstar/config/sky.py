@@ -1,4 +1,4 @@
-"""TODO glstar.config.sky."""
+"""The section ``[sky]`` of the config: the stars, and how their apparent places are computed."""
 
 from typing import Any, Literal
 
@@ -32,26 +32,26 @@ class SkySection(Section):
     catalogue: str = Field(
         default="bsc5", min_length=1, description='"bsc5", "hipparcos", "tycho2", "gaia" or the path of a .sqlite file'
     )
-    vmag_limit: float = Field(default=6.5, description="a magnitude")  # The faintest visual magnitude
+    vmag_limit: float = Field(default=6.5, description="a magnitude")  # faintest V magnitude of the drawn stars
     # The implementation of apparent places: the paper's formulae, corrected, or ERFA.
     astrometry: Literal["paper", "erfa"] = "paper"
-    refraction: bool = Field(default=True, description="true or false")  # Whether atmospheric refraction is simulated
+    refraction: bool = Field(default=True, description="true or false")
     # UT1 - UTC, s; None for the IERS table if it is installed, else 0.
     dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
     # Whether the Sun, the Moon and the planets are drawn.
     bodies: bool = Field(default=False, description="true or false")
-    # Extinction by the air above the aircraft: of a standard atmosphere at its height, or by ``air.pressure_hpa``.
+    # Extinction by the air above the aircraft: a standard atmosphere at its height, or ``air.pressure_hpa``.
     extinction: Literal["none", "standard", "pressure"] = "none"
     # Wavelength of the extinction: 510 nm, or that of the sensor's band, with a mosaic that of each channel.
     extinction_band: Literal["eye", "sensor"] = "eye"
-    # ``"flat"``: the horizontal; ``"dip"``: as far below it as the aircraft's height makes it; or the absolute path of
-    # a CSV file with the altitude of the horizon by azimuth.
+    # ``"flat"``: the horizontal; ``"dip"``: below it by the dip at the aircraft's height; or the absolute path of a CSV
+    # file with the altitude of the horizon by azimuth.
     horizon: str = Field(default="flat", description='"flat", "dip" or the path of a .csv file')
     # The absolute path of a file of two-line elements.
     satellites: str | None = Field(default=None, description="the path of a file of two-line elements")
     # V magnitude of a satellite 1000 km away, half lit.
     satellite_mag: float = Field(default=4.5, ge=-10, le=20, description="a magnitude from -10 to 20")
-    preset: Literal["natural", "full"] | None = None  # Other defaults: see `_PRESETS`
+    preset: Literal["natural", "full"] | None = None  # other defaults: see `_PRESETS`
 
     @model_validator(mode="before")
     @classmethod

@@ -40,18 +40,15 @@ _RANGE_KEYS: Final = {"min", "max", "log"}
 class Axis:
     """One key that varies."""
 
-    key: str  # Dotted key, such as ``"exposure.duration_s"``
-    values: tuple[Any, ...] = ()  # The values in turn; empty for a random range
-    least: float = 0.0  # Bounds of the random range; times in UTC seconds since 1970
-    most: float = 0.0
-    log: bool = False  # Whether its logarithm is distributed uniformly
-    kind: str = "float"  # {"float", "int", "utc"}: type of the random values
+    key: str  # dotted key, such as ``"exposure.duration_s"``
+    values: tuple[Any, ...] = ()  # the values in turn; empty for a random range
+    least: float = 0.0  # lower bound of the random range; times in UTC seconds since 1970
+    most: float = 0.0  # upper bound of the random range
+    log: bool = False  # whether its logarithm is distributed uniformly
+    kind: str = "float"  # type of the random values: "float", "int" or "utc"
 
     def drawn(self, chance: NDArray[np.float64]) -> list[Any]:
-        """Return random values.
-
-        `chance` (n,): uniform random numbers in [0, 1).  Returns: times are ISO 8601 strings.
-        """
+        """Return random values of uniform random numbers in [0, 1), (n,); times are ISO 8601 strings."""
         if self.kind == "int":
             whole: list[Any] = np.floor(self.least + chance * (self.most - self.least + 1)).astype(np.int64).tolist()
             return whole
@@ -66,13 +63,9 @@ class Axis:
         if self.values:
             return self.values
         ends = (self.least, self.most)
-        return (
-            tuple(map(format_utc, ends))
-            if self.kind == "utc"
-            else ends
-            if self.kind == "float"
-            else tuple(map(round, ends))
-        )
+        if self.kind == "float":
+            return ends
+        return tuple(map(format_utc if self.kind == "utc" else round, ends))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +73,8 @@ class Sweep:
     """Varying settings: all combinations of the lists, each with several random draws of the ranges."""
 
     axes: tuple[Axis, ...] = ()
-    draws: int = 1  # Number of draws per combination
-    seed: int = 0  # Seed of the random draws
+    draws: int = 1  # number of draws per combination
+    seed: int = 0  # seed of the random draws
 
     def __len__(self) -> int:
         return self.combinations * self.draws
@@ -95,24 +88,18 @@ class Sweep:
         return bool(self.axes) or self.draws > 1
 
     def sample(self, number: int, *, salt: int = 0) -> dict[str, Any]:
-        """Return the settings of one sample, by dotted key.
+        """Return the settings of one sample, by dotted key, which depend on seed, salt and number only.
 
-        `number`: index of the sample; draws vary fastest, then the last list; `salt`: another stream of draws: the
-        index of a flight in the data set.  Returns: it depends on the seed, the salt and the number only.
+        `number`: index of the sample; draws vary fastest, then the last list; `salt`: another stream of draws, such as
+        the index of a flight in the data set.
         """
         return {axis.key: self._values(axis, number, 1, salt)[0] for axis in self.axes}
 
     def column(self, key: str, *, salt: int = 0) -> list[Any]:
-        """Return the values of one key in all samples; much faster than `sample` for each.
-
-        `key`: the key of one of the axes; `salt`: as for `sample`.
-        """
+        """Return the values of the key of an axis in all samples, much faster than `sample` for each."""
         [axis] = [axis for axis in self.axes if axis.key == key]
-        return list(
-            chain.from_iterable(
-                self._values(axis, first, self.draws, salt) for first in range(0, len(self), self.draws)
-            )
-        )
+        parts = (self._values(axis, first, self.draws, salt) for first in range(0, len(self), self.draws))
+        return list(chain.from_iterable(parts))
 
     def _values(self, axis: Axis, number: int, count: int, salt: int) -> list[Any]:
         """Return the values of an axis in consecutive samples of one combination."""
@@ -142,10 +129,7 @@ class Sweep:
 
     @classmethod
     def of(cls, table: object, faults: list[Fault]) -> Self:
-        """Return the sweep of a table, and append its errors to a list.
-
-        `table`: the value of ``sweep`` in the TOML file; `faults` list of (key, message).
-        """
+        """Return the sweep of the value of ``sweep`` in a TOML file, and append its errors to a list."""
         if not isinstance(table, Mapping):
             faults.append(("sweep", f"must be a section, [sweep] with keys below it, not {shown(table)}"))
             return cls()
@@ -168,8 +152,8 @@ class Sweep:
         sweep = cls(tuple(axes), counts["draws"], counts["seed"])
         samples = sweep.combinations * sweep.draws
         if samples > MAX_SAMPLES:
-            asked = f"has {samples:,} samples" if samples < _UNREADABLE else "has too many samples"
-            faults.append(("sweep", f"{asked}; the limit is {MAX_SAMPLES:,}: use fewer draws or shorter lists"))
+            size = f"has {samples:,} samples" if samples < _UNREADABLE else "has too many samples"
+            faults.append(("sweep", f"{size}; the limit is {MAX_SAMPLES:,}: use fewer draws or shorter lists"))
             return cls()
         return sweep
 
@@ -195,10 +179,10 @@ def _axis(key: str, value: object, faults: list[Fault]) -> Iterator[Axis]:
     if key not in _names():
         faults.append((fault, f"cannot vary{did_you_mean(key, _names(), or_else='')}"))
     elif isinstance(value, list) and value:
-        if key == START and (wrong := [one for one in value if not _is_number(one)]):
+        if key == START and (wrong := [item for item in value if not _is_number(item)]):
             faults.append((fault, f"must be numbers of seconds, not {shown(wrong[0])}"))
             return
-        yield Axis(key, tuple(one.isoformat() if isinstance(one, datetime) else one for one in value))
+        yield Axis(key, tuple(item.isoformat() if isinstance(item, datetime) else item for item in value))
     elif isinstance(value, Mapping) and {"min", "max"} <= value.keys() <= _RANGE_KEYS:
         yield from _range(key, value, faults)
     else:
@@ -232,10 +216,12 @@ def _kind(key: str) -> str:
     section, name = split_key(key)
     annotation: Any = SECTIONS[section].model_fields[name].annotation
     kinds = set(get_args(annotation)) - {type(None)} if get_origin(annotation) in {UnionType, Union} else {annotation}
-    # A number with limits, and names besides it.
+    # A number with limits, perhaps beside names.
     kinds = {get_args(kind)[0] if get_origin(kind) is Annotated else kind for kind in kinds}
     kinds = {str if get_origin(kind) is Literal and len(kinds) > 1 else kind for kind in kinds}
-    return "float" if kinds in ({float}, {float, str}) else "int" if kinds == {int} else "other"
+    if kinds in ({float}, {float, str}):
+        return "float"
+    return "int" if kinds == {int} else "other"
 
 
 def _is_number(value: object) -> TypeGuard[float]:

@@ -1,19 +1,12 @@
-"""Names of the files and folders of an export.
+"""The directory of an export: names of its files and folders, its lock, its lease, and messages for errors of the disk.
 
-Symbolic links below an output directory are refused, so that an export writes to no other directory.
-
-The output directory itself may be a link.
-
-The lock on a directory of frames.
-
-Write permission of one run for a directory, which ends when another run begins there.
+Symbolic links below the directory are refused, so that an export writes to no other one; the directory itself may be a
+link.
 
 The processes of an export, on this machine or a cluster, may outlive the export that started them until they have drawn
-their current frames.  Each run keeps a lease file in the directory while it draws, and its processes hold a shared lock
-on the file while they write.  A later run takes an exclusive lock on the file, which waits for writes in progress, and
+their current frames. Each run keeps a lease file in the directory while it draws, and its processes hold a shared lock
+on the file while they write. A later run takes an exclusive lock on the file, which waits for writes in progress, and
 removes it: the processes of the earlier run then cannot write any more.
-
-Errors of the operating system, as messages that say what the user can do.
 """
 
 import errno
@@ -63,9 +56,9 @@ _FRAMES_PER_FOLDER: Final = 1000
 
 
 def frame_folder(number: int) -> str:
-    """Return the folder of a frame.  It depends on the number only, so files stay in place when an export grows.
+    """Return the folder of a frame; empty for the first 10,000.
 
-    `number`: frame number.  Returns: name of the folder; empty for the first 10,000 frames.
+    It depends on the number only, so that files stay in place when an export grows.
     """
     return "" if number < _FRAMES_WITHOUT_FOLDER else f"frames_{number - number % _FRAMES_PER_FOLDER:06d}"
 
@@ -88,10 +81,7 @@ def output_files(directory: Path) -> Iterator[Path]:
 
 
 def frame_numbers(directory: Path, suffix: str) -> NDArray[np.int64]:
-    """Return the frames that have a file.
-
-    `suffix`: suffix of the name, such as ".png".  Returns (n,) int64: increasing.
-    """
+    """Return the frames that have a file with a suffix such as ".png", (n,) increasing."""
     name = re.compile(rf"frame_(\d{{6,}}){re.escape(suffix)}")
     found = (match for path in output_files(directory) if (match := name.fullmatch(path.name)))
     return np.unique(np.fromiter((int(match[1]) for match in found), dtype=np.int64))
@@ -104,7 +94,7 @@ _ADVICE: Final = "glstar follows no links below its output directory; remove it,
 def refuse_links(directory: Path) -> None:
     """Refuse a directory where a name that an export uses belongs to a link, a pipe or another kind of file.
 
-    `directory`: may itself be a link.  Raises ExportError: names the first one.
+    The directory itself may be a link. Raises ExportError, which names the first one.
     """
     folders = [directory]
     for folder in folders:
@@ -118,10 +108,7 @@ def refuse_links(directory: Path) -> None:
 
 
 def refuse_link(path: Path) -> None:
-    """Refuse a file of the output directory that is a link or no regular file.
-
-    `path`: must exist.  Raises ExportError.
-    """
+    """Refuse an existing file of the output directory that is a link or no regular file: raises ExportError."""
     _refuse(path, is_expected=stat.S_ISREG(path.lstat().st_mode), expected="regular file")
 
 
@@ -183,9 +170,9 @@ def _without_links(path: str, flags: int) -> int:
 def directory_lock(directory: Path, *, shared: bool = False) -> Iterator[None]:
     """Lock a directory against other exports; the lock of a killed export is released.
 
-    `directory`: must exist; `shared`: whether other exports may hold a shared lock at the same time: shards of one
-    export, and verifications.  Raises ExportError if another export holds a conflicting lock.  On Windows, which
-    locks no directories, and on file systems without locks, no export is excluded.
+    With `shared`, other exports may hold a shared lock at the same time: shards of one export, and verifications.
+    Raises ExportError if another export holds a conflicting lock. On Windows, which locks no directories, and on file
+    systems without locks, no export is excluded.
     """
     if sys.platform == "win32":
         yield
@@ -291,8 +278,7 @@ def _revoke(path: Path) -> bool:
 def explain_disk_errors(path: Path) -> Iterator[None]:
     """Turn each OSError of the context into an ExportError with advice.
 
-    `path`: named in the message if the operating system names no file, or one of glstar's temporary files.  Raises
-    ExportError for every OSError inside the context.
+    The message names `path` if the operating system names no file, or one of glstar's temporary files.
     """
     try:
         yield
@@ -313,10 +299,9 @@ def explain_disk_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def new_directory(output: Path) -> Iterator[Path]:
-    """Make a directory that appears under its name when it is complete.
+    """Make a directory that appears under its name when it is complete; yields the one beside it that is to be filled.
 
-    `output`: it must not exist.  Yields a directory beside it, to be filled.  Raises ExportError if it exists, or the
-    disk refuses.
+    Raises ExportError if it exists, or the disk refuses.
     """
     if output.exists():
         raise ExportError(output, "exists already; name another directory, or remove it")

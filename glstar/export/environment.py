@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite
 from os import PathLike
-from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -202,9 +201,7 @@ class Environment:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _flight(self, config: Config) -> Flight:
@@ -214,8 +211,8 @@ class Environment:
 
     def _simulator(self, config: Config, flight: Flight, *, key: str = "flight") -> Simulator:
         """Return a simulator, which keeps the star field of an earlier one of a flight at the same time."""
-        known = self._simulators.get(key)
-        if known is None or known.flight.attitude.first_s != flight.attitude.first_s:
+        simulator = self._simulators.get(key)
+        if simulator is None or simulator.flight.attitude.first_s != flight.attitude.first_s:
             self._simulators[key] = config.simulator(flight)
         return self._simulators[key].with_flight(flight)
 
@@ -248,12 +245,12 @@ class GymnasiumAdapter:
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Take the next frame.
 
-        Returns `terminated`: always False: a flight has no goal of its own; `truncated`: whether the flight ends before
+        ``terminated`` is always False: a flight has no goal of its own; ``truncated`` says whether it ends before
         another step.
         """
-        found = self.environment.step(action)
-        observation, info = _as_gymnasium(found)
-        return observation, self._reward(found, action), False, self.environment.is_over, info
+        observed = self.environment.step(action)
+        observation, info = _as_gymnasium(observed)
+        return observation, self._reward(observed, action), False, self.environment.is_over, info
 
     def close(self) -> None:
         """Release the renderer."""

@@ -1,19 +1,16 @@
-"""What every process needs to draw and write the frames of an export: a description that can be pickled.
+"""Drawing and writing of the frames of an export, and their comparison with the files of a directory.
 
-Writing of frames so that they survive a power failure: files are flushed in groups, then their truth is written.
+`FrameTask` is a description that can be pickled: every process draws from it. `FrameWriter` writes so that frames
+survive a power failure, in an order that is safe on every file system:
 
-The steps for each frame, in an order that is safe on every file system:
-
-1. its files are written under temporary names,
+1. the files of a frame are written under temporary names,
 2. flushed, together with those of other frames, on a background thread,
 3. renamed, so that a file with its final name is complete,
 4. the line of truth is appended.
 
-A power failure may lose any steps that have not been flushed.  If a frame has its files and its line afterwards, they
-are complete; any other frame is drawn again.  The flush of the next group makes the names and lines of the previous one
+A power failure may lose any steps that have not been flushed. If a frame has its files and its line afterwards, they
+are complete; any other frame is drawn again. The flush of the next group makes the names and lines of the previous one
 durable.
-
-Comparison of a frame's files with the frame as it is drawn now.
 """
 
 import time
@@ -41,7 +38,7 @@ from glstar.export.imagefiles.masks import MASK_SUFFIXES, MaskKind, encoded_mask
 from glstar.export.imagefiles.processing import CameraProcessing, process
 from glstar.export.plan.frames import ComposedFrame, Frames
 from glstar.export.truth.lines import TruthFile
-from glstar.render.scene.scene import Frame, Renderer, Scene
+from glstar.render.scene.scene import Frame, PendingFrame, Renderer, Scene
 from glstar.render.truth.frame import frame_truth
 from glstar.system.files import StagedFile, flush, flush_directory, flush_handle, write_atomically
 
@@ -74,9 +71,10 @@ class FrameTask:
     masks: tuple[MaskKind, ...] = ()  # The masks to write beside each frame
     exif: bool = False  # Whether images have EXIF
 
-    def begin(self, renderer: Renderer, composed: ComposedFrame) -> None:
-        """Begin to draw a composed frame with its own noise; `Renderer.end_read` returns it."""
-        renderer.begin(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.noiseless)
+    def begin(self, renderer: Renderer, composed: ComposedFrame) -> PendingFrame:
+        """Begin to draw a composed frame with its own noise."""
+        renderer.develop(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.noiseless)
+        return renderer.read()
 
     def encode(
         self,
@@ -85,10 +83,10 @@ class FrameTask:
         *,
         on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
     ) -> EncodedFrame:
-        """Return the content of a frame's files.
+        """Return the content of the files of a frame drawn from ``composed.scene``.
 
-        `frame`: drawn from ``composed.scene``; `on_pixels`: called with the pixels and the line of truth before the
-        image is encoded, for a consumer that needs them with low latency.
+        `on_pixels` is called with the pixels and the line of truth before the image is encoded, for a consumer that
+        needs them with low latency.
         """
         number = composed.number
         file = self.image_path(number).relative_to(self.directory).as_posix()
@@ -124,15 +122,14 @@ class FrameTask:
         *,
         on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
     ) -> EncodedFrame:
-        """Draw one frame and return the content of its files; nothing is written; `on_pixels`: as for `encode`."""
+        """Draw one frame and return the content of its files; nothing is written. `on_pixels` is that of `encode`."""
         composed = self.frames.compose(number)
-        self.begin(renderer, composed)
-        return self.encode(composed, renderer.end_read(), on_pixels=on_pixels)
+        return self.encode(composed, self.begin(renderer, composed).frame(), on_pixels=on_pixels)
 
     def write(self, frame: EncodedFrame, write: Callable[[Path, bytes], None] = write_atomically) -> None:
         """Write the files of a frame, without its line of truth.
 
-        `write`: called with the path and the content of each file; the default writes the file atomically.  Raises
+        `write` is called with the path and the content of each file; the default writes the file atomically. Raises
         OSError if a file cannot be written; ExportError if another run has taken over the directory, or a link has the
         name of a folder.
         """
@@ -149,7 +146,7 @@ class FrameTask:
     def writing(self) -> AbstractContextManager[None]:
         """Return a context in which this run may write to the directory.
 
-        Returns: entering it raises ExportError if another run has taken over the directory.
+        Entering it raises ExportError if another run has taken over the directory.
         """
         return nullcontext() if self.lease is None else self.lease.writing()
 
@@ -160,8 +157,8 @@ class FrameTask:
     def image_path(self, number: int) -> Path:
         """Return the path of a frame's image.
 
-        Returns: in the directory itself for the first 10,000 frames, then in folders of 1000: file managers are slow
-        with a million files in one folder.
+        The first 10,000 frames are in the directory itself, others in folders of 1000: file managers are slow with a
+        million files in one folder.
         """
         return self.directory / frame_folder(number) / f"frame_{number:06d}{SUFFIX[self.image_format]}"
 
@@ -191,10 +188,7 @@ def _shift_bits(scene: Scene) -> int:
 
 
 def frame_seed(seed: int, number: int) -> int:
-    """Return the noise seed of a frame.
-
-    `seed`: the seed of the export; `number`: frame number.  Returns: 0 to 2**32 - 1.
-    """
+    """Return the noise seed of a frame, 0 to 2**32 - 1, from the seed of the export and the frame's number."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
@@ -211,10 +205,9 @@ _MAX_GROUP_BYTES: Final = 1 << 26
 class FrameWriter:
     """Writes frames and their truth in an order that survives a power failure; a context manager.
 
-    Leaving the context writes the frames that have been added and removes other staged files.  `stage` may be called
-    from any thread, all other methods from one thread.  `lines`: from `TruthFile.open_for_append`; `group_s`: minimum
-    interval between flushes, s; `writing`: returns a context in which files may be written; entering it raises if
-    another run has taken over the directory: `FrameTask.writing`.
+    Leaving the context writes the frames that have been added and removes other staged files. `stage` may be called
+    from any thread, all other methods from one thread. `lines` is that of `TruthFile.open_for_append`, `group_s` the
+    minimum interval between flushes, s, and `writing` `FrameTask.writing`.
     """
 
     def __init__(
@@ -239,10 +232,7 @@ class FrameWriter:
         self._helpers = ThreadPoolExecutor(_GROUP_FRAMES, "glstar-flush-file")
 
     def stage(self, number: int, path: Path, content: bytes) -> None:
-        """Write a file of a frame under a temporary name.
-
-        `number`: frame number.  Raises OSError if it cannot be written.
-        """
+        """Write a file of a frame under a temporary name; raises OSError if it cannot be written."""
         staged = StagedFile.beside(path)
         with self._lock:
             self._staged.setdefault(number, []).append(staged)
@@ -251,10 +241,9 @@ class FrameWriter:
             staged.write(content)
 
     def add(self, number: int, line: bytes) -> Iterator[int]:
-        """Add a frame whose files have been staged.
+        """Add a frame whose files have been staged, and its line of truth; yield complete frames as `poll` does.
 
-        `line`: its line of truth.  Yields: frames that are complete on the disk, as from `poll`.  Raises OSError if a
-        frame cannot be written.
+        Raises OSError if a frame cannot be written.
         """
         if not self._waiting:
             self._waiting_since_s = time.monotonic()
@@ -264,7 +253,7 @@ class FrameWriter:
     def poll(self) -> Iterator[int]:
         """Rename the files that have been flushed, and flush the next group if it is due.
 
-        Yields: frames whose files are renamed and whose line of truth is appended, in the order of `add`.  Raises
+        Yields the frames whose files are renamed and whose line of truth is appended, in the order of `add`. Raises
         OSError if a frame cannot be written.
         """
         is_large = len(self._waiting) >= _MAX_GROUP_FRAMES or self._waiting_bytes >= _MAX_GROUP_BYTES
@@ -279,10 +268,7 @@ class FrameWriter:
         return now_s - since_s >= self._group_s
 
     def drain(self) -> Iterator[int]:
-        """Write all frames that have been added.
-
-        Yields: as from `poll`.  Raises OSError if a frame cannot be written.
-        """
+        """Write all frames that have been added, and yield them as `poll` does; raises OSError if it cannot."""
         while self._flushed is not None or self._waiting:
             if self._flushed is None:
                 self._begin_flush()
@@ -401,8 +387,5 @@ def _difference(path: Path, drawn: bytes) -> str:
 
 
 def describe_pixels(pixels: NDArray[Any]) -> str:
-    """Return the size and type of an image, for messages.
-
-    `pixels` (height, width).  Returns: such as "160 x 120 px of uint8".
-    """
+    """Return the size and type of an image for messages, such as "160 x 120 px of uint8"."""
     return f"{pixels.shape[1]} x {pixels.shape[0]} px of {pixels.dtype}"

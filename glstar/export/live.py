@@ -85,8 +85,12 @@ class LiveExport:
         seed: int = 0,
         command: str = "glstar live",
     ) -> None:
-        self._config, self._link = config, link
-        self._directory, self._output, self._seed, self._command = directory, output, seed, command
+        self._config = config
+        self._link = link
+        self._directory = directory
+        self._output = output
+        self._seed = seed
+        self._command = command
         self._writes_nav = directory is not None and link.truth == "sim_state"
         self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
         self._nav: LiveNavigator | None = None
@@ -109,13 +113,12 @@ class LiveExport:
         on_event: Callable[[str], None] | None = None,
         on_frame: Callable[[int], None] | None = None,
     ) -> LiveReport:
-        """Draw for a given time, until Ctrl-C or until `stop`.
+        """Draw for a time, s, until Ctrl-C or until `stop`.
 
-        `duration_s`: duration of the export, s; until interrupted if None; `force`: whether to remove the files of an
-        earlier export from the directory; `on_event`: called with a message for each event of the link, and with the
-        Sun, the Moon and the limiting magnitude of the first frame; `on_frame`: called with the number of frames after
-        each frame.  Raises ExportError if the directory cannot be written, or holds frames; ConfigError if
-        ``[navigator]`` names a message of a log.
+        With `force` the files of an earlier export are removed from the directory. `on_event` is called with a message
+        for each event of the link, and with the Sun, the Moon and the limiting magnitude of the first frame; `on_frame`
+        with the number of frames after each frame. Raises ExportError if the directory cannot be written, or holds
+        frames; ConfigError if ``[navigator]`` names a message of a log.
         """
         on_event, on_frame = on_event or (lambda _: None), on_frame or (lambda _: None)
         until_s = inf if duration_s is None else time.monotonic() + duration_s
@@ -249,9 +252,10 @@ class LiveExport:
         record: dict[str, Any] = {}
         if self._nav is not None:
             # Without a simulator's state the flight itself is what the autopilot estimates.
-            known = estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
-            file, shown = image.relative_to(task.directory).as_posix(), self._simulator.flight
-            record = self._nav.record(known, planned.exposure, number=number, file=file, flight=shown)
+            estimate = estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
+            file = image.relative_to(task.directory).as_posix()
+            shown = self._simulator.flight
+            record = self._nav.record(estimate, planned.exposure, number=number, file=file, flight=shown)
 
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
             if self._output is not None:
@@ -291,12 +295,12 @@ class LiveExport:
         locked.enter_context(directory_lock(directory))
         refuse_links(directory)
         entries = list(output_files(directory))
-        there = [path for path in entries if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
-        if there and not force:
+        existing = [path for path in entries if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
+        if existing and not force:
             message = "holds frames already; choose another directory for a live export, or start over with --force"
             raise ExportError(directory, message)
         revoke_leases(directory)
-        for path in there:
+        for path in existing:
             path.unlink(missing_ok=True)
         flush_directory(directory)
         return TruthFile(directory)
@@ -306,13 +310,13 @@ class LiveExport:
         config, simulator = self._config, self._simulator
         flight: dict[str, Any] = {"name": self._link.endpoint.text, "vehicle": self._link.status().vehicle}
         if simulator is not None and self._first_utc_s is not None:
-            flown = simulator.flight
+            shown = simulator.flight
             flight |= {
                 "first_utc": format_utc(self._first_utc_s),
-                "last_utc": format_utc(flown.attitude.last_s),
-                "attitude": flown.attitude_source,
-                "position": flown.position_source,
-                "utc": flown.utc_source,
+                "last_utc": format_utc(shown.attitude.last_s),
+                "attitude": shown.attitude_source,
+                "position": shown.position_source,
+                "utc": shown.utc_source,
             }
         manifest = {
             "schema": SCHEMA,

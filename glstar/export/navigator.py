@@ -1,8 +1,7 @@
 """What a navigator is handed of each frame: its image, clock, estimated attitude, nominal mount and lens.
 
-``nav.jsonl``: what a navigator knows of each frame; and the directory that holds nothing else.
-
-``nav.jsonl`` of a live export whose sky is a simulator's truth: what the autopilot estimates.
+``nav.jsonl`` has a line for each frame; a directory for navigators holds the images and it, and nothing else. Of a live
+export whose sky is a simulator's truth, ``nav.jsonl`` has what the autopilot estimates.
 """
 
 import os
@@ -155,8 +154,8 @@ NAV: Final = "nav.jsonl"
 def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrack | None]:
     """Return the attitudes that the aircraft of each log estimated, where ``[navigator]`` names their message.
 
-    Returns: none where the estimate is the true attitude with errors.  Raises ConfigError if the time of the flight is
-    given, so that two messages have no common clock; LogFormatError if a log has no such message.
+    None where the estimate is the true attitude with errors. Raises ConfigError if the time of the flight is given, so
+    that two messages have no common clock; LogFormatError if a log has no such message.
     """
     if config.navigator.attitude == "model":
         return [None] * len(flight_paths)
@@ -217,9 +216,8 @@ class NavRecords:
 def publish_blind(job: Export, output: Path) -> None:
     """Fill a directory with the images and ``nav.jsonl`` of a complete export, and nothing else of it.
 
-    `job`: its directory has the truth; `output`: for the navigator; images are hard links where the file system has
-    them, else copies; FITS images are copies without their truth.  Raises ExportError if the directory holds files of
-    another export.
+    Images are hard links where the file system has them, else copies; FITS images are copies without their truth.
+    Raises ExportError if the directory holds files of another export.
     """
     images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
     refuse_other_files(output, {image.name for image in images})
@@ -247,7 +245,7 @@ def _hand_over(source: Path, target: Path) -> None:
 def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
     """Refuse a directory for a navigator that holds more than its images, ``nav.jsonl`` and the lists of splits.
 
-    `names`: names that may be there; without it, any image.  Raises ExportError if it holds other files of an export.
+    Only `names` may be there; without them, any image. Raises ExportError if it holds other files of an export.
     """
     if not output.is_dir():
         return
@@ -264,11 +262,10 @@ _ERRORS_S: Final = 4 * 3600.0
 
 
 class LiveNavigator:
-    """Writes what the autopilot of a link knows of each frame.
+    """Writes what the autopilot of a link knows of each frame of a live export.
 
-    Lines are appended to ``nav.jsonl.partial`` as frames happen; at the end the file becomes ``nav.jsonl``.
-    `directory`: of the export; None if records are not written; `duration_s`: duration of the export, s.  Raises
-    ConfigError if ``[navigator]`` names a message of a log.
+    Lines are appended to ``nav.jsonl.partial`` as frames happen; at the end the file becomes ``nav.jsonl``. Without a
+    directory records are not written. Raises ConfigError if ``[navigator]`` names a message of a log.
     """
 
     def __init__(self, config: Config, directory: Path | None, duration_s: float | None = None) -> None:
@@ -289,11 +286,7 @@ class LiveNavigator:
     def record(
         self, estimate: Estimate, exposure: Exposure, *, number: int, file: str, flight: Flight
     ) -> dict[str, Any]:
-        """Return the record of a frame.
-
-        `estimate`: it covers the exposure; `number`: the frame's number; `file`: its image, relative to the directory;
-        `flight`: the flight that the frame shows.  Returns: as of `Navigator.record`.
-        """
+        """Return the record of a frame of a flight, as `Navigator.record`; `estimate` covers the exposure."""
         track = estimate.attitude
         if self._errors is None:
             rng = np.random.default_rng([self._section.seed, 0])
@@ -310,7 +303,7 @@ class LiveNavigator:
         return navigator.record(exposure, number=number, file=file)
 
     def write(self, record: dict[str, Any]) -> None:
-        """Append a record to the file; `record`: from `record`."""
+        """Append a record to the file."""
         if self._file is None:
             self._file = self._partial.open("wb")
         self._file.write(orjson.dumps(record, option=orjson.OPT_APPEND_NEWLINE))
@@ -328,7 +321,7 @@ class LiveNavigator:
             self._file = None
 
     def finish(self, numbers: NDArray[np.int64]) -> None:
-        """Complete ``nav.jsonl``: one line for each frame that is in the truth; `numbers` (n,) int64: the frames."""
+        """Complete ``nav.jsonl``: one line for each frame that is in the truth, (n,) numbers."""
         self.close()
         lines = []
         with suppress(FileNotFoundError):

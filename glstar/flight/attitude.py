@@ -1,16 +1,14 @@
 """The attitude of an aircraft over UTC, interpolated between the samples of a log.
 
 An autopilot logs its attitude 10 to 50 times a second; an exposure evaluates it 200 times a second.  An `AttitudeTrack`
-holds the logged quaternions and interpolates between them.  Where the log has a data gap, or the estimator was reset,
-the track has a `Gap`.
-
-Detection of estimator resets: turns in the logged attitude that the aircraft did not make.
+holds the logged quaternions and interpolates between them.  Where the log has a data gap, or the estimator was reset
+(`estimator_resets`: turns that the aircraft did not make), the track has a `Gap`.
 """
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import Final, Literal, Self
 
@@ -53,15 +51,17 @@ def estimator_resets(
     rate_t_s: ArrayLike | None = None,
     rate_rad_per_s: ArrayLike | None = None,
 ) -> Mask:
-    """Return in which intervals between samples the estimator was reset without a message in the log.
+    """Return in which intervals between samples the estimator was reset without a message in the log, (n - 1,) bool.
 
-    `t_s` (n,) n >= 2: times of the attitudes, s, strictly increasing; `q_body_ned` (n, 4): unit quaternions (w, x, y,
-    z); `rate_t_s`, `rate_rad_per_s` (m,) and (m, 3) array_like: gyro readings, if there are any; see `gyro_aided`.
-    Returns (n - 1,) bool: true where a turn differs from both of its neighbours by 1.5 deg or more and, where gyro
-    readings cover it, differs as much from the integrated rates, and by five times the usual difference; without gyro
-    readings the turn must imply an angular acceleration of more than 6000 deg/s^2.  Without gyros a reset of 3 deg is
-    detected at 50 Hz and above.  At 10 Hz an aircraft can start a turn of 60 deg within one interval, so only the
-    gyros can distinguish a reset from a manoeuvre.
+    - `t_s` (n,) n >= 2: times of the attitudes, s, strictly increasing.
+    - `q_body_ned` (n, 4): unit quaternions (w, x, y, z).
+    - `rate_t_s` (m,), `rate_rad_per_s` (m, 3): gyro readings, if there are any; see `gyro_aided`.
+
+    A turn is a reset if it differs from both of its neighbours by 1.5 deg or more.  Where gyro readings cover it, it
+    must also differ as much from the integrated rates, and by five times the usual difference.  Without gyro readings
+    it must imply an angular acceleration of more than 6000 deg/s^2: a reset of 3 deg is detected at 50 Hz and above.
+    At 10 Hz an aircraft can start a turn of 60 deg within one interval, so only the gyros can distinguish a reset from
+    a manoeuvre.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     step_s = np.diff(t)
@@ -85,8 +85,7 @@ def estimator_resets(
     zero = np.zeros((1, 3))
     neighbours = (zero, np.concatenate((zero, residual_rad[:-1])), np.concatenate((residual_rad[1:], zero)))
     jump_rad = np.minimum.reduce([np.linalg.norm(residual_rad - other, axis=-1) for other in neighbours])
-    found: Mask = np.where(covered, suspect & (jump_rad > limit_rad), too_fast)
-    return found
+    return np.asarray(np.where(covered, suspect & (jump_rad > limit_rad), too_fast))
 
 
 def _departures(step_s: Float, q: Float) -> Float:
@@ -140,7 +139,7 @@ class Gap:
         return self.stop_utc_s - self.start_utc_s
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AttitudeTrack:
     """Recorded attitude over UTC.
 
@@ -278,10 +277,10 @@ class AttitudeTrack:
         """Time of the last sample, UTC seconds since 1970."""
         return float(self.utc_s[-1])
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """Sample rate: the inverse of the median interval, Hz."""
-        return _rate_hz(self)
+        return 1 / float(np.median(np.diff(self.utc_s)))
 
     def rates(self) -> tuple[Float, Float]:
         """Return the mean turn rate between consecutive samples.
@@ -324,9 +323,9 @@ class AttitudeTrack:
         """
         t = np.asarray(utc_s, dtype=np.float64)
         inside = np.minimum(np.maximum(t, self.utc_s[0]), self.utc_s[-1])
-        known = np.abs(t - inside) <= CLOCK_GRAIN_S
-        if not known.all():
-            raise TrackRangeError(float(t[~known][0]), self.first_s, self.last_s)
+        is_inside = np.abs(t - inside) <= CLOCK_GRAIN_S
+        if not is_inside.all():
+            raise TrackRangeError(float(t[~is_inside][0]), self.first_s, self.last_s)
         t = inside
         if self._curve is not None:
             return self._curve.at(t)
@@ -366,17 +365,9 @@ class AttitudeTrack:
         -------
         AttitudeTrack
         """
-        gaps = tuple(
-            replace(g, start_utc_s=g.start_utc_s + shift_s, stop_utc_s=g.stop_utc_s + shift_s) for g in self.gaps
-        )
+        gaps = tuple(Gap(gap.start_utc_s + shift_s, gap.stop_utc_s + shift_s, gap.reason) for gap in self.gaps)
         curve = None if self._curve is None else replace(self._curve, t_s=self._curve.t_s + shift_s)
         return replace(self, utc_s=self.utc_s + shift_s, gaps=gaps, _curve=curve)
-
-
-# Every scene of a flight needs the rate of the same track.
-@lru_cache(maxsize=4)
-def _rate_hz(track: AttitudeTrack) -> float:
-    return 1 / float(np.median(np.diff(track.utc_s)))
 
 
 def _valid_samples(utc_s: ArrayLike, q_body_ned: ArrayLike, segment: ArrayLike | None) -> tuple[Float, Float, Integer]:
@@ -397,7 +388,8 @@ def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:
     """Return which intervals between samples are within a gap, (n - 1,)."""
     broken = np.zeros(t.size - 1, dtype=np.bool_)
     if gaps:
-        starts, stops = (np.searchsorted(t, [getattr(g, end) for g in gaps]) for end in ("start_utc_s", "stop_utc_s"))
+        starts = np.searchsorted(t, [gap.start_utc_s for gap in gaps])
+        stops = np.searchsorted(t, [gap.stop_utc_s for gap in gaps])
         for start, stop in zip(starts, stops, strict=True):
             broken[start:stop] = True
     return broken

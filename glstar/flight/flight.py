@@ -1,9 +1,4 @@
-"""A flight: attitude and position over UTC, and where each of them comes from.
-
-What a log says about the course of a flight: flight modes and messages of the autopilot.
-
-What records of a flight have in common: their times.
-"""
+"""A flight: attitude and position over UTC, where each comes from, and what else a log records of it."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -19,15 +14,12 @@ from glstar.flight.position import PositionTrack
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedRecord:
-    """Something that a log states at several times."""
+    """What a log records at several times."""
 
     utc_s: NDArray[np.float64]  # (n,) UTC seconds since 1970
 
     def shifted(self, shift_s: float) -> Self:
-        """Return the record with all times shifted.
-
-        `shift_s`: added to all times, s.  Returns: of the same class.
-        """
+        """Return the record with a shift added to all times, s."""
         return replace(self, utc_s=self.utc_s + shift_s)
 
 
@@ -40,18 +32,18 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightEvents(TimedRecord):
-    """Flight modes and messages of an autopilot; `utc_s` (n,): UTC seconds since 1970, ascending."""
+    """Flight modes and messages of an autopilot, in ascending order of time."""
 
-    kinds: tuple[EventKind, ...]  # Of each event
+    kinds: tuple[EventKind, ...]  # Kind of each event
     texts: tuple[str, ...]  # The mode that begins (``"LOITER"``), or the message
 
     @classmethod
     def joined(cls, parts: Iterable[Self]) -> Self | None:
         """Return the events of several parts of a flight in the order of time; None if there are none."""
-        found = [event for part in parts for event in zip(part.utc_s.tolist(), part.kinds, part.texts, strict=True)]
-        if not found:
+        events = [event for part in parts for event in zip(part.utc_s.tolist(), part.kinds, part.texts, strict=True)]
+        if not events:
             return None
-        times_s, kinds, texts = zip(*sorted(found, key=lambda event: event[0]), strict=True)
+        times_s, kinds, texts = zip(*sorted(events, key=lambda event: event[0]), strict=True)
         return cls(np.array(times_s), kinds, texts)
 
 
@@ -69,17 +61,14 @@ class ClockQuality:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraTriggers(TimedRecord):
-    """When a camera was triggered, by the log of the aircraft.
-
-    `utc_s` (n,): UTC seconds since 1970, in the order of the images.
-    """
+    """When a camera was triggered, by the log of the aircraft; times are in the order of the images."""
 
     source: str  # The message that says so: ``"CAM"``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GimbalAttitude(TimedRecord):
-    """The attitude of a gimbal's platform, as a log states it; `utc_s` (n,): UTC seconds since 1970."""
+    """The attitude of a gimbal's platform, as a log states it."""
 
     # (n, 4) unit quaternions (w, x, y, z) that turn components in the frame of reference into those of the platform.
     q_gimbal_reference: NDArray[np.float64]
@@ -96,12 +85,12 @@ class Flight:
     Attributes
     ----------
     attitude : AttitudeTrack
-        Of the body that carries the camera: the aircraft, or the platform of its gimbal.
+        Attitude of the body that carries the camera: the aircraft, or the platform of its gimbal.
     position : PositionTrack
     name : str
         File name of the log.
     attitude_source, position_source, utc_source : str
-        Where each comes from, for messages: ``"XKQ lane 0, 200.0 Hz"``.
+        Source of each, for messages: ``"XKQ lane 0, 200.0 Hz"``.
     time_offset_s : float
         The camera's clock minus UTC, s.  It only applies to names of images: an image with the camera's timestamp t was
         taken at t - `time_offset_s`.
@@ -150,13 +139,11 @@ class Flight:
         -------
         Flight
         """
-        position = replace(self.position, utc_s=self.position.utc_s + shift_s)
-        triggers = None if self.triggers is None else self.triggers.shifted(shift_s)
         return replace(
             self,
             attitude=self.attitude.shifted(shift_s),
-            position=position,
-            triggers=triggers,
+            position=replace(self.position, utc_s=self.position.utc_s + shift_s),
+            triggers=None if self.triggers is None else self.triggers.shifted(shift_s),
             gimbal=None if self.gimbal is None else self.gimbal.shifted(shift_s),
             own_attitude=None if self.own_attitude is None else self.own_attitude.shifted(shift_s),
             events=None if self.events is None else self.events.shifted(shift_s),

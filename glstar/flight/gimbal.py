@@ -26,8 +26,7 @@ _LACKS: Final = (
 class Gimbal:
     """What carries the camera: the aircraft itself, or a platform that a gimbal turns."""
 
-    # {"none", "level", "log"}: ``"level"``: a platform that stays level and follows the heading; ``"log"``: as the
-    # flight recorded it.
+    # ``"level"``: a platform that stays level and follows the heading; ``"log"``: as the flight recorded it.
     mode: GimbalMode = "none"
     roll_limit_rad: float = inf  # Largest roll and pitch of the aircraft that a level platform compensates, rad
     pitch_limit_rad: float = inf
@@ -35,10 +34,10 @@ class Gimbal:
     heading_lag_s: float = 0.0  # Time constant with which a level platform follows the heading, s
 
     def carried(self, flight: Flight) -> Flight:
-        """Return a flight whose attitude is that of the platform with the camera.
+        """Return a flight, also one that a gimbal has returned, with the attitude of the platform of the camera.
 
-        `flight`: also one that this or another gimbal has returned.  Returns: its `aircraft_attitude` is that of the
-        aircraft; without a gimbal, the flight itself.  Raises TelemetryError if the gimbal's attitude is not recorded.
+        Its `aircraft_attitude` stays that of the aircraft.  Raises TelemetryError if the gimbal's attitude is not
+        recorded.
         """
         own = flight.aircraft_attitude
         if self.mode == "none":
@@ -75,11 +74,11 @@ NO_GIMBAL: Final = Gimbal()
 
 
 def lagged(t_s: Float, value: Float, first: NDArray[np.bool_], lag_s: float) -> Float:
-    """Return the response of a first-order lag to a value that is linear between samples.
+    """Return the response, (n,), of a first-order lag to a value, (n,), that is linear between samples.
 
-    `t_s` (n,): increasing times, s; `value` (n,); `first` (n,) bool: samples at which the response begins at the value
-    itself; `lag_s`: time constant T, s; 0 returns the value.  Returns (n,).  T y' + y = x with x = x0 + r t has y =
-    x0 + r (t - T) + (y0 - x0 + r T) exp(-t/T).
+    `t_s` (n,): increasing times, s; `first` (n,) bool: samples at which the response begins at the value itself;
+    `lag_s`: time constant T, s; 0 returns the value.  T y' + y = x with x = x0 + r t has y = x0 + r (t - T) + (y0 - x0
+    + r T) exp(-t/T).
     """
     if lag_s <= 0:
         return value

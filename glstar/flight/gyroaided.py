@@ -45,22 +45,17 @@ class GyroTrack:
 
     @classmethod
     def from_readings(cls, t_s: ArrayLike, rate_rad_per_s: ArrayLike) -> Self | None:
-        """Integrate the valid readings of a log.
-
-        `t_s`, `rate_rad_per_s` (m,) and (m, 3) array_like: readings as logged; see `gyro_aided`.  Returns: none if
-        there are fewer than two valid readings.
-        """
+        """Integrate the readings of a log that are valid (see `gyro_aided`); None if there are fewer than two."""
         t, rate = _valid_readings(t_s, rate_rad_per_s)
         return cls.from_rates(t, rate) if t.size > 1 else None
 
     @classmethod
     def from_rates(cls, t_s: Float, rate_rad_per_s: Float) -> Self:
-        """Integrate turn rates.
+        """Integrate turn rates about the body axes, (n, 3) rad/s, at strictly increasing times, (n,) s, n >= 2.
 
-        `t_s` (n,) n >= 2: times of the readings, s, strictly increasing; `rate_rad_per_s` (n, 3): turn rates about the
-        body axes, rad/s.  The rate between two readings is a cubic polynomial through four readings.  Coning is
-        corrected to second order: P. G. Savage, "Strapdown inertial navigation integration algorithm design part 1", J.
-        Guid. Control Dyn. 21, 1998, eqs (31), (32), for a rate that changes linearly.
+        The rate between two readings is a cubic polynomial through four readings.  Coning is corrected to second order:
+        P. G. Savage, "Strapdown inertial navigation integration algorithm design part 1", J. Guid. Control Dyn. 21,
+        1998, eqs (31), (32), for a rate that changes linearly.
         """
         h = np.diff(t_s)[:, np.newaxis]
         before, after = rate_rad_per_s[:-1], rate_rad_per_s[1:]
@@ -75,10 +70,7 @@ class GyroTrack:
         return cls(t_s, rate_rad_per_s, turn, _cumulative_product(quaternion_from_turn(turn)), is_gap)
 
     def at(self, t_s: Float) -> Float:
-        """Return the attitude relative to that at the first reading.
-
-        `t_s` (m,): times, s; clipped to the range of the track.  Returns (m, 4).
-        """
+        """Return the attitudes relative to that at the first reading, (m, 4); times are clipped to the track."""
         t = np.clip(t_s, self.t_s[0], self.t_s[-1])
         before = np.clip(np.searchsorted(self.t_s, t, side="right") - 1, 0, self.t_s.size - 2)
         h = (self.t_s[before + 1] - self.t_s[before])[:, np.newaxis]
@@ -99,8 +91,7 @@ class GyroTrack:
         index = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, None)
         after = np.clip(np.searchsorted(self.t_s, t_s, side="left"), None, self.t_s.size - 1)
         inside = (t_s >= self.t_s[0]) & (t_s <= self.t_s[-1])
-        covered: Mask = inside[:-1] & inside[1:] & (gaps_before[after[1:]] == gaps_before[index[:-1]])
-        return covered
+        return np.asarray(inside[:-1] & inside[1:] & (gaps_before[after[1:]] == gaps_before[index[:-1]]))
 
     def residuals(self, t_s: Float, q_body_ned: Float) -> Float:
         """Return the logged turn minus the integrated turn of each interval, rotation vectors (m - 1, 3), rad."""
@@ -123,17 +114,20 @@ def gyro_aided(
 ) -> RotationSpline:
     """Interpolate attitude with gyro rates: the result has a sample at every gyro reading.
 
-    Between two attitude samples the rates are integrated.  The difference between the integrated and the logged turn,
-    caused by gyro drift and by corrections of the estimator, is distributed linearly over the interval.  `t_s` (n,) n
-    >= 2: times of the attitudes, s, strictly increasing; `q_body_ned` (n, 4): unit quaternions (w, x, y, z); `rate_t_s`
-    (m,): times of the readings, s, by the same clock, in any order; `rate_rad_per_s` (m, 3): turn rates about the body
-    axes forward, right, down, rad/s; readings that are not finite, faster than 3000 deg/s, or more than 300 deg/s away
-    from both neighbours are dropped; `broken` (n - 1,) bool: intervals between attitudes that are gaps: no samples are
-    added there.  Returns the given samples, unchanged, and a sample at each gyro reading between them; its rates at
-    the samples are those of the gyros.  Timestamps of gyros may lag behind those of the attitude, by 9.8 ms in a log
-    at 50 Hz, which increases the error fourfold; the lag is estimated and removed (`gyro_lag_s`).  Where the gyros
-    have a data gap of three intervals or more, no samples are added and the curve is `RotationSpline.through` the
-    attitudes.
+    Between two attitude samples, which are kept, the rates are integrated.  The difference between the integrated and
+    the logged turn, caused by gyro drift and by corrections of the estimator, is distributed linearly over the
+    interval.  The curve's rates at the samples are those of the gyros.
+
+    - `t_s` (n,) n >= 2: times of the attitudes, s, strictly increasing.
+    - `q_body_ned` (n, 4): unit quaternions (w, x, y, z).
+    - `rate_t_s` (m,): times of the readings, s, by the same clock, in any order.
+    - `rate_rad_per_s` (m, 3): turn rates about the body axes forward, right, down, rad/s.  Readings that are not
+      finite, faster than 3000 deg/s, or more than 300 deg/s away from both neighbours are dropped.
+    - `broken` (n - 1,) bool: intervals between attitudes that are gaps: no samples are added there.
+
+    Timestamps of gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, which increases the error
+    fourfold; the lag is estimated and removed (`gyro_lag_s`).  Where the gyros have a data gap of three intervals or
+    more, no samples are added and the curve is `RotationSpline.through` the attitudes.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     spline = RotationSpline.through(t, q, broken=broken)
@@ -183,12 +177,11 @@ def gyro_lag_s(
     *,
     broken: ArrayLike | None = None,
 ) -> float:
-    """Estimate the lag of gyro timestamps behind attitude timestamps, s.
+    """Estimate the lag of gyro timestamps behind attitude timestamps, s; parameters as for `gyro_aided`.
 
-    `t_s`, `q_body_ned`, `rate_t_s`, `rate_rad_per_s`, `broken`: see `gyro_aided`.  Returns: 0.0 if the lag is less
-    than five times its standard deviation, or more than 0.1 s.  Between two samples with rates w1 and w2 a lag of L s
-    leaves a residual turn of L (w2 - w1), and a bias b leaves b (t2 - t1).  Both are fitted to the residuals by least
-    squares, with rejection of outliers.
+    It is 0 if less than five times its standard deviation, or more than 0.1 s.  Between two samples with rates w1 and
+    w2 a lag of L s leaves a residual turn of L (w2 - w1), and a bias b leaves b (t2 - t1).  Both are fitted to the
+    residuals by least squares, with rejection of outliers.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     gyro = GyroTrack.from_readings(rate_t_s, rate_rad_per_s)
@@ -219,16 +212,17 @@ def _fit_lag(t: Float, q: Float, gyro: GyroTrack, usable: Mask) -> tuple[float, 
     columns = np.zeros((*residual.shape, 4))
     columns[:, range(3), range(3)] = step_s[:, np.newaxis]
     columns[:, :, 3] = change
-    A, y = columns.reshape(-1, 4), residual.reshape(-1)
-    use = np.ones(y.size, dtype=np.bool_)
+    design = columns.reshape(-1, 4)
+    turn = residual.reshape(-1)
+    use = np.ones(turn.size, dtype=np.bool_)
     for _ in range(_LAG_ROUNDS):
-        normal = A[use].T @ A[use]
-        if use.sum() <= A.shape[1] or np.linalg.matrix_rank(normal) < A.shape[1]:
+        normal = design[use].T @ design[use]
+        if use.sum() <= design.shape[1] or np.linalg.matrix_rank(normal) < design.shape[1]:
             return 0.0, np.inf
-        fit = np.linalg.solve(normal, A[use].T @ y[use])
-        rest = np.abs(y - A @ fit)
-        sigma = robust_std(rest)
-        use = rest <= 4 * sigma
+        fit = np.linalg.solve(normal, design[use].T @ turn[use])
+        deviation = np.abs(turn - design @ fit)
+        sigma = robust_std(deviation)
+        use = deviation <= 4 * sigma
     return float(fit[3]), float(sigma * np.sqrt(np.linalg.inv(normal)[3, 3]))
 
 
@@ -265,5 +259,4 @@ def _cumulative_product(q: Float) -> Float:
         before[k] = multiply(grid[k - 1, -1], before[k - 1])
     products = multiply(grid, np.broadcast_to(before, grid.shape)).reshape(-1, 4)[: len(q)]
     products = np.concatenate(([[1.0, 0.0, 0.0, 0.0]], products))
-    unit: Float = products / np.linalg.norm(products, axis=-1, keepdims=True)
-    return unit
+    return np.asarray(products / np.linalg.norm(products, axis=-1, keepdims=True))

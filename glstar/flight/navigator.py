@@ -1,4 +1,4 @@
-"""What an aircraft believes of its attitude: the true one, or a log's, with the errors of an AHRS."""
+"""The attitude that an aircraft estimates: the true one, or that of a log, with the errors of an AHRS."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -29,13 +29,9 @@ class MountError:
     yaw_rad: float = 0.0
 
     def applied(self, C_camera_body: Float) -> Float:
-        """Return the rotation from the body to the real camera.
-
-        `C_camera_body` (3, 3): the nominal mount.  Returns (3, 3).
-        """
+        """Return the rotation matrix from the body to the real camera, (3, 3), given that of the nominal mount."""
         turn = np.array([self.roll_rad, self.pitch_rad, self.yaw_rad])
-        turned: Float = C_camera_body @ matrix_from_quaternion(quaternion_from_turn(turn))
-        return turned
+        return np.asarray(C_camera_body @ matrix_from_quaternion(quaternion_from_turn(turn)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +60,7 @@ class AttitudeErrorModel:
         return max(self.bias_sigma_rad, self.drift_sigma_rad, self.perlin_rad) > 0
 
     def drawn(self, first_utc_s: float, last_utc_s: float, rng: np.random.Generator) -> "AttitudeErrors":
-        """Return random errors over a flight.
-
-        `first_utc_s`, `last_utc_s`: first and last time, UTC seconds since 1970.  Raises ConfigError if the drift is
-        too fast for a flight of this length.
-        """
+        """Return random errors over a flight; raise ConfigError if the drift is too fast for its length."""
         bias_rng, drift_rng, perlin_rng = rng.spawn(3)
         bias = np.array(self.bias_rad) + self.bias_sigma_rad * bias_rng.standard_normal(3)
         step_s = self.drift_time_s / _SAMPLES_A_CORRELATION
@@ -99,15 +91,13 @@ class AttitudeErrors:
     bias_rad: Float  # (3,)
     drift_step_s: float  # Time between the samples of the drift, s
     drift_rad: Float  # (n, 3)
-    # Tuple of (float, (m, 3) float64): of each octave the time between nodes, s, and the slopes at the nodes.
+    # For each octave the time between nodes, s, and the slopes at the nodes, (m, 3).
     perlin_octaves: tuple[tuple[float, Float], ...]
 
     def at(self, utc_s: Float, q_body_ned: Float) -> Float:
-        """Return the error at some times.
+        """Return the errors at times, (n,), as rotation vectors about the body's axes forward, right, down, (n, 3) rad.
 
-        `utc_s` (n,): UTC seconds since 1970; beyond the flight the error of its end is held; `q_body_ned` (n, 4): the
-        attitude without error: (w, x, y, z), NED to body.  Returns (n, 3) rotation vectors about the body's axes
-        forward, right and down, rad.
+        Beyond the flight the error of its end is held; `q_body_ned` (n, 4): the attitude without error.
         """
         elapsed_s = np.maximum(utc_s - self.first_utc_s, 0.0)
         node_s = self.drift_step_s * np.arange(len(self.drift_rad))
@@ -134,20 +124,16 @@ class EstimatedAttitude:
     is_held: bool = True
 
     def is_known(self, start_utc_s: float, stop_utc_s: float) -> bool:
-        """Return whether there is an estimate over a time interval: it has no gap.
-
-        `start_utc_s`, `stop_utc_s`: UTC seconds since 1970.
-        """
+        """Return whether there is an estimate over a time interval, UTC seconds since 1970: it has no gap."""
         track, margin_s = self.track, np.inf if self.is_held else 1 / self.track.rate_hz
         if start_utc_s < track.first_s - margin_s or stop_utc_s > track.last_s + margin_s:
             return False
         return track.gap_within(start_utc_s, stop_utc_s) is None
 
     def at(self, utc_s: Float) -> Float:
-        """Return the estimate at some times.
+        """Return the estimates at times, (n,) UTC seconds since 1970, as quaternions NED to body, (n, 4).
 
-        `utc_s` (n,): UTC seconds since 1970; before and after the flight its first or last attitude is held.  Returns
-        (n, 4) q_body_ned: (w, x, y, z), NED to body.
+        Before and after the flight its first or last attitude is held.
         """
         inside_s = np.clip(utc_s, self.track.first_s, self.track.last_s)
         q_body_ned = self.track.at(inside_s)
@@ -155,30 +141,27 @@ class EstimatedAttitude:
 
 
 def gauss_markov(samples: int, step: float, rng: np.random.Generator) -> Float:
-    """Return three first-order Gauss-Markov processes of unit variance, stationary from the first sample.
+    """Return three first-order Gauss-Markov processes of unit variance, (samples, 3), stationary from the first sample.
 
-    `step`: time between samples, in correlation times.  Returns (samples, 3) with the correlation exp(-|k| step)
-    between samples k and 0.
+    `step`: time between samples, in correlation times; samples k and 0 have the correlation exp(-|k| step).
     """
     from scipy.signal import lfilter  # noqa: PLC0415 - slow to import, rarely needed
 
     keep = np.exp(-step)
     noise = rng.standard_normal((samples, 3))
     noise[1:] *= np.sqrt(-np.expm1(-2 * step))
-    process: Float = lfilter([1.0], [1.0, -keep], noise, axis=0)
-    return process
+    return np.asarray(lfilter([1.0], [1.0, -keep], noise, axis=0))
 
 
 def perlin_noise(position: Float, slopes: Float) -> Float:
-    """Return Perlin's gradient noise in one dimension, from -1 to 1.
+    """Return Perlin's gradient noise in one dimension, (n, k), from -1 to 1.
 
     `position` (n,): in node spacings, from 0; `slopes` (m, k): slopes at the nodes, -1 to 1; positions beyond the last
-    node continue its slope.  Returns (n, k).  K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 +
-    10 t^3 between the tangents of two nodes, here times 2, so that opposite slopes of 1 reach 1 in the middle.
+    node continue its slope.  K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 + 10 t^3 between the
+    tangents of two nodes, here times 2, so that opposite slopes of 1 reach 1 in the middle.
     """
     node = np.clip(np.floor(position).astype(np.int64), 0, len(slopes) - 2)
     t = np.clip(position - node, 0.0, 1.0)[:, np.newaxis]
     fade = t**3 * (t * (6 * t - 15) + 10)
     before, after = slopes[node] * t, slopes[node + 1] * (t - 1)
-    noise: Float = 2 * (before + fade * (after - before))
-    return noise
+    return np.asarray(2 * (before + fade * (after - before)))

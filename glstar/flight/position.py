@@ -68,10 +68,10 @@ class PositionTrack:
         TelemetryError
             If no sample remains.
         """
-        given = [np.asarray(column, dtype=np.float64) for column in (utc_s, latitude_rad, longitude_rad, height_m)]
-        if len({column.shape for column in given}) != 1:
-            raise TelemetryError(f"a position track needs four columns of one length, not {[c.size for c in given]}")
-        columns = np.stack(given)
+        arrays = [np.asarray(column, dtype=np.float64) for column in (utc_s, latitude_rad, longitude_rad, height_m)]
+        if len({array.shape for array in arrays}) != 1:
+            raise TelemetryError(f"a position track needs four columns of one length, not {[a.size for a in arrays]}")
+        columns = np.stack(arrays)
         columns = columns[:, np.isfinite(columns).all(axis=0)]
         _, first = np.unique(columns[0], return_index=True)
         # Each column in consecutive memory: np.interp would copy the whole of it at every call.

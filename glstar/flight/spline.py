@@ -1,7 +1,4 @@
-"""A smooth curve through attitudes.
-
-Rotation vectors, their time derivatives, and the angular rate of the body.
-"""
+"""A smooth curve through attitudes, and the rates and accelerations of rotation vectors that it is fitted with."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,37 +17,29 @@ _SERIES_RAD: Final = 0.1
 
 
 def rate_of_vector(turn_rad: Float) -> Float:
-    """Return the matrices from the time derivative of a rotation vector to the body rate.
-
-    `turn_rad` (n, 3): rotation vectors, rad.  Returns (n, 3, 3).
-    """
+    """Return the matrices from the time derivatives of rotation vectors, (n, 3) rad, to body rates, (n, 3, 3)."""
     angle = np.linalg.norm(turn_rad, axis=-1)
     cross = _cross(turn_rad)
     half = np.sinc(angle / (2 * np.pi)) ** 2 / 2
-    matrix: Float = np.eye(3) - _scaled(half, cross) + _scaled(_third(angle), cross @ cross)
-    return matrix
+    return np.asarray(np.eye(3) - _scaled(half, cross) + _scaled(_third(angle), cross @ cross))
 
 
 def vector_of_rate(turn_rad: Float) -> Float:
-    """Return the matrices from the body rate to the time derivative of a rotation vector: the inverse of the above.
-
-    `turn_rad` (n, 3): rotation vectors, rad.  Returns (n, 3, 3).
-    """
+    """Return the inverses of the matrices of `rate_of_vector`, (n, 3, 3)."""
     angle = np.linalg.norm(turn_rad, axis=-1)
     cross = _cross(turn_rad)
     small = angle < _SERIES_RAD
     safe = np.where(small, 1.0, angle)
     square = angle * angle
     factor = np.where(small, 1 / 12 + square / 720 + square**2 / 30240, (1 - safe / 2 / np.tan(safe / 2)) / safe**2)
-    matrix: Float = np.eye(3) + cross / 2 + _scaled(factor, cross @ cross)
-    return matrix
+    return np.asarray(np.eye(3) + cross / 2 + _scaled(factor, cross @ cross))
 
 
 def angular_acceleration(turn_rad: Float, derivative: Float) -> Float:
     """Return the angular acceleration of a body whose rotation vector changes at a constant rate.
 
-    `turn_rad` (n, 3): rotation vectors, rad; `derivative` (n, 3): their time derivatives, rad/s.  Returns (n, 3)
-    angular accelerations in body axes, rad/s^2.
+    `turn_rad`, `derivative` (n, 3): rotation vectors, rad, and their time derivatives, rad/s.  Returns (n, 3) in body
+    axes, rad/s^2.
     """
     angle = np.linalg.norm(turn_rad, axis=-1)
     small = angle < _SERIES_RAD
@@ -72,9 +61,8 @@ def angular_acceleration(turn_rad: Float, derivative: Float) -> Float:
 def cubic(step_s: Float, turn_rad: Float, begin: Float, end: Float) -> Float:
     """Return cubic polynomials for rotation vectors that start at zero, from their derivatives at both ends.
 
-    `step_s` (n,): length of each interval, s; `turn_rad` (n, 3): rotation vectors at the ends of the intervals, rad;
-    `begin`, `end` (n, 3): time derivatives at the start and at the end, rad/s.  Returns (n, 3, 3) coefficients of time,
-    its square and its cube: rad/s, rad/s^2, rad/s^3.
+    `step_s` (n,): length of each interval, s; `turn_rad` (n, 3): rotation vector at its end, rad; `begin`, `end` (n,
+    3): time derivatives at its start and end, rad/s.  Returns (n, 3, 3) coefficients of time, its square and its cube.
     """
     h = step_s[:, np.newaxis]
     mean = turn_rad / h
@@ -83,8 +71,7 @@ def cubic(step_s: Float, turn_rad: Float, begin: Float, end: Float) -> Float:
 
 def apply(matrix: Float, vector: Float) -> Float:
     """Return (n, 3, 3) matrices times (n, 3) vectors."""
-    product: Float = (matrix @ vector[..., np.newaxis])[..., 0]
-    return product
+    return np.asarray((matrix @ vector[..., np.newaxis])[..., 0])
 
 
 def _third(angle: Float) -> Float:
@@ -98,8 +85,7 @@ def _cross(v: Float) -> Float:
     """Return the skew-symmetric matrices of the cross product by each vector, (n, 3, 3)."""
     matrix = np.zeros((len(v), 3, 3))
     matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    skew_symmetric: Float = matrix - matrix.transpose(0, 2, 1)
-    return skew_symmetric
+    return np.asarray(matrix - matrix.transpose(0, 2, 1))
 
 
 def _scaled(factor: Float, matrix: Float) -> Float:
@@ -138,9 +124,9 @@ class RotationSpline:
     def through(cls, t_s: ArrayLike, q_body_ned: ArrayLike, *, broken: ArrayLike | None = None) -> Self:
         """Fit the curve through attitudes.
 
-        `t_s` (n,) n >= 2: sample times, s, strictly increasing, in any steps; `q_body_ned` (n, 4): unit quaternions (w,
-        x, y, z), of either sign; `broken` (n - 1,) bool: intervals that are gaps; in a gap, and in an interval with a
-        turn of more than 90 deg, the turn rate is constant, as for slerp; the curves on its two sides are independent.
+        `t_s` (n,) n >= 2: sample times, s, strictly increasing; `q_body_ned` (n, 4): unit quaternions (w, x, y, z), of
+        either sign; `broken` (n - 1,) bool: intervals that are gaps.  In a gap, and in an interval with a turn of more
+        than 90 deg, the turn rate is constant, as for slerp; the curves on its two sides are independent.
         """
         t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
         step_s = np.diff(t)
@@ -155,10 +141,7 @@ class RotationSpline:
 
     @classmethod
     def joined(cls, curves: Sequence[Self]) -> Self:
-        """Concatenate curves, with a constant turn rate between each two.
-
-        `curves`: one or more, sorted by time, without overlaps.
-        """
+        """Concatenate curves sorted by time, without overlaps, with a constant turn rate between each two."""
         parts = [curves[0].coefficients]
         for before, after in pairwise(curves):
             bridge = np.zeros((1, 3, 3))
@@ -168,10 +151,7 @@ class RotationSpline:
         return cls(t_s, q_body_ned, np.concatenate(parts))
 
     def at(self, t_s: ArrayLike) -> Float:
-        """Return the attitude at each of the given times.
-
-        `t_s` (...): times within the range of the samples, s.  Returns (..., 4) unit quaternions (w, x, y, z).
-        """
+        """Return the attitudes at times within the range of the samples, s, as unit quaternions (..., 4)."""
         t = np.asarray(t_s, dtype=np.float64)
         before = np.clip(np.searchsorted(self.t_s, t, side="right") - 1, 0, self.t_s.size - 2)
         s = (t - self.t_s[before])[..., np.newaxis]
@@ -184,18 +164,18 @@ def _node_rates(step_s: Float, turn_rad: Float, q: Float, linear: Mask) -> tuple
 
     At the start of an interval the derivative is the body rate; at its end it is the body rate times `vector_of_rate`.
     """
-    n = step_s.size + 1
+    count = step_s.size + 1
     mean = turn_rad / step_s[:, np.newaxis]
     smooth = ~linear
     begins = np.concatenate(([False], smooth)) < np.concatenate((smooth, [False]))
     ends = np.concatenate(([False], smooth)) > np.concatenate((smooth, [False]))
-    inner = np.zeros(n, dtype=np.bool_)
+    inner = np.zeros(count, dtype=np.bool_)
     inner[1:-1] = smooth[:-1] & smooth[1:]
 
-    # Samples at the ends of a segment have a given rate: their rows of the matrix are those of the identity.
-    given = _end_rates(step_s, turn_rad, q, begins, ends, inner)
+    # The rates of samples at the ends of a segment are known: their rows of the matrix are those of the identity.
+    end_rates = _end_rates(step_s, turn_rad, q, begins, ends, inner)
     to_rate, to_vector = rate_of_vector(turn_rad), vector_of_rate(turn_rad)
-    below, above = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    below, above = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
     at = np.flatnonzero(inner)
     over = (1 / step_s)[:, np.newaxis, np.newaxis]
     # Rows are divided by their diagonal.
@@ -203,16 +183,16 @@ def _node_rates(step_s: Float, turn_rad: Float, q: Float, linear: Mask) -> tuple
     below[at] = 2 * over[at - 1] * to_rate[at - 1] / middle
     above[at] = 2 * over[at] * to_vector[at] / middle
     solver = _BandedSolver(below, above)
-    known = given.copy()
-    known[at] = 6 * (mean[at - 1] * over[at - 1, 0] + mean[at] * over[at, 0]) / middle[:, 0]
+    constant = end_rates.copy()
+    constant[at] = 6 * (mean[at - 1] * over[at - 1, 0] + mean[at] * over[at, 0]) / middle[:, 0]
 
-    rate = given.copy()
+    rate = end_rates.copy()
     rate[at] = (mean[at - 1] + mean[at]) / 2
-    longest_s = np.zeros(n)
+    longest_s = np.zeros(count)
     longest_s[at] = np.maximum(step_s[at - 1], step_s[at])
     for _ in range(_MAX_ITERATIONS):
         rate_after = apply(to_vector, rate[1:])
-        right = known.copy()
+        right = constant.copy()
         right[at] -= angular_acceleration(turn_rad[at - 1], rate_after[at - 1]) / middle[:, 0]
         better = solver.solve(right)
         change_rad = np.max(longest_s * np.linalg.norm(better - rate, axis=-1))
@@ -247,7 +227,7 @@ class _BandedSolver:
     """
 
     def __init__(self, below: Float, above: Float) -> None:
-        from scipy.linalg import lapack  # noqa: PLC0415 - when a spline is fitted
+        from scipy.linalg import lapack  # noqa: PLC0415 - SciPy, only when a spline is fitted
 
         self._lapack: Any = lapack
         # LAPACK's banded storage, in columns: the element (i, j) is in row 2 * bandwidth + i - j of column j; the first
@@ -264,6 +244,7 @@ class _BandedSolver:
 
     def solve(self, right_side: Float) -> Float:
         """Return the (n, 3) unknowns for (n, 3) right-hand sides."""
-        found, _ = self._lapack.dgbtrs(self._decomposed, _BANDWIDTH, _BANDWIDTH, right_side.reshape(-1), self._pivots)
-        solution: Float = found.reshape(right_side.shape)
-        return solution
+        unknowns, _ = self._lapack.dgbtrs(
+            self._decomposed, _BANDWIDTH, _BANDWIDTH, right_side.reshape(-1), self._pivots
+        )
+        return np.asarray(unknowns.reshape(right_side.shape))

@@ -42,8 +42,8 @@ class FittedImage:
     def with_full_scale(self, full_scale_dn: int) -> Self:
         """Return the image as one of a camera with this full scale, if it may be: 12 bits in a file of 16.
 
-        `full_scale_dn`: the largest digital number of the simulated sensor.  Returns: this one if it has 8 bits or the
-        sensor has, or if a pixel exceeds the full scale.
+        `full_scale_dn`: the largest digital number of the simulated sensor.  The image is unchanged if it or the sensor
+        has 8 bits, or if a pixel exceeds the full scale.
         """
         is_deep = self.pixels.dtype == np.uint16 and full_scale_dn > np.iinfo(np.uint8).max
         return replace(self, full_scale_dn=full_scale_dn) if is_deep and self.pixels.max() <= full_scale_dn else self

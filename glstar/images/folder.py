@@ -1,10 +1,8 @@
-"""A folder of real images, each with its time.
+"""A folder of real images, each with its time: its own, or that of a trigger in the flight log.
 
 Opening a folder reads names, tables and EXIF, but no pixels; it uses no OpenGL and may run on any thread.  A decoder
 thread reads the pixels, one image at a time: `RealImages.fitted` never blocks, and returns None until the pixels are
 decoded.  Each file that cannot be used adds a line to `RealImages.problems`.
-
-Images without a time of their own, taken at the triggers of a camera that a flight log records.
 """
 
 import re
@@ -27,8 +25,17 @@ _CACHE_BYTES: Final = 256 * 2**20
 
 # Files of an export that are not images.
 _COMPANIONS: Final = (
-    *(*TABLES, TRUTH, f"{TRUTH}.partial", "manifest.json", "nav.jsonl", "nav.jsonl.partial"),
-    *("splits.json", "train.txt", "validation.txt", "test.txt", "DATACARD.md"),
+    *TABLES,
+    TRUTH,
+    f"{TRUTH}.partial",
+    "manifest.json",
+    "nav.jsonl",
+    "nav.jsonl.partial",
+    "splits.json",
+    "train.txt",
+    "validation.txt",
+    "test.txt",
+    "DATACARD.md",
 )
 
 
@@ -106,7 +113,7 @@ class RealImages:
     def nearest(self, utc_s: float) -> RealImage | None:
         """Return the image nearest in time: the earlier one of two, and the first by name of equal times.
 
-        `utc_s`: UTC seconds since 1970, by the camera's clock.  Returns: none if all images are broken; nothing is
+        `utc_s`: UTC seconds since 1970, by the camera's clock.  The result is None if all images are broken; nothing is
         decoded, and the call does not block.
         """
         if not self._images:
@@ -120,8 +127,8 @@ class RealImages:
         """Return an image's pixels if they are decoded, and start to decode them otherwise.
 
         Call it once per frame; it never blocks.  It decodes the next image in advance.  `width_px`, `height_px`: the
-        size of the simulated image, px.  Returns: none while it is being decoded, or if it is broken: `problems` then
-        has a new line, and `nearest` skips it.
+        size of the simulated image, px.  The result is None while the image is being decoded, and if it is broken:
+        `problems` then has a new line, and `nearest` skips it.
         """
         self.collect()
         key = (image.path, width_px, height_px)
@@ -290,9 +297,8 @@ def _nothing_usable(problems: list[str]) -> str:
 def triggered_images(paths: Sequence[Path], flight: Flight, *, delay_s: float = 0.0) -> list[RealImage]:
     """Return images with the times of the camera's triggers: the first by name was taken at the first trigger.
 
-    `paths`: folders, and image files; `delay_s`: time from a trigger to the opening of the shutter, s.  Returns: in the
-    order of the triggers.  Raises ImagesError if there is no such folder or file, the log has no triggers, or their
-    number is not that of the images.
+    `paths`: folders, and image files; `delay_s`: time from a trigger to the opening of the shutter, s.  Raises
+    ImagesError if there is no such folder or file, the log has no triggers, or their number is not that of the images.
     """
     files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
     if missing := [path for path in files if not path.exists()]:

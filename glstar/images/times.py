@@ -86,8 +86,8 @@ class ImageTime:
     def fraction_before(self, reference: TimeReference) -> float:
         """Return the fraction of the exposure that lies before this time, 0 to 1.
 
-        `reference`: the instant that the time refers to, if the source does not state it.  Returns: with a rolling
-        shutter it is a fraction of the time from the first opening to the last closing.
+        `reference`: the instant that the time refers to, if the source does not state it.  With a rolling shutter it is
+        a fraction of the time from the first opening to the last closing.
         """
         return 0.0 if self.is_start else _FRACTION_BEFORE[reference]
 
@@ -114,7 +114,7 @@ def exposure_of(
     `wanted`: the configured exposure: its rate, and its duration if the image's own is unknown or not used; a stacked
     image has the configured durations, because its own may be that of each short exposure, or of all; `reference`: the
     instant that the image's time refers to, if the source does not state it; `ahead_s`: by how much the camera's clock
-    is ahead of the log's, s; `own_length`: whether to use the image's own exposure time.  Returns: it may lie outside
+    is ahead of the log's, s; `own_length`: whether to use the image's own exposure time.  The exposure may lie outside
     of the flight.
     """
     own_s = time.exposure_s if wanted.frames == 1 else None
@@ -126,10 +126,7 @@ def exposure_of(
 
 
 def time_of(path: Path) -> ImageTime | None:
-    """Return the time of an image from its EXIF or its name.
-
-    `path`: an image file.  Returns: none if neither has a time.
-    """
+    """Return the time of an image from its EXIF or its name; None if neither has one."""
     exif = read_exif(path)
     named_s = utc_from_name(path.name)
     if exif.utc_s is not None and exif.zone is not None:
@@ -144,11 +141,10 @@ def time_of(path: Path) -> ImageTime | None:
 
 
 def utc_from_name(name: str) -> float | None:
-    """Return the time in a file name.
+    """Return the time in a file name, UTC seconds since 1970; None if it has none.
 
-    `name`: such as ``2019-07-29T204726_Alt40.tiff``, ``IMG_20190729_204726_123.jpg``, ``2019-07-29T20:47:26.5Z.png``,
-    ``1564433246.5.png``, ``1564433246500.png``.  Returns: UTC seconds since 1970; a name without a zone is UTC. None if
-    it has no time.
+    A name without a zone is UTC.  Names are such as ``2019-07-29T204726_Alt40.tiff``, ``IMG_20190729_204726_123.jpg``,
+    ``2019-07-29T20:47:26.5Z.png``, ``1564433246.5.png``, ``1564433246500.png``.
     """
     for found in _DATE_IN_NAME.finditer(name):
         with suppress(ValueError):
@@ -180,10 +176,7 @@ def _zone(text: str) -> timezone:
 
 
 def read_exif(path: Path) -> ExifTime:
-    """Return the time and the exposure in an image's EXIF.
-
-    `path`: a JPEG, TIFF, PNG or WebP file.  Returns: each None if it is missing or invalid.
-    """
+    """Return the time and the exposure in the EXIF of a JPEG, TIFF, PNG or WebP file; None where missing or invalid."""
     try:
         with path.open("rb") as file:
             tags: dict[str, Any] = exifread.process_file(file, details=False)
@@ -287,23 +280,10 @@ def _table_exposure_s(text: str | None) -> float | None:
 
 
 def read_truth(path: Path) -> dict[str, ImageTime]:
-    """Return the times of the frames of a glstar export.
+    """Return the times of the frames of a glstar export, by file name, from its ``truth.jsonl``.
 
-    Parameters
-    ----------
-    path : Path
-        ``truth.jsonl``.
-
-    Returns
-    -------
-    dict
-        File name to `ImageTime`: the start of the exposure by the camera's clock, and its length.  Damaged lines are
-        skipped.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
+    They are the start of the exposure by the camera's clock, and its length.  Damaged lines are skipped.  Raises
+    OSError if the file cannot be read.
     """
     times: dict[str, ImageTime] = {}
     for line in _json_lines(path):

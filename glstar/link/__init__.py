@@ -14,7 +14,7 @@ module                holds
 ====================  ==================================================================================================
 ``endpoint``          connection strings
 ``transport``         bytes over a serial port, UDP and TCP
-``packets``           the messages of a link, packets in a stream of bytes, recording to a ``.tlog``
+``packets``           message numbers, packets in a stream of bytes, recording to a ``.tlog``
 ``history``           the samples of the last minutes, and the truth that a simulator sends beside the estimates
 ``status``            status, events, damage, losses and floods
 ``clock``             UTC from the time since boot
@@ -29,11 +29,11 @@ module                holds
 from glstar.link.endpoint import Endpoint
 from glstar.link.history import Estimate
 from glstar.link.outgoing import InjectedMessage, Injector, PositionFix
-from glstar.link.packets import Framer, LinkRecording, Packet, Recorder, carried_rate_hz
+from glstar.link.packets import Framer, Packet, Recorder, carried_rate_hz
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
 from glstar.link.supervisor import Link, Truth
 from glstar.link.transport import Transport, open_transport, serial_ports
-from glstar.link.vehicle import PlayedFlight, Vehicle
+from glstar.link.vehicle import Vehicle
 
 __all__ = [
     "Endpoint",
@@ -44,10 +44,8 @@ __all__ = [
     "LatestAttitude",
     "Link",
     "LinkEvent",
-    "LinkRecording",
     "LinkStatus",
     "Packet",
-    "PlayedFlight",
     "PositionFix",
     "Recorder",
     "Transport",

@@ -39,11 +39,9 @@ _WRAP_S: Final = 2**32 / 1000
 class BootClock:
     """The clock of one autopilot, from boot to boot.
 
-    `utc_minus_host_s`: UTC minus `time.monotonic`, s, used if the autopilot has no UTC; `host_source`: where that comes
-    from, for messages; `start_utc_s`: UTC of the first packet with a time since boot, seconds since 1970; it replaces
-    the UTC of the autopilot.  `boot`: number of the boot, from 0; `utc_minus_boot_before_s`: UTC minus the time since
-    the previous boot, s, at the end of that boot; None if unknown; `has_two_clocks`: whether times of two clocks are
-    received, as from two autopilots with one system number; the first is used.
+    `utc_minus_host_s`, UTC minus `time.monotonic`, s, is used if the autopilot has no UTC; `host_source` names it in
+    messages.  `start_utc_s`, UTC of the first packet with a time since boot, seconds since 1970, replaces the UTC of
+    the autopilot.
     """
 
     def __init__(
@@ -53,10 +51,15 @@ class BootClock:
         host_source: str = COMPUTER_CLOCK,
         start_utc_s: float | None = None,
     ) -> None:
-        self._utc_minus_host_s, self._host_source, self._start_utc_s = utc_minus_host_s, host_source, start_utc_s
+        self._utc_minus_host_s = utc_minus_host_s
+        self._host_source = host_source
+        self._start_utc_s = start_utc_s
         self._overrides = start_utc_s is not None
+        # Number of the boot, from 0.
         self.boot = 0
+        # UTC minus the time since the previous boot, s, at the end of that boot; None if unknown.
         self.utc_minus_boot_before_s: float | None = None
+        # Whether times of two clocks are received, as from two autopilots with one system number; the first is used.
         self.has_two_clocks = False
         self._wraps = 0
         self._latest_s: float | None = None
@@ -71,15 +74,16 @@ class BootClock:
         self._others_s: deque[float] = deque(maxlen=_READINGS)
 
     def use_computer_clock(self, utc_minus_host_s: float) -> None:
-        """Use the computer's clock if the autopilot has no UTC; `utc_minus_host_s`: UTC minus `time.monotonic`, s."""
+        """Use the computer's clock, UTC minus `time.monotonic`, s, if the autopilot has no UTC."""
         if not self._overrides:
-            self._utc_minus_host_s, self._host_source = utc_minus_host_s, COMPUTER_CLOCK
+            self._utc_minus_host_s = utc_minus_host_s
+            self._host_source = COMPUTER_CLOCK
 
     def add_packet(self, boot_s: float, arrival_s: float) -> float | None:
-        """Add the time since boot of a packet.
+        """Add the time since boot and the arrival by `time.monotonic` of a packet, s.
 
-        `boot_s`: time since boot, s; `arrival_s`: arrival by `time.monotonic`, s.  Returns the time since boot,
-        continued beyond 49.7 days; None if it is from another clock while the previous one is still received.
+        Returns the time since boot, continued beyond 49.7 days; None if it is from another clock while the previous one
+        is still received.
         """
         unwrapped_s = boot_s + self._wraps * _WRAP_S
         if self._latest_s is not None:
@@ -97,14 +101,15 @@ class BootClock:
         self._arrival_s = arrival_s
         self._latest_s = unwrapped_s if self._latest_s is None else max(unwrapped_s, self._latest_s)
         if self._start_utc_s is not None:
-            self._utc_minus_host_s, self._start_utc_s = self._start_utc_s - arrival_s, None
+            self._utc_minus_host_s = self._start_utc_s - arrival_s
+            self._start_utc_s = None
         self._add_delay(arrival_s - unwrapped_s, arrival_s)
         return unwrapped_s
 
     def read_utc(self, boot_s: float, utc_s: float) -> None:
-        """Add a UTC reading of the autopilot; invalid ones are ignored.
+        """Add a reading of UTC, seconds since 1970, at a time since boot without wraps, s.
 
-        `boot_s`: time since boot without wraps, s; `utc_s`: UTC seconds since 1970; 0 before a GPS fix.
+        Invalid readings, such as 0 before a GPS fix, are ignored.
         """
         if not YEAR_2010_S <= utc_s < YEAR_2100_S:
             return
@@ -114,10 +119,7 @@ class BootClock:
             self._read_s = deque(latest, maxlen=_READINGS)
 
     def read_others_utc(self, utc_s: float, arrival_s: float) -> None:
-        """Add a UTC reading of another system on the link, such as a ground station.
-
-        `utc_s`: UTC seconds since 1970; `arrival_s`: arrival by `time.monotonic`, s.
-        """
+        """Add a reading of UTC of another system on the link, which arrived at a time by `time.monotonic`, s."""
         if YEAR_2010_S <= utc_s < YEAR_2100_S:
             self._others_s.append(utc_s - arrival_s)
 
@@ -127,10 +129,9 @@ class BootClock:
         return min((delay_s for _, delay_s in self._smallest_delay_s), default=None)
 
     def dated(self, boot_s: float | None, arrival_s: float | None) -> LatestAttitude | None:
-        """Return the times of the latest attitude.
+        """Return the times of the latest attitude, by its time since boot and its arrival by `time.monotonic`, s.
 
-        `boot_s`, `arrival_s`: its time since boot and its arrival by `time.monotonic`, s.  Returns: none if there is no
-        attitude, or no UTC.
+        None if there is no attitude, or no UTC.
         """
         utc_minus_boot_s, utc_minus_host_s = self.utc_minus_boot_s, self.utc_minus_host_s
         if boot_s is None or arrival_s is None or utc_minus_boot_s is None or utc_minus_host_s is None:
@@ -146,15 +147,16 @@ class BootClock:
     @property
     def utc_minus_boot_s(self) -> float | None:
         """UTC minus the time since boot, s; None if unknown."""
-        return self._found[0]
+        return self._utc[0]
 
     @property
     def source(self) -> str | None:
         """Where UTC comes from, for messages; None if it is unknown."""
-        return self._found[1]
+        return self._utc[1]
 
     @property
-    def _found(self) -> tuple[float | None, str | None]:
+    def _utc(self) -> tuple[float | None, str | None]:
+        """UTC minus the time since boot, s, and its source, by the best means."""
         if self._read_s and not self._overrides:
             return median(self._read_s), f"SYSTEM_TIME, {len(self._read_s)} readings"
         host_s = self.host_minus_boot_s
@@ -174,8 +176,10 @@ class BootClock:
             self._utc_minus_host_s = utc_minus_boot_s - host_s
             self._host_source = "the UTC before the reboot and the computer's clock"
         self.boot += 1
-        self._wraps, self._latest_s = 0, None
-        self.has_two_clocks, self._other_clock_s = False, None
+        self._wraps = 0
+        self._latest_s = None
+        self.has_two_clocks = False
+        self._other_clock_s = None
         self._read_s.clear()
         self._smallest_delay_s.clear()
 

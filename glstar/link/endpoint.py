@@ -51,7 +51,7 @@ _BAUDS: Final = (1200, 12_500_000)
 class Endpoint:
     """One end of a telemetry link."""
 
-    kind: EndpointKind  # {"serial", "udpin", "udpout", "tcp", "tcpin"}
+    kind: EndpointKind
     text: str  # The connection string
     device: str = ""  # The serial port; empty for others
     baud: int = 0  # Its baud rate, bits/s; 0 for others
@@ -60,9 +60,9 @@ class Endpoint:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Parse a connection string, without opening the link.
+        """Parse a connection string of the table of this module, without opening the link.
 
-        `text`: see the table of this module.  Raises ConfigError if it is invalid, with advice.
+        Raises ConfigError, with advice, if it is invalid.
 
         Examples
         --------

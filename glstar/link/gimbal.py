@@ -21,39 +21,35 @@ from numpy.typing import NDArray
 
 from glstar.link.clock import BootClock
 from glstar.link.history import RowBuffer
-from glstar.link.packets import GIMBAL_NUMBERS, MOUNT_ORIENTATION, MOUNT_STATUS
-from glstar.telemetry.mavlink.vehicles import GIMBAL_MESSAGES, GIMBAL_STATUS, gimbal_samples
+from glstar.link.packets import GIMBAL_IDS, MessageId, MessageRate
+from glstar.telemetry.mavlink.vehicles import gimbal_samples
 from glstar.telemetry.source import GimbalSamples
 
 Float = NDArray[np.float64]
 
 # A worse message, or another gimbal, is used if the better one has not been received for this time, s.
 _TIMEOUT_S: Final = 2.0
-# Window in which the rate is counted, s.
-_WINDOW_S: Final = 2.0
 # Largest numbers of attitudes: ten minutes at 50 Hz; and of those that wait for the aircraft's, ten seconds at 100 Hz.
 _MOST, _MOST_PENDING = 30_000, 1000
 _MAX_BOOTS: Final = 8
 
-# Of a message: its place in `GIMBAL_NUMBERS`, whether it is not from the autopilot itself, and its component.
+# Of a message: its index in `GIMBAL_IDS`, whether it is not from the autopilot itself, and its component.
 _Rank = tuple[int, bool, int]
 
 
 class LinkGimbal:
-    """The attitudes of the gimbal of one autopilot.
-
-    `clock`: of the autopilot; `keep_s`: duration of the history, s.  `latest_boot_s`: time since boot of the latest
-    attitude that is not later than the aircraft's, s; `arrival_s`: when that attitude and the aircraft's were both
-    known, by `time.monotonic`, s.
-    """
+    """The attitudes of the gimbal of the autopilot with a clock; they are kept for `keep_s`."""
 
     def __init__(self, clock: BootClock, keep_s: float) -> None:
+        # Time since boot of the latest attitude that is not later than the aircraft's, s.
         self.latest_boot_s: float | None = None
+        # When that attitude and the aircraft's were both known, by `time.monotonic`, s.
         self.arrival_s: float | None = None
-        self._clock, self._keep_s = clock, keep_s
+        self._clock = clock
+        self._keep_s = keep_s
         self._gimbal_clock = BootClock()
         self._used: _Rank | None = None
-        self._arrivals: deque[float] = deque(maxlen=2048)
+        self._rate = MessageRate()
         # Columns: time since boot, s; the quaternion; whether the frame of reference is NED.
         self._rows = RowBuffer(6, _MOST, keep_s)
         self._pending: deque[tuple[float, ...]] = deque(maxlen=_MOST_PENDING)
@@ -63,49 +59,44 @@ class LinkGimbal:
     @property
     def source(self) -> str | None:
         """The message that is used; None before the first one."""
-        return None if self._used is None else GIMBAL_MESSAGES[self._used[0]]
+        return None if self._used is None else GIMBAL_IDS[self._used[0]].name
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the rate of the message over the last two seconds, Hz; `now_s`: time by `time.monotonic`, s."""
-        while self._arrivals and self._arrivals[0] < now_s - _WINDOW_S:
-            self._arrivals.popleft()
-        return len(self._arrivals) / _WINDOW_S
+        """Return the rate of the message over the last two seconds, Hz, at a time by `time.monotonic`, s."""
+        return self._rate.hz(now_s)
 
     def is_silent(self, now_s: float) -> bool:
-        """Return whether there is no attitude, or none of the last two seconds.
-
-        `now_s`: time by `time.monotonic`, s.
-        """
+        """Return whether there is no attitude of the last two seconds, at a time by `time.monotonic`, s."""
         return self.arrival_s is None or now_s - self.arrival_s > _TIMEOUT_S
 
     def receive(
-        self, number: int, message: Any, arrival_s: float, *, component: int, autopilot: int, boot_s: float | None
+        self, number: MessageId, message: Any, arrival_s: float, *, component: int, autopilot: int, boot_s: float | None
     ) -> None:
-        """Process a message of a gimbal.
+        """Process one of `GIMBAL_IDS`, which arrived at a time by `time.monotonic`, s.
 
-        `number`: one of `GIMBAL_NUMBERS`; `arrival_s`: arrival by `time.monotonic`, s; `component`, `autopilot`: the
-        components that sent it and that is the autopilot; `boot_s`: its time since boot of the autopilot, s; None if it
-        has none.
+        `component` sent it, `autopilot` is the component of the autopilot; `boot_s`: its time since boot of the
+        autopilot, s; None if it has none.
         """
-        rank = list(GIMBAL_NUMBERS).index(number), component != autopilot, component
+        rank = GIMBAL_IDS.index(number), component != autopilot, component
         is_worse = self._used is not None and rank > self._used
-        if is_worse and self._arrivals and arrival_s - self._arrivals[-1] < _TIMEOUT_S:
+        if is_worse and arrival_s - self._rate.latest_s < _TIMEOUT_S:
             return
         if rank != self._used:
-            self._used, self._gimbal_clock = rank, BootClock()
+            self._used = rank
+            self._gimbal_clock = BootClock()
             self._pending.clear()
         boot_s = self._boot_s(number, message, arrival_s) if boot_s is None else boot_s
         if boot_s is None:
             return
-        self._arrivals.append(arrival_s)
-        samples = gimbal_samples(GIMBAL_NUMBERS[number], np.array([boot_s]), _values(number, message))
+        self._rate.add(arrival_s)
+        samples = gimbal_samples(number.name, np.array([boot_s]), _values(number, message))
         if samples.clock_s.size:
             self._pending.append((boot_s, *samples.q_gimbal_reference[0].tolist(), float(samples.is_earth[0])))
 
     def pair(self, aircraft_s: float | None, arrival_s: float) -> None:
         """Add the attitudes that are not later than the aircraft's: with a later one, no exposure can end.
 
-        `aircraft_s`: time since boot of the latest attitude of the aircraft, s; `arrival_s`: its arrival by
+        `aircraft_s`, `arrival_s`: time since boot of the aircraft's latest attitude, and its arrival by
         `time.monotonic`, s.
         """
         if aircraft_s is None:
@@ -119,10 +110,7 @@ class LinkGimbal:
                 self.latest_boot_s, self.arrival_s = row[0], arrival_s
 
     def begin_boot(self, utc_minus_boot_s: float | None) -> None:
-        """Begin a new boot of the autopilot; attitudes from before are kept at their UTC.
-
-        `utc_minus_boot_s`: UTC minus the time since the boot that has ended, s; None if unknown: they are then dropped.
-        """
+        """Begin a new boot of the autopilot; earlier attitudes are kept at their UTC, as by `History.begin_boot`."""
         rows = self._rows.latest(-inf)
         if utc_minus_boot_s is not None and len(rows):
             rows[:, 0] += utc_minus_boot_s
@@ -133,11 +121,7 @@ class LinkGimbal:
         self.latest_boot_s = None
 
     def samples(self, utc_minus_boot_s: float, last_s: float = inf) -> GimbalSamples | None:
-        """Return a copy of the attitudes over UTC.
-
-        `utc_minus_boot_s`: UTC minus the time since boot, s; `last_s`: largest duration up to the latest attitude, s.
-        Returns: none before the first one of this boot.
-        """
+        """Return a copy of the attitudes over UTC, of at most the last `last_s`; None before the first of this boot."""
         if self.latest_boot_s is None or self.source is None:
             return None
         from_s = self.latest_boot_s - min(last_s, self._keep_s)
@@ -151,22 +135,22 @@ class LinkGimbal:
         rows = np.concatenate(boots)
         return GimbalSamples(rows[:, 0], rows[:, 1:5], rows[:, 5] > 0, self.source)
 
-    def _boot_s(self, number: int, message: Any, arrival_s: float) -> float | None:
+    def _boot_s(self, number: MessageId, message: Any, arrival_s: float) -> float | None:
         """Return the time since boot of the autopilot at a message of another clock, s; None while it is unknown."""
         delayed_s = self._clock.host_minus_boot_s
         if delayed_s is None:
             return None
-        if number == MOUNT_STATUS:
+        if number == MessageId.MOUNT_STATUS:
             return arrival_s - delayed_s
         own_s = self._gimbal_clock.add_packet(message.time_boot_ms / 1000, arrival_s)
         own_delayed_s = self._gimbal_clock.host_minus_boot_s
         return None if own_s is None or own_delayed_s is None else own_s + own_delayed_s - delayed_s
 
 
-def _values(number: int, message: Any) -> Float:
+def _values(number: MessageId, message: Any) -> Float:
     """Return the fields of a message as one row of `gimbal_samples`."""
-    if GIMBAL_NUMBERS[number] == GIMBAL_STATUS:
+    if number == MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS:
         return np.array([[message.flags, *message.q]], dtype=np.float64)
-    if number == MOUNT_ORIENTATION:
+    if number == MessageId.MOUNT_ORIENTATION:
         return np.array([[message.roll, message.pitch, message.yaw]])
     return np.array([[message.pointing_a, message.pointing_b, message.pointing_c]], dtype=np.float64)

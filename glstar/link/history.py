@@ -1,6 +1,6 @@
 """The history of a link: the attitudes and positions of the last minutes, and their conversion to a flight.
 
-The true attitude and position that a simulator sends beside an autopilot's estimates.
+`SimulatorState` is the true attitude and position that a simulator sends beside an autopilot's estimates:
 
 ====================  ===============================================================================================
 message               holds
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.link.packets import HIL_STATE, SIM_STATE, SIMSTATE
+from glstar.link.packets import MessageId, MessageRate
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import HEIGHTS_M
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
@@ -44,14 +44,16 @@ _INITIAL_ROWS: Final = 4096
 class RowBuffer:
     """A buffer with the latest rows of numbers.
 
-    `most`: largest number of rows; `span`: largest difference of the first column to that of the latest row; older rows
-    are dropped when space is needed.
+    When space is needed, rows are dropped that exceed the largest number of rows, `most`, or the largest difference of
+    the first column to that of the latest row, `span`.
     """
 
     def __init__(self, columns: int, most: int, span: float = np.inf) -> None:
         # Twice the capacity, so that the rows are rarely moved to the front.
         self._buffer = np.empty((min(_INITIAL_ROWS, 2 * most), columns))
-        self._most, self._span, self._start, self._stop = most, span, 0, 0
+        self._most = most
+        self._span = span
+        self._start = self._stop = 0
 
     def __len__(self) -> int:
         return self._stop - self._start
@@ -118,11 +120,9 @@ class HistorySnapshot:
         utc_source: str,
         options: FlightOptions = DEFAULT_OPTIONS,
     ) -> Flight | None:
-        """Convert the samples to a flight.
+        """Convert the samples to a flight; None if there are fewer than two attitudes, or no position.
 
-        `utc_minus_boot_s`: UTC minus the time since boot, s; `name`, `attitude_source`, `position_source`,
-        `utc_source`: name and sources of the flight; `options`: without `utc_start`.  Returns: none if there are fewer
-        than two attitudes, or no position.
+        `options` are used without `utc_start`.
         """
         estimate = self.estimate(utc_minus_boot_s, attitude_source=attitude_source, options=options)
         site = options.site
@@ -143,10 +143,9 @@ class HistorySnapshot:
     def estimate(
         self, utc_minus_boot_s: float, *, attitude_source: str, options: FlightOptions = DEFAULT_OPTIONS
     ) -> Estimate | None:
-        """Convert the samples to tracks over UTC.
+        """Convert the samples to tracks over UTC; None if there are fewer than two attitudes.
 
-        `utc_minus_boot_s`: UTC minus the time since boot, s; `options`: without `utc_start`.  Returns: none if there
-        are fewer than two attitudes.
+        `options` are used without `utc_start`.
         """
         boots = self._boots(utc_minus_boot_s)
         attitudes, positions = (np.concatenate(rows) for rows in zip(*boots, strict=True))
@@ -185,10 +184,7 @@ class HistorySnapshot:
 
 
 class History:
-    """The last minutes of one autopilot, over its reboots.
-
-    `keep_s`: duration of the history, s; shorter for attitudes at more than 200 Hz.
-    """
+    """The last `keep_s` of one autopilot, over its reboots; less for attitudes at more than 200 Hz."""
 
     def __init__(self, keep_s: float = 600.0) -> None:
         self._keep_s = keep_s
@@ -199,12 +195,12 @@ class History:
         self._past: deque[PastBoot] = deque(maxlen=_MAX_BOOTS)
 
     def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:
-        """Add an attitude; `boot_s`: its time since boot, s; `q_body_ned` (4,)."""
+        """Add an attitude, (4,) q_body_ned, at a time since boot, s."""
         self._attitudes.append((boot_s, *q_body_ned))
         self._latest_boot_s = boot_s if self._latest_boot_s is None else max(boot_s, self._latest_boot_s)
 
     def add_position(self, boot_s: float, latitude_rad: float, longitude_rad: float, height_m: float) -> None:
-        """Add a position; `boot_s`: its time since boot, s."""
+        """Add a position at a time since boot, s."""
         self._positions.append((boot_s, latitude_rad, longitude_rad, height_m))
 
     @property
@@ -234,24 +230,18 @@ class History:
         self._positions.clear()
 
     def snapshot(self, last_s: float = np.inf) -> HistorySnapshot:
-        """Return a copy of the history.
-
-        `last_s`: largest duration up to the latest attitude, s; all positions are included.
-        """
+        """Return a copy of the attitudes of at most the last `last_s`, and of all positions."""
         last_s = min(last_s, self._keep_s)
         from_s = -np.inf if self._latest_boot_s is None else self._latest_boot_s - last_s
-        return HistorySnapshot(
-            self._attitudes.latest(from_s), self._positions.latest(-np.inf), tuple(self._past), last_s
-        )
+        positions = self._positions.latest(-np.inf)
+        return HistorySnapshot(self._attitudes.latest(from_s), positions, tuple(self._past), last_s)
 
 
 # The best one first: of several, only the first is used.
-SIMULATOR_MESSAGES: Final = {SIM_STATE: "SIM_STATE", HIL_STATE: "HIL_STATE_QUATERNION", SIMSTATE: "SIMSTATE"}
-SIMULATOR_NAMES: Final = " or ".join(", ".join(SIMULATOR_MESSAGES.values()).rsplit(", ", 1))
+SIMULATOR_MESSAGES: Final = (MessageId.SIM_STATE, MessageId.HIL_STATE_QUATERNION, MessageId.SIMSTATE)
+SIMULATOR_NAMES: Final = " or ".join(", ".join(message.name for message in SIMULATOR_MESSAGES).rsplit(", ", 1))
 # Another message is used if the better one has not been received for this time, s.
 _TIMEOUT_S: Final = 2.0
-# Window in which the rate is counted, s.
-_WINDOW_S: Final = 2.0
 # Interval between positions, s.
 _POSITION_INTERVAL_S: Final = 0.2
 # States that wait for the attitude after them: ten seconds at 100 Hz.
@@ -262,16 +252,14 @@ _Position = tuple[float, float, float]
 
 
 class SimulatorState:
-    """The truth of one simulated autopilot.
-
-    `keep_s`: duration of the history, s.  `height_m`: height of the autopilot's latest position, for SIMSTATE, m.
-    """
+    """The truth of the last `keep_s` of one simulated autopilot."""
 
     def __init__(self, keep_s: float) -> None:
         self.history = History(keep_s)
+        # Height of the autopilot's latest position, for SIMSTATE, m.
         self.height_m: float | None = None
-        self._number: int | None = None
-        self._arrivals: deque[float] = deque(maxlen=2048)
+        self._message: MessageId | None = None
+        self._rate = MessageRate()
         # Arrival, s, attitude and position of the states since the latest attitude of the autopilot.
         self._pending: deque[tuple[float, Float, _Position | None]] = deque(maxlen=_MOST_PENDING)
         # Time since boot, s, and arrival, s, of the latest attitude of the autopilot.
@@ -281,34 +269,29 @@ class SimulatorState:
     @property
     def source(self) -> str | None:
         """The message that is used; None before the first one."""
-        return None if self._number is None else SIMULATOR_MESSAGES[self._number]
+        return None if self._message is None else self._message.name
 
     @property
     def position_source(self) -> str | None:
         """Where the position comes from."""
-        if self._number != SIMSTATE:
+        if self._message != MessageId.SIMSTATE:
             return self.source
         return "SIMSTATE, height 0 m" if self.height_m is None else "SIMSTATE, height of GLOBAL_POSITION_INT"
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the rate of the message over the last two seconds, Hz; `now_s`: time by `time.monotonic`, s."""
-        while self._arrivals and self._arrivals[0] < now_s - _WINDOW_S:
-            self._arrivals.popleft()
-        return len(self._arrivals) / _WINDOW_S
+        """Return the rate of the message over the last two seconds, Hz, at a time by `time.monotonic`, s."""
+        return self._rate.hz(now_s)
 
-    def receive(self, number: int, message: Any, arrival_s: float) -> None:
-        """Process a message of the simulator.
-
-        `number`: one of `SIMULATOR_MESSAGES`; `arrival_s`: arrival by `time.monotonic`, s.
-        """
-        order = list(SIMULATOR_MESSAGES)
-        is_worse = self._number is not None and order.index(number) > order.index(self._number)
-        if is_worse and self._arrivals and arrival_s - self._arrivals[-1] < _TIMEOUT_S:
+    def receive(self, number: MessageId, message: Any, arrival_s: float) -> None:
+        """Process one of `SIMULATOR_MESSAGES`, which arrived at a time by `time.monotonic`, s."""
+        order = SIMULATOR_MESSAGES
+        is_worse = self._message is not None and order.index(number) > order.index(self._message)
+        if is_worse and arrival_s - self._rate.latest_s < _TIMEOUT_S:
             return
-        if number != self._number:
+        if number != self._message:
             self._pending.clear()
-        self._number = number
-        self._arrivals.append(arrival_s)
+        self._message = number
+        self._rate.add(arrival_s)
         q_body_ned = _attitude(number, message)
         if abs(np.linalg.norm(q_body_ned) - 1) < UNIT_TOLERANCE:
             self._pending.append((arrival_s, q_body_ned, self._position(number, message)))
@@ -316,7 +299,7 @@ class SimulatorState:
     def pair(self, boot_s: float, arrival_s: float) -> None:
         """Give the states since the previous attitude of the autopilot their time since boot.
 
-        `boot_s`: time since boot of the autopilot's latest attitude, s; `arrival_s`: its arrival by `time.monotonic`,
+        `boot_s`, `arrival_s`: time since boot of the autopilot's latest attitude, and its arrival by `time.monotonic`,
         s.
         """
         before = self._paired
@@ -339,20 +322,18 @@ class SimulatorState:
                 self.history.add_position(at_s, *position)
 
     def begin_boot(self, utc_minus_boot_s: float | None) -> None:
-        """Begin a new boot, as `History.begin_boot`.
-
-        `utc_minus_boot_s`: UTC minus the time since the boot that has ended, s.
-        """
+        """Begin a new boot, as `History.begin_boot`."""
         self.history.begin_boot(utc_minus_boot_s)
         self._pending.clear()
-        self._paired, self._position_s = None, -inf
+        self._paired = None
+        self._position_s = -inf
 
     def _position(self, number: int, message: Any) -> _Position | None:
         """Return latitude and longitude, rad, and height, m; None if they are not valid."""
-        if number == SIMSTATE:
+        if number == MessageId.SIMSTATE:
             latitude_deg, longitude_deg = message.lat * _DEGREES, message.lng * _DEGREES
             height_m = 0.0 if self.height_m is None else self.height_m
-        elif number == HIL_STATE:
+        elif number == MessageId.HIL_STATE_QUATERNION:
             latitude_deg, longitude_deg, height_m = message.lat * _DEGREES, message.lon * _DEGREES, message.alt / 1e3
         else:
             (latitude_deg, longitude_deg), height_m = _sim_state_degrees(message), message.alt
@@ -365,9 +346,9 @@ class SimulatorState:
 
 def _attitude(number: int, message: Any) -> Float:
     """Return q_body_ned; the quaternions of the messages are from body to NED."""
-    if number == HIL_STATE:
+    if number == MessageId.HIL_STATE_QUATERNION:
         return conjugate(np.array(message.attitude_quaternion, dtype=np.float64))
-    if number == SIM_STATE and any((message.q1, message.q2, message.q3, message.q4)):
+    if number == MessageId.SIM_STATE and any((message.q1, message.q2, message.q3, message.q4)):
         return conjugate(np.array([message.q1, message.q2, message.q3, message.q4]))
     return quaternion_from_euler(message.roll, message.pitch, message.yaw)
 

@@ -1,6 +1,6 @@
-"""The messages that glstar sends on a link of its own accord: heartbeats and requests for message rates.
+"""All that glstar sends on a link: heartbeats, requests for message rates, and, if the user enables it, position fixes.
 
-Position fixes that are sent to an autopilot, only if the user enables it.
+A fix is sent by one of three messages:
 
 ======================  =============================================================================================
 message                 has, besides latitude and longitude
@@ -26,23 +26,9 @@ import numpy as np
 
 from glstar.errors import ConfigError
 from glstar.link.endpoint import Endpoint
-from glstar.link.packets import (
-    ATTITUDE,
-    ATTITUDE_QUATERNION,
-    EXTERNAL_POSITION_ESTIMATE,
-    GIMBAL_DEVICE_STATUS,
-    GPS,
-    HIL_STATE,
-    MOUNT_ORIENTATION,
-    MOUNT_STATUS,
-    POSITION,
-    SIM_STATE,
-    SIMSTATE,
-    SYSTEM_TIME,
-    dialect,
-)
+from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, MessageId, dialect
 from glstar.link.receiver import Receiver
-from glstar.sky.place.timescale import tai_minus_utc_s
+from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, tai_minus_utc_s
 
 # System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
 _SYSTEM, _COMPONENT = 255, 191
@@ -58,23 +44,30 @@ _GRANTED_AFTER_REJECTION: Final = 0.7
 # Number of requests for the quaternion before the Euler angles are requested too, and then the data streams.
 _TRIES: Final = 2
 
-_OTHERS_HZ: Final = {POSITION: 5.0, SYSTEM_TIME: 2.0, GPS: 1.0}
+_OTHERS_HZ: Final = {MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.SYSTEM_TIME: 2.0, MessageId.GPS_RAW_INT: 1.0}
 # The attitude of a gimbal is requested at this fraction of the aircraft's rate: both fit a radio.
 _GIMBAL_FRACTION: Final = 0.5
 # ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3
 # with the gimbal.
-_STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SIM_STATE: 10, SYSTEM_TIME: 12, GIMBAL_DEVICE_STATUS: 12}
+_STREAM_OF: Final = {
+    MessageId.GPS_RAW_INT: 2,
+    MessageId.GLOBAL_POSITION_INT: 6,
+    MessageId.ATTITUDE: 10,
+    MessageId.SIM_STATE: 10,
+    MessageId.SYSTEM_TIME: 12,
+    MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS: 12,
+}
 
 
 class Requests:
     """Requests messages from one autopilot until they are received.
 
-    `rate_hz`: requested rate of the attitude, Hz; `wants_gimbal`: whether the attitude of a gimbal is requested as
-    well.
+    `rate_hz` is the requested rate of the attitude, Hz; with `wants_gimbal` that of a gimbal is requested as well.
     """
 
     def __init__(self, rate_hz: float, *, wants_gimbal: bool = False) -> None:
-        self.rate_hz, self.wants_gimbal = rate_hz, wants_gimbal
+        self.rate_hz = rate_hz
+        self.wants_gimbal = wants_gimbal
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
         self._heartbeat_s: float | None = None
@@ -89,14 +82,14 @@ class Requests:
         self._requested: set[int] = set()
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
-        """Return the packets to be sent now.
+        """Return the packets to be sent now, by `time.monotonic`, s, to the autopilot of a receiver.
 
-        All messages are requested again if the autopilot was restarted, or another one is listened to; the one before
-        gets its default rates.  `receiver`: knows the autopilot and the rates of its messages; `now_s`: time by
-        `time.monotonic`, s.
+        All messages are requested again if the autopilot was restarted, or another one is listened to; the previous one
+        gets its default rates.
         """
         packets: list[bytes] = []
-        served, self._served = self._served, (receiver, receiver.clock.boot)
+        served = self._served
+        self._served = (receiver, receiver.clock.boot)
         if served is not None and served != self._served:
             packets += [] if served[0] is receiver else self.default_rate_requests(served[0])
             self.restart()
@@ -120,20 +113,22 @@ class Requests:
         missing = {number: hz for number, hz in _OTHERS_HZ.items() if self._is_missing(receiver, number, hz, now_s)}
         rejected = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
         # A simulator's state is no estimate: the autopilot's attitude is requested as well.
-        attitude_hz = max(receiver.rate_hz(number, now_s) for number in (ATTITUDE, ATTITUDE_QUATERNION))
+        attitude_hz = max(
+            receiver.rate_hz(number, now_s) for number in (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION)
+        )
         if attitude_hz < (_GRANTED_AFTER_REJECTION if rejected else _GRANTED) * self.rate_hz:
-            missing[ATTITUDE_QUATERNION] = self.rate_hz
+            missing[MessageId.ATTITUDE_QUATERNION] = self.rate_hz
             if self._rounds >= _TRIES or rejected:
-                missing[ATTITUDE] = self.rate_hz
+                missing[MessageId.ATTITUDE] = self.rate_hz
         if receiver.simulator is not None and receiver.simulator.rate_hz(now_s) < _GRANTED * self.rate_hz:
-            missing[SIM_STATE] = self.rate_hz
+            missing[MessageId.SIM_STATE] = self.rate_hz
             if self._rounds >= _TRIES or rejected:
-                missing |= {HIL_STATE: self.rate_hz, SIMSTATE: self.rate_hz}
+                missing |= {MessageId.HIL_STATE_QUATERNION: self.rate_hz, MessageId.SIMSTATE: self.rate_hz}
         gimbal_hz = _GIMBAL_FRACTION * self.rate_hz
         if self.wants_gimbal and receiver.gimbal.rate_hz(now_s) < _GRANTED * gimbal_hz:
-            missing[GIMBAL_DEVICE_STATUS] = gimbal_hz
+            missing[MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS] = gimbal_hz
             if self._rounds >= _TRIES or rejected:
-                missing |= {MOUNT_ORIENTATION: gimbal_hz, MOUNT_STATUS: gimbal_hz}
+                missing |= {MessageId.MOUNT_ORIENTATION: gimbal_hz, MessageId.MOUNT_STATUS: gimbal_hz}
         if not missing:
             self._rounds = 0
             return []
@@ -149,7 +144,7 @@ class Requests:
         return requests
 
     def _is_missing(self, receiver: Receiver, number: int, hz: float, now_s: float) -> bool:
-        if number == GPS:
+        if number == MessageId.GPS_RAW_INT:
             return self._rounds > 0 and not receiver.sends_position
         return receiver.rate_hz(number, now_s) < _GRANTED * hz
 
@@ -176,10 +171,6 @@ class Requests:
 # How a fix is sent.
 InjectedMessage = Literal["external_position", "gps_input", "global_position_sensor"]
 
-# 1980-01-06, unix seconds; GPS time is 19 s behind TAI.
-_GPS_EPOCH_S: Final = 315964800.0
-_TAI_MINUS_GPS_S: Final = 19.0
-_WEEK_S: Final = 604800.0
 _FIX_3D: Final = 3
 # Number of satellites that is not known, as in GPS_RAW_INT.
 _UNKNOWN: Final = 255
@@ -200,11 +191,10 @@ class PositionFix:
 
 
 class Injector:
-    """A queue of position fixes for the autopilot of a link.
+    """A queue of position fixes for the autopilot of a link; `sent` counts those that were sent.
 
-    `endpoint`: the link; `host`: its host or serial port, named once more if it is not this computer; `message`
-    {"external_position", "gps_input", "global_position_sensor"}: how a fix is sent.  `sent`: number of fixes sent.
-    Raises ConfigError if the link leaves this computer and its host is not named, or another one is.
+    `host` repeats the host or serial port of the endpoint, if that is not this computer.  Raises ConfigError if the
+    link leaves this computer and its host is not named, or another one is.
     """
 
     def __init__(
@@ -233,7 +223,7 @@ class Injector:
         self._fixes.append(fix)
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
-        """Return the packets to be sent now; `now_s`: time by `time.monotonic`, s."""
+        """Return the packets to be sent now, by `time.monotonic`, s."""
         utc_minus_host_s = receiver.clock.utc_minus_host_s
         if receiver.chosen is None or utc_minus_host_s is None:
             return []
@@ -264,7 +254,7 @@ class Injector:
     def _gps_input(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has no target
         """Return the fix as of a GPS receiver, whose time is that of the instant of the fix."""
         mavlink = self._mavlink
-        week, week_s = divmod(fix.utc_s + tai_minus_utc_s(fix.utc_s) - _TAI_MINUS_GPS_S - _GPS_EPOCH_S, _WEEK_S)
+        week, week_s = divmod(fix.utc_s + tai_minus_utc_s(fix.utc_s) - TAI_MINUS_GPS_S - GPS_EPOCH_S, WEEK_S)
         ignored = (
             mavlink.GPS_INPUT_IGNORE_FLAG_ALT
             | mavlink.GPS_INPUT_IGNORE_FLAG_HDOP
@@ -281,7 +271,7 @@ class Injector:
             0,
             ignored,
             # Of the last half millisecond of a week no more than its end.
-            min(round(week_s * 1e3), round(_WEEK_S * 1e3) - 1),
+            min(round(week_s * 1e3), round(WEEK_S * 1e3) - 1),
             int(week),
             _FIX_3D,
             *_degrees_e7(fix),

@@ -1,17 +1,16 @@
-"""MAVLink packets in a stream of bytes.
+"""The MAVLink messages of a link, packets in a stream of bytes, and their recording to a telemetry log.
 
 pymavlink decodes the contents of packets.  Its stream parser is not used: after a false start of a packet it drops as
 many bytes as the false packet claims, with the valid packets in them.  Here every possible start of a packet is tried.
-
-The MAVLink messages of a link, and the rate of attitude that it can carry.
-
-Recording of the packets of a link to a telemetry log, as ground stations write it.
 """
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from enum import IntEnum
+from math import inf
 from pathlib import Path
 from threading import Event, Lock, Thread
 from types import TracebackType
@@ -23,18 +22,33 @@ from glstar.system.files import flush_directory, flush_handle
 from glstar.telemetry.mavlink.vehicles import GIMBAL_MESSAGES
 from glstar.telemetry.source import suppressed_output
 
-HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION, COMMAND_ACK = 0, 2, 24, 30, 31, 33, 77
-# HIL_STATE_QUATERNION: attitude and position of a simulator.
-HIL_STATE: Final = 115
-# SIM_STATE and SIMSTATE: the same in ArduPilot, without a time.
-SIM_STATE, SIMSTATE = 108, 164
-# GIMBAL_DEVICE_ATTITUDE_STATUS, and what older autopilots send.
-GIMBAL_DEVICE_STATUS, MOUNT_ORIENTATION, MOUNT_STATUS = 285, 265, 158
-GIMBAL_NUMBERS: Final = dict(zip((GIMBAL_DEVICE_STATUS, MOUNT_ORIENTATION, MOUNT_STATUS), GIMBAL_MESSAGES, strict=True))
+
+class MessageId(IntEnum):
+    """Numbers of the MAVLink messages of a link."""
+
+    HEARTBEAT = 0
+    SYSTEM_TIME = 2
+    GPS_RAW_INT = 24
+    ATTITUDE = 30
+    ATTITUDE_QUATERNION = 31
+    GLOBAL_POSITION_INT = 33
+    COMMAND_ACK = 77
+    SIM_STATE = 108  # Attitude and position of a simulator, without a time; SIMSTATE is the same of ArduPilot
+    HIL_STATE_QUATERNION = 115  # Attitude and position of a simulator
+    MOUNT_STATUS = 158
+    SIMSTATE = 164
+    MOUNT_ORIENTATION = 265
+    GIMBAL_DEVICE_ATTITUDE_STATUS = 285
+
+
+# Messages with the attitude of a gimbal, the best one first.
+GIMBAL_IDS: Final = tuple(MessageId[name] for name in GIMBAL_MESSAGES)
 GIMBAL_NAMES: Final = " or ".join(", ".join(GIMBAL_MESSAGES).rsplit(", ", 1))
 # MAV_CMD_EXTERNAL_POSITION_ESTIMATE.
 EXTERNAL_POSITION_ESTIMATE: Final = 43003
 
+# Window in which rates are counted, s.
+_RATE_WINDOW_S: Final = 2.0
 # Size of a packet with attitude, bytes, and the rate of all other requested messages, bytes/s.
 _ATTITUDE_BYTES: Final = 56
 _OTHERS_BYTES_PER_S: Final = 270.0
@@ -43,11 +57,30 @@ _USABLE_FRACTION: Final = 0.55
 _RATES_HZ: Final = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 4.0, 2.0, 1.0)
 
 
-def carried_rate_hz(endpoint: Endpoint) -> float:
-    """Return the highest rate of attitude that a link can carry.
+class MessageRate:
+    """Rate of a message over the last two seconds; its times are by `time.monotonic`, s."""
 
-    Returns: hz: 100 if the link is no serial radio, 50 at 57600 baud, at least 1.
-    """
+    def __init__(self) -> None:
+        self._arrivals_s: deque[float] = deque(maxlen=2048)
+
+    def add(self, arrival_s: float) -> None:
+        """Count a message."""
+        self._arrivals_s.append(arrival_s)
+
+    @property
+    def latest_s(self) -> float:
+        """Latest arrival; minus infinity without one."""
+        return self._arrivals_s[-1] if self._arrivals_s else -inf
+
+    def hz(self, now_s: float) -> float:
+        """Return the rate, Hz."""
+        while self._arrivals_s and self._arrivals_s[0] < now_s - _RATE_WINDOW_S:
+            self._arrivals_s.popleft()
+        return len(self._arrivals_s) / _RATE_WINDOW_S
+
+
+def carried_rate_hz(endpoint: Endpoint) -> float:
+    """Return the highest rate of attitude that a link can carry, Hz: 50 at 57600 baud, 100 without a serial radio."""
     capacity = endpoint.bytes_per_s
     if capacity is None:
         return _RATES_HZ[0]
@@ -110,7 +143,7 @@ class Framer:
         self.bad_bytes = 0
 
     def feed(self, received: bytes) -> Iterator[Packet]:
-        """Yield the packets that are complete with further bytes; `received`: the next bytes of the stream."""
+        """Yield the packets that are complete with the next bytes of the stream."""
         stream, at = self._buffered + received, 0
         while at < len(stream):
             start = _next_magic(stream, at)
@@ -138,16 +171,15 @@ class Framer:
         at = 1
         while (at := _next_magic(self._buffered, at)) < len(self._buffered):
             stop = _stop(self._buffered, at)
-            found = (
-                self._packet(self._buffered[at:stop], followed=False) if stop and stop <= len(self._buffered) else None
-            )
-            if found is None:
+            is_whole = stop is not None and stop <= len(self._buffered)
+            packet = self._packet(self._buffered[at:stop], followed=False) if is_whole else None
+            if packet is None:
                 at += 1
                 continue
             self.bad_bytes += at
             self._buffered = self._buffered[stop:]
             at = 0
-            yield found
+            yield packet
 
     def _packet(self, content: bytes, *, followed: bool) -> Packet | None:
         """Return the packet in some bytes; None if they are no packet."""
@@ -177,12 +209,11 @@ class Framer:
 
 def _next_magic(stream: bytes, start: int) -> int:
     """Return the offset at which the next packet may begin; the end if there is none."""
-    found = [at for at in (stream.find(_V2, start), stream.find(_V1, start)) if at >= 0]
-    return min(found, default=len(stream))
+    return min((at for at in (stream.find(_V2, start), stream.find(_V1, start)) if at >= 0), default=len(stream))
 
 
 def _stop(stream: bytes, at: int) -> int | None:
-    """Return the end of a packet that begins at an offset; None if there are too few bytes."""
+    """Return the end of a packet that begins at an offset; None if its head is incomplete."""
     if len(stream) < at + 3:
         return None
     if stream[at] == _V1:
@@ -215,14 +246,14 @@ _FLUSH_EVERY_S: Final = 1.0
 class Recorder:
     """Writes packets to a ``.tlog``, each after its arrival time by the computer's clock.
 
-    Each write is one system call with complete packets: if the process is killed, the log ends with a complete
-    packet.  A separate thread flushes the file to the disk once a second while packets are received.  `path`: a new
-    file; `flush_every_s`: interval between flushes to the disk, s.  `bytes`: size of the file.  Raises LinkError if
-    the file exists, or cannot be created.
+    Each write is one system call with complete packets: if the process is killed, the log ends with a complete packet.
+    A separate thread flushes the file to the disk while packets are received.  `bytes` is the size of the file.  Raises
+    LinkError if the file exists, or cannot be created.
     """
 
     def __init__(self, path: Path, *, flush_every_s: float = _FLUSH_EVERY_S) -> None:
-        self.path, self.bytes = path, 0
+        self.path = path
+        self.bytes = 0
         self._stamp_us = 0
         try:
             self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
@@ -236,10 +267,7 @@ class Recorder:
         self._flusher.start()
 
     def write(self, packets: Iterable[Packet]) -> None:
-        """Write packets that have just arrived.
-
-        Raises LinkError if the file cannot be written, as on a full disk; nothing more is written.
-        """
+        """Write packets that have just arrived; raises LinkError, and writes nothing more, as on a full disk."""
         # If the clock is set back, arrival times stay the same instead of decreasing.
         self._stamp_us = max(time.time_ns() // 1000, self._stamp_us)
         stamp = self._stamp_us.to_bytes(8, "big")
@@ -292,11 +320,12 @@ class Recorder:
 class LinkRecording:
     """The recording of a link, which can begin and end while the link is open; for any thread.
 
-    `recorder`: takes the packets at first; `report`: called with the message of each event.
+    `recorder` takes the packets at first; `report` is called with the message of each event.
     """
 
     def __init__(self, recorder: Recorder | None, report: Callable[[str], None]) -> None:
-        self._recorder, self._report = recorder, report
+        self._recorder = recorder
+        self._report = report
         self._records = recorder is not None
         # Guards the recorder: no packet is written to a file that is being closed.
         self._lock = Lock()
@@ -319,7 +348,8 @@ class LinkRecording:
         recorder = Recorder(path)
         self.end()
         with self._lock:
-            self._recorder, self._records = recorder, True
+            self._recorder = recorder
+            self._records = True
         self._report(f"recording to {path}")
 
     def end(self) -> None:

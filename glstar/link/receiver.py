@@ -1,6 +1,5 @@
 """Attitude, position and time of one autopilot, from the packets of a link."""
 
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from math import floor, inf, radians
@@ -11,21 +10,7 @@ import numpy as np
 from glstar.link.clock import BootClock
 from glstar.link.gimbal import LinkGimbal
 from glstar.link.history import SIMULATOR_MESSAGES, History, SimulatorState
-from glstar.link.packets import (
-    ATTITUDE,
-    ATTITUDE_QUATERNION,
-    COMMAND_ACK,
-    EXTERNAL_POSITION_ESTIMATE,
-    GIMBAL_NUMBERS,
-    GPS,
-    HEARTBEAT,
-    HIL_STATE,
-    MOUNT_STATUS,
-    POSITION,
-    SYSTEM_TIME,
-    Packet,
-    dialect,
-)
+from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, MessageId, MessageRate, Packet, dialect
 from glstar.link.status import LatestAttitude
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import HEIGHTS_M
@@ -45,29 +30,18 @@ _SEQUENCE_TIMEOUT_S: Final = 2.0
 _UTC_STEP_S: Final = 0.1
 # Interval between positions of a simulator, s.
 _HIL_POSITION_INTERVAL_S: Final = 0.2
-# Window in which rates are counted, s.
-_WINDOW_S: Final = 2.0
 # Largest number of senders; more are damaged packets.
 _MAX_SENDERS: Final = 64
-_NAMES: Final = {
-    ATTITUDE: "ATTITUDE",
-    ATTITUDE_QUATERNION: "ATTITUDE_QUATERNION",
-    HIL_STATE: "HIL_STATE_QUATERNION",
-}
-# Messages with a position, the preferred one first.
-_POSITIONS: Final = {POSITION: "GLOBAL_POSITION_INT", HIL_STATE: "HIL_STATE_QUATERNION", GPS: "GPS_RAW_INT"}
+# Messages with an attitude, and with a position, the preferred one first.
+_ATTITUDES: Final = (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION, MessageId.HIL_STATE_QUATERNION)
+_POSITIONS: Final = (MessageId.GLOBAL_POSITION_INT, MessageId.HIL_STATE_QUATERNION, MessageId.GPS_RAW_INT)
 
 
 class Receiver:
     """Processes the packets of one autopilot among all senders on a link.
 
-    `report`: called with the message of each event; `sysid`: MAVLink system of the autopilot; by default the first one;
-    `keep_s`: duration of the history, s; `with_simulator`: whether a simulator's own state is kept beside the
-    autopilot's estimates.  `history`: what the autopilot estimates; `simulator`: the simulator's own state; `gimbal`:
-    the attitude of its gimbal; `packets`, `lost`: number of packets received, and of packets lost by the sequence
-    numbers of all senders; `chosen` (int, int) or None: system and component of the autopilot; None before its first
-    heartbeat; `attitude_arrival_s`: arrival of its latest attitude by `time.monotonic`, s; `ack`: its last reply to a
-    request for a message interval: a MAV_RESULT.
+    `report` is called with the message of each event.  `sysid` is the MAVLink system of the autopilot; by default that
+    of the first one.  `with_simulator`: whether a simulator's own state is kept beside the autopilot's estimates.
     """
 
     def __init__(
@@ -79,15 +53,22 @@ class Receiver:
         keep_s: float = 600.0,
         with_simulator: bool = False,
     ) -> None:
-        self.clock, self.history = clock, History(keep_s)
+        self.clock = clock
+        # What the autopilot estimates, a simulator's own state, and the attitude of its gimbal.
+        self.history = History(keep_s)
         self.simulator = SimulatorState(keep_s) if with_simulator else None
         self.gimbal = LinkGimbal(clock, keep_s)
+        # Number of packets received, and of packets lost by the sequence numbers of all senders.
         self.packets = self.lost = 0
+        # The autopilot; None before its first heartbeat.
         self.chosen: Sender | None = None
+        # Arrival of its latest attitude by `time.monotonic`, s.
         self.attitude_arrival_s: float | None = None
+        # Its last reply to a request for a message interval: a MAV_RESULT.
         self.ack: int | None = None
         self._position_ack: int | None = None
-        self._report, self._sysid = report, sysid
+        self._report = report
+        self._sysid = sysid
         mavlink = dialect()
         self._decode: Callable[[bytearray], Any] = mavlink.MAVLink(None).decode
         self._decode_error: type[Exception] = mavlink.MAVError
@@ -96,9 +77,8 @@ class Receiver:
         # Latest sequence number and its arrival, and last jump of the numbers and its arrival, by sender.
         self._sequences: dict[Sender, tuple[int, float]] = {}
         self._jumps: dict[Sender, tuple[int, float]] = {}
-        self._arrivals: dict[int, deque[float]] = {
-            number: deque(maxlen=2048) for number in (*_NAMES, POSITION, SYSTEM_TIME)
-        }
+        counted = (*_ATTITUDES, MessageId.GLOBAL_POSITION_INT, MessageId.SYSTEM_TIME)
+        self._rates: dict[int, MessageRate] = {number: MessageRate() for number in counted}
         # Messages that contained a position, and the UTC at which the clock of a simulator begins.
         self._position_messages: set[int] = set()
         self._hil_utc_s: float | None = None
@@ -107,33 +87,33 @@ class Receiver:
         self._latest_stamp: dict[int, bytes] = {}
         self._aligned = False
         self._handlers: dict[int, Callable[[Any, float], None]] = {
-            ATTITUDE: self._on_euler,
-            ATTITUDE_QUATERNION: self._on_quaternion,
-            POSITION: self._on_position,
-            GPS: self._on_fix,
-            HIL_STATE: self._on_hil_state,
-            COMMAND_ACK: self._on_ack,
+            MessageId.ATTITUDE: self._on_euler,
+            MessageId.ATTITUDE_QUATERNION: self._on_quaternion,
+            MessageId.GLOBAL_POSITION_INT: self._on_position,
+            MessageId.GPS_RAW_INT: self._on_fix,
+            MessageId.HIL_STATE_QUATERNION: self._on_hil_state,
+            MessageId.COMMAND_ACK: self._on_ack,
         }
         if self.simulator is not None:
-            self._handlers |= {
-                simulated: partial(self.simulator.receive, simulated) for simulated in SIMULATOR_MESSAGES
-            }
+            self._handlers |= {number: partial(self.simulator.receive, number) for number in SIMULATOR_MESSAGES}
 
     def receive(self, packet: Packet, arrival_s: float) -> None:
-        """Process a packet; `arrival_s`: arrival by `time.monotonic`, s."""
+        """Process a packet that arrived at a time by `time.monotonic`, s."""
         self.packets += 1
         self._count_lost(packet, arrival_s)
-        number, sender = packet.number, packet.sender
-        theirs = sender == self.chosen
-        if number in GIMBAL_NUMBERS:
+        number = packet.number
+        is_chosen = packet.sender == self.chosen
+        if number in GIMBAL_IDS:
             self._on_gimbal(packet, arrival_s)
             return
-        if number not in {HEARTBEAT, SYSTEM_TIME} and not (theirs and number in self._handlers):
+        if number not in {MessageId.HEARTBEAT, MessageId.SYSTEM_TIME} and not (is_chosen and number in self._handlers):
             return
-        is_estimate = number in _NAMES and not (number == HIL_STATE and self.simulator is not None)
+        is_estimate = number in _ATTITUDES and not (
+            number == MessageId.HIL_STATE_QUATERNION and self.simulator is not None
+        )
         if is_estimate and self._latest_stamp.get(number) == packet.begins:
             # Of attitudes with the same time only the first is decoded, so that a flood costs little.
-            self._arrivals[number].append(arrival_s)
+            self._rates[number].add(arrival_s)
             return
         try:
             message = self._decode(bytearray(packet.content))
@@ -141,21 +121,20 @@ class Receiver:
             return
         if is_estimate:
             self._latest_stamp[number] = packet.begins
-        if number == HEARTBEAT:
-            self._on_heartbeat(message, sender, arrival_s)
-        elif number == SYSTEM_TIME:
-            self._on_time(message, arrival_s, theirs=theirs)
+        if number == MessageId.HEARTBEAT:
+            self._on_heartbeat(message, packet.sender, arrival_s)
+        elif number == MessageId.SYSTEM_TIME:
+            self._on_time(message, arrival_s, is_chosen=is_chosen)
         else:
             self._handlers[number](message, arrival_s)
 
     def continue_from(self, other: "Receiver", now_s: float) -> None:
-        """Continue to count packets and vehicles where another receiver of the link ended.
-
-        `other`: of another autopilot; `now_s`: time by `time.monotonic`, s.
-        """
-        self.packets, self.lost = other.packets, other.lost
-        self._vehicles = other._vehicles  # noqa: SLF001 - of the same class, here and below
-        self._sequences, self._jumps = other._sequences, other._jumps  # noqa: SLF001
+        """Continue to count packets and vehicles where the receiver of another autopilot ended."""
+        self.packets = other.packets
+        self.lost = other.lost
+        self._vehicles = other._vehicles  # noqa: SLF001 - of the same class
+        self._sequences = other._sequences  # noqa: SLF001 - of the same class
+        self._jumps = other._jumps  # noqa: SLF001 - of the same class
         for sender in self._vehicles:
             if sender[0] == self._sysid and self.chosen is None:
                 self._choose(sender, now_s)
@@ -184,21 +163,15 @@ class Receiver:
     @property
     def attitude_source(self) -> str:
         """The message from which attitude is currently read."""
-        return _NAMES[self._preferred()]
+        return self._preferred().name
 
     def rate_hz(self, number: int, now_s: float) -> float:
-        """Return the rate of a message of the autopilot over the last two seconds, Hz.
-
-        `number`: message number; `now_s`: time by `time.monotonic`, s.
-        """
-        arrivals = self._arrivals[number]
-        while arrivals and arrivals[0] < now_s - _WINDOW_S:
-            arrivals.popleft()
-        return len(arrivals) / _WINDOW_S
+        """Return the rate of a message of the autopilot over the last two seconds, Hz; `now_s`: by `time.monotonic`."""
+        return self._rates[number].hz(now_s)
 
     def attitude_rate_hz(self, now_s: float) -> float:
         """Return the rate of the attitude over the last two seconds, Hz."""
-        return max(self.rate_hz(number, now_s) for number in _NAMES)
+        return max(self.rate_hz(number, now_s) for number in _ATTITUDES)
 
     # --- senders ------------------------------------------------------------------------------------------------------
 
@@ -239,7 +212,8 @@ class Receiver:
             self._choose(sender, arrival_s)
 
     def _choose(self, sender: Sender, arrival_s: float) -> None:
-        self.chosen, self._chosen_s = sender, arrival_s
+        self.chosen = sender
+        self._chosen_s = arrival_s
         if len(self.systems) > 1:
             systems = " and ".join(map(str, self.systems))
             self._report(f"autopilots are systems {systems}; listening to {sender[0]} (--sysid chooses another)")
@@ -266,10 +240,10 @@ class Receiver:
             self._report(f"two autopilots are system {self.chosen[0]}; listening to the first")
         return boot_s
 
-    def _on_time(self, message: Any, arrival_s: float, *, theirs: bool) -> None:
+    def _on_time(self, message: Any, arrival_s: float, *, is_chosen: bool) -> None:
         utc_s = message.time_unix_usec * 1e-6
-        if theirs:
-            self._arrivals[SYSTEM_TIME].append(arrival_s)
+        if is_chosen:
+            self._rates[MessageId.SYSTEM_TIME].add(arrival_s)
             source, boot_s = self.clock.source, self._boot_s(message.time_boot_ms / 1000, arrival_s)
             before_s = self.clock.utc_minus_boot_s
             if boot_s is not None:
@@ -287,33 +261,37 @@ class Receiver:
         # An estimator sends (1, 0, 0, 0) until it is aligned.
         self._aligned = self._aligned or bool((q_ned_body != (1.0, 0.0, 0.0, 0.0)).any())
         if self._aligned:
-            self._add_attitude(ATTITUDE_QUATERNION, message.time_boot_ms / 1000, conjugate(q_ned_body), arrival_s)
+            self._add_attitude(
+                MessageId.ATTITUDE_QUATERNION, message.time_boot_ms / 1000, conjugate(q_ned_body), arrival_s
+            )
 
     def _on_euler(self, message: Any, arrival_s: float) -> None:
         q = quaternion_from_euler(message.roll, message.pitch, message.yaw)
-        self._add_attitude(ATTITUDE, message.time_boot_ms / 1000, q, arrival_s)
+        self._add_attitude(MessageId.ATTITUDE, message.time_boot_ms / 1000, q, arrival_s)
 
     def _on_hil_state(self, message: Any, arrival_s: float) -> None:
         stamped_s = message.time_usec * 1e-6
         if is_utc := stamped_s >= YEAR_2010_S:
             # Some simulators send UTC instead of the time since boot: it is counted from the first packet.
-            known_s = self.clock.utc_minus_boot_s if self._hil_utc_s is None else self._hil_utc_s
-            self._hil_utc_s = floor(stamped_s) if known_s is None else known_s
+            start_s = self.clock.utc_minus_boot_s if self._hil_utc_s is None else self._hil_utc_s
+            self._hil_utc_s = floor(stamped_s) if start_s is None else start_s
             stamped_s -= self._hil_utc_s
-        self._add_attitude(HIL_STATE, stamped_s, conjugate(np.array(message.attitude_quaternion)), arrival_s)
+        self._add_attitude(
+            MessageId.HIL_STATE_QUATERNION, stamped_s, conjugate(np.array(message.attitude_quaternion)), arrival_s
+        )
         latest_s = self.history.latest_boot_s
-        if self._preferred() != HIL_STATE or latest_s is None:
+        if self._preferred() != MessageId.HIL_STATE_QUATERNION or latest_s is None:
             return
         if is_utc:
             self.clock.read_utc(stamped_s, message.time_usec * 1e-6)
         # Every packet has a position; the history is for five positions a second.
         if not self._hil_position_s <= latest_s < self._hil_position_s + _HIL_POSITION_INTERVAL_S:
             self._hil_position_s = latest_s
-            self._add_position(HIL_STATE, latest_s, message)
+            self._add_position(MessageId.HIL_STATE_QUATERNION, latest_s, message)
 
     def _add_attitude(self, number: int, stamped_s: float, q_body_ned: Any, arrival_s: float) -> None:
-        self._arrivals[number].append(arrival_s)
-        if number == HIL_STATE and self._preferred() != HIL_STATE:
+        self._rates[number].add(arrival_s)
+        if number == MessageId.HIL_STATE_QUATERNION and self._preferred() != MessageId.HIL_STATE_QUATERNION:
             return  # its clock may be another one
         boot_s = self._boot_s(stamped_s, arrival_s)
         if boot_s is None or number != self._preferred() or not abs(np.linalg.norm(q_body_ned) - 1) < UNIT_TOLERANCE:
@@ -333,60 +311,58 @@ class Receiver:
         except self._decode_error:
             return
         boot_s = None
-        if packet.sender == self.chosen and packet.number != MOUNT_STATUS:
+        if packet.sender == self.chosen and packet.number != MessageId.MOUNT_STATUS:
             boot_s = self._boot_s(message.time_boot_ms / 1000, arrival_s)
             if boot_s is None:
                 return
         component, autopilot = packet.sender[1], self.chosen[1]
-        self.gimbal.receive(packet.number, message, arrival_s, component=component, autopilot=autopilot, boot_s=boot_s)
+        number = MessageId(packet.number)
+        self.gimbal.receive(number, message, arrival_s, component=component, autopilot=autopilot, boot_s=boot_s)
 
-    def _preferred(self) -> int:
+    def _preferred(self) -> MessageId:
         """Return the message from which attitude is read.
 
         ATTITUDE_QUATERNION, or ATTITUDE if it is more than twice as frequent; a simulator's own state if there is
         neither.
         """
-        latest_s = max((arrivals[-1] for arrivals in self._arrivals.values() if arrivals), default=0.0)
+        latest_s = max(rate.latest_s for rate in self._rates.values())
         angles_hz, quaternion_hz, hil_hz = (
-            self.rate_hz(number, latest_s) for number in (ATTITUDE, ATTITUDE_QUATERNION, HIL_STATE)
+            self.rate_hz(number, latest_s)
+            for number in (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION, MessageId.HIL_STATE_QUATERNION)
         )
         if hil_hz and not angles_hz and not quaternion_hz:
-            return HIL_STATE
-        return ATTITUDE if angles_hz > 2 * quaternion_hz else ATTITUDE_QUATERNION
+            return MessageId.HIL_STATE_QUATERNION
+        return MessageId.ATTITUDE if angles_hz > 2 * quaternion_hz else MessageId.ATTITUDE_QUATERNION
 
     def _on_position(self, message: Any, arrival_s: float) -> None:
-        self._arrivals[POSITION].append(arrival_s)
-        self._position_messages.add(POSITION)
+        self._rates[MessageId.GLOBAL_POSITION_INT].add(arrival_s)
+        self._position_messages.add(MessageId.GLOBAL_POSITION_INT)
         boot_s = self._boot_s(message.time_boot_ms / 1000, arrival_s)
         if boot_s is not None and (message.lat or message.lon):
-            self._add_position(POSITION, boot_s, message)
+            self._add_position(MessageId.GLOBAL_POSITION_INT, boot_s, message)
 
     def _on_fix(self, message: Any, _: float) -> None:
         # A position that is a second old suffices if there is no other.
         latest_s = self.history.latest_boot_s
         if message.fix_type >= _FIX_3D and not self.sends_position and latest_s is not None:
-            self._add_position(GPS, latest_s, message)
+            self._add_position(MessageId.GPS_RAW_INT, latest_s, message)
 
     @property
     def sends_position(self) -> bool:
         """Whether GLOBAL_POSITION_INT was ever received."""
-        return POSITION in self._position_messages
+        return MessageId.GLOBAL_POSITION_INT in self._position_messages
 
     @property
     def position_source(self) -> str:
         """The message from which the position comes."""
-        return next((name for number, name in _POSITIONS.items() if number in self._position_messages), _POSITIONS[GPS])
+        return next((message.name for message in _POSITIONS if message in self._position_messages), "GPS_RAW_INT")
 
     def _add_position(self, number: int, boot_s: float, message: Any) -> None:
         self._position_messages.add(number)
         if abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000:
-            latitude_rad, longitude_rad, height_m = (
-                radians(message.lat / 1e7),
-                radians(message.lon / 1e7),
-                message.alt / 1e3,
-            )
+            height_m = message.alt / 1e3
             if HEIGHTS_M[0] <= height_m <= HEIGHTS_M[1]:
-                self.history.add_position(boot_s, latitude_rad, longitude_rad, height_m)
+                self.history.add_position(boot_s, radians(message.lat / 1e7), radians(message.lon / 1e7), height_m)
                 if self.simulator is not None:
                     self.simulator.height_m = height_m
 

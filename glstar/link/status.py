@@ -1,10 +1,7 @@
-"""The status of a telemetry link, its events and its latest attitude.
-
-Detection of damaged, lost and excessive packets on a link.
-"""
+"""The status of a telemetry link, its events, its latest attitude, and the quality of its packets."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 from glstar.link.endpoint import Endpoint
 from glstar.link.history import SIMULATOR_NAMES
@@ -13,6 +10,9 @@ from glstar.link.packets import GIMBAL_NAMES
 # More bytes without a packet are not MAVLink at this baud rate.
 _NOISE_BYTES: Final = 300
 GIMBAL_LACK: Final = f'no {GIMBAL_NAMES} now ([mount] gimbal = "level" or "none" needs none)'
+
+
+LinkState = Literal["opening", "waiting", "live", "timeout", "closed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,8 @@ class LinkStatus:
     """The status of a link."""
 
     endpoint: str  # As the user named it
-    # {"opening", "waiting", "live", "timeout", "closed"}: ``waiting``: open, without packets yet; ``timeout``: no
-    # packets for two seconds, after some had arrived.
-    state: str
+    # ``waiting``: open, without packets yet; ``timeout``: no packets for two seconds, after some had arrived.
+    state: LinkState
     problem: str | None  # What is wrong, for the user
     vehicle: str | None  # Kind of vehicle
     sysid: int | None  # Its MAVLink system
@@ -82,10 +81,7 @@ class LatestAttitude:
 
 
 def no_packets_message(endpoint: Endpoint, waited_s: float, noise_bytes: int) -> str:
-    """Return what to check if no packets arrive.
-
-    `waited_s`: time since the last packet, s; `noise_bytes`: number of bytes received since then.
-    """
+    """Return what to check if no packets arrive, and a number of other bytes, for a time, s."""
     if noise_bytes > _NOISE_BYTES:
         if endpoint.kind == "serial":
             return (
@@ -113,10 +109,7 @@ _REPORTED_FRACTION: Final = 0.02
 
 
 class Quality:
-    """Evaluates the counters of a link and reports changes.
-
-    Each problem is reported once, and withdrawn once.
-    """
+    """Reports damaged, lost and excessive packets of a link: each problem once, and once that it has ended."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
@@ -124,21 +117,20 @@ class Quality:
         self._problems: set[str] = set()
 
     def update(self, now_s: float, *, packets: int, lost: int, bytes_: int, bad_bytes: int) -> list[str]:
-        """Evaluate the counters.
-
-        `now_s`: time by `time.monotonic`, s; `packets`, `lost`, `bytes_`, `bad_bytes`: totals since the link was
-        opened.  Returns: messages to report.
-        """
+        """Return messages to report, by totals since the link was opened; `now_s`: time by `time.monotonic`, s."""
         counts = packets, lost, bytes_, bad_bytes
         if self._since_s is None:
-            self._since_s, self._before = now_s, counts
+            self._since_s = now_s
+            self._before = counts
         passed_s = now_s - self._since_s
         if passed_s < _WINDOW_S:
             return []
         received, missed, total, bad = (now - before for now, before in zip(counts, self._before, strict=True))
-        self._since_s, self._before = now_s, counts
+        self._since_s = now_s
+        self._before = counts
         packets_hz = received / passed_s
-        bad_fraction, lost_fraction = bad / max(total, 1), missed / max(received + missed, 1)
+        bad_fraction = bad / max(total, 1)
+        lost_fraction = missed / max(received + missed, 1)
         damage = f"damage: {bad_fraction:.0%} of the bytes belong to no packet"
         loss = f"loss: {lost_fraction:.0%} of the packets do not arrive"
         return [

@@ -1,8 +1,7 @@
-"""The thread that owns a telemetry link: it opens the link, requests messages, receives them, and reconnects.
+"""`Link`, the thread that owns a telemetry link: it opens the link, requests messages, receives them, and reconnects.
 
-Other threads read snapshots, `Link.status` and `Link.flight`, without waiting for the link.
-
-A copy of what a receiver holds, from which a flight is made while the link continues to receive.
+Other threads read snapshots, `Link.status` and `Link.flight`, without waiting for the link: a flight is made of
+`Received`, a copy of what the receiver holds.
 """
 
 import logging
@@ -26,7 +25,7 @@ from glstar.link.history import Estimate, HistorySnapshot
 from glstar.link.outgoing import Injector, Requests
 from glstar.link.packets import Framer, LinkRecording, Recorder, carried_rate_hz
 from glstar.link.receiver import Receiver
-from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus, Quality, no_packets_message
+from glstar.link.status import LatestAttitude, LinkEvent, LinkState, LinkStatus, Quality, no_packets_message
 from glstar.link.transport import Transport, open_transport
 from glstar.sky.place.site import Site
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
@@ -38,9 +37,9 @@ class Received:
     """The last minutes of one autopilot."""
 
     utc_minus_boot_s: float  # UTC minus the time since boot, s
-    utc_source: str  # Where UTC, the attitude of the sky and that of the estimate come from
-    attitude_source: str
-    estimate_source: str
+    utc_source: str
+    attitude_source: str  # Of the sky
+    estimate_source: str  # Of the attitude that the autopilot estimates
     sky: HistorySnapshot  # What the sky is drawn from
     estimated: HistorySnapshot | None  # What the autopilot estimates, if the sky is that of a simulator
     gimbal: GimbalSamples | None  # The attitudes of its gimbal over UTC
@@ -48,30 +47,29 @@ class Received:
 
     @classmethod
     def of(cls, receiver: Receiver, last_s: float, *, with_gimbal: bool) -> Self | None:
-        """Copy what a receiver holds.
+        """Copy at most the last `last_s` of what a receiver holds; None while UTC is not known.
 
-        `last_s`: largest duration, s; `with_gimbal`: whether the camera is on its gimbal.  Returns: none while UTC is
-        not known.
+        `with_gimbal`: whether the camera is on its gimbal.
         """
-        utc_minus_boot_s, simulator = receiver.clock.utc_minus_boot_s, receiver.simulator
+        utc_minus_boot_s = receiver.clock.utc_minus_boot_s
+        simulator = receiver.simulator
         if utc_minus_boot_s is None:
             return None
         return cls(
-            utc_minus_boot_s,
-            receiver.clock.source or "",
-            (simulator and simulator.source) or receiver.attitude_source,
-            receiver.attitude_source,
-            receiver.sky_history.snapshot(last_s),
-            None if simulator is None else receiver.history.snapshot(last_s),
-            receiver.gimbal.samples(utc_minus_boot_s, last_s),
-            with_gimbal,
+            utc_minus_boot_s=utc_minus_boot_s,
+            utc_source=receiver.clock.source or "",
+            attitude_source=(simulator and simulator.source) or receiver.attitude_source,
+            estimate_source=receiver.attitude_source,
+            sky=receiver.sky_history.snapshot(last_s),
+            estimated=None if simulator is None else receiver.history.snapshot(last_s),
+            gimbal=receiver.gimbal.samples(utc_minus_boot_s, last_s),
+            is_on_gimbal=with_gimbal,
         )
 
     def flight(self, name: str, position_source: str, options: FlightOptions) -> Flight | None:
-        """Return the flight of the body that carries the camera.
+        """Return the flight of the body that carries the camera, by options without `utc_start`.
 
-        `options`: without `utc_start`.  Returns: none if attitude, position or the attitude of the gimbal are not
-        known.
+        None if attitude, position or the attitude of the gimbal are not known.
         """
         flight = self.sky.flight(
             self.utc_minus_boot_s,
@@ -92,16 +90,13 @@ class Received:
             return None
 
     def estimate(self, options: FlightOptions) -> Estimate | None:
-        """Return what the autopilot estimates, if the sky is that of a simulator and its attitude is known.
-
-        `options`: without `utc_start`.
-        """
+        """Return what the autopilot estimates, if the sky is that of a simulator and its attitude is known."""
         if self.estimated is None:
             return None
         return self.estimated.estimate(self.utc_minus_boot_s, attitude_source=self.estimate_source, options=options)
 
 
-# What the sky is drawn from.
+# What the sky is drawn from: what the autopilot estimates, or a simulator's own state.
 Truth = Literal["estimator", "sim_state"]
 
 _LOG = logging.getLogger(__name__)
@@ -119,14 +114,17 @@ _EVENTS: Final = 200
 class Link:
     """A telemetry link in the background; a context manager, whose thread ends with it.
 
-    `options`: how the received samples become a flight; `utc_start` is the UTC of the first packet; `sysid`: MAVLink
-    system of the vehicle; by default the first autopilot; `utc_now`: whether to use the computer's clock if the link
-    has no UTC; `rate_hz`: requested rate of the attitude, Hz; by default what the link can carry; `keep_s`: duration of
-    the history, s; `recorder`: takes every packet; it is closed with the link, or before by `recording`; `truth`
-    {"estimator", "sim_state"}: source of the flight: what the autopilot estimates, or a simulator's own state;
-    `injector`: position fixes that are sent to the autopilot; without it only heartbeats and requests are sent;
-    `retry`: whether to try again if the link cannot be opened at first; `on_gimbal`: whether the camera is on a gimbal,
-    whose attitude is requested; see `follow_gimbal`.  `recording`: begins and ends a recording while the link is open.
+    `options`: how the received samples become a flight; `utc_start` is the UTC of the first packet.
+    `sysid`: MAVLink system of the vehicle; by default the first autopilot.
+    `utc_now`: whether to use the computer's clock if the link has no UTC.
+    `rate_hz`: requested rate of the attitude; by default what the link can carry.
+    `keep_s`: duration of the history.
+    `recorder`: takes every packet; it is closed with the link, or before by `recording`.
+    `truth`: what the sky is drawn from.
+    `injector`: position fixes that are sent to the autopilot; without it only heartbeats and requests are sent.
+    `retry`: whether to try again if the link cannot be opened at first.
+    `on_gimbal`: whether the camera is on a gimbal, whose attitude is requested; see `follow_gimbal`.
+
     Raises ConfigError if the interpolation is ``"gyro"``.
     """
 
@@ -147,9 +145,13 @@ class Link:
     ) -> None:
         if options.interpolation == "gyro":
             raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
-        self.endpoint, self.truth = endpoint, truth
+        self.endpoint = endpoint
+        self.truth = truth
+        # Begins and ends a recording while the link is open.
         self.recording = LinkRecording(recorder, self._report)
-        self._options, self._retry, self._injector = options, retry, injector
+        self._options = options
+        self._retry = retry
+        self._injector = injector
         with_simulator = truth == "sim_state"
         self._make_receiver = partial(Receiver, report=self._report, keep_s=keep_s, with_simulator=with_simulator)
         self._uses_computer_clock = utc_now
@@ -157,7 +159,7 @@ class Link:
         self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz, wants_gimbal=on_gimbal)
         # Guards the receiver and the following attributes; notified when packets arrive.
         self._changed = Condition()
-        self._state = "opening"
+        self._state: LinkState = "opening"
         self._problem: str | None = None
         # Whether a problem was reported since packets last arrived.
         self._had_problem = False
@@ -191,7 +193,8 @@ class Link:
             self._thread.join()
         self.recording.end()
         if self._error is not None:
-            error, self._error = self._error, None
+            error = self._error
+            self._error = None
             raise error
 
     # --- for other threads --------------------------------------------------------------------------------------------
@@ -201,9 +204,11 @@ class Link:
         now_s = time.monotonic()
         with self._changed:
             receiver = self._receiver
-            arrival_s, lacks_gimbal = receiver.attitude_arrival_s, False
+            arrival_s = receiver.attitude_arrival_s
+            lacks_gimbal = False
             if self._requests.wants_gimbal and self._state == "live" and arrival_s is not None:
-                arrival_s, lacks_gimbal = receiver.gimbal.arrival_s or arrival_s, receiver.gimbal.is_silent(now_s)
+                arrival_s = receiver.gimbal.arrival_s or arrival_s
+                lacks_gimbal = receiver.gimbal.is_silent(now_s)
             return LinkStatus(
                 endpoint=self.endpoint.text,
                 state=self._state,
@@ -224,7 +229,7 @@ class Link:
             )
 
     def events(self, after: int = 0) -> list[LinkEvent]:
-        """Return the latest events, 200 at most; `after`: only events with larger numbers are returned."""
+        """Return the latest events with numbers larger than `after`, 200 at most."""
         with self._changed:
             return [event for event in self._events if event.number > after]
 
@@ -235,14 +240,12 @@ class Link:
             self._receiver.clock.use_computer_clock(time.time() - time.monotonic())
 
     def listen_to(self, sysid: int) -> None:
-        """Listen to another vehicle: its samples are a flight of their own, and those of the one before are dropped.
-
-        `sysid`: its MAVLink system.
-        """
+        """Listen to the vehicle of another MAVLink system: its flight is a new one, and earlier samples are dropped."""
         with self._changed:
             clock = _new_clock(self._options, utc_now=self._uses_computer_clock)
-            before, self._receiver = self._receiver, self._make_receiver(clock, sysid=sysid)
-            self._receiver.continue_from(before, time.monotonic())
+            receiver = self._make_receiver(clock, sysid=sysid)
+            receiver.continue_from(self._receiver, time.monotonic())
+            self._receiver = receiver
 
     def set_site(self, site: Site) -> None:
         """Use a given position instead of that of the link."""
@@ -252,24 +255,22 @@ class Link:
     def follow_gimbal(self, on_gimbal: bool) -> None:
         """Choose whether the camera is on a gimbal.
 
-        `on_gimbal`: whether the flight ends at the latest attitude of the gimbal and is None without one; its
-        `attitude` is then that of the platform.
+        If so, the `attitude` of a flight is that of the platform and ends at its latest one; without one there is no
+        flight.
         """
         self._requests.wants_gimbal = on_gimbal
 
     def flight(self, last_s: float = inf) -> Flight | None:
-        """Return the last minutes as a flight, up to the latest attitude, estimated or true.
+        """Return at most the last `last_s` as a flight, up to the latest attitude, estimated or true.
 
-        `last_s`: largest duration, s.  Returns: none if attitude, UTC or position are not known yet; see
-        `LinkStatus.missing`.
+        None if attitude, UTC or position are not known yet; see `LinkStatus.missing`.
         """
         return self.flight_and_estimate(last_s)[0]
 
     def flight_and_estimate(self, last_s: float = inf) -> tuple[Flight | None, Estimate | None]:
-        """Return the last minutes as a flight, and what the autopilot estimated in the meantime.
+        """Return the flight of at most the last `last_s`, and what the autopilot estimated in the meantime.
 
-        `last_s`: largest duration, s.  Returns: as of `flight`; none if the flight itself is the autopilot's estimate,
-        or its attitude is not known yet.
+        The estimate is None if the flight itself is the autopilot's estimate, or its attitude is not known yet.
         """
         with self._changed:
             received = Received.of(self._receiver, last_s, with_gimbal=self._requests.wants_gimbal)
@@ -285,15 +286,12 @@ class Link:
             return self._latest()
 
     def wait_for(self, utc_s: float, timeout_s: float) -> LatestAttitude | None:
-        """Wait for an attitude at or after a time.
-
-        `utc_s`: UTC seconds since 1970.  Returns: none after the timeout.
-        """
+        """Wait for an attitude at or after a time, UTC seconds since 1970; None after the timeout."""
         until_s = time.monotonic() + timeout_s
         with self._changed:
             while (latest := self._latest()) is None or latest.utc_s < utc_s:
-                left_s = until_s - time.monotonic()
-                if left_s <= 0 or not self._changed.wait(left_s):
+                wait_s = until_s - time.monotonic()
+                if wait_s <= 0 or not self._changed.wait(wait_s):
                     return None
             return latest
 
@@ -360,8 +358,9 @@ class Link:
         framer = Framer()
         self._requests.restart()
         opened_s = packet_s = time.monotonic()
-        noise_bytes, has_packets = 0, False
-        quality, received_bytes = Quality(), 0
+        noise_bytes = received_bytes = 0
+        has_packets = False
+        quality = Quality()
         bad_before = self._bad_bytes
         while not self._ending.is_set():
             received = transport.read(_POLL_S)
@@ -375,7 +374,9 @@ class Link:
                         self._receiver.receive(packet, now_s)
                     self._bad_bytes = bad_before + framer.bad_bytes
                     self._changed.notify_all()
-                packet_s, noise_bytes, has_packets = now_s, 0, True
+                packet_s = now_s
+                noise_bytes = 0
+                has_packets = True
                 self._set_state("live", None)
             else:
                 noise_bytes += len(received)
@@ -393,10 +394,11 @@ class Link:
                 bad_bytes=framer.bad_bytes,
             ):
                 self._report(message)
-            for outgoing in self._requests.due(self._receiver, now_s):
-                transport.write(outgoing)
-            for fix in [] if self._injector is None else self._injector.due(self._receiver, now_s):
-                transport.write(fix)
+            for request in self._requests.due(self._receiver, now_s):
+                transport.write(request)
+            if self._injector is not None:
+                for fix in self._injector.due(self._receiver, now_s):
+                    transport.write(fix)
         return has_packets
 
     def _may_reopen(self) -> bool:
@@ -409,13 +411,14 @@ class Link:
                 for packet in self._requests.default_rate_requests(self._receiver):
                     transport.write(packet)
 
-    def _set_state(self, state: str, problem: str | None) -> None:
+    def _set_state(self, state: LinkState, problem: str | None) -> None:
         """Set state and problem, and report a change."""
         with self._changed:
             if state == self._state and (problem is None) == (self._problem is None):
                 self._problem = problem
                 return
-            self._state, self._problem = state, problem
+            self._state = state
+            self._problem = problem
         if problem is not None:
             self._had_problem = True
             self._report(problem)

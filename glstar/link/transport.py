@@ -34,10 +34,7 @@ class Transport(Protocol):
 
     @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        """Wait for bytes and return them.
-
-        Returns: empty after the timeout.  Raises LinkError if the link is lost.
-        """
+        """Wait for bytes and return them, none after the timeout; raises LinkError if the link is lost."""
 
     @abstractmethod
     def write(self, packet: bytes) -> None:
@@ -57,10 +54,7 @@ class Transport(Protocol):
 
 
 def open_transport(endpoint: Endpoint) -> Transport:
-    """Open a link.
-
-    Returns: to be closed, or used in a ``with`` statement.  Raises LinkError if it cannot be opened, with advice.
-    """
+    """Open a link, to be closed or used in a ``with`` statement; raises LinkError with advice if this fails."""
     transports: dict[str, Callable[[Endpoint], Transport]] = {
         "serial": _Serial,
         "udpin": _Udp,
@@ -82,18 +76,15 @@ class SerialPort(Protocol):
 
 
 def serial_ports() -> list[SerialPort]:
-    """Return the serial ports of this computer with a connected device.
-
-    Returns: without ports of the mainboard that do not exist physically.
-    """
-    from serial.tools.list_ports import comports  # noqa: PLC0415 - when it is needed
+    """Return the serial ports of this computer, without those of the mainboard that do not exist physically."""
+    from serial.tools.list_ports import comports  # noqa: PLC0415 - when serial ports are listed
 
     return sorted((port for port in comports() if port.hwid != "n/a"), key=lambda port: port.device)
 
 
 class _Serial(Transport):
     def __init__(self, endpoint: Endpoint) -> None:
-        import serial  # noqa: PLC0415 - when it is needed
+        import serial  # noqa: PLC0415 - when a serial port is opened
 
         self.endpoint = endpoint
         _require_serial_port(endpoint)
@@ -114,17 +105,18 @@ class _Serial(Transport):
         try:
             return bytes(self._port.read(_READ_BYTES)) if self._has_bytes(timeout_s) else b""
         except self._errors as error:
-            raise LinkError(
-                self.endpoint.text, f"the port is gone ({_error_text(error)}); is it still plugged in?"
-            ) from error
+            raise self._gone(error) from error
+
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(self.endpoint.text, f"the port is gone ({_error_text(error)}); is it still plugged in?")
 
     def _has_bytes(self, timeout_s: float) -> bool:
         if os.name == "posix":
-            return bool(select.select([self._port], [], [], max(timeout_s, 0.0))[0])
+            return _readable(self._port, timeout_s)
         until_s = time.monotonic() + timeout_s
-        while not (there := self._port.in_waiting) and time.monotonic() < until_s:
+        while not self._port.in_waiting and time.monotonic() < until_s:
             time.sleep(0.001)
-        return bool(there)
+        return bool(self._port.in_waiting)
 
     def write(self, packet: bytes) -> None:
         try:
@@ -132,9 +124,7 @@ class _Serial(Transport):
         except self._too_slow:
             return  # a radio without its other end accepts no more bytes
         except self._errors as error:
-            raise LinkError(
-                self.endpoint.text, f"the port is gone ({_error_text(error)}); is it still plugged in?"
-            ) from error
+            raise self._gone(error) from error
 
     def close(self) -> None:
         self._port.close()
@@ -356,10 +346,10 @@ class _TcpServer(_Tcp):
 def _resolved(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Any]:
     """Return the family and address of an endpoint."""
     try:
-        found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
+        addresses = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
     except OSError as error:
         raise LinkError(endpoint.text, f"no host is called {endpoint.host} ({_error_text(error)})") from error
-    family, _, _, _, address = found[0]
+    family, _, _, _, address = addresses[0]
     return family, address
 
 
@@ -369,8 +359,9 @@ def _without_delay(connection: socket.socket) -> None:
     connection.setblocking(False)
 
 
-def _readable(one: socket.socket, timeout_s: float) -> bool:
-    return bool(select.select([one], [], [], max(timeout_s, 0.0))[0])
+def _readable(connection: Any, timeout_s: float) -> bool:
+    """Return whether a socket or a serial port has bytes, after waiting for them, s."""
+    return bool(select.select([connection], [], [], max(timeout_s, 0.0))[0])
 
 
 def _socket_error(endpoint: Endpoint, error: OSError) -> str:

@@ -28,26 +28,27 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, TelemetryError
 from glstar.flight import AttitudeTrack, Flight, GimbalAttitude
-from glstar.link.packets import (
-    ATTITUDE,
-    ATTITUDE_QUATERNION,
-    GIMBAL_DEVICE_STATUS,
-    GPS,
-    HEARTBEAT,
-    POSITION,
-    SYSTEM_TIME,
-    Framer,
-    dialect,
-)
+from glstar.link.packets import Framer, MessageId, dialect
 from glstar.link.transport import Transport
 from glstar.rotation import conjugate, euler_from_quaternion
 
 Float = NDArray[np.float64]
 
 _GIMBAL_HZ: Final = 10.0
-_DEFAULT_HZ: Final = {HEARTBEAT: 1.0, SYSTEM_TIME: 2.0, ATTITUDE: 10.0, POSITION: 5.0, GPS: 1.0}
+_DEFAULT_HZ: Final = {
+    MessageId.HEARTBEAT: 1.0,
+    MessageId.SYSTEM_TIME: 2.0,
+    MessageId.ATTITUDE: 10.0,
+    MessageId.GLOBAL_POSITION_INT: 5.0,
+    MessageId.GPS_RAW_INT: 1.0,
+}
 # Messages in each of ArduPilot's data streams; the quaternion is in none.
-_STREAMS: Final = {2: (GPS,), 6: (POSITION,), 10: (ATTITUDE,), 12: (SYSTEM_TIME,)}
+_STREAMS: Final = {
+    2: (MessageId.GPS_RAW_INT,),
+    6: (MessageId.GLOBAL_POSITION_INT,),
+    10: (MessageId.ATTITUDE,),
+    12: (MessageId.SYSTEM_TIME,),
+}
 _ALL_STREAMS: Final = 0
 _GET_MESSAGE_INTERVAL, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 510, 511, 512
 _FASTEST_HZ: Final = 1000.0
@@ -66,12 +67,15 @@ class PlayedFlight:
 
 
 class Vehicle:
-    """Sends a flight over a link in real time.
+    """Sends a flight in real time over an open transport, which is not closed.
 
-    `transport`: an open transport; it is not closed; `start_s`: start, s from the first attitude of the flight;
-    `speed`: seconds of flight per second; message rates are per second of flight; `rate_hz`: rate of the attitude until
-    a ground station requests another one, Hz; `loop`: whether to begin again at the end, with the time since boot at 0
-    as after a reboot; `sysid`: MAVLink system of the vehicle.  Raises ConfigError if start, speed or rate is invalid.
+    `start_s`: start, s from the first attitude of the flight.
+    `speed`: seconds of flight per second; message rates are per second of flight.
+    `rate_hz`: rate of the attitude until a ground station requests another one.
+    `loop`: whether to begin again at the end, with the time since boot at 0 as after a reboot.
+    `sysid`: MAVLink system of the vehicle.
+
+    Raises ConfigError if start, speed or rate is invalid.
     """
 
     def __init__(
@@ -93,40 +97,42 @@ class Vehicle:
             raise ConfigError(f"--rate {rate_hz:g} Hz cannot be sent; it must be above 0 and at most {_FASTEST_HZ:g}")
         if not 0 < speed <= 1000:
             raise ConfigError(f"--speed {speed:g} cannot be played; it must be above 0 and at most 1000")
-        self._flight, self._transport = flight, transport
-        self._speed, self._loop = speed, loop
+        self._flight = flight
+        self._transport = transport
+        self._speed = speed
+        self._loop = loop
         self._boot_utc_s = track.first_s + start_s
         self._duration_s = track.last_s - self._boot_utc_s
         self._rates = track.rates()
         self._gimbal = None if flight.gimbal is None else _platform(flight.gimbal)
-        rates_hz = _DEFAULT_HZ | {ATTITUDE_QUATERNION: rate_hz}
+        rates_hz = _DEFAULT_HZ | {MessageId.ATTITUDE_QUATERNION: rate_hz}
         if self._gimbal is not None:
-            rates_hz[GIMBAL_DEVICE_STATUS] = _GIMBAL_HZ
-        self._default_s = {number: 1 / hz for number, hz in rates_hz.items()}
+            rates_hz[MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS] = _GIMBAL_HZ
+        self._default_s: dict[int, float] = {number: 1 / hz for number, hz in rates_hz.items()}
         self._interval_s = dict(self._default_s)
         # Time since boot at which each message is due, s.
         self._due_s: dict[int, float] = {}
         self._now_s = 0.0
         self._makers: dict[int, Callable[[int], Any]] = {
-            HEARTBEAT: self._heartbeat,
-            SYSTEM_TIME: self._system_time,
-            GPS: self._gps,
-            ATTITUDE: self._euler,
-            ATTITUDE_QUATERNION: self._quaternion,
-            POSITION: self._position,
+            MessageId.HEARTBEAT: self._heartbeat,
+            MessageId.SYSTEM_TIME: self._system_time,
+            MessageId.GPS_RAW_INT: self._gps,
+            MessageId.ATTITUDE: self._euler,
+            MessageId.ATTITUDE_QUATERNION: self._quaternion,
+            MessageId.GLOBAL_POSITION_INT: self._position,
         }
         if self._gimbal is not None:
-            self._makers[GIMBAL_DEVICE_STATUS] = self._gimbal_status
+            self._makers[MessageId.GIMBAL_DEVICE_ATTITUDE_STATUS] = self._gimbal_status
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
         self._framer = Framer()
         self._sent = self._dropped = 0
 
     def run(self, stop: Event | None = None, *, on_second: Callable[[float], None] | None = None) -> PlayedFlight:
-        """Play until the end of the flight, or until stopped.
+        """Play until the end of the flight, or until another thread sets `stop`.
 
-        `stop`: set by another thread to stop; `on_second`: called about once a second with the seconds of flight
-        played.  Raises LinkError if the link is lost.
+        `on_second` is called about once a second with the seconds of flight played.  Raises LinkError if the link is
+        lost.
         """
         stop = stop or Event()
         played_s = 0.0
@@ -155,13 +161,10 @@ class Vehicle:
         """Send the messages that are due, each with the time at which it was due."""
         now_s = self._now_s
         while True:
-            number, due_s = min(
-                ((number, self._due_s[number]) for number in self._interval_s),
-                key=lambda one: one[1],
-                default=(0, np.inf),
-            )
-            if due_s > now_s:
+            number = min(self._interval_s, key=self._due_s.__getitem__, default=None)
+            if number is None or self._due_s[number] > now_s:
                 return
+            due_s = self._due_s[number]
             step_s = self._interval_s[number]
             missed = int(max(now_s - due_s - _LATE_S * self._speed, 0.0) / step_s)
             if missed:
@@ -179,14 +182,10 @@ class Vehicle:
     # --- sent messages ------------------------------------------------------------------------------------------------
 
     def _heartbeat(self, _: int) -> Any:
-        flying = self._mavlink.MAV_MODE_FLAG_SAFETY_ARMED | self._mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        return self._mavlink.MAVLink_heartbeat_message(
-            self._mavlink.MAV_TYPE_FIXED_WING,
-            self._mavlink.MAV_AUTOPILOT_GENERIC,
-            flying,
-            0,
-            self._mavlink.MAV_STATE_ACTIVE,
-            3,
+        mavlink = self._mavlink
+        mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_AUTOPILOT_GENERIC, mode, 0, mavlink.MAV_STATE_ACTIVE, 3
         )
 
     def _system_time(self, boot_ms: int) -> Any:

@@ -43,10 +43,10 @@ _QUATERNION: Final = ("qw", "qx", "qy", "qz")
 _BORESIGHT: Final = ("ra_deg", "dec_deg", "roll_deg")
 _POSITION: Final = ("latitude_deg", "longitude_deg")
 _ELLIPSE: Final = ("ellipse_major_km", "ellipse_minor_km", "ellipse_azimuth_deg")
-_FIELDS: Final = {
-    *("frame", "file", "utc", "status", "instant", *_QUATERNION, *_BORESIGHT, *_POSITION, *_ELLIPSE),
-    *("ellipse_confidence", "time_ms", "stars", "stars_at"),
-}
+_SINGLE: Final = frozenset(
+    {"frame", "file", "utc", "status", "instant", "ellipse_confidence", "time_ms", "stars", "stars_at"}
+)
+_FIELDS: Final = _SINGLE.union(_QUATERNION, _BORESIGHT, _POSITION, _ELLIPSE)
 # Tolerance of a quaternion's length: its error if the components are rounded to four decimals.
 _UNIT_TOLERANCE: Final = 1e-3
 _NO_FRAME: Final = "does not say which frame it answers"
@@ -58,8 +58,8 @@ _MOST_BYTES: Final = 2_000_000_000
 class ErrorEllipse:
     """The error ellipse that a navigator states for a position."""
 
-    major_km: float  # Semi-axes
-    minor_km: float
+    major_km: float  # Semi-axis
+    minor_km: float  # Semi-axis
     azimuth_rad: float  # Of the major axis, rad from north through east
     confidence: float  # Probability that the ellipse states, 0 to 1
 
@@ -106,10 +106,9 @@ class Answer:
 
 
 def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
-    """Return the rotation from ICRS to a camera with a given optical axis and roll.
+    """Return the rotation from ICRS to a camera, (3, 3), with the optical axis at an ICRS direction.
 
-    `ra_rad`, `dec_rad`: ICRS right ascension and declination of the optical axis, rad; `roll_rad`: position angle of
-    the image's up (minus y), rad from north through east.  Returns (3, 3) c_camera_icrs.
+    `roll_rad` is the position angle of the image's up (minus y), rad from north through east.
     """
     # First the axes along the boresight, east and north, then the camera's right, down and forward.
     C_sight_icrs = about_y(-dec_rad) @ about_z(ra_rad)
@@ -119,10 +118,9 @@ def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Flo
 
 
 def read_answers(path: Path) -> list[Answer]:
-    """Read a file of answers.
+    """Read a file of answers: CSV with a header, or JSON lines.
 
-    `path`: CSV with a header, or JSON lines; detected from the content.  Raises AnswersError if the file cannot be
-    read, or a line is not a valid answer; the message names the line and the field.
+    Raises AnswersError if the file cannot be read, or a line is not a valid answer; it names the line and the field.
     """
     text = _content(path)
     rows = _json_rows(path, text) if text.lstrip()[:1] in {"{", "["} else _csv_rows(path, text)
@@ -141,11 +139,7 @@ def read_answers(path: Path) -> list[Answer]:
 
 
 def parse_answer(source: Path, line: int, text: str) -> Answer:
-    """Read one JSON line.
-
-    `source`: where it comes from, for messages; `line`: its number, from 1.  Raises AnswersError if it is not a valid
-    answer.
-    """
+    """Read one JSON line; raises AnswersError, which names the `source` and the number of the `line` from 1."""
     return _answer(source, line, _json_row(source, line, text))
 
 
@@ -185,8 +179,8 @@ def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
     """Return the answer of a row."""
     fields = _Row(path, line, row)
     if unknown := sorted(row.keys() - _FIELDS):
-        known = ", ".join(sorted(_FIELDS))
-        raise AnswersError(path, f"line {line}: {unknown[0]!r} is no field of an answer; fields are {known}")
+        names = ", ".join(sorted(_FIELDS))
+        raise AnswersError(path, f"line {line}: {unknown[0]!r} is no field of an answer; fields are {names}")
     if not row.keys() & {"frame", "file", "utc"}:
         raise AnswersError(path, f"line {line} {_NO_FRAME}: give frame or file, or utc for a live window")
     latitude, longitude = fields.group(_POSITION) or (None, None)

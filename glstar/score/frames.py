@@ -1,7 +1,4 @@
-"""The truth of one frame for scoring: attitudes at three instants, stars and site.
-
-The score of one frame: the errors of an answer against the truth.
-"""
+"""The truth of one frame for scoring, and the errors of an answer against it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,8 +27,12 @@ Float = NDArray[np.float64]
 
 # Keys of a frame's truth that describe the light and the cloud under which it was taken.
 CONDITIONS: Final = (
-    *("cloud_transmission", "moon_altitude_deg", "moon_illuminated_fraction", "moon_separation_deg"),
-    *("sun_altitude_deg", "sky_mag_arcsec2"),
+    "cloud_transmission",
+    "moon_altitude_deg",
+    "moon_illuminated_fraction",
+    "moon_separation_deg",
+    "sun_altitude_deg",
+    "sky_mag_arcsec2",
 )
 
 _TRUTH: Final = "truth.jsonl"
@@ -60,17 +61,16 @@ class FrameTruth:
     C_camera_icrs: Float  # (3, 3) mid-exposure
     camera: Camera
     catalogue: str
-    star_id: NDArray[np.int64]  # (n,) int64
+    star_id: NDArray[np.int64]  # (n,)
     flux_dn: Float  # (n,)
-    # Dict of str to (n, 2) float64: positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if
-    # unknown.
+    # (n, 2) positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if unknown
     xy_px: dict[str, Float]
-    # (n,) bool: stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
+    # (n,) stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure
     is_detectable: NDArray[np.bool_]
-    # (str, int) name of the flight and number of the sample, in a data set: frames of one run follow each other.
+    # Name of the flight and number of the sample, in a data set: frames of one run follow each other
     run: tuple[str, int] = ("", 0)
     settings: Mapping[str, Any] = field(default_factory=dict)  # Settings of the sample of a sweep, by dotted key
-    # Those of `CONDITIONS` that the truth has, as far as they are simulated.
+    # Those of `CONDITIONS` that the truth has
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -80,12 +80,11 @@ class FrameTruth:
         return float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
 
     def attitude(self, instant: str) -> Float | None:
-        """Return the rotation from ICRS to the camera at an instant of the exposure.
+        """Return the rotation from ICRS to the camera at ``start``, ``middle`` or ``end`` of the exposure, (3, 3).
 
-        `instant` {"start", "middle", "end"}.  Returns (3, 3) or None: none at start and end of a frame with fewer than
-        three stars.  The truth has the attitude of mid-exposure. The attitudes at start and end follow from the
-        rotation of the stars' directions in the camera, in which refraction and aberration cancel except for their
-        change.
+        The truth has the attitude of mid-exposure.  Those of start and end follow from the rotation of the stars'
+        directions in the camera, in which refraction and aberration cancel except for their change; None for a frame
+        with fewer than three stars.
         """
         if instant == "middle":
             return self.C_camera_icrs
@@ -99,8 +98,7 @@ class FrameTruth:
     def plain_fit(self, instant: str) -> Float | None:
         """Return the rotation that fits catalogue directions to the true pixels, without refraction or aberration.
 
-        `instant` {"start", "middle", "end"}.  Returns (3, 3) or None: none if fewer than three detectable stars are on
-        the image.
+        (3, 3), at ``start``, ``middle`` or ``end``; None if fewer than three detectable stars are on the image.
         """
         seen = self.directions(instant)
         used = self.is_detectable & np.isfinite(seen).all(axis=1)
@@ -130,11 +128,11 @@ def _opened(catalogue: str) -> Any:
 
 
 def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
-    """Read the truth of an export.
+    """Return the truth of an export: a directory with ``truth.jsonl`` and ``manifest.json``, or the truth file itself.
 
-    `directory`: with ``truth.jsonl`` and ``manifest.json``, or the truth file itself; `least_snr`: signal-to-noise
-    ratio from which a star is detectable: its flux over the noise of the sky under its trail.  Raises AnswersError if
-    there is no truth, or the manifest does not describe the sensor; ExportError if a line of the truth cannot be read.
+    A star is detectable from the signal-to-noise ratio `least_snr`: its flux over the noise of the sky under its trail.
+    Raises AnswersError if there is no truth, or the manifest does not describe the sensor; ExportError if a line of the
+    truth cannot be read.
     """
     truth = directory / _TRUTH if directory.is_dir() else directory
     if not truth.is_file():
@@ -170,32 +168,32 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
     length_px = np.nan_to_num(np.linalg.norm(xy_px["end"] - xy_px["start"], axis=1))
     width_px = _WIDTH_PER_SIGMA * sigma_px
     if "sensor" in line:
-        of_frame = line["sensor"]
-        electrons_e2 = of_frame["sky_e"] + of_frame["dark_e"] + of_frame["read_noise_e"] ** 2
-        noise_dn = of_frame["dn_per_e"] * float(np.sqrt(electrons_e2))
+        sensor = line["sensor"]
+        electrons_e2 = sensor["sky_e"] + sensor["dark_e"] + sensor["read_noise_e"] ** 2
+        noise_dn = sensor["dn_per_e"] * float(np.sqrt(electrons_e2))
     snr = flux_dn / (noise_dn * np.sqrt(width_px * (length_px + width_px)))
     in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
     _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])
     site = line["site"]
     return FrameTruth(
-        line["frame"],
-        line["file"],
-        parse_utc(line["utc_mid"]),
-        line["duration_s"],
-        float(np.deg2rad(site["latitude_deg"])),
-        float(np.deg2rad(site["longitude_deg"])),
-        site["height_m"],
-        float(yaw_rad),
-        np.array(line["C_camera_icrs"], dtype=np.float64),
-        _camera(line["camera"]),
-        line["catalogue"],
-        np.array([star["star_id"] for star in stars], dtype=np.int64),
-        flux_dn,
-        xy_px,
-        (snr >= least_snr) & (in_frame >= 0.5),
-        (line.get("flight", ""), line.get("sample", 0)),
-        line.get("settings", {}),
-        {key: float(line[key]) for key in CONDITIONS if line.get(key) is not None},
+        frame=line["frame"],
+        file=line["file"],
+        utc_mid_s=parse_utc(line["utc_mid"]),
+        duration_s=line["duration_s"],
+        latitude_rad=float(np.deg2rad(site["latitude_deg"])),
+        longitude_rad=float(np.deg2rad(site["longitude_deg"])),
+        height_m=site["height_m"],
+        yaw_rad=float(yaw_rad),
+        C_camera_icrs=np.array(line["C_camera_icrs"], dtype=np.float64),
+        camera=_camera(line["camera"]),
+        catalogue=line["catalogue"],
+        star_id=np.array([star["star_id"] for star in stars], dtype=np.int64),
+        flux_dn=flux_dn,
+        xy_px=xy_px,
+        is_detectable=(snr >= least_snr) & (in_frame >= 0.5),
+        run=(line.get("flight", ""), line.get("sample", 0)),
+        settings=line.get("settings", {}),
+        conditions={key: float(line[key]) for key in CONDITIONS if line.get(key) is not None},
     )
 
 
@@ -207,8 +205,8 @@ def _camera(keys: Mapping[str, Any]) -> Camera:
     K = np.array(keys["K"], dtype=np.float64)
     lens = keys.get("lens", "none")
     return Camera(
-        keys["width_px"],
-        keys["height_px"],
+        width_px=keys["width_px"],
+        height_px=keys["height_px"],
         fx_px=K[0, 0],
         fy_px=K[1, 1],
         cx_px=K[0, 2],
@@ -216,9 +214,6 @@ def _camera(keys: Mapping[str, Any]) -> Camera:
         skew_px=K[0, 1],
         lens=None if lens == "none" else Lens(lens, tuple(keys["distortion"])),
     )
-
-
-_Float = NDArray[np.float64]
 
 
 class Outcome(StrEnum):
@@ -260,10 +255,10 @@ class PositionError:
 class StarScore:
     """The score of identified and measured stars."""
 
-    identified: int  # Stars with an identifier, and those with a correct identifier and position
-    correct: int
-    detectable: int  # Detectable stars of the truth, and those of them that were identified correctly
-    found: int
+    identified: int  # Stars with an identifier
+    correct: int  # Stars with a correct identifier and position
+    detectable: int  # Detectable stars of the truth
+    found: int  # Detectable stars that were identified correctly
     centroid_rms_px: float | None  # RMS position error of the correct stars, px
 
 
@@ -275,7 +270,7 @@ class FrameScore:
     answer: Answer | None
     outcome: Outcome
     attitude: AttitudeError | None = None
-    # Error of a rotation fit to the true pixels, which is the error of a solver that ignores refraction and aberration.
+    # Error of a rotation fitted to the true pixels: that of a solver that ignores refraction and aberration
     floor: AttitudeError | None = None
     above_floor: AttitudeError | None = None  # Error of the answer against that fit
     position: PositionError | None = None
@@ -283,7 +278,7 @@ class FrameScore:
 
 
 def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> FrameScore:
-    """Return the score of an answer to one frame; `answer`: none without an answer."""
+    """Return the score of an answer to one frame; None is no answer."""
     if answer is None or not answer.solved:
         return FrameScore(truth, answer, Outcome.REFUSED)
     attitude = floor = above_floor = None
@@ -299,8 +294,16 @@ def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> Fra
         or (position is not None and position.distance_km > limits.position_km)
         or (attitude is None and position is None and stars is not None and stars.correct * 2 < stars.identified)
     )
-    outcome = Outcome.FALSE if wrong else Outcome.SOLVED
-    return FrameScore(truth, answer, outcome, attitude, floor, above_floor, position, stars)
+    return FrameScore(
+        truth=truth,
+        answer=answer,
+        outcome=Outcome.FALSE if wrong else Outcome.SOLVED,
+        attitude=attitude,
+        floor=floor,
+        above_floor=above_floor,
+        position=position,
+        stars=stars,
+    )
 
 
 def _position_error(truth: FrameTruth, answer: Answer) -> PositionError | None:
@@ -316,20 +319,21 @@ def _position_error(truth: FrameTruth, answer: Answer) -> PositionError | None:
 def _star_score(truth: FrameTruth, observed: ObservedStars, star_px: float) -> StarScore:
     index = {number: k for k, number in enumerate(truth.star_id.tolist())}
     true_px = truth.xy_px[observed.at]
-    squared, found = [], set()
+    squared_px2 = []
+    identified = set()
     for xy, number in zip(observed.xy_px, observed.star_id.tolist(), strict=True):
         k = index.get(number)
         if k is None:
             continue
         distance_px = float(np.hypot(*(xy - true_px[k])))
         if distance_px <= star_px:
-            squared.append(distance_px**2)
-            found.add(k)
+            squared_px2.append(distance_px**2)
+            identified.add(k)
     detectable = np.flatnonzero(truth.is_detectable)
     return StarScore(
         identified=int((observed.star_id >= 0).sum()),
-        correct=len(squared),
+        correct=len(squared_px2),
         detectable=detectable.size,
-        found=len(found & set(detectable.tolist())),
-        centroid_rms_px=float(np.sqrt(np.mean(squared))) if squared else None,
+        found=len(identified & set(detectable.tolist())),
+        centroid_rms_px=float(np.sqrt(np.mean(squared_px2))) if squared_px2 else None,
     )

@@ -7,15 +7,10 @@ import numpy as np
 
 from glstar.camera.model import AttitudeError
 from glstar.score.frames import Outcome
+from glstar.score.metrics import BINS, Bin
 from glstar.score.scoring import Score
 from glstar.sky.place.apparent import ARCSEC_RAD
 
-# Conditions that have a plot of their own if they vary.
-_CONDITIONS = {
-    "cloud_transmission": "transmission of cloud",
-    "moon_altitude_deg": "altitude of the Moon, deg",
-    "sun_altitude_deg": "altitude of the Sun, deg",
-}
 _COLOURS = {Outcome.SOLVED: "tab:blue", Outcome.FALSE: "tab:red"}
 
 
@@ -24,22 +19,22 @@ def draw_score(score: Score, path: Path) -> None:
     import matplotlib as mpl  # noqa: PLC0415 - slow to import
 
     mpl.use("Agg")
-    from matplotlib import pyplot as plt  # noqa: PLC0415
+    from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to import
 
-    shown = [name for name in _CONDITIONS if len({one.truth.conditions.get(name) for one in score.frames}) > 1]
+    shown = [one for one in BINS if one.is_plotted and len({one.of(frame) for frame in score.frames}) > 1]
     rows = 2 + (len(shown) + 1) // 2
     figure, axes = plt.subplots(rows, 2, figsize=(11, 4 * rows), layout="constrained")
     boresight, roll, ground, outcome, *others = axes.flat
-    for name, axis in zip(shown, others, strict=False):
-        _draw_condition(score, name, axis)
+    for condition, axis in zip(shown, others, strict=False):
+        _draw_condition(score, condition, axis)
     for axis in others[len(shown) :]:
         axis.set_axis_off()
     for kind, colour in _COLOURS.items():
         frames = [one for one in score.frames if one.outcome == kind]
         for axis, part in ((boresight, "boresight_rad"), (roll, "roll_rad")):
-            known = [(one.truth.trail_length_px, one.attitude) for one in frames if one.attitude is not None]
+            errors = [(one.truth.trail_length_px, one.attitude) for one in frames if one.attitude is not None]
             axis.plot(
-                [x for x, _ in known], [_arcsec(error, part) for _, error in known], ".", color=colour, label=kind
+                [x for x, _ in errors], [_arcsec(error, part) for _, error in errors], ".", color=colour, label=kind
             )
         fixes = [one.position for one in frames if one.position is not None]
         ground.plot([fix.east_km for fix in fixes], [fix.north_km for fix in fixes], ".", color=colour, label=kind)
@@ -66,22 +61,19 @@ def draw_score(score: Score, path: Path) -> None:
     plt.close(figure)
 
 
-def _draw_condition(score: Score, name: str, axis: Any) -> None:
+def _draw_condition(score: Score, condition: Bin, axis: Any) -> None:
     """Draw errors of the optical axis against a condition; refused frames at the lower edge."""
+    values = [(frame, value) for frame in score.frames if (value := condition.of(frame)) is not None]
     for kind, colour in _COLOURS.items():
-        known = [
-            (one.truth.conditions[name], _arcsec(one.attitude, "boresight_rad"))
-            for one in score.frames
-            if one.outcome == kind and one.attitude is not None and name in one.truth.conditions
+        errors = [
+            (value, _arcsec(frame.attitude, "boresight_rad"))
+            for frame, value in values
+            if frame.outcome == kind and frame.attitude is not None
         ]
-        axis.plot([x for x, _ in known], [y for _, y in known], ".", color=colour, label=kind)
-    refused = [
-        one.truth.conditions[name]
-        for one in score.frames
-        if one.outcome == Outcome.REFUSED and name in one.truth.conditions
-    ]
+        axis.plot([x for x, _ in errors], [y for _, y in errors], ".", color=colour, label=kind)
+    refused = [value for frame, value in values if frame.outcome == Outcome.REFUSED]
     axis.plot(refused, [0.02] * len(refused), "|", color="0.6", transform=axis.get_xaxis_transform(), label="refused")
-    axis.set(xlabel=_CONDITIONS[name], ylabel="boresight error, arcsec", yscale="log")
+    axis.set(xlabel=condition.name, ylabel="boresight error, arcsec", yscale="log")
 
 
 def _arcsec(error: AttitudeError, part: str) -> float:

@@ -8,19 +8,8 @@ from typing import Any
 from glstar.errors import AnswersError
 from glstar.score.answers import Answer, read_answers
 from glstar.score.frames import FrameScore, FrameTruth, Limits, read_frame_truths, score_frame
-from glstar.score.summary import (
-    BINS,
-    Orbit,
-    Run,
-    RunSpread,
-    Summary,
-    as_json,
-    drawn_settings,
-    runs_of,
-    settings_bins,
-    spread_of_runs,
-    summarized,
-)
+from glstar.score.metrics import BINS, Spread, drawn_settings, settings_bins
+from glstar.score.summary import Orbit, Run, Summary, as_json, runs_of, spread_of_runs, summarized
 
 # Signal-to-noise ratio above which a matched filter detects a trail with few false alarms.
 DETECTABLE_SNR = 10.0
@@ -32,8 +21,7 @@ class Score:
 
     frames: tuple[FrameScore, ...]  # One for each frame of the truth, in its order
     summary: Summary
-    # Tuple of (str, tuple of (str, Summary)): the same by exposure, trail length, number of stars, transmission of
-    # cloud, Moon, Sun and each setting of a sweep, where frames occupy two bins.
+    # The same by each of `BINS`, and each setting of a sweep, of which frames occupy two: name; label and summary
     bins: tuple[tuple[str, tuple[tuple[str, Summary], ...]], ...]
     runs: tuple[Run, ...]  # One for each flight and sample of a data set
     drawn: frozenset[str] = frozenset()  # Names of the bins that are ranges of a setting that was drawn at random
@@ -44,8 +32,8 @@ class Score:
         return tuple(orbit for run in self.runs for orbit in run.orbits)
 
     @property
-    def spread(self) -> RunSpread | None:
-        """The spread over several runs; None for one."""
+    def spread(self) -> dict[str, Spread | None] | None:
+        """The spread over several runs of each of `RUN_METRICS`, by its key in `json`; None for one run."""
         return spread_of_runs(self.runs)
 
     @property
@@ -53,8 +41,8 @@ class Score:
         """The score as plain objects, for a JSON file: angles in arcseconds, distances in km."""
         return {
             "schema": "glstar-score-1",
-            "summary": as_json(self.summary),
-            "bins": {name: {label: as_json(one) for label, one in groups} for name, groups in self.bins},
+            "summary": self.summary.json,
+            "bins": {name: {label: summary.json for label, summary in groups} for name, groups in self.bins},
             "orbits": [as_json(orbit) for orbit in self.orbits],
             **({"runs": self._runs_json()} if len(self.runs) > 1 else {}),
             "frames": [_frame_json(one) for one in self.frames],
@@ -66,20 +54,21 @@ class Score:
                 "flight": run.flight,
                 "sample": run.sample,
                 "settings": run.settings,
-                "summary": as_json(run.summary),
+                "summary": run.summary.json,
                 "orbits": [as_json(orbit) for orbit in run.orbits],
             }
             for run in self.runs
         ]
-        return {"spread": as_json(self.spread), "each": each}
+        spread = {key: as_json(value) for key, value in (self.spread or {}).items()}
+        return {"spread": {"runs": len(self.runs)} | spread, "each": each}
 
 
 def score(directory: Path, answers: Path, *, limits: Limits | None = None, least_snr: float = DETECTABLE_SNR) -> Score:
     """Score a navigator's answers against the truth of an export.
 
-    `directory`: the export: its ``truth.jsonl`` and ``manifest.json``; `answers`: see `glstar.score.answers`; `limits`:
-    limits beyond which an answer is false; `least_snr`: signal-to-noise ratio from which a star counts as detectable.
-    Raises AnswersError if a file cannot be read, or an answer refers to a missing frame.
+    `directory` has ``truth.jsonl`` and ``manifest.json``; `answers` is a file as `glstar.score.answers` describes it.
+    Beyond `limits` an answer is false; stars are detectable from the signal-to-noise ratio `least_snr`.  Raises
+    AnswersError if a file cannot be read, or an answer refers to a missing frame.
     """
     truths = read_frame_truths(directory, least_snr=least_snr)
     matched = _matched(answers, truths, read_answers(answers))
@@ -102,8 +91,8 @@ def _matched(path: Path, truths: Sequence[FrameTruth], answers: Sequence[Answer]
         number = by_file.get(answer.file or "") if answer.frame is None else answer.frame
         if number not in numbers or number is None:
             name = answer.file if answer.frame is None else answer.frame
-            there = f"the truth has {len(numbers)}, {truths[0].file} to {truths[-1].file}"
-            raise AnswersError(path, f"line {answer.line} answers frame {name}; {there}")
+            extent = f"the truth has {len(numbers)}, {truths[0].file} to {truths[-1].file}"
+            raise AnswersError(path, f"line {answer.line} answers frame {name}; {extent}")
         if number in matched:
             raise AnswersError(path, f"answers frame {number} twice, in lines {matched[number].line} and {answer.line}")
         matched[number] = answer

@@ -1,8 +1,7 @@
-"""Magnitudes and brightness.
+"""Brightness and magnitudes, colours of stars, and their magnitudes in a camera's band.
 
-Colours of stars: B - V of the catalogue, or of Hipparcos for the bundled catalogue, which has none.
-
-Magnitudes of stars in a camera's band, measured by `glstar calibrate`, instead of the catalogue's V.
+Colours are B - V of the catalogue, or of Hipparcos for the bundled catalogue, which has none.  `StarBrightness` holds
+magnitudes that `glstar calibrate` measured, instead of the catalogue's V.
 """
 
 import csv
@@ -21,13 +20,31 @@ from glstar.sky.catalogue.starfield import StarField
 from glstar.system.resources import asset
 from glstar.system.userinput import read_bytes
 
+Float = NDArray[np.float64]
+
+# Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
+USUAL_BV: Final = 0.65
+# Colours B - V beyond which what depends on them, such as the polynomials of a band, is constant.
+VALID_BV: Final = (-0.3, 1.7)
+
+_ALL: Final = slice(None)
+
+# The required columns; `catalogue` is optional.  Tables of glstar 0.2 and earlier have ``hr`` instead of ``star_id``.
+COLUMNS: Final = ("star_id", "vmag", "camera_mag")
+# Size limit of a table, bytes: a table of all stars of Hipparcos has 4 MB.
+_LARGEST_BYTES: Final = 64 * 2**20
+# A star of the table and a star of the catalogue with the same number are the same if their V differ by less, mag.
+_SAME_MAG: Final = 0.1
+# The table belongs to another catalogue if more than this fraction of its stars are not the same.
+_MAX_MISMATCHES: Final = 0.1
+
 
 def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
-    """Return the brightness ratio of a star and its reference, B_x / B_r.
+    """Return the brightness ratios, B_x / B_r (...), of stars and their reference.
 
-    `magnitude_difference` (...): m_x - m_r, magnitudes: positive for a star fainter than the reference.  Returns
-    (...).  Teague & Chahl, eq. (37).  Departs from eq. (37), which is printed without the minus sign: a star one
-    magnitude fainter is 0.398 times as bright, not 2.51 times.
+    `magnitude_difference` (...): m_x - m_r, positive for a star fainter than the reference.  Teague & Chahl, eq. (37).
+    Departs from eq. (37), which is printed without the minus sign: a star one magnitude fainter is 0.398 times as
+    bright, not 2.51 times.
 
     Examples
     --------
@@ -38,30 +55,15 @@ def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
 
 
 def magnitude_difference(brightness_ratio: ArrayLike) -> NDArray[np.float64]:
-    """Return the magnitude difference of a star and its reference, m_x - m_r.
+    """Return the magnitude differences, m_x - m_r (...), of stars and their reference, positive for a fainter star.
 
-    `brightness_ratio` (...): b_x / B_r, above 0.  Returns (...) magnitudes, positive for a star fainter than the
-    reference.  Teague & Chahl, eq. (36).
+    `brightness_ratio` (...): B_x / B_r, above 0.  Teague & Chahl, eq. (36).
     """
     return -2.5 * np.log10(np.asarray(brightness_ratio, dtype=np.float64))
 
 
-# Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
-USUAL_BV: Final = 0.65
-# Colours B - V beyond which what depends on them, such as the polynomials of a band, is constant.
-VALID_BV: Final = (-0.3, 1.7)
-
-_ALL: Final = slice(None)
-
-Float = NDArray[np.float64]
-
-
 def star_colours(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> Float:
-    """Return the colours B - V of stars.
-
-    `some` slice or (n,) int: which of them.  Returns (n,) magnitudes; NaN where neither the catalogue nor Hipparcos has
-    a colour.
-    """
+    """Return the colours B - V of some stars, (n,); NaN where neither the catalogue nor Hipparcos has a colour."""
     star_id = stars.star_id[some]
     bv = np.full(len(star_id), np.nan) if stars.bv is None else stars.bv[some].astype(np.float64)
     missing = np.isnan(bv)
@@ -79,19 +81,9 @@ def _bundled() -> tuple[NDArray[np.int32], Float]:
         return colours["hr"].astype(np.int32), colours["bv_mmag"] / 1000
 
 
-# The required columns; `catalogue` is optional.  Tables of glstar 0.2 and earlier have ``hr`` instead of ``star_id``.
-COLUMNS: Final = ("star_id", "vmag", "camera_mag")
-# Size limit of a table, bytes: a table of all stars of Hipparcos has 4 MB.
-_LARGEST_BYTES: Final = 64 * 2**20
-# A star of the table and a star of the catalogue with the same number are the same if their V differ by less, mag.
-_SAME_MAG: Final = 0.1
-# The table belongs to another catalogue if more than this fraction of its stars are not the same.
-_MAX_MISMATCHES: Final = 0.1
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class StarBrightness:
-    """Magnitudes of stars in the band of one camera.  Two tables are equal if their files are equal.
+    """Magnitudes of stars in the band of one camera; equal if the files are equal.
 
     A camera that is more sensitive to red than V measures smaller magnitudes for red stars, and it does not resolve
     close pairs.
@@ -99,10 +91,10 @@ class StarBrightness:
 
     path: Path
     sha256: str  # SHA-256 of the file
-    catalogue: str  # The catalogue used for the calibration; empty if the table does not name it
-    star_id: NDArray[np.int32]  # (n,) int32: the stars' numbers in that catalogue
-    vmag: Float  # (n,) the stars' V magnitudes in that catalogue
-    camera_mag: Float  # (n,) the stars' magnitudes in the band of the camera, with the zero point of ``[sensor]``
+    catalogue: str  # catalogue used for the calibration; empty if the table does not name it
+    star_id: NDArray[np.int32]  # (n,) numbers in that catalogue
+    vmag: Float  # (n,) V magnitudes in that catalogue
+    camera_mag: Float  # (n,) magnitudes in the band of the camera, with the zero point of ``[sensor]``
 
     def __post_init__(self) -> None:
         for array in (self.star_id, self.vmag, self.camera_mag):
@@ -121,9 +113,9 @@ class StarBrightness:
     def open(cls, path: str | PathLike[str]) -> Self:
         """Read a table from a file.
 
-        `path`: CSV with a header, as written by ``glstar calibrate``; the columns ``catalogue``, ``star_id`` (``hr`` in
-        older tables), ``vmag`` and ``camera_mag`` are read.  Raises CalibrationError if the file cannot be read, lacks
-        a column, contains a value that is not a number, or a star twice.
+        `path`: CSV as written by ``glstar calibrate``, with the columns ``catalogue``, ``star_id`` (``hr`` in older
+        tables), ``vmag`` and ``camera_mag``.  Raises CalibrationError if the file cannot be read, lacks a column,
+        contains a value that is not a number, or a star twice.
         """
         path = Path(path)
         try:
@@ -158,17 +150,14 @@ class StarBrightness:
         catalogues = {row.get("catalogue", "") for row in rows}
         if len(catalogues) > 1:
             raise CalibrationError("is no table of star brightness: its stars are of several catalogues", path=path)
-        return cls(
-            path, hashlib.sha256(content).hexdigest(), catalogues.pop() or "", star_id, vmag.copy(), camera_mag.copy()
-        )
+        sha256 = hashlib.sha256(content).hexdigest()
+        return cls(path, sha256, catalogues.pop() or "", star_id, vmag.copy(), camera_mag.copy())
 
     def magnitudes(self, catalogue: str, star_id: NDArray[np.int32], vmag: Float) -> Float:
-        """Return the magnitudes with which stars of a catalogue are rendered.
+        """Return the magnitudes of the table, (m,); those of the catalogue for stars that are not in the table.
 
-        `catalogue`: the catalogue, as in `glstar.sky.catalogue.reading.StarCatalogue`; `star_id` (m,) int32: the stars'
-        numbers in that catalogue; `vmag` (m,): the stars' V magnitudes in that catalogue.  Returns (m,) the table's
-        magnitudes; the catalogue's for stars that are not in the table.  Raises CalibrationError if the table belongs
-        to another catalogue.
+        `catalogue`: as in `StarCatalogue`; `star_id`, `vmag` (m,): the stars' numbers and V magnitudes there.  Raises
+        CalibrationError if the table belongs to another catalogue.
         """
         if self.catalogue and catalogue and self.catalogue != catalogue:
             raise CalibrationError(
@@ -182,10 +171,7 @@ class StarBrightness:
         return magnitudes
 
     def applied(self, stars: StarField) -> StarField:
-        """Return stars with the magnitudes of the table.
-
-        `stars`: with V magnitudes.  Raises CalibrationError if the table belongs to another catalogue.
-        """
+        """Return stars with the magnitudes of the table; raises CalibrationError if it is of another catalogue."""
         magnitudes = self.magnitudes(stars.catalogue, stars.star_id, stars.vmag)
         is_measured = np.zeros(len(stars), dtype=np.bool_)
         is_measured[self._rows_of(stars.star_id, stars.vmag)[0]] = True
@@ -193,7 +179,7 @@ class StarBrightness:
 
     def _rows_of(self, star_id: NDArray[np.int32], vmag: Float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the indices of the stars that are in the table, and their rows."""
-        row_of = {int(number): k for k, number in enumerate(self.star_id)}
+        row_of = {int(number): row for row, number in enumerate(self.star_id)}
         known = np.array([k for k, number in enumerate(star_id) if int(number) in row_of], dtype=np.intp)
         row = np.array([row_of[int(number)] for number in star_id[known]], dtype=np.intp)
         differs = np.abs(self.vmag[row] - vmag[known]) > _SAME_MAG

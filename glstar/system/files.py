@@ -1,19 +1,11 @@
-"""Files that survive a power failure: complete or absent.
+"""Files that are complete or absent after a power failure, and locks on files and directories.
 
 A file is written under a temporary name, flushed, and renamed.  Without the flush, ext4, XFS, btrfs, APFS and NTFS may
-write the new name before the content, which would leave an empty file under the final name after a power failure.  The
-new name is durable after its directory has been flushed too.
+write the new name before the content.  The new name is durable after its directory has been flushed too.
 
-Locks on files and directories; the operating system releases the lock of a process however it ends.
-
-The locks are those of flock(2), and of a byte range on Windows.  They are advisory: they exclude only processes that
-take them too.  On file systems without locks (some network disks), no process is excluded.
-
-Notes
------
-portalocker and filelock were considered.  portalocker raises on a file system without locks, and filelock has exclusive
-locks on files of its own only; on such a file system it leaves files that keep excluding others after their process was
-killed.
+Locks are those of flock(2), and of a byte range on Windows; the operating system releases them when a process ends.
+They are advisory, and exclude no process on file systems without locks (some network disks), where portalocker raises
+and filelock leaves files that exclude others after their process was killed.
 """
 
 import errno
@@ -37,6 +29,13 @@ _PAUSES_S: tuple[float, ...] = (0.01, 0.04, 0.15, 0.3) if os.name == "nt" else (
 # Errors of file systems that cannot flush a file or a directory on request.
 _NO_FLUSH: Final = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
+# Errors of file systems without locks: NFS without its lock daemon and some others.
+_NO_LOCKS: Final = {errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+# The byte that is locked on Windows, where a locked byte cannot be read: far behind the content of any lock file.
+_LOCKED_BYTE: Final = 2**20
+# Longest text that is read from a lock file, bytes; a process number has at most 10 digits.
+_MAX_TEXT_BYTES: Final = 20
+
 
 def temporary_path(path: Path) -> Path:
     """Return a temporary name in the directory of a file, different for each process that writes the file."""
@@ -47,8 +46,8 @@ def temporary_path(path: Path) -> Path:
 class StagedFile:
     """A file under a temporary name, to be flushed and renamed."""
 
-    temporary: Path  # Its current and its final name
-    path: Path
+    temporary: Path  # current name
+    path: Path  # final name
 
     @classmethod
     def beside(cls, path: Path) -> Self:
@@ -77,10 +76,7 @@ class StagedFile:
 
 
 def remove_staged(path: Path) -> None:
-    """Remove the temporary files that processes have left that were killed while they wrote a file.
-
-    `path`: the final name of the file; no other process may be writing it.
-    """
+    """Remove the temporary files of killed processes; no other process may be writing the file `path`."""
     pattern = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-" + re.escape(path.name))
     with suppress(OSError):
         for entry in path.parent.iterdir():
@@ -126,11 +122,10 @@ def _replace(temporary: Path, path: Path) -> None:
 
 
 def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
-    """Flush the content of files to the disk.
+    """Flush the content of a few files, all open at the same time, to the disk.
 
-    `paths`: a few files; all are open at the same time; `executor`: threads that flush concurrently, so that the
-    drive's cache is flushed once for several files; on ext4 eight files take 2 to 5 ms instead of 23.  Raises OSError
-    if content did not reach the disk.
+    `executor`: threads that flush concurrently, so that the drive's cache is flushed once for several files: on ext4,
+    eight files take 2 to 5 ms instead of 23.  Raises OSError if content did not reach the disk.
     """
     with ExitStack() as opened:
         handles = []
@@ -151,10 +146,7 @@ def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
 
 
 def flush_handle(handle: int) -> None:
-    """Flush the content of an open file to the disk.
-
-    `handle`: its descriptor, open for writing.  Raises OSError if the content did not reach the disk.
-    """
+    """Flush the content of a file that is open for writing; raises OSError if it did not reach the disk."""
     _synchronize(handle)
     _flush_drive_cache(handle)
 
@@ -195,21 +187,14 @@ def make_directory(directory: Path) -> None:
     """Create a directory and its missing parents, durably; raises OSError if one cannot be created."""
     missing = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
-    for made in missing:
-        flush_directory(made.parent)
+    for created in missing:
+        flush_directory(created.parent)
 
 
 if sys.platform == "win32":
     import msvcrt
 else:
     import fcntl
-
-# Errors of file systems without locks: NFS without its lock daemon and some others.
-_NO_LOCKS: Final = {errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
-# The byte that is locked on Windows, where a locked byte cannot be read: far behind the content of any lock file.
-_LOCKED_BYTE: Final = 2**20
-# Longest text that is read from a lock file, bytes; a process number has at most 10 digits.
-_MAX_TEXT_BYTES: Final = 20
 
 
 class LockHeldError(Exception):
@@ -223,10 +208,10 @@ class LockHeldError(Exception):
 def lock_handle(handle: int, *, shared: bool = False, wait: bool = False) -> bool:
     """Lock an open file or directory until it is closed.
 
-    `handle`: its descriptor; `shared`: whether other processes may hold shared locks at the same time; `wait`: whether
-    to wait until conflicting locks are released.  Returns: false if another process holds a conflicting lock; true
-    also if the file system has no locks.  Raises OSError if it cannot be locked for another reason.  Windows has no
-    shared locks here: a shared lock excludes no process, and `wait` is ignored.
+    `shared`: whether other processes may hold shared locks at the same time; `wait`: whether to wait until conflicting
+    locks are released.  Returns whether no other process holds a conflicting lock, also if the file system has no
+    locks.  Raises OSError if it cannot be locked for another reason.  On Windows, a shared lock excludes no process,
+    and `wait` is ignored.
     """
     try:
         if sys.platform == "win32":

@@ -1,10 +1,7 @@
-"""The size of an image, read from the header of its file.
+"""Image files: their size by the header, PNG encoding, and copies to the clipboard of the desktop.
 
-A PNG of 100 KB can decode to gigabytes, so the size is checked before an image is decoded.
-
-Greyscale PNG files: the same pixels give the same bytes on every processor.
-
-The clipboard of the desktop, for images: GLFW and imgui copy text only.
+A PNG of 100 KB can decode to gigabytes, so the size is checked before an image is decoded.  The same greyscale pixels
+give the same bytes of PNG on every processor.  GLFW and imgui copy text only.
 """
 
 import os
@@ -24,7 +21,6 @@ from zlib_ng import zlib_ng
 # Largest image that is decoded, megapixels: more than any current sensor (150), and calibration of it takes 16 GB.
 MAX_MEGAPIXELS: Final = 200
 
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
 _JPEG: Final = b"\xff\xd8"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BMP: Final = b"BM"
@@ -38,15 +34,25 @@ _FRAME_HEADERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # JPEG markers without a length: TEM, RST0 to RST7, SOI.
 _BARE_MARKERS: Final = frozenset({0x01, *range(0xD0, 0xD9)})
 
+PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+
+# Fraction of bytes that begin a run of four equal ones from which coding runs makes a smaller file.  Gaussian noise
+# around 0 DN has 0.34 at a standard deviation of 0.7 DN (2.03 MB with runs, 1.94 without) and 0.50 at 0.5 DN (1.65 and
+# 1.79 MB); around 16 DN with 3 DN, 0.001: 41 ms with runs, 30 without, for the same size.
+_RUN_FRACTION: Final = 0.4
+_SAMPLED_ROWS: Final = 64
+
+# Time for the system's program to take the image, s.
+_TIMEOUT_S = 5.0
+
 
 def image_size(content: bytes) -> tuple[int, int] | None:
-    """Return the width and height that an image file's header declares.
+    """Return the width and height, px, that the header of a PNG, JPEG, TIFF or BMP file declares for its first image.
 
-    `content`: the whole file.  Returns: width and height, px, of the first image; None if it is no PNG, JPEG, TIFF or
-    BMP, or the header is damaged.
+    Returns None for other or damaged files.
     """
     try:
-        if content.startswith(_PNG):
+        if content.startswith(PNG_SIGNATURE):
             return struct.unpack_from(">II", content, 16)
         if content.startswith(_JPEG):
             return _jpeg_size(content)
@@ -61,10 +67,7 @@ def image_size(content: bytes) -> tuple[int, int] | None:
 
 
 def size_error(content: bytes) -> str | None:
-    """Return why an image file is too large to decode.
-
-    `content`: the whole file.  Returns a message without the file's name; None if the image may be decoded.
-    """
+    """Return why an image file is too large to decode, without its name; None if it may be decoded."""
     size = image_size(content)
     if size is None or size[0] * size[1] <= MAX_MEGAPIXELS * 1_000_000:
         return None
@@ -108,24 +111,21 @@ def _tiff_size(content: bytes) -> tuple[int, int] | None:
     return (sides[_TIFF_WIDTH], sides[_TIFF_HEIGHT]) if len(sides) == 2 else None
 
 
-PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-
-# Fraction of bytes that begin a run of four equal ones from which coding runs makes a smaller file.  Gaussian noise
-# around 0 DN has 0.34 at a standard deviation of 0.7 DN (2.03 MB with runs, 1.94 without) and 0.50 at 0.5 DN (1.65 and
-# 1.79 MB); around 16 DN with 3 DN, 0.001: 41 ms with runs, 30 without, for the same size.
-_RUN_FRACTION: Final = 0.4
-_SAMPLED_ROWS: Final = 64
-
-
 def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = None) -> bytes:
-    """Return an image as the bytes of a greyscale PNG file.
+    """Return an image as the bytes of a PNG file.
 
-    `pixels` (height, width) uint8 or uint16: digital numbers; 8 or 16 bits per pixel in the file; `significant_bits`:
-    number of the highest bits that have the digital number, if it is shifted up; the file states it (sBIT).  Noise has
-    no pattern that a row filter or a string search could find: Huffman coding alone makes a file that is a tenth
-    smaller than OpenCV's, in a third of the time.  Images with long runs of equal pixels, such as those without noise,
-    are coded with runs.
+    `pixels` (height, width), or (height, width, 3) red, green and blue: uint8 or uint16, 8 or 16 bits per channel in
+    the file; `significant_bits`: number of the highest bits that hold the digital number of a greyscale image that is
+    shifted up; the file states it (sBIT).
+
+    The noise of a greyscale image has no pattern that a row filter or a string search could find: Huffman coding alone
+    makes a file that is a tenth smaller than OpenCV's, in a third of the time.  Images with long runs of equal pixels,
+    such as those without noise, are coded with runs.
     """
+    if pixels.ndim == 3:
+        import cv2  # noqa: PLC0415 - only for colour
+
+        return bytes(cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))[1])
     height_px, width_px = pixels.shape
     rows = pixels.astype(">u2").view(np.uint8).reshape(height_px, -1) if pixels.dtype == np.uint16 else pixels
     unfiltered = np.empty((height_px, rows.shape[1] + 1), np.uint8)
@@ -134,8 +134,8 @@ def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = N
     strategy = zlib_ng.Z_RLE if _has_runs(rows) else zlib_ng.Z_HUFFMAN_ONLY
     deflate = zlib_ng.compressobj(1, zlib_ng.DEFLATED, zlib_ng.MAX_WBITS, 9, strategy)
     header = struct.pack(">IIBBBBB", width_px, height_px, 8 * pixels.itemsize, 0, 0, 0, 0)  # greyscale
-    stated = () if significant_bits is None else ((b"sBIT", bytes((significant_bits,))),)
-    chunks = ((b"IHDR", header), *stated, (b"IDAT", deflate.compress(unfiltered), deflate.flush()), (b"IEND",))
+    depth = () if significant_bits is None else ((b"sBIT", bytes((significant_bits,))),)
+    chunks = ((b"IHDR", header), *depth, (b"IDAT", deflate.compress(unfiltered), deflate.flush()), (b"IEND",))
     # Joined once at the end: a large image is several megabytes, and copying it holds up other threads.
     return b"".join(chain([PNG_SIGNATURE], *(_chunk(*chunk) for chunk in chunks)))
 
@@ -158,27 +158,20 @@ def _chunk(kind: bytes, *content: bytes) -> Iterator[bytes]:
     yield struct.pack(">I", checksum)
 
 
-# Time for the system's program to take the image, s.
-_TIMEOUT_S = 5.0
-
-
 def copy_png(content: bytes) -> str:
-    """Copy an image to the clipboard with a program of the system.
-
-    `content`: a PNG file.  Returns: why it could not be copied; empty if it was.
-    """
+    """Copy a PNG file to the clipboard with a program of the system; return why it could not, or an empty string."""
     if sys.platform in {"win32", "darwin"}:
         with TemporaryDirectory() as folder:
             file = Path(folder) / "picture.png"
             file.write_bytes(content)
             return _run(_from_file(file), b"")
-    # Each stays in the background and serves the image until something else is copied.
+    # These programs stay in the background and serve the image until something else is copied.
     programs = [["xclip", "-selection", "clipboard", "-t", "image/png"]]
     if os.environ.get("WAYLAND_DISPLAY"):
         programs.insert(0, ["wl-copy", "--type", "image/png"])
-    for words in programs:
-        if shutil.which(words[0]):
-            return _run(words, content)
+    for command in programs:
+        if shutil.which(command[0]):
+            return _run(command, content)
     return "copying a picture needs xclip, or wl-clipboard on Wayland: apt-get install xclip"
 
 
@@ -193,11 +186,12 @@ def _from_file(file: Path) -> list[str]:
     return ["powershell", "-NoProfile", "-STA", "-Command", program]
 
 
-def _run(words: list[str], content: bytes) -> str:
+def _run(command: list[str], content: bytes) -> str:
+    """Run a command with an image as its input; return why it failed, or an empty string."""
     try:
         # No pipes for its output: the program that serves the image would keep them open.
-        done = subprocess.run(  # noqa: S603 - fixed programs
-            words,
+        process = subprocess.run(  # noqa: S603 - fixed programs
+            command,
             input=content,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -206,4 +200,6 @@ def _run(words: list[str], content: bytes) -> str:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"the picture could not be copied: {error}"
-    return "" if done.returncode == 0 else f"the picture could not be copied: {words[0]} ended with {done.returncode}"
+    if process.returncode != 0:
+        return f"the picture could not be copied: {command[0]} ended with {process.returncode}"
+    return ""

@@ -34,26 +34,23 @@ _MACOS_14 = {"imgui-bundle"}
 
 
 def library_versions() -> dict[str, str | None]:
-    """Return the versions of the libraries that glstar needs.
-
-    Returns: dict of str to (str or None): by the library's name; None if it is not installed.
-    """
-    found: dict[str, str | None] = {}
+    """Return the versions, by name, of the libraries that glstar needs; None for one that is not installed."""
+    versions: dict[str, str | None] = {}
     for name in _LIBRARIES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = None
-    return found
+            versions[name] = None
+    return versions
 
 
 def install_command(extra: str = "") -> str:
     """Return the command that installs glstar with an extra, from the same source as the current installation.
 
-    `extra`: an extra of ``pyproject.toml``, such as ``"solve"``; none if empty.  Returns a command for a POSIX shell:
-    ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install 'glstar[solve]'`` for a package index; if
-    the source no longer exists, the command installs the requirements of the extra.  pip records the source of
-    packages that it installs from a path or URL in ``direct_url.json`` (PEP 610).
+    `extra`: an extra of ``pyproject.toml``, such as ``"solve"``, or empty.  Returns a command for a POSIX shell: ``pip
+    install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install 'glstar[solve]'`` for a package index.  If the
+    source no longer exists, the command installs the requirements of the extra.  pip records the source of packages
+    that it installs from a path or URL in ``direct_url.json`` (PEP 610).
     """
     wanted = f"[{extra}]" if extra else ""
     try:
@@ -77,10 +74,7 @@ def install_command(extra: str = "") -> str:
 
 
 def missing_library(name: str) -> str:
-    """Return a message about a required package that is not installed, with the remedy.
-
-    `name`: of the package, such as ``"imgui-bundle"``.
-    """
+    """Return a message about a required package, such as ``"imgui-bundle"``, that is not installed, with the remedy."""
     major = platform.mac_ver()[0].partition(".")[0] if sys.platform == "darwin" else ""
     if name in _MACOS_14 and major.isdigit() and int(major) < 14:
         return f"{name} is not installed: it has no wheel for macOS {major}, but for macOS 14 and newer"
@@ -98,6 +92,7 @@ def _from_checkout(wanted: str) -> str:
 
 
 def _origin(installed: Distribution) -> dict[str, Any] | None:
+    """Return the content of ``direct_url.json``; None if there is none."""
     try:
         origin = json.loads(installed.read_text("direct_url.json") or "null")
     except ValueError:
@@ -107,8 +102,7 @@ def _origin(installed: Distribution) -> dict[str, Any] | None:
 
 def _requirements(installed: Distribution, extra: str) -> list[str]:
     """Return the requirements of an extra, as arguments of pip."""
-    found = [requirement.split(";") for requirement in installed.requires or ()]
-    named = [
-        name.strip() for name, *condition in found if f'extra == "{extra}"' in "".join(condition).replace("'", '"')
-    ]
-    return named or [f"glstar[{extra}]"]
+    marker = f'extra == "{extra}"'
+    requirements = [requirement.split(";") for requirement in installed.requires or ()]
+    names = [name.strip() for name, *marks in requirements if marker in "".join(marks).replace("'", '"')]
+    return names or [f"glstar[{extra}]"]

@@ -1,6 +1,7 @@
-"""Handling of Ctrl-C: one line and exit status 130 at any time, without a traceback.
+"""Handling of Ctrl-C, and freed memory of the C library.
 
-Memory of the C library: what a process frees stays with it, because the next frame needs as much again.
+Ctrl-C ends a command with one line and exit status 130 at any time, without a traceback.  Freed memory stays with the
+process, because the next frame needs as much again.
 """
 
 import ctypes
@@ -15,6 +16,21 @@ from typing import Any, Final
 
 # Exit status of a command that was ended by SIGINT: 128 + 2, as in shells.
 EXIT_INTERRUPTED: Final = 130
+
+# Parameters of glibc's `mallopt`, from malloc.h.
+_M_ARENA_MAX: Final = -8
+_M_TRIM_THRESHOLD: Final = -1
+_M_MMAP_THRESHOLD: Final = -3
+# Free memory at the end of the heap that is returned to the system, bytes.  The primitives of one fast exposure take
+# up to 40 MB of Mesa llvmpipe's memory, which is freed after each: pages that are returned cost 12 to 20 % of drawing.
+_KEPT_BYTES: Final = 64 << 20
+# Largest threshold that glibc accepts, bytes: setting either parameter stops it from raising this one by itself.
+_MAPPED_BYTES: Final = 32 << 20
+# Heaps of the process.  glibc gives each thread its own heap, and each would keep as much: threads that read logs,
+# sample curves and write videos added 80 MB to a window in ten minutes.
+_HEAPS: Final = 1
+# Set by a user who has chosen another value.
+_CHOSEN: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 
 
 @contextmanager
@@ -68,22 +84,6 @@ def is_interrupt(error: BaseException | None) -> bool:
     return False
 
 
-# Parameters of glibc's `mallopt`, from malloc.h.
-_M_ARENA_MAX: Final = -8
-_M_TRIM_THRESHOLD: Final = -1
-_M_MMAP_THRESHOLD: Final = -3
-# Free memory at the end of the heap that is returned to the system, bytes.  The primitives of one fast exposure take
-# up to 40 MB of Mesa llvmpipe's memory, which is freed after each: pages that are returned cost 12 to 20 % of drawing.
-_KEPT_BYTES: Final = 64 << 20
-# The largest that glibc accepts, bytes: setting either parameter stops it from raising this one as it does otherwise.
-_MAPPED_BYTES: Final = 32 << 20
-# Heaps of the process.  glibc gives each thread one of its own, and each would keep that much: threads that read logs,
-# sample curves and write videos added 80 MB to a window in ten minutes.
-_HEAPS: Final = 1
-# Set by a user who has chosen another value.
-_CHOSEN: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
-
-
 @cache
 def keep_freed_memory() -> bool:
     """Let the C library keep up to 64 MiB of freed memory for this process instead of returning it to the system.
@@ -123,5 +123,6 @@ def _set(*parameters: tuple[int, int]) -> bool:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is None:  # musl has none
         return False
-    mallopt.restype, mallopt.argtypes = ctypes.c_int, [ctypes.c_int, ctypes.c_int]
-    return all(bool(mallopt(*each)) for each in parameters)
+    mallopt.restype = ctypes.c_int
+    mallopt.argtypes = [ctypes.c_int, ctypes.c_int]
+    return all(bool(mallopt(*parameter)) for parameter in parameters)

@@ -34,19 +34,16 @@ def bundled_flight() -> Path:
 
 
 def manual_pages() -> dict[str, Path]:
-    """Return the pages of the manual; returns: markdown files by topic (the file name without ``.md``), sorted."""
+    """Return the Markdown files of the manual, sorted, by topic: the file name without ``.md``."""
     return {page.stem: page for page in sorted(asset("manual").glob("*.md"))}
 
 
 def shader(name: str) -> str:
-    """Return the GLSL source of a shader.
-
-    `name`: file name inside ``shaders/``, such as ``"star.vert"``.  Returns the source text.
-    """
+    """Return the GLSL source of a shader by its file name, such as ``"star.vert"``."""
     return _inside("shaders", name).read_text(encoding="utf-8")
 
 
 def shader_paths() -> list[Path]:
-    """Return the paths of all shaders; returns: sorted by name."""
+    """Return the paths of all shaders, sorted by name."""
     folder = _inside("shaders", "star.vert").parent
     return sorted(path for path in folder.iterdir() if path.suffix in {".vert", ".frag", ".glsl"})

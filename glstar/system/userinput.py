@@ -1,9 +1,7 @@
-"""Reading of small files that the user names: settings, camera files, labels, manifests.
+"""Reading of small files that the user names, such as settings and camera files, and suggestions for misspelt words.
 
 Only regular files up to a given size are read: reading a pipe might block forever, and a flight log given by mistake
 would fill the memory.
-
-Suggestions for misspelt words, for error messages.
 """
 
 import os
@@ -23,11 +21,7 @@ _KINDS: Final = (
 
 
 def refuse_irregular(mode: int) -> None:
-    """Raise unless a file is a regular file.
-
-    `mode`: its ``st_mode``.  Raises ValueError if it is a directory, a pipe, a device or a socket; the message
-    continues "PATH: ".
-    """
+    """Raise ValueError, which continues "PATH: ", if the ``st_mode`` is that of a directory, pipe, device or socket."""
     for is_kind, message in _KINDS:
         if is_kind(mode):
             raise ValueError(message)
@@ -36,9 +30,8 @@ def refuse_irregular(mode: int) -> None:
 def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
     """Return the content of a small file.
 
-    `path`: the file; symbolic links are followed; `largest_bytes`: larger files are refused as mistakes (a flight log,
-    for example), bytes.  Raises ValueError if it is no regular file, too large, or cannot be read; the message
-    continues "PATH: ".
+    `path`: symbolic links are followed; `largest_bytes`: larger files, such as a flight log, are refused as mistakes.
+    Raises ValueError, which continues "PATH: ", if it is no regular file, is too large, or cannot be read.
     """
     try:
         refuse_irregular(os.stat(path).st_mode)  # noqa: PTH116 - before it is opened: a device may act on that
@@ -57,10 +50,9 @@ def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
 
 
 def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
-    """Return the text of a small file.
+    """Return the text of a small file without a byte order mark; see `read_bytes`.
 
-    `largest_bytes`: as for `read_bytes`.  Returns: without a byte order mark.  Raises ValueError: as `read_bytes`, and
-    if it is no UTF-8 text.
+    Raises ValueError as `read_bytes` does, and if it is no UTF-8 text.
     """
     content = read_bytes(path, largest_bytes)
     try:
@@ -79,18 +71,18 @@ def is_number(text: str) -> bool:
 
 
 def nearest_word(word: str, known: Iterable[str], *, cutoff: float = 0.6) -> str | None:
-    """Return the known word that is most similar to a misspelt one.
+    """Return the known word that is most similar to a misspelt one; None if no word is similar.
 
-    `cutoff`: smallest similarity, from 0 to 1; see `difflib.get_close_matches`.  Returns: none if no word is similar.
+    `cutoff`: smallest similarity, from 0 to 1; see `difflib.get_close_matches`.
     """
     return next(iter(get_close_matches(word, list(known), n=1, cutoff=cutoff)), None)
 
 
 def did_you_mean(word: str, known: Iterable[str], *, quote: str = "", or_else: str | None = None) -> str:
-    """Return a question with the most similar known word, in parentheses after a space.
+    """Return a question with the most similar known word: " (did you mean seed?)".
 
     `word`: the misspelt word; its case is ignored; `quote`: put before and after the known word; `or_else`: the text if
-    no word is similar; by default all known words.  Returns: such as " (did you mean seed?)".
+    no word is similar; by default all known words.
     """
     known = list(known)
     near = nearest_word(word.lower(), known)

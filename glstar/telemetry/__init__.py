@@ -10,14 +10,14 @@
 ====================  ==================================================================================================
 module                holds
 ====================  ==================================================================================================
-``source``            `TelemetrySource`, the interface of readers, the samples that they yield, removal of damaged ones
+``source``            `TelemetrySource`, the interface of readers; their samples, and removal of damaged ones
 ``boots``             detection of reboots within a log
 ``tables``            ``files`` (text, Parquet, Excel), ``native`` (own columns), ``mapped`` (by a `ColumnMap`)
-``mavlink``           MAVLink: ``packets``, ``clock``, ``vehicles`` (names, gimbal); readers ``tlog``, ``mavlogdump``
+``mavlink``           MAVLink logs: ``packets``, ``clock``, ``vehicles`` (names, gimbal), ``tlog``, ``mavlogdump``
 ``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
 ``ulog``              PX4 ULog and the CSV of ulog2csv; ``ulogfile``: their topics
 ``rosbag``            ROS 1 and ROS 2 bags, MCAP
-``tracks``            positions without attitude: GPX, KML, NMEA, IGC
+``tracks``            positions without attitude: GPX, KML, KMZ, NMEA, IGC
 ``formats``           `LOG_FORMATS`, the table of log formats: a new format is a reader and one entry; gzip and zip
 ``recording``         `Recording`, the samples of one boot, and `FlightOptions`
 ``recordedlog``       `RecordedLog`, all boots of a log, and their conversion to one flight
@@ -36,20 +36,11 @@ from typing import Final
 from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
 from glstar.sky.place.site import Site
-from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader
-from glstar.telemetry.formats import (
-    LOG_FORMATS,
-    LOG_SUFFIXES,
-    READABLE,
-    LogFormat,
-    is_packed,
-    log_format,
-    other_file,
-    unpack,
-)
-from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader
+from glstar.telemetry import formats, synthetic
+from glstar.telemetry.dataflash import DataFlashReader
+from glstar.telemetry.formats import LOG_FORMATS, LOG_SUFFIXES, LogFormat
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader
-from glstar.telemetry.recordedlog import BootSummary, read_flight
+from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.recording import FlightOptions, Recording
 from glstar.telemetry.rosbag import BagReader, is_bag_directory
 from glstar.telemetry.source import (
@@ -66,25 +57,11 @@ from glstar.telemetry.source import (
     UnpackedSource,
 )
 from glstar.telemetry.survey import Survey, TriggerSurvey, survey
-from glstar.telemetry.synthetic import (
-    KEYS,
-    PREFIX,
-    ScriptedFlight,
-    SyntheticSource,
-    is_flight_description,
-    synthetic_flight,
-)
-from glstar.telemetry.tables.mapped import (
-    ColumnMap,
-    MappedTableReader,
-    column_map,
-    is_map_file,
-    mapped_reader,
-    ready_maps,
-)
-from glstar.telemetry.tables.native import TableReader, as_table
-from glstar.telemetry.tracks import GivenTrack, read_track
-from glstar.telemetry.ulog import Ulog2csvReader, ULogReader
+from glstar.telemetry.synthetic import KEYS, PREFIX, ScriptedFlight, is_flight_description, synthetic_flight
+from glstar.telemetry.tables.mapped import MappedTableReader, column_map, is_map_file, ready_maps
+from glstar.telemetry.tables.native import as_table
+from glstar.telemetry.tracks import read_track
+from glstar.telemetry.ulog import ULogReader
 
 __all__ = [
     "KEYS",
@@ -92,34 +69,24 @@ __all__ = [
     "LOG_SUFFIXES",
     "PREFIX",
     "AttitudeSamples",
-    "BagReader",
-    "BootSummary",
     "ClockSamples",
-    "ColumnMap",
-    "DataFlashDumpReader",
     "DataFlashReader",
     "EventSamples",
     "FlightOptions",
     "GimbalSamples",
-    "GivenTrack",
     "LogFacts",
     "LogFormat",
-    "MappedTableReader",
-    "MavlogdumpReader",
     "PositionSamples",
     "RateSamples",
     "Recording",
     "Samples",
     "ScriptedFlight",
     "Survey",
-    "SyntheticSource",
-    "TableReader",
     "TelemetryLogReader",
     "TelemetrySource",
     "TriggerSamples",
     "TriggerSurvey",
     "ULogReader",
-    "Ulog2csvReader",
     "as_table",
     "column_map",
     "is_bag_directory",
@@ -135,7 +102,7 @@ __all__ = [
 ]
 
 
-# Length of the beginning of a file by which its format is recognised: some dozens of packets or lines.
+# First bytes of a file by which its format is recognised: some dozens of packets or lines.
 _HEAD_BYTES: Final = 4096
 
 
@@ -160,8 +127,8 @@ def open_flight(
     path : path-like
         A flight log, also gzipped or in a zip archive, or a table; its content determines the format.
     attitude : str
-        Which attitude of the log: ``"auto"``, or a message by name (see `DataFlashReader`, `TelemetryLogReader`,
-        `ULogReader`).
+        Which attitude of the log: a message or topic by name, or ``"auto"`` for the best one; see `DataFlashReader`,
+        `TelemetryLogReader`, `ULogReader` and `BagReader`.
     sysid : int, optional
         MAVLink system of the vehicle, in a telemetry log of several.
     boot : int, optional
@@ -180,7 +147,7 @@ def open_flight(
     columns : str, optional
         What the columns of a table mean; see `column_map`.
     position : str, optional
-        A GPX, KML, NMEA or IGC file with the positions of the flight; they replace those of the log.
+        A GPX, KML, KMZ, NMEA or IGC file with the positions of the flight; they replace those of the log.
 
     Returns
     -------
@@ -233,38 +200,36 @@ def open_source(
                 raise LogFormatError(name, f"is a ROS bag; leave out sysid, which is {sysid}")
             return BagReader(name, attitude=attitude, boot=boot, columns=columns)
         head = _head(name)
-        if is_packed(head):
+        if formats.is_packed(head):
             options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns}
-            return UnpackedSource(name, unpack, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
-        found = log_format(head)
-        if found is None:
-            raise LogFormatError(name, f"this is {other_file(head, name)} ({READABLE})", offset=0)
-        return _reader(name, found, sysid, columns)(name, attitude=attitude, boot=boot)
+            return UnpackedSource(name, formats.unpack, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
+        kind = formats.log_format(head)
+        if kind is None:
+            raise LogFormatError(name, f"this is {formats.other_file(head, name)} ({formats.READABLE})", offset=0)
+        return _reader(name, kind, sysid, columns)(name, attitude=attitude, boot=boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
 
-def _reader(name: str, found: LogFormat, sysid: int | None, columns: str | None) -> Callable[..., TelemetrySource]:
+def _reader(name: str, kind: LogFormat, sysid: int | None, columns: str | None) -> Callable[..., TelemetrySource]:
     """Return the reader of a file with the options that only some formats have."""
-    if sysid is not None and not found.has_systems:
+    if sysid is not None and not kind.has_systems:
         raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
-    if found.has_systems and columns is None:
-        return partial(found.reader, sysid=sysid)
     if columns is None:
-        return found.reader
-    if found.takes_columns:
-        return partial(found.reader, columns=columns)
-    if not found.is_table:
-        raise LogFormatError(name, f"is no table but of the format {found.name}; leave out columns (--columns)")
-    return mapped_reader(column_map(columns))
+        return partial(kind.reader, sysid=sysid) if kind.has_systems else kind.reader
+    if kind.takes_columns:
+        return partial(kind.reader, columns=columns)
+    if not kind.is_table:
+        raise LogFormatError(name, f"is no table but of the format {kind.name}; leave out columns (--columns)")
+    return partial(MappedTableReader, columns=column_map(columns))
 
 
 def _described(name: str, *, attitude: str, sysid: int | None, boot: int | None) -> TelemetrySource:
     """Open a flight that is described in one line; it has one attitude, one vehicle and one boot."""
-    given = {"attitude": attitude.lower() != "auto", "sysid": sysid is not None, "boot": boot not in {None, 1}}
-    if superfluous := [option for option, is_given in given.items() if is_given]:
+    requested = {"attitude": attitude.lower() != "auto", "sysid": sysid is not None, "boot": boot not in {None, 1}}
+    if superfluous := [option for option, is_requested in requested.items() if is_requested]:
         raise LogFormatError(name, f"a synthetic flight has one attitude; leave out {superfluous[0]}")
-    return SyntheticSource(name)
+    return synthetic.SyntheticSource(name)
 
 
 def _head(name: str) -> bytes:

@@ -1,8 +1,7 @@
-"""Detection of reboots in a log: each boot has its own clock.
+"""Detection of reboots in a log: each boot has its own clock, and its UTC says nothing about another boot.
 
-A log file may hold several boots: loggers that never close a file, or two files joined into one.  Time since boot
-belongs to one boot only, so UTC of one boot says nothing about another one.  `find_boots` finds them from the order of
-the records in the file:
+A file holds several boots if its logger never closes it, or if files were joined.  `find_boots` finds them from the
+order of the records in the file:
 
 ==================================================  ==================================================================
 mark                                                meaning
@@ -20,9 +19,9 @@ without UTC is not assigned to the boot of another file.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from math import inf
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +30,10 @@ from glstar.telemetry.source import EVERYWHERE, Boot, Span, spikes
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
+# File positions and times by the clock, s, of each kind of records.
+_Series = Sequence[tuple[Integer, Float]]
+# File positions, times by the clock and by another one, s.
+_Readings = tuple[Integer, Float, Float]
 
 # A larger step back between records of one kind is a reboot, s; they are written in the order of their times.
 _BACK_S: Final = 0.1
@@ -53,12 +56,15 @@ _UNBROKEN: Final = 3.0
 _FEWEST_RECORDS: Final = 3
 
 
+_Mark = Literal["start", "head", "back", "forward", "step"]
+
+
 @dataclass(slots=True, eq=False)
 class _Piece:
     """A part of a file between two marks."""
 
     span: Span
-    follows: str  # the mark at its start: "start", "head", "back", "forward", "step"
+    follows: _Mark  # At its start
     first_s: float = inf
     last_s: float = -inf
     records: int = 0
@@ -77,12 +83,14 @@ class _Piece:
 
 @dataclass(slots=True, eq=False)
 class _Boot:
+    """The pieces of one boot, in the order of the file."""
+
     pieces: list[_Piece] = field(default_factory=list)
 
     @property
     def utc_minus_clock_s(self) -> float | None:
-        known = [piece for piece in self.pieces if piece.utc_minus_clock_s is not None]
-        return max(known, key=lambda piece: piece.records).utc_minus_clock_s if known else None
+        with_utc = [piece for piece in self.pieces if piece.utc_minus_clock_s is not None]
+        return max(with_utc, key=lambda piece: piece.records).utc_minus_clock_s if with_utc else None
 
     @property
     def arrival_minus_clock_s(self) -> float | None:
@@ -97,14 +105,15 @@ class _Boot:
         return sum(piece.records for piece in self.pieces)
 
     def overlaps(self, other: _Piece) -> bool:
-        return any(p.first_s < other.last_s - _OVERLAP_S and other.first_s < p.last_s - _OVERLAP_S for p in self.pieces)
+        """Return whether the times of a piece overlap with those of the boot by more than a second."""
+        return any(
+            piece.first_s < other.last_s - _OVERLAP_S and other.first_s < piece.last_s - _OVERLAP_S
+            for piece in self.pieces
+        )
 
 
 def within(position: Integer, spans: Sequence[Span]) -> NDArray[np.bool_]:
-    """Return which positions in a file are within any of some spans.
-
-    `position` (n,) int64; `spans` sequence of (int, int): half-open ranges.  Returns (n,) bool.
-    """
+    """Return which of (n,) positions in a file are within any of some half-open ranges."""
     inside = np.zeros(position.shape, dtype=np.bool_)
     for start, stop in spans:
         inside |= (position >= start) & (position < stop)
@@ -112,31 +121,29 @@ def within(position: Integer, spans: Sequence[Span]) -> NDArray[np.bool_]:
 
 
 def find_boots(
-    series: Sequence[tuple[Integer, Float]],
-    readings: tuple[Integer, Float, Float],
+    series: _Series,
+    readings: _Readings,
     heads: Sequence[int] = (),
-    alike: Callable[[int, int], bool] = lambda one, other: True,  # noqa: ARG005
+    alike: Callable[[int, int], bool] = lambda one, other: True,  # noqa: ARG005 - logs without layouts
     *,
     knows_utc: bool | None = None,
-    arrivals: tuple[Integer, Float, Float] | None = None,
+    arrivals: _Readings | None = None,
     back_s: float = _BACK_S,
     checked: bool = False,
 ) -> tuple[Boot, ...]:
-    """Return the boots of a log.
+    """Return the boots of a log, at least one; a single boot without damage spans all positions.
 
-    `series` sequence of ((n,) int64, (n,) float64): for each kind of record the positions in the file, increasing, and
-    the clock, s; NaN for damaged records; `readings` ((m,) int64, (m,) float64, (m,) float64): positions of UTC
-    readings in the file, the clock, s, and UTC, s since 1970; `heads`: positions at which another log file begins;
-    `alike`: whether records at two positions have the same layouts, as records of one boot do; `knows_utc`: whether the
-    log has UTC, so that a piece without readings is not assigned by its order; by default whether there are readings;
-    `arrivals` ((k,) int64, (k,) float64, (k,) float64), optional: positions of records with an arrival time in the
-    file, the clock, s, and the recorder's clock, s; they separate boots without UTC readings; `back_s`: the smallest
-    step back of the clock of one kind of record that begins another boot, s; `checked`: whether records have checksums;
-    without them, the first half of a record before a cut and the second half of another one after it may look like a
-    record: the records beside a cut are then assigned to no boot.  Returns: at least one; a single boot without damage
-    spans all positions.
+    `series`: (n,) increasing positions in the file and times by the clock of each kind of record; NaN for damaged ones.
+    `readings`: of UTC, s since 1970.  `heads`: positions at which another log file begins.  `alike`: whether records at
+    two positions have the same layouts, as records of one boot do.  `knows_utc`: whether the log has UTC, so that a
+    piece without readings is not assigned by its order; by default whether there are readings.  `arrivals`: records
+    with an arrival time by the recorder's clock; they separate boots without UTC readings.  `back_s`: the smallest step
+    back of the clock of one kind of record that begins another boot, s.  `checked`: whether records have checksums.
+    Without them, the first half of a record before a cut and the second half of another one after it may look like a
+    record; the records beside a cut are then assigned to no boot.
     """
-    valid = [one for positions, clock_s in series if (one := _valid_series(positions, clock_s, back_s))[0].size]
+    valid = [_valid_series(position, clock_s, back_s) for position, clock_s in series]
+    valid = [(position, clock_s) for position, clock_s in valid if position.size]
     readings = _finite_readings(*readings)
     pieces = _cut_at_clock(valid, heads, back_s)
     pieces = [part for piece in pieces for part in _cut_at_steps(piece, valid, readings)]
@@ -153,10 +160,11 @@ def find_boots(
     if not boots or (len(boots) == 1 and in_order):
         return (Boot(1),)
     _leave_out_halves(used, boots)
-    return _with_doubts([(Boot(number, _spans(boot)), boot) for number, boot in enumerate(boots, start=1)])
+    spans = [tuple(piece.span for piece in boot.pieces) for boot in boots]
+    return _with_doubts([(Boot(number, spans[number - 1]), boot) for number, boot in enumerate(boots, start=1)])
 
 
-def _find_halves(pieces: Sequence[_Piece], series: Sequence[tuple[Integer, Float]]) -> None:
+def _find_halves(pieces: Sequence[_Piece], series: _Series) -> None:
     """Set the spans of pieces without the records beside a cut, which may be halves of two records."""
     position = np.sort(np.concatenate([p for p, _ in series])) if series else np.empty(0, dtype=np.int64)
     for before, after in pairwise(pieces):
@@ -184,42 +192,44 @@ def _valid_series(position: Integer, clock_s: Float, back_s: float) -> tuple[Int
     return position[valid], clock_s[valid]
 
 
-def _finite_readings(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Integer, Float, Float]:
+def _finite_readings(position: Integer, clock_s: Float, utc_s: Float) -> _Readings:
     finite = np.isfinite(clock_s) & np.isfinite(utc_s)
     return position[finite], clock_s[finite], utc_s[finite]
 
 
-def _cut_at_clock(series: Sequence[tuple[Integer, Float]], heads: Sequence[int], back_s: float) -> list[_Piece]:
+def _cut_at_clock(series: _Series, heads: Sequence[int], back_s: float) -> list[_Piece]:
     """Return the pieces between heads of files and jumps of the clock."""
-    marks = {head: "head" for head in heads if head > 0}
+    marks: dict[int, _Mark] = {head: "head" for head in heads if head > 0}
     # Jumps forward are searched between jumps back.
-    for kind, find in (("back", partial(_backward, back_s=back_s)), ("forward", _forward)):
+    searches: list[tuple[_Mark, Callable[[_Series], list[tuple[int, int]]]]]
+    searches = [("back", partial(_backward, back_s=back_s)), ("forward", _forward)]
+    for kind, find in searches:
         for start, stop in pairwise([0, *sorted(marks), EVERYWHERE]):
             jumps = find([(p[(p >= start) & (p < stop)], c[(p >= start) & (p < stop)]) for p, c in series])
             marks |= dict.fromkeys(_covering(jumps), kind)
     bounds = [0, *sorted(marks), EVERYWHERE]
-    kinds = ["start", *(marks[at] for at in sorted(marks))]
+    kinds: list[_Mark] = ["start", *(marks[at] for at in sorted(marks))]
     return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True)]
 
 
-def _backward(series: Sequence[tuple[Integer, Float]], back_s: float) -> list[tuple[int, int]]:
+def _backward(series: _Series, back_s: float) -> list[tuple[int, int]]:
     """Return where the clock of most kinds of records steps back, as the positions before and after."""
-    jumps = [[(int(p[i]), int(p[i + 1])) for i in np.flatnonzero(np.diff(c) < -back_s)] for p, c in series]
-    found = []
-    for one in jumps:
-        for before, after in one:
+    steps = [[(int(p[i]), int(p[i + 1])) for i in np.flatnonzero(np.diff(c) < -back_s)] for p, c in series]
+    jumps = []
+    for of_kind in steps:
+        for before, after in of_kind:
             spanning = [p.size for p, _ in series if p.size and p[0] <= before and p[-1] >= after]
             agreeing = [
                 p.size
-                for (p, _), others in zip(series, jumps, strict=True)
+                for (p, _), others in zip(series, steps, strict=True)
                 if any(start < after and before < stop for start, stop in others)
             ]
             if 2 * sum(agreeing) >= sum(spanning):
-                found.append((before, after))
-    return found
+                jumps.append((before, after))
+    return jumps
 
 
-def _forward(series: Sequence[tuple[Integer, Float]]) -> list[tuple[int, int]]:
+def _forward(series: _Series) -> list[tuple[int, int]]:
     """Return where the clock of all records together steps forward, as the positions before and after."""
     if not series:
         return []
@@ -237,29 +247,27 @@ def _forward(series: Sequence[tuple[Integer, Float]]) -> list[tuple[int, int]]:
 
 def _covering(intervals: Sequence[tuple[int, int]]) -> list[int]:
     """Return the smallest set of positions such that each interval (before, after] contains one of them."""
-    found: list[int] = []
+    positions: list[int] = []
     for before, after in sorted(intervals, key=lambda interval: interval[1]):
-        if not found or before >= found[-1]:
-            found.append(int(after))
-    return found
+        if not positions or before >= positions[-1]:
+            positions.append(int(after))
+    return positions
 
 
-def _cut_at_steps(
-    piece: _Piece, series: Sequence[tuple[Integer, Float]], readings: tuple[Integer, Float, Float]
-) -> list[_Piece]:
+def _cut_at_steps(piece: _Piece, series: _Series, readings: _Readings) -> list[_Piece]:
     """Split a piece where UTC minus the clock steps."""
-    mine = within(readings[0], (piece.span,))
-    position, offset_s = readings[0][mine], (readings[2] - readings[1])[mine]
+    inside = within(readings[0], (piece.span,))
+    position, offset_s = readings[0][inside], (readings[2] - readings[1])[inside]
     if position.size < 2:
         return [piece]
     smooth_s = _running_median(offset_s)
     steps = []
     for i in np.flatnonzero(np.abs(np.diff(smooth_s)) > _SAME_CLOCK_S).tolist():
         near = np.arange(max(0, i - 2), min(offset_s.size, i + 4))
-        left = near[np.abs(offset_s[near] - smooth_s[i]) < _SAME_CLOCK_S]
-        right = near[np.abs(offset_s[near] - smooth_s[i + 1]) < _SAME_CLOCK_S]
-        ends = (left.max(initial=0), right.min(initial=offset_s.size - 1))
-        if left.size and right.size:
+        before_step = near[np.abs(offset_s[near] - smooth_s[i]) < _SAME_CLOCK_S]
+        after_step = near[np.abs(offset_s[near] - smooth_s[i + 1]) < _SAME_CLOCK_S]
+        ends = (before_step.max(initial=0), after_step.min(initial=offset_s.size - 1))
+        if before_step.size and after_step.size:
             steps.append((int(position[min(ends)]), int(position[max(ends)])))
     parts = [piece]
     for before, after in sorted(set(steps)):
@@ -273,17 +281,18 @@ def _cut_at_steps(
     return _without_glitches(parts, readings)
 
 
-def _cut_at_arrivals(piece: _Piece, arrivals: tuple[Integer, Float, Float]) -> list[_Piece]:
+def _cut_at_arrivals(piece: _Piece, arrivals: _Readings) -> list[_Piece]:
     """Split a piece where the recorder's clock minus the autopilot's steps."""
-    mine = within(arrivals[0], (piece.span,))
-    position, offset_s = arrivals[0][mine], (arrivals[2] - arrivals[1])[mine]
+    inside = within(arrivals[0], (piece.span,))
+    position, offset_s = arrivals[0][inside], (arrivals[2] - arrivals[1])[inside]
     if position.size < _MEDIAN_OF:
         return [piece]
     steps = np.flatnonzero(np.abs(np.diff(_running_median(offset_s))) > _SAME_ARRIVAL_S)
     # The running median steps one or two records later: the largest change nearby is the step.
     near = {int(i + np.argmax(np.abs(np.diff(offset_s[max(0, i - 2) : i + 4]))) - min(i, 2)) for i in steps.tolist()}
     bounds = [piece.span[0], *(int(position[i + 1]) for i in sorted(near)), piece.span[1]]
-    kinds = [piece.follows, *["forward"] * len(near)]
+    kinds: list[_Mark] = ["forward"] * (len(near) + 1)
+    kinds[0] = piece.follows
     return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True) if span[0] < span[1]]
 
 
@@ -296,11 +305,11 @@ def _running_median(values: Float) -> Float:
     return np.concatenate([np.full(half, inner[0]), inner, np.full(half, inner[-1])])
 
 
-def _continues(series: Sequence[tuple[Integer, Float]], before: int, after: int) -> bool:
+def _continues(series: _Series, before: int, after: int) -> bool:
     """Return whether the series with most records continues between two positions."""
     if not series:
         return False
-    position, clock_s = max(series, key=lambda one: one[0].size)
+    position, clock_s = max(series, key=lambda records: records[0].size)
     first, last = np.searchsorted(position, before, side="right") - 1, np.searchsorted(position, after)
     part_s = clock_s[max(0, first) : last + 1]
     if part_s.size < 2 or clock_s.size < 3:
@@ -310,7 +319,7 @@ def _continues(series: Sequence[tuple[Integer, Float]], before: int, after: int)
     return bool((steps_s >= 0).all() and steps_s.max() <= _UNBROKEN * usual_s)
 
 
-def _without_glitches(parts: list[_Piece], readings: tuple[Integer, Float, Float]) -> list[_Piece]:
+def _without_glitches(parts: list[_Piece], readings: _Readings) -> list[_Piece]:
     """Join parts that are separated only by a receiver's error: short, while the records continue."""
     while (pair := _same_boot(parts, readings)) is not None:
         first, second = parts[pair], parts[pair + 1]
@@ -318,11 +327,11 @@ def _without_glitches(parts: list[_Piece], readings: tuple[Integer, Float, Float
     return parts
 
 
-def _same_boot(parts: Sequence[_Piece], readings: tuple[Integer, Float, Float]) -> int | None:
+def _same_boot(parts: Sequence[_Piece], readings: _Readings) -> int | None:
     """Return the first of two neighbouring parts of one boot: one has UTC for some seconds only, or both agree."""
-    mine = [within(readings[0], (part.span,)) for part in parts]
-    lengths_s = [float(np.ptp(readings[1][one])) if one.any() else 0.0 for one in mine]
-    offset_s = [float(np.median((readings[2] - readings[1])[one])) if one.any() else np.nan for one in mine]
+    inside = [within(readings[0], (part.span,)) for part in parts]
+    lengths_s = [float(np.ptp(readings[1][rows])) if rows.any() else 0.0 for rows in inside]
+    offset_s = [float(np.median((readings[2] - readings[1])[rows])) if rows.any() else np.nan for rows in inside]
     for k in range(len(parts) - 1):
         alike = abs(offset_s[k] - offset_s[k + 1]) < _SAME_CLOCK_S
         if parts[k + 1].unbroken and (alike or min(lengths_s[k : k + 2]) < _GLITCH_S):
@@ -332,24 +341,24 @@ def _same_boot(parts: Sequence[_Piece], readings: tuple[Integer, Float, Float]) 
 
 def _measure(
     piece: _Piece,
-    series: Sequence[tuple[Integer, Float]],
-    readings: tuple[Integer, Float, Float],
-    arrivals: tuple[Integer, Float, Float] | None,
+    series: _Series,
+    readings: _Readings,
+    arrivals: _Readings | None,
 ) -> None:
     """Set first and last time of a piece, and UTC and the recorder's clock minus its clock."""
     for position, clock_s in series:
-        mine = clock_s[within(position, (piece.inner,))]
-        piece.records += mine.size
-        piece.first_s = min(piece.first_s, float(mine.min(initial=inf)))
-        piece.last_s = max(piece.last_s, float(mine.max(initial=-inf)))
+        times_s = clock_s[within(position, (piece.inner,))]
+        piece.records += times_s.size
+        piece.first_s = min(piece.first_s, float(times_s.min(initial=inf)))
+        piece.last_s = max(piece.last_s, float(times_s.max(initial=-inf)))
     piece.utc_minus_clock_s = _offset_s(piece, readings)
     piece.arrival_minus_clock_s = None if arrivals is None else _offset_s(piece, arrivals)
 
 
-def _offset_s(piece: _Piece, readings: tuple[Integer, Float, Float]) -> float | None:
+def _offset_s(piece: _Piece, readings: _Readings) -> float | None:
     """Return the median of another clock minus the autopilot's within a piece, s; None without readings."""
-    mine = within(readings[0], (piece.inner,))
-    return float(np.median((readings[2] - readings[1])[mine])) if mine.any() else None
+    inside = within(readings[0], (piece.inner,))
+    return float(np.median((readings[2] - readings[1])[inside])) if inside.any() else None
 
 
 def _assigned(pieces: Sequence[_Piece], same: Callable[[_Piece, _Boot], bool]) -> list[_Boot]:
@@ -360,10 +369,11 @@ def _assigned(pieces: Sequence[_Piece], same: Callable[[_Piece, _Boot], bool]) -
         if piece.records < _FEWEST_RECORDS:
             continue
         piece.after, last = last, piece
-        own = next((boot for boot in boots if same(piece, boot)), None)
-        if own is None:
-            boots.append(own := _Boot())
-        own.pieces.append(piece)
+        boot = next((boot for boot in boots if same(piece, boot)), None)
+        if boot is None:
+            boot = _Boot()
+            boots.append(boot)
+        boot.pieces.append(piece)
     return boots
 
 
@@ -372,41 +382,36 @@ def _agree(piece: _Piece, boot: _Boot, alike: Callable[[int, int], bool]) -> boo
 
 
 def _is_of(piece: _Piece, boot: _Boot, strict: bool) -> bool:
-    """Return whether a piece belongs to a boot."""
+    """Return whether a piece belongs to a boot; if `strict`, a piece after a step forward does not without UTC."""
     if piece.utc_minus_clock_s is not None and boot.utc_minus_clock_s is not None:
         same = abs(piece.utc_minus_clock_s - boot.utc_minus_clock_s) < _SAME_CLOCK_S
         return same and not boot.overlaps(piece)
-    on_s = piece.first_s - boot.last_s
-    if piece.follows == "head" or on_s < -_OVERLAP_S:
+    pause_s = piece.first_s - boot.last_s
+    if piece.follows == "head" or pause_s < -_OVERLAP_S:
         return False
     if piece.arrival_minus_clock_s is not None and boot.arrival_minus_clock_s is not None:
         return abs(piece.arrival_minus_clock_s - boot.arrival_minus_clock_s) < _SAME_ARRIVAL_S
-    return piece.after is boot.pieces[-1] and (on_s <= _FORWARD_S or not strict)
-
-
-def _spans(boot: _Boot) -> tuple[Span, ...]:
-    return tuple(piece.span for piece in boot.pieces)
+    return piece.after is boot.pieces[-1] and (pause_s <= _FORWARD_S or not strict)
 
 
 def _with_doubts(boots: Sequence[tuple[Boot, _Boot]]) -> tuple[Boot, ...]:
     """Mark boots whose UTC may be a receiver's error: it steps while the records continue."""
     labelled = []
-    for boot, found in boots:
+    for boot, pieces in boots:
         doubt = ""
-        for other_boot, other in boots:
-            step_s = _unbroken_step_s(found, other)
-            if step_s is not None and (other.records, other_boot.number) > (found.records, boot.number):
+        for other_boot, others in boots:
+            step_s = _unbroken_step_s(pieces, others)
+            if step_s is not None and (others.records, other_boot.number) > (pieces.records, boot.number):
                 doubt = f"UTC steps by {step_s:.1f} s between it and boot {other_boot.number}, but the clock goes on"
         labelled.append(replace(boot, doubt=doubt))
     return tuple(labelled)
 
 
-def _unbroken_step_s(one: _Boot, other: _Boot) -> float | None:
+def _unbroken_step_s(boot: _Boot, other: _Boot) -> float | None:
     """Return the step of UTC between two boots whose records continue, s; None if they do not."""
-    for a in one.pieces:
-        for b in other.pieces:
-            first, second = (a, b) if a.span[0] < b.span[0] else (b, a)
-            known = a.utc_minus_clock_s is not None and b.utc_minus_clock_s is not None
-            if second.unbroken and 0 <= second.first_s - first.last_s < _FORWARD_S and known:
-                return abs((a.utc_minus_clock_s or 0.0) - (b.utc_minus_clock_s or 0.0))
+    for pair in product(boot.pieces, other.pieces):
+        first, second = sorted(pair, key=lambda piece: piece.span[0])
+        continues = second.unbroken and 0 <= second.first_s - first.last_s < _FORWARD_S
+        if continues and first.utc_minus_clock_s is not None and second.utc_minus_clock_s is not None:
+            return abs(first.utc_minus_clock_s - second.utc_minus_clock_s)
     return None

@@ -1,10 +1,7 @@
-"""The table of log formats that glstar reads.
+"""`LOG_FORMATS`, the table of log formats that glstar reads.
 
-A new format is a reader, a `TelemetrySource` in a module of its own, and one entry of `LOG_FORMATS`.
-
-Logs in gzip files and zip archives, opened without unpacking them first.
-
-Files that are not flight logs but are given to glstar: what they are, for error messages.
+A new format is a reader, a `TelemetrySource` in a module of its own, and one entry of the table.  Logs in gzip files
+and zip archives are unpacked by `unpack`; `other_file` says what a file is that is no flight log.
 """
 
 import gzip
@@ -27,71 +24,7 @@ from glstar.telemetry.source import TelemetrySource
 from glstar.telemetry.tables.files import csv_header, is_office_file, is_parquet, table_header
 from glstar.telemetry.tables.mapped import MappedTableReader, ready_map
 from glstar.telemetry.tables.native import TableReader
-from glstar.telemetry.ulog import ULOG_MAGIC, Ulog2csvReader, ULogReader, is_ulog2csv
-
-# What a file is, by its first bytes.
-_BY_MAGIC: Final = {
-    b"\x89PNG\r\n\x1a\n": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
-    b"II*\x00": "a TIFF image",
-    b"MM\x00*": "a TIFF image",
-    b"GIF8": "a GIF image",
-    b"SIMPLE  =": "a FITS image",
-    b"%PDF-": "a PDF",
-    b"MATLAB 5.0": "a MATLAB file",
-    b"BZh": "compressed with bzip2; unpack it first",
-    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
-    b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
-    b"PK\x03\x04": "a zip archive without a log",
-    b"\x89HDF\r\n": "an HDF5 file",
-    b"\x93NUMPY": "a NumPy array",
-    b"H Product:Blackbox": "a Betaflight or INAV blackbox log; its attitude has no compass and no UTC",
-    b"RIFF": "a WebP image, audio or video",
-    b"ULogEnc": "an encrypted ULog; decrypt it first",
-    b"\xff\xfe": "text in UTF-16; save it as UTF-8",
-    b"\xfe\xff": "text in UTF-16; save it as UTF-8",
-    b"$GP": "an NMEA track; it has positions but no attitude: --position takes it",
-    b"$GN": "an NMEA track; it has positions but no attitude: --position takes it",
-    b"<": "a web page or XML; was it saved from a browser?",
-    b"{": "JSON",
-}
-
-# What an archive or an XML file contains, by a string in its first bytes.
-_CONTENTS: Final = {
-    b"PK\x03\x04": {
-        b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude: --position takes it",
-    },
-    b"<": {
-        b"<gpx": "a GPX track; it has positions but no attitude: --position takes it",
-        b"<kml": "a KML track; it has positions but no attitude: --position takes it",
-        b"<TrainingCenterDatabase": "a TCX track; it has positions but no attitude",
-    },
-}
-
-# First lines of an IGC file: its recorder, and header records.
-_IGC: Final = re.compile(rb"A[A-Z0-9]{3}[^\n]*\r?\n(?:[^\n]*\r?\n){0,4}?H[FOP]")
-# Output of mavlogdump.py: 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
-_PRINTED: Final = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
-
-
-def other_file(head: bytes, name: str) -> str | None:
-    """Return what a file is that glstar does not read.
-
-    `head`: the first bytes of the file, some thousands; `name`: the file.  Returns: for messages: ``"a PNG image"``;
-    None if the file is text and may be a table.
-    """
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, kind in _BY_MAGIC.items():
-        if text.startswith(magic):
-            contents = _CONTENTS.get(magic, {})
-            return next((content for mark, content in contents.items() if mark in head), kind)
-    if _IGC.match(text):
-        return "an IGC track; it has positions but no attitude: --position takes it"
-    if _PRINTED.match(text):
-        return "what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
-    if b"\0" in head and "DJI" in Path(name).name:
-        return "no log that glstar knows; DJI encrypts its flight records"
-    return "no log that glstar knows" if b"\0" in head else None
+from glstar.telemetry.ulog import Ulog2csvReader, ULogReader, is_ulog, is_ulog2csv
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +45,10 @@ class LogFormat:
         Whether a file may hold several vehicles; the reader then also takes ``sysid``.
     takes_columns : bool
         Whether the reader also takes ``columns``: topics and frames, as text.
+    is_table : bool
+        Whether a column map can say what its columns mean.
+    is_any_text : bool
+        Whether any text is recognised: another log in the same archive is preferred.
     """
 
     name: str
@@ -120,35 +57,38 @@ class LogFormat:
     reader: Callable[..., TelemetrySource]
     has_systems: bool = False
     takes_columns: bool = False
+    is_table: bool = False
+    is_any_text: bool = False
 
-    @property
-    def is_table(self) -> bool:
-        """Whether a column map can say what its columns mean."""
-        return self.name in {"CSV tables", "Parquet tables", "Excel workbooks"}
+
+def _csv_tables(
+    recognises: Callable[[bytes], bool], reader: Callable[..., TelemetrySource], *, is_any_text: bool = False
+) -> LogFormat:
+    return LogFormat("CSV tables", (".csv",), recognises, reader, is_table=True, is_any_text=is_any_text)
 
 
 # In the order of recognition: binary formats, then text formats, the most general last.
 LOG_FORMATS: Final = (
     LogFormat("MAVLink telemetry logs", (".tlog",), is_telemetry_log, TelemetryLogReader, has_systems=True),
     LogFormat("ArduPilot DataFlash", (".BIN", ".log"), is_dataflash, DataFlashReader),
-    LogFormat("PX4 ULog", (".ulg",), lambda head: head.startswith(ULOG_MAGIC), ULogReader),
+    LogFormat("PX4 ULog", (".ulg",), is_ulog, ULogReader),
     LogFormat("MAVLink streams", (".rlog",), is_mavlink_stream, stream_reader, has_systems=True),
     LogFormat("ROS bags", (".bag", ".mcap", ".db3"), is_bag, BagReader, takes_columns=True),
-    LogFormat("Parquet tables", (".parquet",), is_parquet, MappedTableReader),
-    LogFormat("Excel workbooks", (".xlsx",), is_office_file, MappedTableReader),
-    LogFormat("CSV tables", (".csv",), lambda head: is_mavlogdump(csv_header(head)), MavlogdumpReader),
-    LogFormat("CSV tables", (".csv",), lambda head: is_dataflash_dump(csv_header(head)), DataFlashDumpReader),
-    LogFormat("CSV tables", (".csv",), lambda head: is_ulog2csv(csv_header(head)), Ulog2csvReader),
-    LogFormat("CSV tables", (".csv",), lambda head: ready_map(table_header(head)) is not None, MappedTableReader),
-    LogFormat("CSV tables", (".csv",), lambda head: other_file(head, "") is None, TableReader),
+    LogFormat("Parquet tables", (".parquet",), is_parquet, MappedTableReader, is_table=True),
+    LogFormat("Excel workbooks", (".xlsx",), is_office_file, MappedTableReader, is_table=True),
+    _csv_tables(lambda head: is_mavlogdump(csv_header(head)), MavlogdumpReader),
+    _csv_tables(lambda head: is_dataflash_dump(csv_header(head)), DataFlashDumpReader),
+    _csv_tables(lambda head: is_ulog2csv(csv_header(head)), Ulog2csvReader),
+    _csv_tables(lambda head: ready_map(table_header(head)) is not None, MappedTableReader),
+    _csv_tables(lambda head: other_file(head, "") is None, TableReader, is_any_text=True),
 )
 
 # Suffixes of flight logs, in lower case.
-LOG_SUFFIXES: Final = tuple(dict.fromkeys(suffix.lower() for one in LOG_FORMATS for suffix in one.suffixes))
+LOG_SUFFIXES: Final = tuple(dict.fromkeys(suffix.lower() for entry in LOG_FORMATS for suffix in entry.suffixes))
 
 
 def _readable() -> str:
-    names = list(dict.fromkeys(f"{one.name} ({', '.join(one.suffixes)})" for one in LOG_FORMATS))
+    names = list(dict.fromkeys(f"{entry.name} ({', '.join(entry.suffixes)})" for entry in LOG_FORMATS))
     return f"glstar reads {', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -157,11 +97,8 @@ READABLE: Final = _readable()
 
 
 def log_format(head: bytes) -> LogFormat | None:
-    """Return the format of a file.
-
-    `head`: the first 4096 bytes of the file.  Returns: none if glstar does not read the file.
-    """
-    return next((one for one in LOG_FORMATS if one.recognises(head)), None)
+    """Return the format of a file by its first 4096 bytes; None if glstar does not read it."""
+    return next((entry for entry in LOG_FORMATS if entry.recognises(head)), None)
 
 
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
@@ -174,10 +111,7 @@ _PIECE_BYTES: Final = 1 << 20
 
 
 def is_packed(head: bytes) -> bool:
-    """Return whether a file is gzipped or a zip archive, but no Excel workbook and no KMZ.
-
-    `head`: the first bytes of the file, some thousands.
-    """
+    """Return whether a file is gzipped or a zip archive, by its first bytes, but no Excel workbook and no KMZ."""
     return head.startswith(_GZIP) or (head.startswith(_ZIP) and not is_office_file(head) and _KMZ not in head[:200])
 
 
@@ -195,10 +129,10 @@ _DAMAGED: Final = (
 
 
 def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
-    """Unpack the log of a gzip file or a zip archive into a temporary directory.
+    """Unpack the log of a gzip file or a zip archive into a temporary directory, beside other files of the archive.
 
-    `name`: the file.  Returns: removed by its `cleanup`, or when it is no longer referenced; the log in it; other files
-    of the archive are beside it.  Raises LogFormatError if it is damaged, or does not hold exactly one log.
+    Returns the directory, to be removed by its `cleanup`, and the log.  Raises LogFormatError if the file is damaged,
+    or does not hold exactly one log.
     """
     folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
     try:
@@ -233,7 +167,7 @@ def _unzipped(name: str, folder: Path) -> Path:
     """Unpack all files of an archive into one folder, and return the only log."""
     size = 0
     logs: list[Path] = []
-    tables: list[Path] = []
+    texts: list[Path] = []
     with zipfile.ZipFile(name) as archive:
         for member in archive.infolist():
             # A path could lead out of the folder: only its last part counts.
@@ -244,12 +178,78 @@ def _unzipped(name: str, folder: Path) -> Path:
                 size = _copy(name, packed, path, size)
             with path.open("rb") as file:
                 head = file.read(_HEAD_BYTES)
-            if (found := log_format(head)) is not None:
-                (tables if found is LOG_FORMATS[-1] else logs).append(path)
+            if (kind := log_format(head)) is not None:
+                (texts if kind.is_any_text else logs).append(path)
     # Any text may be a table: a text beside a log is a readme.
-    logs = logs or tables
+    logs = logs or texts
     if len(logs) != 1:
         held = ", ".join(path.name for path in logs[:5])
         what = f"holds {len(logs)} logs ({held}); unpack it and name one" if logs else "is a zip archive without a log"
         raise LogFormatError(name, what)
     return logs[0]
+
+
+# What a file is that has positions only.
+_TRACK: Final = "track; it has positions but no attitude: --position takes it"
+# What a file is, by its first bytes.
+_BY_MAGIC: Final = {
+    b"\x89PNG\r\n\x1a\n": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"II*\x00": "a TIFF image",
+    b"MM\x00*": "a TIFF image",
+    b"GIF8": "a GIF image",
+    b"SIMPLE  =": "a FITS image",
+    b"%PDF-": "a PDF",
+    b"MATLAB 5.0": "a MATLAB file",
+    b"BZh": "compressed with bzip2; unpack it first",
+    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
+    b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
+    b"PK\x03\x04": "a zip archive without a log",
+    b"\x89HDF\r\n": "an HDF5 file",
+    b"\x93NUMPY": "a NumPy array",
+    b"H Product:Blackbox": "a Betaflight or INAV blackbox log; its attitude has no compass and no UTC",
+    b"RIFF": "a WebP image, audio or video",
+    b"ULogEnc": "an encrypted ULog; decrypt it first",
+    b"\xff\xfe": "text in UTF-16; save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16; save it as UTF-8",
+    b"$GP": f"an NMEA {_TRACK}",
+    b"$GN": f"an NMEA {_TRACK}",
+    b"<": "a web page or XML; was it saved from a browser?",
+    b"{": "JSON",
+}
+
+# What an archive or an XML file contains, by a string in its first bytes.
+_CONTENTS: Final = {
+    b"PK\x03\x04": {
+        b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude: --position takes it",
+    },
+    b"<": {
+        b"<gpx": f"a GPX {_TRACK}",
+        b"<kml": f"a KML {_TRACK}",
+        b"<TrainingCenterDatabase": "a TCX track; it has positions but no attitude",
+    },
+}
+
+# First lines of an IGC file: its recorder, and header records.
+_IGC: Final = re.compile(rb"A[A-Z0-9]{3}[^\n]*\r?\n(?:[^\n]*\r?\n){0,4}?H[FOP]")
+# Output of mavlogdump.py: 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
+_PRINTED: Final = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
+
+
+def other_file(head: bytes, name: str) -> str | None:
+    """Return what a file is that glstar does not read, such as ``"a PNG image"``, by its first bytes and its name.
+
+    None if the file is text and may be a table.
+    """
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    for magic, kind in _BY_MAGIC.items():
+        if text.startswith(magic):
+            contents = _CONTENTS.get(magic, {})
+            return next((content for mark, content in contents.items() if mark in head), kind)
+    if _IGC.match(text):
+        return f"an IGC {_TRACK}"
+    if _PRINTED.match(text):
+        return "what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
+    if b"\0" in head and "DJI" in Path(name).name:
+        return "no log that glstar knows; DJI encrypts its flight records"
+    return "no log that glstar knows" if b"\0" in head else None

@@ -65,22 +65,20 @@ class RecordedLog:
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
-        """Read a source to its end.
-
-        `source`: an open source; it is not closed.  Raises LogFormatError if no boot has two attitudes.
-        """
+        """Read an open source to its end; it is not closed.  Raises LogFormatError if no boot has two attitudes."""
         batches: defaultdict[int, list[Samples]] = defaultdict(list)
         for batch in source.samples():
             batches[batch.boot].append(batch)
-        found = {number: Recording.of(source.name, some, number) for number, some in sorted(batches.items())}
-        if source.one_clock and found:
-            clock = Recording.of(source.name, [batch for some in batches.values() for batch in some]).clock
-            found = {number: replace(one, clock=clock) for number, one in found.items()}
-        usable = {number: one for number, one in found.items() if np.unique(one.attitude.clock_s).size > 1}
+        name = source.name
+        boots = {number: Recording.of(name, samples, number) for number, samples in sorted(batches.items())}
+        if source.one_clock and boots:
+            clock = Recording.of(name, [batch for samples in batches.values() for batch in samples]).clock
+            boots = {number: replace(boot, clock=clock) for number, boot in boots.items()}
+        usable = {number: boot for number, boot in boots.items() if np.unique(boot.attitude.clock_s).size > 1}
         if not usable:
-            most = max(found.values(), key=lambda one: one.attitude.clock_s.size, default=Recording.of(source.name, ()))
+            most = max(boots.values(), key=lambda boot: boot.attitude.clock_s.size, default=Recording.of(name, ()))
             most.require_two_attitudes()
-        return cls(source.name, source.boots(), usable, source.one_clock)
+        return cls(name, source.boots(), usable, source.one_clock)
 
     @property
     def longest(self) -> Recording:
@@ -90,19 +88,19 @@ class RecordedLog:
     def flight(self, options: FlightOptions = DEFAULT_OPTIONS) -> Flight:
         """Convert the samples to a flight: all boots within a day, each by its own UTC, with gaps between them.
 
-        Boots that do not fit are left out, with a remark in the notes of the flight: boots without UTC if others have
-        it, boots that overlap with a longer one, boots more than a day away from the longest sequence of boots.
-        Raises LogFormatError if there is no UTC or no position, or no rates for ``"gyro"``.
+        The notes of the flight say which boots are left out: boots without UTC if others have it, boots that overlap
+        with a longer one, boots more than a day away from the longest sequence of boots.  Raises LogFormatError if
+        there is no UTC or no position, or no rates for ``"gyro"``.
         """
         flight, left_out = self._flight_of_boots(options)
         return replace(flight, notes=(*flight.notes, *self._notes(left_out)))
 
     def recordings_of_flight(self, site: PositionTrack | None = None) -> list[Recording]:
-        """Return the boots of the flight, sorted by time; `site`: the given position."""
+        """Return the boots of the flight, sorted by time; `site`: the position that replaces those of the log."""
         return [self.recordings[number] for number in self._boots_of_flight(site)[0]]
 
     def summaries(self, *, site: PositionTrack | None = None) -> tuple[BootSummary, ...]:
-        """Return a summary of each boot; `site`: the given position."""
+        """Return a summary of each boot; `site`: the position that replaces those of the log."""
         _, left_out = self._boots_of_flight(site)
         return tuple(self._summary(boot, left_out) for boot in self.boots)
 
@@ -111,14 +109,14 @@ class RecordedLog:
         if recording is None:
             return BootSummary(boot.number, 0.0, 0, None, None, "", "it has fewer than two attitudes")
         offset_s = recording.utc_minus_clock_s
-        first_s, last_s = (float(end) for end in (recording.attitude.clock_s.min(), recording.attitude.clock_s.max()))
-        utc = (None, None) if offset_s is None else (first_s + offset_s, last_s + offset_s)
+        clock_s = np.unique(recording.attitude.clock_s)
+        first_s, last_s = float(clock_s[0]), float(clock_s[-1])
         return BootSummary(
             number=boot.number,
             duration_s=round(last_s - first_s, 3),
-            samples=int(np.unique(recording.attitude.clock_s).size),
-            utc_first=None if utc[0] is None else format_utc(utc[0]),
-            utc_last=None if utc[1] is None else format_utc(utc[1]),
+            samples=clock_s.size,
+            utc_first=None if offset_s is None else format_utc(first_s + offset_s),
+            utc_last=None if offset_s is None else format_utc(last_s + offset_s),
             attitude_source=recording.attitude_source("slerp"),
             left_out=left_out.get(boot.number, ""),
         )
@@ -129,36 +127,36 @@ class RecordedLog:
         left_out: dict[int, str] = {
             boot.number: "it has fewer than two attitudes" for boot in self.boots if boot.number not in recordings
         }
-        known = {number: one.utc_minus_clock_s for number, one in recordings.items()}
-        if self.one_clock and None in known.values():
-            known = dict.fromkeys(known, 0.0)
-        elif not any(offset_s is not None for offset_s in known.values()):
+        if self.one_clock and any(recording.utc_minus_clock_s is None for recording in recordings.values()):
+            offset_s = dict.fromkeys(recordings, 0.0)
+        else:
+            offsets = {number: recording.utc_minus_clock_s for number, recording in recordings.items()}
+            offset_s = {number: offset for number, offset in offsets.items() if offset is not None}
+        if not offset_s:
             longest = max(recordings, key=lambda number: (_length_s(recordings[number]), -number))
-            others = {
-                n: f"without UTC its time relative to boot {longest} is not known" for n in recordings if n != longest
-            }
-            return {longest: 0.0}, left_out | others
-        offset_s = {number: one for number, one in known.items() if one is not None}
-        left_out |= {n: f"it has no UTC ({recordings[n].clock.source})" for n in recordings if n not in offset_s}
+            reason = f"without UTC its time relative to boot {longest} is not known"
+            return {longest: 0.0}, left_out | {number: reason for number in recordings if number != longest}
+
+        def leave_out(reasons: Mapping[int, str]) -> None:
+            left_out.update(reasons)
+            for number in reasons:
+                offset_s.pop(number, None)
+
+        leave_out({n: f"it has no UTC ({recordings[n].clock.source})" for n in recordings if n not in offset_s})
         if len(offset_s) > 1:
-            doubted = {boot.number: boot.doubt for boot in self.boots if boot.doubt and boot.number in offset_s}
-            left_out |= doubted
-            offset_s = {number: one for number, one in offset_s.items() if number not in doubted}
-            left_out |= self._conflicting(offset_s)
-            offset_s = {number: one for number, one in offset_s.items() if number not in left_out}
+            leave_out({boot.number: boot.doubt for boot in self.boots if boot.doubt and boot.number in offset_s})
+            leave_out(self._conflicting(offset_s))
         if site is None:
-            without_position = self._without_position(offset_s)
-            left_out |= without_position
-            offset_s = {number: one for number, one in offset_s.items() if number not in without_position}
-        return dict(sorted(offset_s.items(), key=lambda one: self._span_utc_s(*one)[0])), left_out
+            leave_out(self._without_position(offset_s))
+        return dict(sorted(offset_s.items(), key=lambda boot: self._span_utc_s(*boot)[0])), left_out
 
     def _span_utc_s(self, number: int, offset_s: float) -> tuple[float, float]:
         clock_s = self.recordings[number].attitude.clock_s
         return float(clock_s.min()) + offset_s, float(clock_s.max()) + offset_s
 
     def _conflicting(self, offset_s: Mapping[int, float]) -> dict[int, str]:
-        """Return which boots overlap with others, or are on another day, with a message each."""
-        spans = {number: self._span_utc_s(number, one) for number, one in offset_s.items()}
+        """Return which boots overlap with others, or are on another day, with the reason for each."""
+        spans = {number: self._span_utc_s(number, offset) for number, offset in offset_s.items()}
         by_length = sorted(spans, key=lambda number: (spans[number][0] - spans[number][1], number))
         left_out: dict[int, str] = {}
         kept: list[int] = []
@@ -184,13 +182,11 @@ class RecordedLog:
         return left_out
 
     def _without_position(self, offset_s: Mapping[int, float]) -> dict[int, str]:
-        """Return which boots have no position while another one has, with a message each."""
-        with_position = {
-            n: self._span_utc_s(n, one) for n, one in offset_s.items() if self.recordings[n].position.clock_s.size
-        }
-        left_out = {}
-        for number, one in offset_s.items() if with_position else ():
-            first_s, last_s = self._span_utc_s(number, one)
+        """Return which boots have no position while another one has, with the reason for each."""
+        spans = {number: self._span_utc_s(number, offset) for number, offset in offset_s.items()}
+        with_position = {number: spans[number] for number in spans if self.recordings[number].position.clock_s.size}
+        left_out: dict[int, str] = {}
+        for number, (first_s, last_s) in spans.items() if with_position else ():
             near = any(
                 first_s - _POSITION_VALID_S < stop and start < last_s + _POSITION_VALID_S
                 for start, stop in with_position.values()
@@ -200,57 +196,74 @@ class RecordedLog:
         return left_out
 
     def _flight_of_boots(self, options: FlightOptions) -> tuple[Flight, dict[int, str]]:
-        given = options.position
-        offset_s, left_out = self._boots_of_flight(given)
+        """Return the flight, and why other boots are left out."""
+        offset_s, left_out = self._boots_of_flight(options.position)
         if len(offset_s) == 1:
             return self.recordings[next(iter(offset_s))].flight(options), left_out
         with_position = [number for number in offset_s if self.recordings[number].position.clock_s.size]
-        self.recordings[(with_position or list(offset_s))[0]].require_utc_and_position(options.utc_start, given)
+        first = (with_position or list(offset_s))[0]
+        self.recordings[first].require_utc_and_position(options.utc_start, options.position)
         earlier_s = 0.0
         if options.utc_start is not None:
-            earlier_s = min(self._span_utc_s(*one)[0] for one in offset_s.items()) - options.utc_start
-        attitudes, positions = {}, []
-        for number, one in offset_s.items():
-            recording, shift_s = self.recordings[number], one - earlier_s
+            earlier_s = min(self._span_utc_s(*boot)[0] for boot in offset_s.items()) - options.utc_start
+        shifts_s = {number: offset - earlier_s for number, offset in offset_s.items()}
+        attitudes: dict[int, AttitudeTrack] = {}
+        refusal: TelemetryError | None = None
+        for number, shift_s in shifts_s.items():
             try:
-                track = recording.attitude_track(
+                attitudes[number] = self.recordings[number].attitude_track(
                     shift_s, max_gap_s=options.max_gap_s, interpolation=options.interpolation
                 )
             except TelemetryError as error:
-                left_out[number], refusal = str(error), error
-                continue
-            attitudes[number] = track
-            if recording.position.clock_s.size:
-                positions.append(recording.position_track(shift_s).clipped(track.first_s, track.last_s))
+                left_out[number] = str(error)
+                refusal = error
         if not attitudes:
             raise LogFormatError(self.name, str(refusal)) from refusal
-        used = {number: self.recordings[number] for number in attitudes}
-        notes = [f"boot {number}: {note}" for number, one in used.items() for note in one.attitude.notes]
+        return self._joined(attitudes, shifts_s, options, by_log=not earlier_s), left_out
+
+    def _joined(
+        self,
+        attitudes: Mapping[int, AttitudeTrack],
+        shifts_s: Mapping[int, float],
+        options: FlightOptions,
+        *,
+        by_log: bool,
+    ) -> Flight:
+        """Return the flight of boots with some attitudes, by UTC minus the clock of each, s."""
+        boots = {number: self.recordings[number] for number in attitudes}
         attitude = AttitudeTrack.joined(tuple(attitudes.values()), REBOOT)
+        position, position_source = options.position, options.position_source
+        if position is None:
+            with_position = {number: boot for number, boot in boots.items() if boot.position.clock_s.size}
+            tracks = [
+                boot.position_track(shifts_s[number]).clipped(attitudes[number].first_s, attitudes[number].last_s)
+                for number, boot in with_position.items()
+            ]
+            position = PositionTrack.joined(tracks)
+            position_source = _per_boot({number: boot.position.source for number, boot in with_position.items()})
+        utc_source = _per_boot({number: boot.clock.source for number, boot in boots.items()})
+        clocks = tuple(dict.fromkeys(clock for boot in boots.values() for clock in boot.clock_quality))
+        if options.utc_start is not None:
+            utc_source, clocks = given_utc(options.utc_start), ()
+        notes = [f"boot {number}: {note}" for number, boot in boots.items() for note in boot.attitude.notes]
+        triggers = [boot.camera_triggers(shifts_s[number], by_log=by_log) for number, boot in boots.items()]
+        gimbals = [boot.gimbal.over_utc(shifts_s[number]) for number, boot in boots.items() if boot.gimbal is not None]
         return Flight(
             attitude=attitude,
-            position=PositionTrack.joined(positions) if given is None else given,
+            position=position,
             name=PurePath(self.name).name,
-            attitude_source=_per_boot({n: one.attitude_source(options.interpolation) for n, one in used.items()}),
-            position_source=_per_boot({n: o.position.source for n, o in used.items() if o.position.clock_s.size})
-            if given is None
-            else options.position_source,
-            utc_source=_per_boot({n: one.clock.source for n, one in used.items()})
-            if options.utc_start is None
-            else given_utc(options.utc_start),
+            attitude_source=_per_boot({n: boot.attitude_source(options.interpolation) for n, boot in boots.items()}),
+            position_source=position_source,
+            utc_source=utc_source,
             time_offset_s=options.time_offset_s,
             notes=(*notes, *options.notes(attitude, self.name)),
-            gimbal=_gimbals(
-                [known.over_utc(offset_s[n] - earlier_s) for n in used if (known := used[n].gimbal) is not None]
-            ),
+            gimbal=_gimbals(gimbals),
             events=FlightEvents.joined(
-                e.over_utc(offset_s[n] - earlier_s) for n, one in used.items() for e in one.events
+                events.over_utc(shifts_s[number]) for number, boot in boots.items() for events in boot.events
             ),
-            triggers=_triggers([used[n].camera_triggers(offset_s[n] - earlier_s, by_log=not earlier_s) for n in used]),
-            clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
-            if options.utc_start is None
-            else (),
-        ), left_out
+            triggers=_triggers([part for part in triggers if part is not None]),
+            clocks=clocks,
+        )
 
     def _notes(self, left_out: Mapping[int, str]) -> tuple[str, ...]:
         """Return remarks about several boots: which are in the flight, and why others are left out."""
@@ -269,21 +282,21 @@ class RecordedLog:
         return tuple(notes)
 
 
-def _triggers(parts: list[CameraTriggers | None]) -> CameraTriggers | None:
-    """Return the triggers of several boots."""
-    found = [part for part in parts if part is not None]
-    return CameraTriggers(np.concatenate([part.utc_s for part in found]), found[0].source) if found else None
+def _triggers(parts: list[CameraTriggers]) -> CameraTriggers | None:
+    """Return the triggers of several boots; None without any."""
+    return CameraTriggers(np.concatenate([part.utc_s for part in parts]), parts[0].source) if parts else None
 
 
-def _gimbals(found: list[GimbalAttitude]) -> GimbalAttitude | None:
-    """Return the attitude of a gimbal in several boots."""
-    if not found:
+def _gimbals(parts: list[GimbalAttitude]) -> GimbalAttitude | None:
+    """Return the attitude of a gimbal in several boots; None without any."""
+    if not parts:
         return None
-    utc_s, q, is_earth = (
-        np.concatenate(columns)
-        for columns in zip(*((one.utc_s, one.q_gimbal_reference, one.is_earth) for one in found), strict=True)
+    return GimbalAttitude(
+        np.concatenate([part.utc_s for part in parts]),
+        np.concatenate([part.q_gimbal_reference for part in parts]),
+        np.concatenate([part.is_earth for part in parts]),
+        parts[0].source,
     )
-    return GimbalAttitude(utc_s, q, is_earth, found[0].source)
 
 
 def _remedy(number: int, recording: Recording) -> str:

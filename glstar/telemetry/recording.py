@@ -35,47 +35,47 @@ from glstar.telemetry.tracks import GivenTrack
 
 Float = NDArray[np.float64]
 
+# A track that is shorter than the flight by less than this is not reported, s.
+_TRACK_ENDS_S: Final = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class FlightOptions:
     """How the samples of a log become a flight."""
 
-    # Camera clock minus log clock, s: positive if the camera's clock is ahead; the flight keeps the UTC of the log; see
-    # `Flight`.
+    # Camera clock minus log clock, s: positive if the camera's clock is ahead; the flight keeps the UTC of the log.
     time_offset_s: float = 0.0
     # UTC of the first attitude sample, seconds since 1970; it replaces the UTC of the log.
     utc_start: float | None = None
     site: Site | None = None  # Position of the flight; it replaces the positions of the log
     max_gap_s: float | None = None  # Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`
-    # {"slerp", "spline", "gyro"}: how attitude is interpolated between samples; see `AttitudeTrack`.
-    interpolation: Interpolation = "slerp"
+    interpolation: Interpolation = "slerp"  # How attitude is interpolated between samples; see `AttitudeTrack`
     track: GivenTrack | None = None  # Positions of the flight from another file; they replace the positions of the log
 
     @property
     def position(self) -> PositionTrack | None:
-        """The given position of the flight; None if the log's positions are used."""
+        """The position that replaces those of the log; None without one."""
         if self.track is not None:
             return self.track.track
         return None if self.site is None else PositionTrack.fixed(self.site)
 
     @property
     def position_source(self) -> str:
-        """Where the given position comes from, for messages."""
+        """Where the position that replaces those of the log comes from, for messages."""
         return "given" if self.track is None else self.track.source
 
     def notes(self, attitude: AttitudeTrack, name: str) -> tuple[str, ...]:
-        """Return remarks on a track that does not cover a whole flight.
+        """Return remarks on a track that does not cover the whole attitude of a flight from the log `name`.
 
-        `attitude`: the attitude of the flight; `name`: the log, for messages.  Raises LogFormatError if the track has
-        no fix during the flight.
+        Raises LogFormatError if the track has no fix during the flight.
         """
         if self.track is None:
             return ()
         first_s, last_s = float(self.track.track.utc_s[0]), float(self.track.track.utc_s[-1])
         if first_s > attitude.last_s or last_s < attitude.first_s:
-            lies = f"from {format_utc(first_s)} to {format_utc(last_s)}"
+            track = f"from {format_utc(first_s)} to {format_utc(last_s)}"
             flight = f"from {format_utc(attitude.first_s)} to {format_utc(attitude.last_s)}"
-            raise LogFormatError(name, f"the track {self.track.source} lies {lies}, the flight {flight}")
+            raise LogFormatError(name, f"the track {self.track.source} lies {track}, the flight {flight}")
         outside_s = max(first_s - attitude.first_s, 0.0), max(attitude.last_s - last_s, 0.0)
         if max(outside_s) < _TRACK_ENDS_S:
             return ()
@@ -83,8 +83,6 @@ class FlightOptions:
         return (f"the track {self.track.source} begins {ends}; there its nearest fix is used",)
 
 
-# A track that is shorter than the flight by less than this is not reported, s.
-_TRACK_ENDS_S: Final = 5.0
 DEFAULT_OPTIONS: Final = FlightOptions()
 
 
@@ -104,9 +102,9 @@ class Recording:
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
-        """Read all samples of a source with a single boot.
+        """Read all samples of an open source with a single boot; it is not closed.
 
-        `source`: an open source; it is read, not closed.  Raises LogFormatError if there are fewer than two attitudes.
+        Raises LogFormatError if there are fewer than two attitudes.
         """
         recording = cls.of(source.name, list(source.samples()))
         recording.require_two_attitudes()
@@ -114,44 +112,22 @@ class Recording:
 
     @classmethod
     def of(cls, name: str, batches: Iterable[Samples], boot: int = 1) -> Self:
-        """Sort batches of samples of one boot by kind; `name`: the log; `boot`: number of the boot, from 1."""
-        attitudes: list[AttitudeSamples] = []
-        positions: list[PositionSamples] = []
-        clocks: list[ClockSamples] = []
-        rates: list[RateSamples] = []
-        triggers: list[TriggerSamples] = []
-        gimbals: list[GimbalSamples] = []
-        events: list[EventSamples] = []
-        for batch in batches:
-            match batch:
-                case AttitudeSamples():
-                    attitudes.append(batch)
-                case PositionSamples():
-                    positions.append(batch)
-                case ClockSamples():
-                    clocks.append(batch)
-                case RateSamples():
-                    rates.append(batch)
-                case TriggerSamples():
-                    triggers.append(batch)
-                case GimbalSamples():
-                    gimbals.append(batch)
-                case EventSamples():
-                    events.append(batch)
+        """Sort batches of samples of one boot of a log by kind."""
+        every = list(batches)
         return cls(
-            name,
-            _attitude(attitudes),
-            _position(positions),
-            _clock(clocks),
-            _rates(rates),
-            boot,
-            TriggerSamples.joined(triggers),
-            gimbals[0] if gimbals else None,
-            tuple(events),
+            name=name,
+            attitude=_attitude([batch for batch in every if isinstance(batch, AttitudeSamples)]),
+            position=_position([batch for batch in every if isinstance(batch, PositionSamples)]),
+            clock=_clock([batch for batch in every if isinstance(batch, ClockSamples)]),
+            rates=_rates([batch for batch in every if isinstance(batch, RateSamples)]),
+            boot=boot,
+            triggers=TriggerSamples.joined([batch for batch in every if isinstance(batch, TriggerSamples)]),
+            gimbal=next((batch for batch in every if isinstance(batch, GimbalSamples)), None),
+            events=tuple(batch for batch in every if isinstance(batch, EventSamples)),
         )
 
     def require_two_attitudes(self) -> None:
-        """Raise an error if there are fewer than two attitudes; raises LogFormatError."""
+        """Raise LogFormatError if there are fewer than two attitudes."""
         if (count := np.unique(self.attitude.clock_s).size) < 2:
             raise LogFormatError(self.name, f"a flight needs two attitude samples or more; this log has {count}")
 
@@ -182,24 +158,24 @@ class Recording:
 
         Raises LogFormatError if there is no UTC or no position, or no rates for ``"gyro"``.
         """
-        utc_start, given, interpolation = options.utc_start, options.position, options.interpolation
-        self.require_utc_and_position(utc_start, given)
+        utc_start, position, interpolation = options.utc_start, options.position, options.interpolation
+        self.require_utc_and_position(utc_start, position)
         if utc_start is not None:
-            shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), given_utc(utc_start)
+            shift_s = utc_start - float(self.attitude.clock_s.min())
         else:
-            shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
+            shift_s = self.utc_minus_clock_s or 0.0
         try:
             attitude = self.attitude_track(shift_s, max_gap_s=options.max_gap_s, interpolation=interpolation)
-            position = self.position_track(shift_s) if given is None else given
+            track = self.position_track(shift_s) if position is None else position
         except TelemetryError as error:
             raise LogFormatError(self.name, str(error)) from error
         return Flight(
             attitude=attitude,
-            position=position,
+            position=track,
             name=PurePath(self.name).name,
             attitude_source=self.attitude_source(interpolation),
-            position_source=self.position.source if given is None else options.position_source,
-            utc_source=utc_source,
+            position_source=self.position.source if position is None else options.position_source,
+            utc_source=self.clock.source if utc_start is None else given_utc(utc_start),
             time_offset_s=options.time_offset_s,
             notes=(*self.attitude.notes, *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
@@ -209,10 +185,9 @@ class Recording:
         )
 
     def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
-        """Return when the camera was triggered.
+        """Return when the camera was triggered; None if the log does not say.
 
-        `utc_minus_clock_s`: UTC minus the clock of the boot, s; `by_log`: whether UTC in the triggers themselves is
-        used; not if the user gave another UTC.  Returns: none if the log has none.
+        `by_log`: whether UTC in the triggers themselves is used; not if the user gave another UTC.
         """
         if self.triggers is None:
             return None
@@ -229,11 +204,9 @@ class Recording:
         max_gap_s: float | None = None,
         interpolation: Interpolation = "slerp",
     ) -> AttitudeTrack:
-        """Return the attitude over UTC.
+        """Return the attitude over UTC; see `FlightOptions`.
 
-        `utc_minus_clock_s`: UTC minus the clock of the boot, s; `max_gap_s`: longest data gap to interpolate across, s;
-        `interpolation` {"slerp", "spline", "gyro"}: how attitude is interpolated between samples.  Raises
-        TelemetryError if fewer than two samples are valid, or there are no rates for ``"gyro"``.
+        Raises TelemetryError if fewer than two samples are valid, or there are no rates for ``"gyro"``.
         """
         return AttitudeTrack.from_samples(
             self.attitude.clock_s + utc_minus_clock_s,
@@ -250,36 +223,32 @@ class Recording:
         return self.rates.clock_s.size > 1
 
     def attitude_source(self, interpolation: Interpolation) -> str:
-        """Return where the attitude comes from, for messages; `interpolation` {"slerp", "spline", "gyro"}."""
+        """Return where the attitude comes from, and how it is interpolated, for messages."""
         source = f"{self.attitude.source}, {_rate_hz(self.attitude.clock_s):.1f} Hz"
         if interpolation == "gyro":
-            return (
-                f"{source}, between samples by the gyros ({self.rates.source}, {_rate_hz(self.rates.clock_s):.1f} Hz)"
-            )
+            gyros = f"{self.rates.source}, {_rate_hz(self.rates.clock_s):.1f} Hz"
+            return f"{source}, between samples by the gyros ({gyros})"
         return source if interpolation == "slerp" else f"{source}, between samples by a {interpolation}"
 
     def position_track(self, utc_minus_clock_s: float) -> PositionTrack:
-        """Return the position over UTC.
-
-        `utc_minus_clock_s`: UTC minus the clock of the boot, s.  Raises TelemetryError if no sample is valid.
-        """
+        """Return the position over UTC; raises TelemetryError if no sample is valid."""
         samples = self.position
         return PositionTrack.from_samples(
             samples.clock_s + utc_minus_clock_s, samples.latitude_rad, samples.longitude_rad, samples.height_m
         )
 
-    def require_utc_and_position(self, utc_start: float | None, given: PositionTrack | None) -> None:
-        """Raise one error for everything that neither the log nor the user provides; raises LogFormatError."""
+    def require_utc_and_position(self, utc_start: float | None, position: PositionTrack | None) -> None:
+        """Raise one LogFormatError for everything that neither the log nor the user provides."""
         lacks: dict[Literal["UTC", "position"], str] = {}
         needed: list[str] = []
         if utc_start is None and not self.clock.clock_s.size:
             lacks["UTC"] = self.clock.source
             needed.append("the UTC of its first attitude as utc_start (--utc-start)")
-        if given is None and not self.position.clock_s.size:
+        if position is None and not self.position.clock_s.size:
             lacks["position"] = self.position.source
             needed.append("its position as latitude_deg and longitude_deg (--lat, --lon)")
         if lacks:
-            lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in lacks.items()]
+            lacking = [f"no {kind} ({reason})" if reason else f"no {kind}" for kind, reason in lacks.items()]
             message = f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}"
             raise LogFormatError(self.name, message, lacks=lacks)
 
@@ -290,10 +259,7 @@ def _rate_hz(clock_s: Float) -> float:
 
 
 def given_utc(utc_start: float) -> str:
-    """Return the UTC source for a UTC given by the user, for messages.
-
-    `utc_start`: UTC of the first attitude, seconds since 1970.
-    """
+    """Return the UTC source, for messages, if the user gives the UTC of the first attitude, seconds since 1970."""
     return f"given: the first attitude at {format_utc(utc_start)}"
 
 

@@ -19,7 +19,7 @@ options of the bag or a frame_id that contains "ned" say otherwise.  The clock i
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -30,32 +30,13 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, LogFormatError
 from glstar.system.userinput import did_you_mean
-from glstar.telemetry.source import (
-    UNIT_TOLERANCE,
-    YEAR_2010_S,
-    YEAR_2100_S,
-    AttitudeSamples,
-    ClockSamples,
-    LogFacts,
-    PositionSamples,
-    RateSamples,
-    Samples,
-    TelemetrySource,
-    TriggerSamples,
-    check_only_boot,
-    no_position_samples,
-    position_samples,
-    quaternion_lengths,
-    valid_rare_times,
-    valid_rates,
-)
+from glstar.telemetry import source
 from glstar.telemetry.tables.mapped import q_body_ned_of
 
 Float = NDArray[np.float64]
 
 _MAGICS: Final = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 _METADATA: Final = "metadata.yaml"
-_NEEDS: Final = "needs the rosbags library: pip install rosbags"
 
 
 def _pose_orientation(message: Any) -> Any:
@@ -80,14 +61,12 @@ _ATTITUDES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "geometry_msgs/msg/QuaternionStamped": lambda message: message.quaternion,
     "nav_msgs/msg/Odometry": _nested_orientation,
 }
-_IMU, _FIX, _GEO, _TIME = (
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/NavSatFix",
-    "geographic_msgs/msg/GeoPoseStamped",
-    "sensor_msgs/msg/TimeReference",
-)
+_IMU: Final = "sensor_msgs/msg/Imu"
+_FIX: Final = "sensor_msgs/msg/NavSatFix"
+_GEO: Final = "geographic_msgs/msg/GeoPoseStamped"
+_TIME: Final = "sensor_msgs/msg/TimeReference"
 _CAMERA: Final = "sensor_msgs/msg/CameraInfo"
-# Local frames, whose azimuth is that of the start: a remark is due.
+# Messages of local frames, whose azimuth may be relative to the start.
 _RELATIVE: Final = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
 
 
@@ -104,17 +83,16 @@ class BagOptions:
 
     @classmethod
     def of(cls, text: str | None) -> Self:
-        """Return the options that ``--columns`` gives for a bag.
+        """Return the options that ``--columns`` gives, such as ``world=NED,body=FRD,position=/gps/fix``.
 
-        `text`: such as ``world=NED,body=FRD,position=/gps/fix``.  Raises ConfigError if a key or a value is unknown.
+        Raises ConfigError if a key or a value is unknown.
         """
         values: dict[str, Any] = {}
         hints = get_type_hints(cls)
-        known = [one.name for one in fields(cls)]
         for word in text.split(",") if text else ():
             key, _, value = word.partition("=")
             if key not in hints:
-                raise ConfigError(f"columns: {word!r} says nothing about a bag{did_you_mean(key, known)}")
+                raise ConfigError(f"columns: {word!r} says nothing about a bag{did_you_mean(key, list(hints))}")
             if (choices := get_args(hints[key])) and value not in choices:
                 raise ConfigError(f"columns: {key} must be one of {', '.join(choices)}, not {value!r}")
             values[key] = value
@@ -130,7 +108,7 @@ class _Topic:
     stamps_s: list[float] = field(default_factory=list)
     orientations: list[tuple[float, float, float, float]] = field(default_factory=list)
     rates: list[tuple[float, float, float]] = field(default_factory=list)
-    places: list[tuple[float, float, float]] = field(default_factory=list)
+    positions: list[tuple[float, float, float]] = field(default_factory=list)  # Latitude, longitude, deg; height, m
     utc_s: list[float] = field(default_factory=list)
 
     def add(self, message: Any, received_s: float) -> None:
@@ -143,29 +121,34 @@ class _Topic:
             self.orientations.append((np.nan,) * 4 if q is None else (q.w, q.x, q.y, q.z))
         if self.kind == _IMU:
             rate = message.angular_velocity
-            is_there = message.angular_velocity_covariance[0] != -1
-            self.rates.append((rate.x, rate.y, rate.z) if is_there else (np.nan,) * 3)
+            has_rate = message.angular_velocity_covariance[0] != -1
+            self.rates.append((rate.x, rate.y, rate.z) if has_rate else (np.nan,) * 3)
         if self.kind == _FIX:
             has_fix = message.status.status >= 0
-            self.places.append((message.latitude, message.longitude, message.altitude) if has_fix else (np.nan,) * 3)
+            fix = (message.latitude, message.longitude, message.altitude)
+            self.positions.append(fix if has_fix else (np.nan,) * 3)
         if self.kind == _GEO:
-            place = message.pose.position
-            self.places.append((place.latitude, place.longitude, place.altitude))
+            position = message.pose.position
+            self.positions.append((position.latitude, position.longitude, position.altitude))
         if self.kind == _TIME:
             self.utc_s.append(message.time_ref.sec + message.time_ref.nanosec * 1e-9)
 
     @property
+    def short_kind(self) -> str:
+        """The message without its package, for messages to the user."""
+        return self.kind.split("/")[-1]
+
+    @property
     def has_attitude(self) -> bool:
-        q = np.array(self.orientations).reshape(-1, 4)
-        return bool((np.abs(quaternion_lengths(q) - 1) < UNIT_TOLERANCE).any())
+        return bool(source.unit_quaternions(np.array(self.orientations).reshape(-1, 4)).any())
 
 
-class BagReader(TelemetrySource):
+class BagReader(source.TelemetrySource):
     """A ROS bag as a telemetry source; its clock is that of the header stamps.
 
-    `path`: a ``.bag``, ``.mcap`` or ``.db3`` file, or the directory of a ROS 2 bag; `attitude`: the topic with the
-    attitude; ``"auto"`` takes the most frequent one of the first kind of the table above; `boot`: only 1; `columns`:
-    topics and frames; see `BagOptions`.  Raises LogFormatError if the bag cannot be read, or has no such topic.
+    `path` is a ``.bag``, ``.mcap`` or ``.db3`` file, or the directory of a ROS 2 bag.  `attitude` is a topic, or
+    ``"auto"`` for the most frequent one of the first kind in the table above.  `columns` are `BagOptions` as text.
+    Raises LogFormatError if the bag cannot be read, or has no such topic.
     """
 
     one_clock = True
@@ -179,11 +162,12 @@ class BagReader(TelemetrySource):
         columns: str | None = None,
     ) -> None:
         self.name = os.fspath(path)
-        self._attitude, self._options = attitude, BagOptions.of(columns)
-        check_only_boot(self.name, boot)
+        self._attitude = attitude
+        self._options = BagOptions.of(columns)
+        source.check_only_boot(self.name, boot)
         self._format = "ROS bag"
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         """Yield attitude, position, UTC and rates, a batch each.
 
         Raises LogFormatError if the bag has no attitude, or not the requested one.
@@ -196,17 +180,17 @@ class BagReader(TelemetrySource):
             yield rates
         if (info := self._chosen("trigger", "", _CAMERA)) is not None:
             clock_s = np.array(self._topics[info].stamps_s)
-            yield TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info)
+            yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info)
 
-    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+    def attitudes(self) -> Iterator[tuple[str, source.AttitudeSamples]]:
         """Yield every topic with an attitude."""
         for name, topic in self._topics.items():
             if topic.has_attitude:
                 yield name, self._attitude_of(name)
 
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
+    def facts(self, boots: Collection[int] = ()) -> source.LogFacts:  # noqa: ARG002 - there is one boot
         """Return the format."""
-        return LogFacts(self._format if self._topics is not None else "")
+        return source.LogFacts(self._format if self._topics is not None else "")
 
     def close(self) -> None:
         """Do nothing: the bag is only open while it is read."""
@@ -215,23 +199,25 @@ class BagReader(TelemetrySource):
     def _topics(self) -> dict[str, _Topic]:
         """The topics with messages of the table above, by name."""
         try:
-            from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
-            from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+            from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra, when a bag is read
+            from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - the same
         except ImportError:
-            raise LogFormatError(self.name, f"is a ROS bag, which {_NEEDS}") from None
-        wanted = {*_ATTITUDES, _FIX, _TIME, _CAMERA}
+            raise LogFormatError(
+                self.name, "is a ROS bag, which needs the rosbags library: pip install rosbags"
+            ) from None
+        kinds = {*_ATTITUDES, _FIX, _TIME, _CAMERA}
         topics: dict[str, _Topic] = {}
         try:
             with AnyReader([Path(self.name)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
                 self._format = "ROS 2 bag" if bag.is2 else "ROS 1 bag"
                 if self.name.endswith(".mcap"):
                     self._format += " (MCAP)"
-                connections = [one for one in bag.connections if one.msgtype in wanted]
-                for one in connections:
-                    topics.setdefault(one.topic, _Topic(one.msgtype))
-                for one, received_ns, raw in bag.messages(connections) if connections else ():
-                    topics[one.topic].add(bag.deserialize(raw, one.msgtype), received_ns * 1e-9)
-                self._others = sorted({one.msgtype.replace("/msg/", "/") for one in bag.connections})
+                connections = [connection for connection in bag.connections if connection.msgtype in kinds]
+                for connection in connections:
+                    topics.setdefault(connection.topic, _Topic(connection.msgtype))
+                for connection, received_ns, raw in bag.messages(connections) if connections else ():
+                    topics[connection.topic].add(bag.deserialize(raw, connection.msgtype), received_ns * 1e-9)
+                self._kinds = sorted({connection.msgtype.replace("/msg/", "/") for connection in bag.connections})
         except LogFormatError:
             raise
         except Exception as error:  # of a damaged bag the library raises any exception
@@ -242,96 +228,94 @@ class BagReader(TelemetrySource):
     def _attitude_topic(self) -> str:
         """Return the topic with the attitude."""
         with_attitude = {name: topic for name, topic in self._topics.items() if topic.has_attitude}
-        listed = ", ".join(f"{name} ({topic.kind.split('/')[-1]})" for name, topic in with_attitude.items())
         if self._attitude.lower() != "auto":
             if self._attitude not in with_attitude:
-                has = f"it has {listed}" if listed else "it has none"
+                listed = ", ".join(f"{name} ({topic.short_kind})" for name, topic in with_attitude.items())
+                has = f"it has {listed or 'none'}"
                 raise LogFormatError(self.name, f"the bag has no attitude {self._attitude!r} (--attitude); {has}")
             return self._attitude
         if not with_attitude:
-            held = ", ".join(self._others[:8]) or "no messages"
-            raise LogFormatError(self.name, f"the bag has no attitude: no Imu, Pose or Odometry; it has {held}")
+            kinds = ", ".join(self._kinds[:8]) or "no messages"
+            raise LogFormatError(self.name, f"the bag has no attitude: no Imu, Pose or Odometry; it has {kinds}")
         order = list(_ATTITUDES)
-        return min(
-            with_attitude, key=lambda name: (order.index(with_attitude[name].kind), -len(with_attitude[name].stamps_s))
-        )
+        rank = {name: (order.index(topic.kind), -len(topic.stamps_s)) for name, topic in with_attitude.items()}
+        return min(rank, key=rank.__getitem__)
 
     def _frames(self, topic: _Topic) -> tuple[str, str]:
         """Return the axes of world and body of a topic."""
         says_ned = "ned" in topic.frame_id.lower()
-        world = self._options.world if self._options.world != "auto" else "NED" if says_ned else "ENU"
-        body = self._options.body if self._options.body != "auto" else "FRD" if world == "NED" else "FLU"
+        world: str = self._options.world
+        if world == "auto":
+            world = "NED" if says_ned else "ENU"
+        body: str = self._options.body
+        if body == "auto":
+            body = "FRD" if world == "NED" else "FLU"
         return world, body
 
-    def _attitude_of(self, name: str) -> AttitudeSamples:
+    def _attitude_of(self, name: str) -> source.AttitudeSamples:
         topic = self._topics[name]
         world, body = self._frames(topic)
         clock_s, q = np.array(topic.stamps_s), np.array(topic.orientations)
-        norm = quaternion_lengths(q)
-        valid = (np.abs(norm - 1) < UNIT_TOLERANCE) & valid_rare_times(clock_s)
+        norm = source.quaternion_lengths(q)
+        valid = source.unit_quaternions(q) & source.valid_rare_times(clock_s)
         q_body_ned = q_body_ned_of(q[valid] / norm[valid, np.newaxis], world, body, "body_to_world")
         notes = [f"orientations of {name} are taken from {body} to {world} (--columns world=...,body=...)"]
         if topic.kind in _RELATIVE:
-            notes.append(
-                f"{name} is {topic.kind.split('/')[-1]} in {topic.frame_id!r}: its azimuth may be relative to the start"
-            )
+            frame = f"{topic.short_kind} in {topic.frame_id!r}"
+            notes.append(f"{name} is {frame}: its azimuth may be relative to the start")
         segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
-        return AttitudeSamples(clock_s[valid], q_body_ned, segment, name, notes=tuple(notes))
+        return source.AttitudeSamples(clock_s[valid], q_body_ned, segment, name, notes=tuple(notes))
 
-    def _chosen(self, option: str, given: str, *kinds: str) -> str | None:
-        """Return the given topic, or the most frequent one of some kinds; None if there is none."""
-        found = {name: topic for name, topic in self._topics.items() if topic.kind in kinds and topic.stamps_s}
-        if given:
-            if given not in found:
-                has = ", ".join(found) or "none"
-                raise LogFormatError(
-                    self.name, f"the bag has no {option} {given!r} (--columns {option}=); it has {has}"
-                )
-            return given
-        return max(found, key=lambda name: (kinds[-1:] == (found[name].kind,), len(found[name].stamps_s)), default=None)
+    def _chosen(self, option: str, requested: str, *kinds: str) -> str | None:
+        """Return the requested topic, or the most frequent one, of the last kind that there is; None without any."""
+        topics = {name: topic for name, topic in self._topics.items() if topic.kind in kinds and topic.stamps_s}
+        if requested:
+            if requested not in topics:
+                has = f"it has {', '.join(topics) or 'none'}"
+                raise LogFormatError(self.name, f"the bag has no {option} {requested!r} (--columns {option}=); {has}")
+            return requested
+        rank = {name: (topic.kind == kinds[-1], len(topic.stamps_s)) for name, topic in topics.items()}
+        return max(rank, key=rank.__getitem__, default=None)
 
-    def _position(self) -> PositionSamples:
+    def _position(self) -> source.PositionSamples:
         name = self._chosen("position", self._options.position, _GEO, _FIX)
         if name is None:
-            return no_position_samples("it has no NavSatFix")
+            return source.no_position_samples("it has no NavSatFix")
         topic = self._topics[name]
-        latitude_deg, longitude_deg, height_m = np.array(topic.places).T
-        found = position_samples(np.array(topic.stamps_s), latitude_deg, longitude_deg, height_m, name)
-        return found if found.clock_s.size else no_position_samples(f"{name} never had a fix")
+        latitude_deg, longitude_deg, height_m = np.array(topic.positions).T
+        samples = source.position_samples(np.array(topic.stamps_s), latitude_deg, longitude_deg, height_m, name)
+        return samples if samples.clock_s.size else source.no_position_samples(f"{name} never had a fix")
 
-    def _utc(self, attitude: str) -> ClockSamples:
+    def _utc(self, attitude: str) -> source.ClockSamples:
         """Return readings of UTC: TimeReference, otherwise the stamps themselves, if they are times of this century."""
         name = self._chosen("utc", self._options.utc, _TIME)
         if name is not None:
             topic = self._topics[name]
             clock_s, utc_s = np.array(topic.stamps_s), np.array(topic.utc_s)
-            valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
+            valid = source.plausible_utc(utc_s)
             if valid.any():
-                return ClockSamples(clock_s[valid], utc_s[valid], f"{name}, {np.count_nonzero(valid)} readings")
+                return source.ClockSamples(clock_s[valid], utc_s[valid], f"{name}, {np.count_nonzero(valid)} readings")
         clock_s = np.array(self._topics[attitude].stamps_s)
-        clock_s = clock_s[valid_rare_times(clock_s)]
-        if clock_s.size and YEAR_2010_S <= float(np.median(clock_s)) < YEAR_2100_S:
-            return ClockSamples(clock_s, clock_s, f"stamps of {attitude}, by the clock of the computer")
-        return ClockSamples(np.empty(0), np.empty(0), "its stamps are no UTC, and it has no TimeReference")
+        clock_s = clock_s[source.valid_rare_times(clock_s)]
+        if clock_s.size and source.YEAR_2010_S <= float(np.median(clock_s)) < source.YEAR_2100_S:
+            return source.ClockSamples(clock_s, clock_s, f"stamps of {attitude}, by the clock of the computer")
+        return source.no_clock_samples("its stamps are no UTC, and it has no TimeReference")
 
-    def _rates(self, attitude: str) -> RateSamples | None:
-        given = self._options.rates or (attitude if self._topics[attitude].kind == _IMU else "")
-        name = self._chosen("rates", given, _IMU)
+    def _rates(self, attitude: str) -> source.RateSamples | None:
+        requested = self._options.rates or (attitude if self._topics[attitude].kind == _IMU else "")
+        name = self._chosen("rates", requested, _IMU)
         if name is None:
             return None
         topic = self._topics[name]
         clock_s, rate = np.array(topic.stamps_s), np.array(topic.rates)
         if self._frames(topic)[1] == "FLU":
             rate = rate * np.array([1.0, -1.0, -1.0])
-        valid = valid_rare_times(clock_s) & valid_rates(rate)
-        return RateSamples(clock_s[valid], rate[valid], name) if valid.any() else None
+        valid = source.valid_rare_times(clock_s) & source.valid_rates(rate)
+        return source.RateSamples(clock_s[valid], rate[valid], name) if valid.any() else None
 
 
 def is_bag(head: bytes) -> bool:
-    """Return whether a file is a ROS bag, an MCAP recording, or the database of a ROS 2 bag.
-
-    `head`: its first bytes.
-    """
+    """Return whether a file is a ROS bag, an MCAP recording, or the database of a ROS 2 bag, by its first bytes."""
     return head.startswith(_MAGICS)
 
 

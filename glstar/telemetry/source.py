@@ -1,21 +1,16 @@
-"""The interface of telemetry sources: batches of samples, timed by the clock of the source.
+"""What all readers share: the interface `TelemetrySource`, batches of samples, and removal of damaged samples.
 
-A `TelemetrySource` yields `Samples` in batches: attitudes, positions, readings of UTC, and gyro rates.  Their times are
-those of the source's own clock; an autopilot counts seconds since boot.  A `Recording` collects the samples of a boot
-and converts their times to UTC.
-
-Removal of damaged samples: times, positions and rates that no flight has.
-
-Logs that are made of another file in a temporary directory: unpacked, or completed.
-
-Suppression of the output of third-party readers.
+A source yields `Samples` in batches: attitudes, positions, readings of UTC, gyro rates, triggers, gimbal and events.
+Their times are those of the source's own clock; an autopilot counts seconds since boot.  A `Recording` collects the
+samples of a boot and converts their times to UTC.  `UnpackedSource` is a log that is made of another file in a
+temporary directory: unpacked, or completed.
 """
 
 import io
 import os
 import tempfile
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,7 +40,7 @@ class Boot:
     """One boot of an autopilot in a log, or the part of it that was recorded."""
 
     number: int  # From 1, in the order of the file
-    spans: tuple[Span, ...] = ((0, EVERYWHERE),)  # Tuple of (int, int): half-open ranges of positions in the file
+    spans: tuple[Span, ...] = ((0, EVERYWHERE),)  # Half-open ranges of positions in the file
     doubt: str = ""  # Why its UTC is unreliable, for messages; empty if it is reliable
 
 
@@ -157,7 +152,8 @@ class TriggerSamples:
         """Return the triggers of several batches; None if there are none."""
         if not batches:
             return None
-        clock_s, utc_s = (np.concatenate([getattr(one, name) for one in batches]) for name in ("clock_s", "utc_s"))
+        clock_s = np.concatenate([batch.clock_s for batch in batches])
+        utc_s = np.concatenate([batch.utc_s for batch in batches])
         return cls(clock_s, utc_s, batches[0].source)
 
 
@@ -174,10 +170,7 @@ class GimbalSamples:
     boot: int = 1  # Number of the boot, and so of its clock; from 1
 
     def over_utc(self, utc_minus_clock_s: float) -> GimbalAttitude:
-        """Return the attitudes sorted by time, each time once.
-
-        `utc_minus_clock_s`: UTC minus the clock of the source, s.
-        """
+        """Return the attitudes over UTC, sorted, each time once; `utc_minus_clock_s`: UTC minus the clock, s."""
         clock_s, first = np.unique(self.clock_s, return_index=True)
         return GimbalAttitude(
             clock_s + utc_minus_clock_s, self.q_gimbal_reference[first], self.is_earth[first], self.source
@@ -195,9 +188,9 @@ class EventSamples:
 
     @classmethod
     def of(cls, kind: EventKind, clock_s: Float, texts: Sequence[str], boot: int = 1) -> Self:
-        """Return events of one kind, without those that repeat the text before.
+        """Return events of one kind, without modes that repeat the one before, and texts without a printable letter.
 
-        `clock_s` (n,): s; `texts`: of each; those without a printable letter are left out.
+        `clock_s` (n,): time of each text, s; events whose time is not finite are left out.
         """
         printable = ["".join(filter(str.isprintable, text)).strip() for text in texts]
         kept = [
@@ -205,12 +198,11 @@ class EventSamples:
             for k, text in enumerate(printable)
             if text and np.isfinite(clock_s[k]) and (kind is not EventKind.MODE or not k or text != printable[k - 1])
         ]
-        return cls(
-            np.asarray(clock_s, dtype=np.float64)[kept], (kind,) * len(kept), tuple(printable[k] for k in kept), boot
-        )
+        times_s = np.asarray(clock_s, dtype=np.float64)[kept]
+        return cls(times_s, (kind,) * len(kept), tuple(printable[k] for k in kept), boot)
 
     def over_utc(self, utc_minus_clock_s: float) -> FlightEvents:
-        """Return the events over UTC; `utc_minus_clock_s`: UTC minus the clock of the source, s."""
+        """Return the events over UTC; `utc_minus_clock_s`: UTC minus the clock, s."""
         return FlightEvents(self.clock_s + utc_minus_clock_s, self.kinds, self.texts)
 
 
@@ -227,6 +219,21 @@ class LogFacts:
     estimator: str | None = None  # The estimator whose attitude the autopilot used: ``"EKF3"``, ``"DCM"``
     # Bytes of the file that belong to no valid message: damage, or data of another format.
     unread_bytes: int = field(default=0, compare=False)
+
+    @classmethod
+    def joined(cls, log_format: str, boots: Sequence[Self], unread_bytes: int) -> Self:
+        """Return the facts about a log of several boots: the different names of each kind, joined by "and"."""
+
+        def names(known: Iterable[str | None]) -> str | None:
+            return " and ".join(dict.fromkeys(filter(None, known))) or None
+
+        return cls(
+            log_format,
+            vehicle=names(boot.vehicle for boot in boots),
+            firmware=names(boot.firmware for boot in boots),
+            estimator=names(boot.estimator for boot in boots),
+            unread_bytes=unread_bytes,
+        )
 
 
 @runtime_checkable
@@ -250,7 +257,7 @@ class TelemetrySource(Protocol):
     def samples(self) -> Iterator[Samples]:
         """Yield all samples in batches."""
 
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - for readers of several boots
         """Return facts about the log and its vehicle.
 
         Parameters
@@ -293,26 +300,18 @@ class TelemetrySource(Protocol):
 
 
 def chosen_boots(name: str, boots: Sequence[Boot], number: int | None) -> tuple[Boot, ...]:
-    """Return the requested boot, or all boots.
-
-    `name`: the log, for messages; `boots`: all boots of the log; `number`: number of the requested boot; by default
-    all.  Raises LogFormatError if the log has no such boot.
-    """
+    """Return the boot with a number, or all boots without one; raises LogFormatError if the log has no such boot."""
     if number is None:
         return tuple(boots)
-    found = tuple(boot for boot in boots if boot.number == number)
-    if not found:
+    chosen = tuple(boot for boot in boots if boot.number == number)
+    if not chosen:
         has = "1 boot" if len(boots) == 1 else f"{len(boots)} boots"
         raise LogFormatError(name, f"the log has no boot {number} (--boot): it has {has}; glstar info lists them")
-    return found
+    return chosen
 
 
 def check_only_boot(name: str, number: int | None) -> None:
-    """Refuse the number of a boot that a log of a single one does not have.
-
-    `name`: the log, for messages; `number`: number of the requested boot.  Raises LogFormatError if it is neither 1 nor
-    None.
-    """
+    """Raise LogFormatError if the requested boot of a log with a single one is neither 1 nor None."""
     if number not in {None, 1}:
         raise LogFormatError(name, f"the log has no boot {number} (--boot): it has 1 boot")
 
@@ -338,10 +337,7 @@ _MAX_DURATION_S = 30 * 86400.0
 
 
 def spikes(values: Float, limit: float) -> Mask:
-    """Return which values differ from the median of themselves and their two neighbours by more than a limit.
-
-    `values` (n,); `limit`: largest difference, in the unit of the values.  Returns (n,) bool.
-    """
+    """Return which of (n,) values differ by more than a limit from the median of themselves and their neighbours."""
     if values.size < 3:
         return np.zeros(values.size, dtype=bool)
     neighbours = np.lib.stride_tricks.sliding_window_view(values, 3)
@@ -352,20 +348,12 @@ def spikes(values: Float, limit: float) -> Mask:
 
 
 def valid_times(clock_s: Float) -> Mask:
-    """Return which times of a log are valid.
-
-    `clock_s` (n,): times in the order of the log, s.  Returns (n,) bool: false for times that are not finite, that are
-    spikes, or that differ from the median by a month or more.
-    """
+    """Return which of (n,) times in the order of the log, s, are finite, no spikes, within a month of the median."""
     return valid_rare_times(clock_s) & ~spikes(clock_s, _CLOCK_SPIKE_S)
 
 
 def valid_rare_times(clock_s: Float) -> Mask:
-    """Return which times of rare events, with any intervals, are valid.
-
-    `clock_s` (n,): times in the order of the log, s.  Returns (n,) bool: false for times that are not finite, or that
-    differ from the median by a month or more.
-    """
+    """Return which of (n,) times of rare events, s, are finite and within a month of the median."""
     finite = np.isfinite(clock_s)
     if not finite.any():
         return finite
@@ -376,11 +364,7 @@ def valid_rare_times(clock_s: Float) -> Mask:
 def position_samples(
     clock_s: Float, latitude_deg: Float, longitude_deg: Float, height_m: Float, source: str
 ) -> PositionSamples:
-    """Return the valid positions of a log.
-
-    `clock_s`, `latitude_deg`, `longitude_deg`, `height_m` (n,): samples in the order of the log; s, deg, m; `source`:
-    where they come from, for messages.
-    """
+    """Return the valid ones of (n,) positions in the order of the log; `source`: where they come from, for messages."""
     with np.errstate(invalid="ignore"):
         valid = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180)
         valid &= (height_m >= HEIGHTS_M[0]) & (height_m <= HEIGHTS_M[1])
@@ -393,22 +377,29 @@ def position_samples(
 
 
 def is_zero_position(latitude_deg: Float, longitude_deg: Float) -> Mask:
-    """Return which positions are 0 N 0 E, as receivers without a fix report.
-
-    `latitude_deg`, `longitude_deg` (n,).  Returns (n,) bool: within 0.001 deg.
-    """
+    """Return which of (n,) positions are 0 N 0 E within 0.001 deg, as receivers without a fix report."""
     with np.errstate(invalid="ignore"):
         mask: Mask = (np.abs(latitude_deg) <= _ZERO_POSITION_DEG) & (np.abs(longitude_deg) <= _ZERO_POSITION_DEG)
     return mask
 
 
 def quaternion_lengths(q: Float) -> Float:
-    """Return the lengths of quaternions, among them damaged ones.
-
-    `q` (..., 4).  Returns (...) infinite where the square of a component has no float64.
-    """
+    """Return the lengths of quaternions (..., 4); infinite where the square of a damaged component has no float64."""
     with np.errstate(over="ignore"):
         return np.asarray(np.linalg.norm(q, axis=-1))
+
+
+def unit_quaternions(q: Float) -> Mask:
+    """Return which of quaternions (..., 4) have length 1 within the rounding of logs; False for NaN."""
+    with np.errstate(invalid="ignore"):
+        mask: Mask = np.abs(quaternion_lengths(q) - 1) < UNIT_TOLERANCE
+    return mask
+
+
+def plausible_utc(utc_s: Float) -> Mask:
+    """Return which of (n,) times, UTC seconds since 1970, are from 2010 to 2100."""
+    mask: Mask = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
+    return mask
 
 
 def no_position_samples(source: str) -> PositionSamples:
@@ -417,12 +408,13 @@ def no_position_samples(source: str) -> PositionSamples:
     return PositionSamples(nothing, nothing, nothing, nothing, source)
 
 
-def valid_rates(rate_rad_per_s: Float) -> Mask:
-    """Return which gyro rates are valid.
+def no_clock_samples(source: str) -> ClockSamples:
+    """Return an empty batch of UTC readings; `source`: why there are none, for messages."""
+    return ClockSamples(np.empty(0), np.empty(0), source)
 
-    `rate_rad_per_s` (n, 3): turn rates, rad/s.  Returns (n,) bool: false for rates that are not finite, or exceed the
-    range of autopilot gyros.
-    """
+
+def valid_rates(rate_rad_per_s: Float) -> Mask:
+    """Return which of (n, 3) turn rates, rad/s, are finite and within the range of autopilot gyros."""
     with np.errstate(over="ignore", invalid="ignore"):
         valid: Mask = (np.abs(rate_rad_per_s) < _MAX_GYRO_RATE_RAD_PER_S).all(axis=-1)
     return valid
@@ -434,9 +426,8 @@ Unpack = Callable[[str], tuple["tempfile.TemporaryDirectory[str]", Path]]
 class UnpackedSource(TelemetrySource):
     """A log in a temporary directory as a telemetry source, under the name of the file that it was made from.
 
-    `name`: the archive; `unpack`: writes its log into a temporary directory: ``folder, path = unpack(name)``; `opener`:
-    opens that log: ``opener(path)``.  Raises LogFormatError if the archive cannot be unpacked, or its log cannot be
-    read.
+    `unpack` writes the log of the file `name` into a temporary directory: ``folder, path = unpack(name)``; `opener`
+    opens it: ``opener(path)``.  Raises LogFormatError if the file cannot be unpacked, or its log cannot be read.
     """
 
     def __init__(self, name: str, unpack: Unpack, opener: Callable[[str], TelemetrySource]) -> None:

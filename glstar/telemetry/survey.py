@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
 from glstar.flight import AttitudeTrack, ClockQuality, Flight
@@ -23,8 +22,6 @@ from glstar.sky.place.timescale import format_utc
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
 from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
-
-Float = NDArray[np.float64]
 
 # At a higher rate of the attitude, slerp between samples is accurate to a fraction of a pixel, Hz.
 _SLERP_SUFFICES_HZ: Final = 45.0
@@ -120,23 +117,25 @@ def survey(
     *,
     flags: Mapping[str, object] = MappingProxyType({}),
 ) -> tuple[Survey, Flight]:
-    """Report what a log holds, and return its flight.
+    """Report what an open source holds, and return its flight; the source is not closed.
 
-    `source`: an open source; it is not closed; `flags`: the same options as command-line flags, for the suggested
-    command.  Returns: without UTC it starts at 1970-01-01, without position it is at 0 N 0 E.  Raises LogFormatError if
-    the log has no attitude.
+    A flight without UTC starts at 1970-01-01, one without position is at 0 N 0 E.  `flags`: the options as command-line
+    flags, for the suggested command.  Raises LogFormatError if the log has no attitude.
     """
     log = RecordedLog.read(source)
     recordings = log.recordings_of_flight(options.position)
-    recording, numbers = recordings[0], [one.boot for one in recordings]
+    recording = recordings[0]
+    numbers = [boot.boot for boot in recordings]
     lacks_utc = options.utc_start is None and recording.utc_minus_clock_s is None
-    lacks_position = options.position is None and not any(one.position.clock_s.size for one in recordings)
-    utc_start, site = 0.0 if lacks_utc else options.utc_start, Site(0.0, 0.0) if lacks_position else options.site
+    lacks_position = options.position is None and not any(boot.position.clock_s.size for boot in recordings)
+    lacks = {"lacks_utc": lacks_utc, "lacks_position": lacks_position}
+    utc_start = 0.0 if lacks_utc else options.utc_start
+    site = Site(0.0, 0.0) if lacks_position else options.site
     flight = log.flight(replace(options, utc_start=utc_start, site=site))
     track = flight.attitude
-    has_several, lacks = len(log.boots) > 1, {"lacks_utc": lacks_utc, "lacks_position": lacks_position}
+    has_several = len(log.boots) > 1
     facts = source.facts(numbers) if has_several else source.facts()
-    found = Survey(
+    report = Survey(
         file=source.name,
         file_bytes=_file_bytes(source.name),
         format=facts.format,
@@ -156,7 +155,7 @@ def survey(
         triggers=_triggers(flight),
         command=_command(source.name, _flags(recording, track, **lacks) | dict(flags)),
     )
-    return found, flight
+    return report, flight
 
 
 def _position(flight: Flight, *, lacks_utc: bool, lacks_position: bool) -> dict[str, Any]:
@@ -212,16 +211,16 @@ def _unread(name: str, facts: LogFacts) -> tuple[str, ...]:
     )
 
 
-def _attitudes(source: TelemetrySource, boots: Collection[int], max_gap_s: float | None) -> "list[AttitudeSurvey]":
+def _attitudes(source: TelemetrySource, boots: Collection[int], max_gap_s: float | None) -> list[AttitudeSurvey]:
     """Return all attitudes of some boots, merged by name."""
-    found: defaultdict[str, list[AttitudeSurvey]] = defaultdict(list)
+    by_name: defaultdict[str, list[AttitudeSurvey]] = defaultdict(list)
     for name, samples in source.attitudes():
-        if samples.boot in boots and (one := _attitude(name, samples, max_gap_s)) is not None:
-            found[name].append(one)
-    return [_together(parts) for parts in found.values()]
+        if samples.boot in boots and (attitude := _attitude(name, samples, max_gap_s)) is not None:
+            by_name[name].append(attitude)
+    return [_together(parts) for parts in by_name.values()]
 
 
-def _together(parts: "Sequence[AttitudeSurvey]") -> AttitudeSurvey:
+def _together(parts: Sequence[AttitudeSurvey]) -> AttitudeSurvey:
     """Merge one attitude of several boots; the pauses between boots are no gaps."""
     if len(parts) == 1:
         return parts[0]
@@ -263,8 +262,12 @@ def _triggers(flight: Flight) -> TriggerSurvey | None:
     if flight.triggers is None:
         return None
     times_s = flight.triggers.utc_s - flight.attitude.first_s
-    first_s, last_s = round(float(times_s.min()), 3), round(float(times_s.max()), 3)
-    return TriggerSurvey(flight.triggers.source, times_s.size, first_s, last_s)
+    return TriggerSurvey(
+        source=flight.triggers.source,
+        count=times_s.size,
+        first_s=round(float(times_s.min()), 3),
+        last_s=round(float(times_s.max()), 3),
+    )
 
 
 def _gyros(recording: Recording) -> GyroSurvey | None:

@@ -1,13 +1,11 @@
-"""Flights described in one line: ``fly:orbit?radius_m=300&wind_m_per_s=8&gusts=light``.
+"""Flights without a log: described in one line, or given by a function of time (`ScriptedFlight`).
 
-The path follows ``fly:``; the keys of `KEYS` follow ``?``, joined by ``&``.  By default a flight has the position and
-the night of the bundled flight.
-
-A flight given by a function of time, for tests, examples and benchmarks.
+A description is ``fly:orbit?radius_m=300&wind_m_per_s=8&gusts=light``: the path follows ``fly:``; the keys of `KEYS`
+follow ``?``, joined by ``&``.  By default a flight has the position and the night of the bundled flight.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import isfinite
 from typing import Any, Final, Self
 from urllib.parse import parse_qsl
@@ -136,11 +134,9 @@ KEYS: Final[Mapping[str, Setting]] = {
     "rate_hz": Setting(_number, "200", "attitudes a second"),
     "seed": Setting(_whole_number, "0", "of gusts and vibration: the same seed gives the same flight"),
 }
-# Fields of `SyntheticFlight` that take a key's value as it is.
-_SAME_NAMES: Final = {"duration_s", "airspeed_m_per_s", "radius_m", "turns", "guidance", "waypoints"} | {
-    "height_above_ground_m", "span_m", "vibration", "rate_hz", "seed",
-}  # fmt: skip
-_ANGLES: Final = {"heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate_deg_per_s"}
+# Fields of `SyntheticFlight` that take a key's value as it is, and keys whose fields are in radians.
+_SAME_NAMES: Final = {field.name for field in fields(SyntheticFlight)} & KEYS.keys()
+_ANGLES: Final = ("heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate_deg_per_s")
 
 
 def is_flight_description(name: str) -> bool:
@@ -149,10 +145,9 @@ def is_flight_description(name: str) -> bool:
 
 
 def parse_description(text: str) -> SyntheticFlight:
-    """Return the flight of a description.
+    """Return the flight of a description such as ``"fly:orbit?radius_m=300"``.
 
-    `text`: such as ``"fly:orbit?radius_m=300"``.  Raises ConfigError if the path or a key is unknown, a key is
-    repeated, or a value is impossible.
+    Raises ConfigError if the path or a key is unknown, a key is repeated, or a value is impossible.
     """
     path, _, query = text.removeprefix(PREFIX).partition("?")
     try:
@@ -166,20 +161,19 @@ def parse_description(text: str) -> SyntheticFlight:
 
 
 def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
-    """Return the flight that keys of `KEYS` describe.
+    """Return the flight along one of `FLIGHT_PATHS` that settings, values as text by key of `KEYS`, describe.
 
-    `path`: one of `FLIGHT_PATHS`; `settings`: values as text, by key.  Raises ConfigError if the path or a key is
-    unknown, or a value is impossible.
+    Raises ConfigError if the path or a key is unknown, or a value is impossible.
     """
     if path not in FLIGHT_PATHS:
         near = did_you_mean(path, FLIGHT_PATHS, or_else="")
         raise ConfigError(f"fly: {path!r} is no path{near}; paths are {', '.join(FLIGHT_PATHS)}")
-    values = {key: _value(key, settings.get(key, known.default)) for key, known in KEYS.items()}
+    values = {key: _value(key, settings.get(key, setting.default)) for key, setting in KEYS.items()}
     if unknown := [key for key in settings if key not in KEYS]:
         near = did_you_mean(unknown[0], KEYS, or_else="")
         raise ConfigError(f"fly: {unknown[0]!r} is no key{near}; keys are {', '.join(KEYS)}")
-    given = {name: values[name] for name in _SAME_NAMES if values[name] is not None}
-    given |= {key.replace("_deg", "_rad"): values[key] for key in _ANGLES}
+    options = {name: values[name] for name in _SAME_NAMES if values[name] is not None}
+    options |= {key.replace("_deg", "_rad"): values[key] for key in _ANGLES}
     return SyntheticFlight(
         path,
         Site(values["latitude_deg"], values["longitude_deg"], values["height_m"]),
@@ -188,7 +182,7 @@ def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
         wind=Wind.from_direction(values["wind_m_per_s"], values["wind_from_deg"]),
         gusts_20ft_m_per_s=values["gusts"],
         response=AttitudeResponse(values["natural_frequency_hz"], values["damping"]),
-        **given,
+        **options,
     )
 
 
@@ -206,7 +200,7 @@ def _value(key: str, text: str) -> Any:
 class SyntheticSource(TelemetrySource):
     """A described flight as a telemetry source; its clock is UTC.
 
-    `name`: the description.  Raises LogFormatError if it describes no flight.
+    Raises LogFormatError if `name` describes no flight.
     """
 
     one_clock = True
@@ -220,10 +214,10 @@ class SyntheticSource(TelemetrySource):
 
     def samples(self) -> Iterator[Samples]:
         """Yield the whole flight, a single batch of each kind."""
-        attitude, position, source = self._flight.attitude, self._flight.position, self._flight.position_source
-        yield AttitudeSamples(
-            attitude.utc_s, attitude.q_body_ned, np.zeros(attitude.utc_s.size, dtype=np.int64), source
-        )
+        attitude, position = self._flight.attitude, self._flight.position
+        source = self._flight.position_source
+        segment = np.zeros(attitude.utc_s.size, dtype=np.int64)
+        yield AttitudeSamples(attitude.utc_s, attitude.q_body_ned, segment, source)
         yield PositionSamples(position.utc_s, position.latitude_rad, position.longitude_rad, position.height_m, source)
         yield ClockSamples(attitude.utc_s[:1], attitude.utc_s[:1], "given")
 
@@ -323,10 +317,9 @@ class ScriptedFlight(TelemetrySource):
         """Yield one batch of each kind."""
         clock_s = np.arange(round(self.duration_s * self.rate_hz) + 1) / self.rate_hz
         yield AttitudeSamples(clock_s, self.q_body_ned(clock_s), np.zeros(clock_s.size, dtype=np.int64), "script")
-        latitude, longitude, height = np.array(
-            [[self.site.latitude_rad], [self.site.longitude_rad], [self.site.height_m]]
-        )
-        yield PositionSamples(clock_s[:1], latitude, longitude, height, "script")
+        site = self.site
+        latitude_rad, longitude_rad, height_m = np.array([[site.latitude_rad], [site.longitude_rad], [site.height_m]])
+        yield PositionSamples(clock_s[:1], latitude_rad, longitude_rad, height_m, "script")
         yield ClockSamples(clock_s[:1], np.array([self.start_utc_s]), "script")
 
     def close(self) -> None:

@@ -5,7 +5,7 @@ A track supplies the positions of a flight whose log has none, or better ones: `
 
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
@@ -20,6 +20,8 @@ from glstar.flight import PositionTrack
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_bytes
 
+# For messages.
+TRACK_FORMATS: Final = "GPX, KML, KMZ, NMEA or IGC"
 # Larger files are refused as mistakes: a day of 10 Hz NMEA has 200 MB.
 _LARGEST_BYTES: Final = 512 << 20
 _DAY_S: Final = 86400.0
@@ -36,10 +38,9 @@ class GivenTrack:
 
 
 def read_track(path: str) -> GivenTrack:
-    """Read a track.
+    """Read a track, whose format its content determines.
 
-    `path`: a GPX, KML, KMZ, NMEA or IGC file; its content determines the format.  Raises LogFormatError if it cannot be
-    read, or has no places with times.
+    Raises LogFormatError if it cannot be read, or has no positions with times.
     """
     try:
         content = read_bytes(path, _LARGEST_BYTES)
@@ -58,6 +59,7 @@ def read_track(path: str) -> GivenTrack:
 
 
 def _format(path: str, content: bytes) -> tuple[str, Callable[[str], Iterator[_Fix]]]:
+    """Return the name of a format, and the function that yields its fixes."""
     head = content[:4096].lstrip(b"\xef\xbb\xbf \r\n\t")
     if head.startswith(b"PK\x03\x04"):
         return "KMZ", lambda _: _kml(_text(_kmz(path)))
@@ -69,7 +71,7 @@ def _format(path: str, content: bytes) -> tuple[str, Callable[[str], Iterator[_F
         return "IGC", _igc
     if re.search(rb"^\$[A-Z]{2}(RMC|GGA|ZDA)", content, re.M):
         return "NMEA", _nmea
-    raise LogFormatError(path, "is no track that glstar knows: GPX, KML, KMZ, NMEA or IGC")
+    raise LogFormatError(path, f"is no track that glstar knows: {TRACK_FORMATS}")
 
 
 def _text(content: bytes) -> str:
@@ -92,9 +94,9 @@ def _elements(text: str) -> Iterator[tuple[str, ET.Element]]:
         yield str(element.tag).rpartition("}")[2], element
 
 
-def _children(element: ET.Element) -> dict[str, str]:
-    """Return the texts of the children of an element by name."""
-    return {str(child.tag).rpartition("}")[2]: (child.text or "").strip() for child in element}
+def _texts(elements: Iterable[ET.Element]) -> list[tuple[str, str]]:
+    """Return the names without the namespace and the texts of elements."""
+    return [(str(element.tag).rpartition("}")[2], (element.text or "").strip()) for element in elements]
 
 
 def _utc_s(text: str) -> float:
@@ -106,28 +108,29 @@ def _utc_s(text: str) -> float:
 
 def _gpx(text: str) -> Iterator[_Fix]:
     for name, element in _elements(text):
-        if name in {"trkpt", "rtept", "wpt"}:
-            inside = _children(element)
-            if name == "trkpt" and "time" in inside:
-                height_m = float(inside.get("ele") or 0)
-                yield _utc_s(inside["time"]), float(element.attrib["lat"]), float(element.attrib["lon"]), height_m
+        if name == "trkpt":
+            texts = dict(_texts(element))
+            if "time" in texts:
+                height_m = float(texts.get("ele") or 0)
+                yield _utc_s(texts["time"]), float(element.attrib["lat"]), float(element.attrib["lon"]), height_m
 
 
 def _kml(text: str) -> Iterator[_Fix]:
     for name, element in _elements(text):
         if name == "Track":
-            parts = [(str(child.tag).rpartition("}")[2], (child.text or "").strip()) for child in element]
+            parts = _texts(element)
             times = [text for tag, text in parts if tag == "when"]
-            places = [text for tag, text in parts if tag == "coord"]
-            for when, place in zip(times, places, strict=True):
-                yield (_utc_s(when), *_kml_place(place.split()))
+            positions = [text for tag, text in parts if tag == "coord"]
+            for when, position in zip(times, positions, strict=True):
+                yield (_utc_s(when), *_kml_position(position.split()))
         if name == "Placemark":
-            texts = {str(one.tag).rpartition("}")[2]: (one.text or "").strip() for one in element.iter()}
+            texts = dict(_texts(element.iter()))
             if texts.get("when") and texts.get("coordinates") and "Point" in texts:
-                yield (_utc_s(texts["when"]), *_kml_place(texts["coordinates"].split(",")))
+                yield (_utc_s(texts["when"]), *_kml_position(texts["coordinates"].split(",")))
 
 
-def _kml_place(parts: list[str]) -> tuple[float, float, float]:
+def _kml_position(parts: list[str]) -> tuple[float, float, float]:
+    """Return latitude and longitude, deg, and height, m; 0 without one."""
     longitude, latitude, *height = map(float, parts)
     return latitude, longitude, height[0] if height else 0.0
 
@@ -156,9 +159,9 @@ def _igc(text: str) -> Iterator[_Fix]:
 
 
 def _nmea(text: str) -> Iterator[_Fix]:
-    """Yield the fixes of NMEA sentences: RMC has date, time and place, GGA the height at the same time of day."""
+    """Yield the fixes of NMEA sentences: RMC has date, time and position, GGA the height at the same time of day."""
     heights_m: dict[str, float] = {}
-    places: list[tuple[str, float, float, float]] = []
+    positions: list[tuple[str, float, float, float]] = []
     for line in text.splitlines():
         fields = _nmea_fields(line)
         if fields and fields[0][2:] == "GGA" and fields[6] not in {"", "0"} and fields[9]:
@@ -167,8 +170,8 @@ def _nmea(text: str) -> Iterator[_Fix]:
             time, date = fields[1], fields[9]
             utc_s = _utc_s(f"20{date[4:6]}-{date[2:4]}-{date[:2]}T{time[:2]}:{time[2:4]}:{time[4:6]}")
             utc_s += float(f"0{time[6:]}")
-            places.append((time, utc_s, _nmea_angle(fields[3], fields[4]), _nmea_angle(fields[5], fields[6])))
-    for time, utc_s, latitude_deg, longitude_deg in places:
+            positions.append((time, utc_s, _nmea_angle(fields[3], fields[4]), _nmea_angle(fields[5], fields[6])))
+    for time, utc_s, latitude_deg, longitude_deg in positions:
         yield utc_s, latitude_deg, longitude_deg, heights_m.get(time, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""PX4's ULog (``.ulg``).
+"""PX4's ULog (``.ulg``), and the CSV files of its topics.
 
 =======================================  ==============================================  =============================
 topic                                    fields                                          used for
@@ -22,11 +22,9 @@ logged messages                                                                 
 Other topics with a quaternion are read if named: ``"vehicle_attitude_groundtruth"`` of a simulator,
 ``"estimator_attitude[1]"`` of one of several estimators.  Heights are above mean sea level.
 
-The CSV files that pyulog's ``ulog2csv`` writes of a ULog: one file for each instance of a topic.
-
-``flight.ulg`` becomes ``flight_vehicle_attitude_0.csv``, ``flight_vehicle_gps_position_0.csv`` and so on.  The column
-``timestamp`` is the time since boot in microseconds, the others are the fields of the topic.  Any of the files may be
-opened: the others are found by their names in the same directory.
+pyulog's ``ulog2csv`` writes a CSV file for each instance of a topic: ``flight.ulg`` becomes
+``flight_vehicle_attitude_0.csv``, ``flight_vehicle_gps_position_0.csv`` and so on, with ``timestamp``, the time since
+boot in microseconds, and the fields of the topic.  The other files are found by their names in the same directory.
 """
 
 import os
@@ -43,99 +41,75 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.rotation import conjugate
+from glstar.telemetry import source
 from glstar.telemetry.boots import find_boots
 from glstar.telemetry.mavlink.vehicles import angle_samples, px4_navigation_state, status_samples, vehicle_kind, version
-from glstar.telemetry.source import (
-    UNIT_TOLERANCE,
-    YEAR_2010_S,
-    YEAR_2100_S,
-    AttitudeSamples,
-    Boot,
-    ClockSamples,
-    EventSamples,
-    GimbalSamples,
-    LogFacts,
-    PositionSamples,
-    RateSamples,
-    Samples,
-    TelemetrySource,
-    TriggerSamples,
-    chosen_boots,
-    no_position_samples,
-    position_samples,
-    valid_rare_times,
-    valid_rates,
-    valid_times,
-)
 from glstar.telemetry.ulogfile import CsvTopics, LogTopics, Topics, joined_logs
 
-
-def gimbal_of_topics(log: Topics) -> Iterator[GimbalSamples]:
-    """Yield the attitude of the gimbal of a PX4 log, from the first topic that has one."""
-    for _, topic in log["gimbal_device_attitude_status"]:
-        names = ("device_flags", "q[0]", "q[1]", "q[2]", "q[3]")
-        if set(names) <= set(topic):
-            values = np.stack([topic[name] for name in names], axis=-1)
-            samples = status_samples(topic["timestamp"] * 1e-6, values, "gimbal_device_attitude_status")
-            if samples.clock_s.size > 1:
-                yield samples
-                return
-    for _, topic in log["mount_orientation"]:
-        axes = [f"attitude_euler_angle[{axis}]" for axis in range(3)]
-        if set(axes) <= set(topic):
-            values = np.rad2deg(np.stack([topic[axis] for axis in axes], axis=-1))
-            samples = angle_samples(topic["timestamp"] * 1e-6, values, "mount_orientation")
-            if samples.clock_s.size > 1:
-                yield samples
-                return
-
-
-ULOG_MAGIC: Final = b"ULog\x01\x12\x35"
+_MAGIC: Final = b"ULog\x01\x12\x35"
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
+# Times, quaternions and segment numbers of one instance of a topic.
+_Attitude = tuple[Float, Float, NDArray[np.int64]]
 
 _ATTITUDE = "vehicle_attitude"
 # Attitudes of the aircraft; gimbals, setpoints and cameras have quaternions too.
 _ATTITUDES = re.compile(r"(vehicle|estimator|external_ins)_attitude(_groundtruth)?")
 _POSITION = "vehicle_global_position"
-RECEIVERS = ("vehicle_gps_position", "sensor_gps")
+_RECEIVERS = ("vehicle_gps_position", "sensor_gps")
 # Topics with gyro rates, the best first, and the names of their three columns in all versions.
 _GYROS: Final = {
-    "vehicle_angular_velocity": ("xyz[{}]",),
-    "sensor_combined": ("gyro_rad[{}]", "gyro_rad_s[{}]"),
-    "sensor_gyro": ("{}",),
+    "vehicle_angular_velocity": [("xyz[0]", "xyz[1]", "xyz[2]")],
+    "sensor_combined": [
+        ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
+        ("gyro_rad_s[0]", "gyro_rad_s[1]", "gyro_rad_s[2]"),
+    ],
+    "sensor_gyro": [("x", "y", "z")],
+}
+# Topics of a gimbal, the best first: their fields, and the function that reads those.
+_GIMBALS: Final = {
+    "gimbal_device_attitude_status": (("device_flags", "q[0]", "q[1]", "q[2]", "q[3]"), status_samples),
+    "mount_orientation": (
+        tuple(f"attitude_euler_angle[{axis}]" for axis in range(3)),
+        lambda clock_s, angles_rad, name: angle_samples(clock_s, np.rad2deg(angles_rad), name),
+    ),
 }
 # Topics of a triggered camera, the most exact one first.
 _TRIGGERS: Final = ("camera_capture", "camera_trigger")
 _STATUS = "vehicle_status"
 # Topics by which reboots are detected: those that are logged at a steady rate.
-CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *RECEIVERS)
+_CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *_RECEIVERS)
 _FIX_3D = 3
 # Largest delay between a sample and its publication, us.
 _SAMPLED_BEFORE_US = 1e6
+# Fields of the topics that are read, which tables of other origin do not have.
+_TYPICAL_FIELDS: Final = frozenset(
+    ("q[0]", "xyz[0]", "gyro_rad[0]", "gyro_rad_s[0]", "time_utc_usec", "system_type", "terrain_alt")
+)
+_FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")
 
 
-class ULogReader(TelemetrySource):
+class ULogReader(source.TelemetrySource):
     """A PX4 log as a telemetry source; its clock is the autopilot's time since boot.
 
-    Of a truncated or damaged log, every complete message is read.  `path`: the log; `attitude`: ``"auto"``:
-    vehicle_attitude; or a topic by name, or one instance of it as ``"estimator_attitude[1]"``; `boot`: number of the
-    boot, from 1, in a file of several logs; by default all.  Raises LogFormatError if the file is truncated within its
-    head, or a newer version of ULog.
+    Every complete message of a truncated or damaged log is read.  The options are those of `open_source`: `attitude`
+    is ``"auto"`` for vehicle_attitude, or a topic, or one instance of it as ``"estimator_attitude[1]"``.  Raises
+    LogFormatError if the file is truncated within its head, or a newer version of ULog.
     """
 
     format = "PX4 ULog"
 
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
         self.name = os.fspath(path)
-        self._attitude, self._boot = attitude, boot
+        self._attitude = attitude
+        self._boot = boot
         name, instance = re.fullmatch(r"(.*?)(?:\[(\d{1,3})\])?", attitude.strip().lower(), re.DOTALL).groups()  # type: ignore[union-attr]
         self._topic = _ATTITUDE if name == "auto" else name
         self._instance = None if instance is None else int(instance)
         self._logs = self._open()
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         """Yield attitude, position and UTC of the log, a batch each; the gyro rates last.
 
         Topics are decoded on demand: the first three batches do not wait for the gyro rates.  Raises LogFormatError if
@@ -160,30 +134,22 @@ class ULogReader(TelemetrySource):
             yield from (replace(events, boot=number) for events in _events(log))
             yield from (replace(rates, boot=number) for rates in _rates(log))
             yield from (replace(triggers, boot=number) for triggers in _triggers(log))
-            yield from (replace(gimbal, boot=number) for gimbal in gimbal_of_topics(log))
+            yield from (replace(gimbal, boot=number) for gimbal in _gimbal(log))
 
-    def boots(self) -> tuple[Boot, ...]:
+    def boots(self) -> tuple[source.Boot, ...]:
         """Return the boots of the autopilot in the file, or the requested one.
 
         Raises LogFormatError if the file has no such boot.
         """
-        return chosen_boots(self.name, self._found_boots, self._boot)
+        return source.chosen_boots(self.name, self._found_boots, self._boot)
 
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:
+    def facts(self, boots: Collection[int] = ()) -> source.LogFacts:
         """Return the vehicle and its firmware; `boots`: numbers of the boots; by default all."""
-        found = [
-            _facts(self.format, log)
-            for boot in self.boots()
-            for log in self._of_boot(boot)
-            if not boots or boot.number in boots
-        ]
-        vehicles, firmwares = (
-            " and ".join(dict.fromkeys(filter(None, names))) or None
-            for names in zip(*((one.vehicle, one.firmware) for one in found), strict=True)
-        )
-        return LogFacts(self.format, vehicles, firmwares, unread_bytes=sum(log.unread_bytes for log in self._logs))
+        parts = [log for boot in self.boots() if not boots or boot.number in boots for log in self._of_boot(boot)]
+        unread_bytes = sum(log.unread_bytes for log in self._logs)
+        return source.LogFacts.joined(self.format, [_facts(self.format, log) for log in parts], unread_bytes)
 
-    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+    def attitudes(self) -> Iterator[tuple[str, source.AttitudeSamples]]:
         """Yield every attitude of the aircraft in the log, with its name, boot by boot."""
         for boot in self.boots():
             for log in self._of_boot(boot):
@@ -201,10 +167,10 @@ class ULogReader(TelemetrySource):
         return [LogTopics(self.name, start, stop) for start, stop in joined_logs(self.name)]
 
     @cached_property
-    def _found_boots(self) -> tuple[Boot, ...]:
+    def _found_boots(self) -> tuple[source.Boot, ...]:
         return find_boots(
-            [stamps for log in self._logs for name in CLOCKED for stamps in log.stamps(name)],
-            clock_readings(self._logs),
+            [stamps for log in self._logs for name in _CLOCKED for stamps in log.stamps(name)],
+            _clock_readings(self._logs),
             [log.start for log in self._logs],
             lambda one, other: self._log_at(one) is self._log_at(other),
         )
@@ -212,13 +178,13 @@ class ULogReader(TelemetrySource):
     def _log_at(self, position: int) -> Topics:
         return next((log for log in reversed(self._logs) if log.start <= position), self._logs[0])
 
-    def _of_boot(self, boot: Boot) -> list[Topics]:
+    def _of_boot(self, boot: source.Boot) -> list[Topics]:
         """Return the part of a log with a boot."""
-        if boot == Boot(1):
+        if boot == source.Boot(1):
             return self._logs[:1]
         return [self._log_at(boot.spans[0][0]).only(boot.spans)]
 
-    def _attitudes(self, log: Topics) -> AttitudeSamples:
+    def _attitudes(self, log: Topics) -> source.AttitudeSamples:
         instances = _instances(log, self._topic)
         if not instances or self._instance not in (None, *instances):
             raise self._no_attitude(log)
@@ -235,26 +201,91 @@ class ULogReader(TelemetrySource):
         return LogFormatError(self.name, message, offset=log.whole_bytes)
 
 
-def _facts(kind_of_log: str, log: Topics) -> LogFacts:
+def is_ulog(head: bytes) -> bool:
+    """Return whether a file is a ULog, by its first bytes."""
+    return head.startswith(_MAGIC)
+
+
+def is_ulog2csv(header: str) -> bool:
+    """Return whether a table was exported by ulog2csv, by its first line."""
+    first, mark, rest = header.strip().partition("timestamp")
+    if first or not mark or not rest:
+        return False
+    fields = rest[1:].split(rest[0])
+    return all(map(_FIELD.fullmatch, fields)) and not _TYPICAL_FIELDS.isdisjoint(fields)
+
+
+class Ulog2csvReader(ULogReader):
+    """The files of ulog2csv as a telemetry source; its clock is the autopilot's time since boot.
+
+    `path` is any of the files; `attitude`, as of `ULogReader`, is by default the attitude in that file, else
+    vehicle_attitude in the directory.  Raises LogFormatError if the file cannot be read.
+    """
+
+    format = "CSV of PX4 ULog, by ulog2csv"
+
+    def _open(self) -> list[Topics]:
+        topics = CsvTopics(self.name)
+        if self._attitude.strip().lower() == "auto" and topics.own_quaternion:
+            self._topic, self._instance = topics.own
+        return [topics]
+
+    def samples(self) -> Iterator[source.Samples]:
+        """Yield attitude, position, UTC and gyro rates of the log, a batch each.
+
+        Raises LogFormatError if the log has no attitude, or not the requested one.
+        """
+        for batch in super().samples():
+            yield replace(batch, notes=self._notes) if isinstance(batch, source.AttitudeSamples) else batch
+
+    @property
+    def _notes(self) -> tuple[str, ...]:
+        """Remarks on files in the directory that are left out."""
+        [topics] = self._logs
+        if not isinstance(topics, CsvTopics):
+            return ()
+        for name in topics.names:
+            topics.count(name)
+        return tuple(topics.left_out)
+
+    @cached_property
+    def _found_boots(self) -> tuple[source.Boot, ...]:
+        # The order of rows in different files is unknown: each file is examined separately.
+        [topics] = self._logs
+        position, clock_s, utc_s = _clock_readings(self._logs)
+        nothing = position[:0], clock_s[:0], utc_s[:0]
+        receiver = next((name for name in _RECEIVERS if topics.count(name)), None) if position.size else None
+        for name in _CLOCKED:
+            for stamps in topics.stamps(name):
+                boots = find_boots([stamps], (position, clock_s, utc_s) if name == receiver else nothing)
+                if len(boots) > 1:
+                    restarts = f"the time since boot of {name} restarts: {len(boots)} boots"
+                    raise LogFormatError(self.name, f"{restarts}; give the .ulg files themselves")
+        return (source.Boot(1),)
+
+
+def _facts(kind_of_log: str, log: Topics) -> source.LogFacts:
     about = log.about
     system = str(about.get("sys_name", "")) or "PX4"
     kind = next((kind for _, status in log[_STATUS] if (kind := vehicle_kind(status.get("system_type")))), None)
-    release, commit = about.get("ver_sw_release"), str(about.get("ver_sw", ""))[:8]
-    parts = [version(release) if isinstance(release, int) else "", f"({commit})" if commit else ""]
-    known = [part for part in parts if part]
+    release = about.get("ver_sw_release")
+    commit = str(about.get("ver_sw", ""))[:8]
     hardware = about.get("ver_hw")
-    return LogFacts(
-        kind_of_log,
-        f"{system} {kind}" if kind else system,
-        " ".join([system, *known, *([f"on {hardware}"] if hardware else [])]) if known or hardware else None,
-    )
+    firmware = [
+        version(release) if isinstance(release, int) else "",
+        f"({commit})" if commit else "",
+        f"on {hardware}" if hardware else "",
+    ]
+    firmware = [part for part in firmware if part]
+    vehicle = f"{system} {kind}" if kind else system
+    return source.LogFacts(kind_of_log, vehicle, " ".join([system, *firmware]) if firmware else None)
 
 
-def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
+def _clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
     """Return file positions of UTC readings, the time since boot, s, and UTC, s since 1970."""
-    found: list[tuple[Integer, Float, Float]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
+    parts: list[tuple[Integer, Float, Float]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
     for log in logs:
-        name = next((name for name in RECEIVERS if _utc_of(log, name).clock_s.size), None)
+        name = next((name for name in _RECEIVERS if _utc_of(log, name).clock_s.size), None)
         if name is None:
             continue
         for position, stamp_s in log.stamps(name):
@@ -263,41 +294,38 @@ def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
                 at = _in_order(topic["timestamp"] * 1e-6, stamp_s)
                 if at is not None and (readings := _readings(topic)) is not None:
                     valid, clock_s, utc_s = readings
-                    found.append((position[at][valid], clock_s[valid], utc_s[valid]))
-    position, clock_s, utc_s = (np.concatenate(column) for column in zip(*found, strict=True))
+                    parts.append((position[at][valid], clock_s[valid], utc_s[valid]))
+    position, clock_s, utc_s = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(position, kind="stable")
     return position[order], clock_s[order], utc_s[order]
 
 
-def _in_order(some: Float, values: Float) -> Integer | None:
-    """Return the indices of some values in a sequence that contains them in the same order; None if it does not."""
-    if np.array_equal(some, values):
+def _in_order(selected: Float, values: Float) -> Integer | None:
+    """Return the indices of selected values in a sequence that has them in the same order; None if it does not."""
+    if np.array_equal(selected, values):
         return np.arange(values.size)
-    indices, at = [], 0
-    for value in some.tolist():
-        found = np.flatnonzero(values[at:] == value)
-        if not found.size:
+    indices: list[int] = []
+    at = 0
+    for value in selected.tolist():
+        matches = np.flatnonzero(values[at:] == value)
+        if not matches.size:
             return None
-        at += int(found[0])
+        at += int(matches[0])
         indices.append(at)
         at += 1
     return np.array(indices, dtype=np.int64)
 
 
-def _instances(log: Topics, topic: str) -> "dict[int, _Attitude]":
+def _instances(log: Topics, topic: str) -> dict[int, _Attitude]:
     return {number: valid for number, columns in log[topic] if (valid := _attitude_of(columns))}
 
 
-# Times, quaternions and segment numbers of one instance of a topic.
-_Attitude = tuple[Float, Float, NDArray[np.int64]]
-
-
-def _named(instances: dict[int, _Attitude], number: int, topic: str) -> AttitudeSamples:
+def _named(instances: dict[int, _Attitude], number: int, topic: str) -> source.AttitudeSamples:
     """Return the attitude of one of several instances."""
-    source = topic
+    name = topic
     if len(instances) > 1:
-        source += f" instance {number} of {' and '.join(map(str, sorted(instances)))}"
-    return AttitudeSamples(*instances[number], source)
+        name += f" instance {number} of {' and '.join(map(str, sorted(instances)))}"
+    return source.AttitudeSamples(*instances[number], name)
 
 
 def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
@@ -305,11 +333,9 @@ def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
     names = ("timestamp", "q[0]", "q[1]", "q[2]", "q[3]")
     if not set(names) <= set(topic):
         return None
-    clock_s, q = _sampled_s(topic), conjugate(np.stack([topic[name] for name in names[1:]], axis=-1))
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
-    valid &= valid_times(clock_s)
+    clock_s = _sampled_s(topic)
+    q = conjugate(np.stack([topic[name] for name in names[1:]], axis=-1))
+    valid = source.unit_quaternions(q) & source.valid_times(clock_s)
     clock_s, q = clock_s[valid], q[valid]
     order = np.argsort(clock_s, kind="stable")
     segment = np.zeros(clock_s.size, dtype=np.int64)
@@ -328,19 +354,20 @@ def _sampled_s(topic: dict[str, Float]) -> Float:
     return clock_us * 1e-6
 
 
-def _positions(log: Topics) -> PositionSamples:
-    for name in (_POSITION, *RECEIVERS):
+def _positions(log: Topics) -> source.PositionSamples:
+    for name in (_POSITION, *_RECEIVERS):
         for _, topic in log[name]:
             fixed = _fixed(topic)
             if (columns := _coordinates(topic)) is None:
                 continue
             latitude_deg, longitude_deg, height_m = (column[fixed] for column in columns)
-            known = position_samples(topic["timestamp"][fixed] * 1e-6, latitude_deg, longitude_deg, height_m, name)
-            if known.clock_s.size:
-                return known
-    if any(log[name] for name in RECEIVERS):
-        return no_position_samples("its GPS never had a 3D fix")
-    return no_position_samples(log.lack(_POSITION, RECEIVERS[0]))
+            clock_s = topic["timestamp"][fixed] * 1e-6
+            positions = source.position_samples(clock_s, latitude_deg, longitude_deg, height_m, name)
+            if positions.clock_s.size:
+                return positions
+    if any(log[name] for name in _RECEIVERS):
+        return source.no_position_samples("its GPS never had a 3D fix")
+    return source.no_position_samples(log.lack(_POSITION, _RECEIVERS[0]))
 
 
 def _fixed(topic: dict[str, Float]) -> NDArray[np.bool_]:
@@ -362,23 +389,22 @@ def _coordinates(topic: dict[str, Float]) -> tuple[Float, Float, Float] | None:
     return topic["lat"], topic["lon"], topic["alt"]
 
 
-def _utc(log: Topics) -> ClockSamples:
-    for name in RECEIVERS:
+def _utc(log: Topics) -> source.ClockSamples:
+    for name in _RECEIVERS:
         if (clock := _utc_of(log, name)).clock_s.size:
             return clock
-    nothing = np.empty(0)
-    if any(log[name] for name in RECEIVERS):
-        return ClockSamples(nothing, nothing, "its GPS never had a time after 2010")
-    return ClockSamples(nothing, nothing, log.lack(RECEIVERS[0]))
+    if any(log[name] for name in _RECEIVERS):
+        return source.no_clock_samples("its GPS never had a time after 2010")
+    return source.no_clock_samples(log.lack(_RECEIVERS[0]))
 
 
-def _utc_of(log: Topics, name: str) -> ClockSamples:
+def _utc_of(log: Topics, name: str) -> source.ClockSamples:
     """Return the UTC readings of the first receiver of a topic that has any."""
     for _, topic in log[name]:
         if (readings := _readings(topic)) is not None and readings[0].any():
             valid, clock_s, utc_s = readings
-            return ClockSamples(clock_s[valid], utc_s[valid], f"{name}.time_utc_usec, {valid.sum()} fixes")
-    return ClockSamples(np.empty(0), np.empty(0), "")
+            return source.ClockSamples(clock_s[valid], utc_s[valid], f"{name}.time_utc_usec, {valid.sum()} fixes")
+    return source.no_clock_samples("")
 
 
 def _readings(topic: dict[str, Float]) -> tuple[NDArray[np.bool_], Float, Float] | None:
@@ -388,126 +414,60 @@ def _readings(topic: dict[str, Float]) -> tuple[NDArray[np.bool_], Float, Float]
     utc_s = topic["time_utc_usec"] * 1e-6
     # A receiver with one UTC reading a second repeats it; this field is its age.
     clock_s = (topic["timestamp"] + topic.get("timestamp_time_relative", 0.0)) * 1e-6
-    valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & valid_times(topic["timestamp"] * 1e-6)
+    valid = source.plausible_utc(utc_s) & source.valid_times(topic["timestamp"] * 1e-6)
     return valid, clock_s, utc_s
 
 
-def _triggers(log: Topics) -> Iterator[TriggerSamples]:
+def _rates(log: Topics) -> Iterator[source.RateSamples]:
+    """Yield the gyro rates of the most frequent topic; nothing if the log has none."""
+    for name in sorted(_GYROS, key=log.count, reverse=True):
+        for _, topic in log[name]:
+            columns = next((columns for columns in _GYROS[name] if set(columns) <= set(topic)), None)
+            if columns is None:
+                continue
+            clock_s = _sampled_s(topic)
+            rate = np.stack([topic[column] for column in columns], axis=-1)
+            valid = source.valid_times(clock_s) & source.valid_rates(rate)
+            if np.count_nonzero(valid) > 1:
+                yield source.RateSamples(clock_s[valid], rate[valid], name)
+                return
+
+
+def _triggers(log: Topics) -> Iterator[source.TriggerSamples]:
     """Yield when the camera was triggered, by its answers, otherwise by the triggers sent."""
     for name in _TRIGGERS:
         for _, topic in log[name]:
             clock_s = topic["timestamp"] * 1e-6
             utc_s = topic.get("timestamp_utc", np.zeros(clock_s.size)) * 1e-6
-            utc_s = np.where((utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S), utc_s, np.nan)
-            valid = valid_rare_times(clock_s)
+            utc_s = np.where(source.plausible_utc(utc_s), utc_s, np.nan)
+            valid = source.valid_rare_times(clock_s)
             if valid.any():
-                yield TriggerSamples(clock_s[valid], utc_s[valid], name)
+                yield source.TriggerSamples(clock_s[valid], utc_s[valid], name)
                 return
 
 
-def _events(log: Topics) -> Iterator[EventSamples]:
+def _gimbal(log: Topics) -> Iterator[source.GimbalSamples]:
+    """Yield the attitude of the gimbal, from the first topic that has one."""
+    for name, (fields, samples_of) in _GIMBALS.items():
+        for _, topic in log[name]:
+            if set(fields) <= set(topic):
+                values = np.stack([topic[field] for field in fields], axis=-1)
+                samples = samples_of(topic["timestamp"] * 1e-6, values, name)
+                if samples.clock_s.size > 1:
+                    yield samples
+                    return
+
+
+def _events(log: Topics) -> Iterator[source.EventSamples]:
     """Yield flight modes and messages."""
     for _, topic in log[_STATUS]:
         if "nav_state" in topic:
             clock_s, state = topic["timestamp"] * 1e-6, topic["nav_state"]
-            valid = valid_rare_times(clock_s) & np.isfinite(state)
-            names = [px4_navigation_state(int(one)) for one in state[valid].tolist()]
-            yield EventSamples.of(EventKind.MODE, clock_s[valid], names)
+            valid = source.valid_rare_times(clock_s) & np.isfinite(state)
+            names = [px4_navigation_state(int(number)) for number in state[valid].tolist()]
+            yield source.EventSamples.of(EventKind.MODE, clock_s[valid], names)
             break
     if messages := log.messages():
         clock_s = np.array([time_s for time_s, _ in messages])
-        clock_s = np.where(valid_rare_times(clock_s), clock_s, np.nan)
-        yield EventSamples.of(EventKind.MESSAGE, clock_s, [text for _, text in messages])
-
-
-def _rates(log: Topics) -> Iterator[RateSamples]:
-    """Yield the gyro rates of the most frequent topic; nothing if the log has none."""
-    for name in sorted(_GYROS, key=log.count, reverse=True):
-        for _, topic in log[name]:
-            columns = next((c for c in _columns_of_rates(name) if set(c) <= set(topic)), None)
-            if columns is None:
-                continue
-            clock_s, rate = _sampled_s(topic), np.stack([topic[column] for column in columns], axis=-1)
-            valid = valid_times(clock_s) & valid_rates(rate)
-            if np.count_nonzero(valid) > 1:
-                yield RateSamples(clock_s[valid], rate[valid], name)
-                return
-
-
-def _columns_of_rates(name: str) -> Iterator[tuple[str, ...]]:
-    axes = "xyz" if name == "sensor_gyro" else "012"
-    for spelling in _GYROS[name]:
-        yield tuple(spelling.format(axis) for axis in axes)
-
-
-# Fields of the topics that are read, which tables of other origin do not have.
-_TYPICAL_FIELDS: Final = {
-    "q[0]",
-    "time_utc_usec",
-    "xyz[0]",
-    "gyro_rad[0]",
-    "gyro_rad_s[0]",
-    "system_type",
-    "terrain_alt",
-}
-_FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")
-
-
-def is_ulog2csv(header: str) -> bool:
-    """Return whether a table was exported by ulog2csv; `header`: first line of the table."""
-    first, mark, rest = header.strip().partition("timestamp")
-    if first or not mark or not rest:
-        return False
-    fields = rest[1:].split(rest[0])
-    return all(map(_FIELD.fullmatch, fields)) and not _TYPICAL_FIELDS.isdisjoint(fields)
-
-
-class Ulog2csvReader(ULogReader):
-    """The files of ulog2csv as a telemetry source; its clock is the autopilot's time since boot.
-
-    `path`: one of the files; `attitude`: ``"auto"``: the attitude in the opened file, else vehicle_attitude in the
-    directory; or a topic by name; see `ULogReader`.  Raises LogFormatError if the file cannot be read.
-    """
-
-    format = "CSV of PX4 ULog, by ulog2csv"
-
-    def _open(self) -> list[Topics]:
-        topics = CsvTopics(self.name)
-        if self._attitude.strip().lower() == "auto" and topics.own_quaternion:
-            self._topic, self._instance = topics.own
-        return [topics]
-
-    def samples(self) -> Iterator[Samples]:
-        """Yield attitude, position, UTC and gyro rates of the log, a batch each.
-
-        Raises LogFormatError if the log has no attitude, or not the requested one.
-        """
-        for batch in super().samples():
-            yield replace(batch, notes=self._notes) if isinstance(batch, AttitudeSamples) else batch
-
-    @property
-    def _notes(self) -> tuple[str, ...]:
-        """Remarks on files in the directory that are left out."""
-        [topics] = self._logs
-        if not isinstance(topics, CsvTopics):
-            return ()
-        for name in topics.names:
-            topics.count(name)
-        return tuple(topics.left_out)
-
-    @cached_property
-    def _found_boots(self) -> tuple[Boot, ...]:
-        # The order of rows in different files is unknown: each file is examined separately.
-        [topics] = self._logs
-        position, clock_s, utc_s = clock_readings(self._logs)
-        nothing = position[:0], clock_s[:0], utc_s[:0]
-        source = next((name for name in RECEIVERS if topics.count(name)), None) if position.size else None
-        for name in CLOCKED:
-            for stamps in topics.stamps(name):
-                boots = find_boots([stamps], (position, clock_s, utc_s) if name == source else nothing)
-                if len(boots) > 1:
-                    message = (
-                        f"the time since boot of {name} restarts: {len(boots)} boots; give the .ulg files themselves"
-                    )
-                    raise LogFormatError(self.name, message)
-        return (Boot(1),)
+        clock_s = np.where(source.valid_rare_times(clock_s), clock_s, np.nan)
+        yield source.EventSamples.of(EventKind.MESSAGE, clock_s, [text for _, text in messages])

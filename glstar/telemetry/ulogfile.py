@@ -1,8 +1,8 @@
-"""The topics of a ULog file, found in one pass over its messages; topics are decoded on first use.
+"""The topics of a ULog file, or of the CSV files that ulog2csv writes of it.
 
 A log is a sequence of messages, each with a size, a letter and a body: definitions first (``F`` defines the fields of a
 topic, ``A`` assigns a number to a topic, ``I`` is information about the log), then samples (``D``).  pyulog decodes the
-complete messages of one topic at a time, because with a damaged file it may never finish.
+complete messages of one topic at a time, on first use, because with a damaged file it may never finish.
 """
 
 import io
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
 from glstar.telemetry.source import Span, suppressed_output
-from glstar.telemetry.tables.files import Dump, separator
+from glstar.telemetry.tables.files import Dump, dump_separator
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
@@ -84,14 +84,14 @@ class Topics(Protocol):
 
 
 class LogTopics(Topics):
-    """The topics of a ULog file.
+    """The topics of the log between two offsets of a ULog file; see `joined_logs`.
 
-    `path`: the log; `start`, `stop`: begin and end of the log in the file, bytes; see `joined_logs`.  Raises
-    LogFormatError if the file ends within its head, or is a newer version of ULog.
+    Raises LogFormatError if the file ends within its head, or is a newer version of ULog.
     """
 
     def __init__(self, path: str, start: int = 0, stop: int | None = None) -> None:
-        self._path, self._start = path, start
+        self._path = path
+        self._start = start
         with Path(path).open("rb") as file:
             self._file_bytes = os.fstat(file.fileno()).st_size
             if self._file_bytes < _FILE_HEAD_BYTES:
@@ -100,8 +100,9 @@ class LogTopics(Topics):
                 self._index = _index(raw, start, len(raw) if stop is None else stop)
         if self._index.unknown:
             raise LogFormatError(path, "is a newer kind of ULog, which pyulog does not know", offset=_FILE_HEAD_BYTES)
-        self.whole_bytes, self.about = self._index.whole_bytes, self._index.about
+        self.whole_bytes = self._index.whole_bytes
         self.unread_bytes = self._index.unread_bytes
+        self.about = self._index.about
         self._numbers: dict[str, list[int]] = defaultdict(list)
         for number, (_, name) in self._index.subscribed.items():
             self._numbers[name].append(number)
@@ -132,14 +133,14 @@ class LogTopics(Topics):
     def stamps(self, name: str) -> list[tuple[Integer, Float]]:
         """Return file positions and times, s since boot, of the samples of each instance of a topic."""
         raw = np.memmap(self._path, dtype=np.uint8, mode="r")
-        found = []
+        stamps = []
         for number in self._numbers.get(name, ()):
             at = np.array(self._index.samples.get(number, ()), dtype=np.int64)
             # Every sample begins with its timestamp, microseconds in 64 bits.
             at = at[at + _SAMPLE_HEAD.size + 8 <= raw.size]
             bodies = raw[at[:, np.newaxis] + _SAMPLE_HEAD.size + np.arange(8)]
-            found.append((at, np.ascontiguousarray(bodies).view("<u8")[:, 0] * 1e-6))
-        return found
+            stamps.append((at, np.ascontiguousarray(bodies).view("<u8")[:, 0] * 1e-6))
+        return stamps
 
     def messages(self) -> list[tuple[float, str]]:
         """Return the logged messages in the order of the file: time since boot, s, and text."""
@@ -152,14 +153,15 @@ class LogTopics(Topics):
 
     def only(self, spans: Sequence[Span]) -> "LogTopics":
         """Return the samples within some ranges of positions, as topics."""
-        some = copy(self)
         samples = {}
         for number, starts in self._index.samples.items():
             at = np.array(starts, dtype=np.int64)
             samples[number] = array("Q", at[within(at, spans)].tolist())
-        messages = [one for one in self._index.messages if within(np.array([one[0]]), spans)[0]]
-        some._index, some._decoded = replace(self._index, samples=samples, messages=messages), {}  # noqa: SLF001 - of its own class
-        return some
+        messages = [message for message in self._index.messages if within(np.array(message[:1]), spans)[0]]
+        selected = copy(self)
+        selected._index = replace(self._index, samples=samples, messages=messages)  # noqa: SLF001 - of its own class
+        selected._decoded = {}  # noqa: SLF001 - of its own class
+        return selected
 
     def extent(self) -> str:
         """Return how much of the file could be read, for messages; empty if all of it."""
@@ -179,7 +181,7 @@ class LogTopics(Topics):
             starts = sorted(at for number in self._numbers[name] for at in index.samples.get(number, ()))
             parts += [raw[at : at + _HEAD.size + _HEAD.unpack_from(raw, at)[0]] for at in starts]
         with suppressed_output():
-            from pyulog import ULog  # noqa: PLC0415
+            from pyulog import ULog  # noqa: PLC0415 - when a topic is decoded
 
             try:
                 topics: list[Any] = ULog(io.BytesIO(b"".join(parts))).data_list
@@ -242,25 +244,19 @@ _UINT32_BYTES = 4
 class _Index:
     """Definitions of a log, and the offsets of its samples."""
 
-    # Definitions: formats by the name of the topic, subscriptions by number, and instance and name by number.
-    formats: dict[str, bytes] = field(default_factory=dict)
-    subscriptions: dict[int, bytes] = field(default_factory=dict)
-    subscribed: dict[int, tuple[int, str]] = field(default_factory=dict)
-    # Offsets of the samples, by number.
-    samples: dict[int, "array[int]"] = field(default_factory=dict)
-    about: dict[str, str | int] = field(default_factory=dict)
-    # Offset, time since boot, s, and text of each logged message.
-    messages: list[tuple[int, float, str]] = field(default_factory=list)
-    unknown: bool = False
+    formats: dict[str, bytes] = field(default_factory=dict)  # By the name of the topic
+    subscriptions: dict[int, bytes] = field(default_factory=dict)  # By number
+    subscribed: dict[int, tuple[int, str]] = field(default_factory=dict)  # Instance and name of the topic, by number
+    samples: dict[int, "array[int]"] = field(default_factory=dict)  # Offsets of the samples, by number
+    about: dict[str, str | int] = field(default_factory=dict)  # Facts about the autopilot
+    messages: list[tuple[int, float, str]] = field(default_factory=list)  # Offset, time since boot, s, and text
+    unknown: bool = False  # Whether it has features that pyulog lacks
     whole_bytes: int = _FILE_HEAD_BYTES
     unread_bytes: int = 0
 
 
 def joined_logs(path: str) -> list[tuple[int, int]]:
-    """Return begin and end of each log in a file, bytes; logs that were joined have a head each.
-
-    Returns: list of (int, int).
-    """
+    """Return begin and end of each log in a file, bytes; logs that were joined have a head each."""
     with Path(path).open("rb") as file:
         if os.fstat(file.fileno()).st_size < _FILE_HEAD_BYTES:
             return [(0, _FILE_HEAD_BYTES)]
@@ -273,7 +269,7 @@ def joined_logs(path: str) -> list[tuple[int, int]]:
 
 def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
     """Return definitions and samples of the log between two offsets of a file."""
-    found = _Index(whole_bytes=start + _FILE_HEAD_BYTES)
+    index = _Index(whole_bytes=start + _FILE_HEAD_BYTES)
     samples: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
     at, before = start + _FILE_HEAD_BYTES, start + _FILE_HEAD_BYTES - 1
     while at < end:
@@ -288,20 +284,20 @@ def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
                 body = raw[at + _HEAD.size : stop]
                 clock_us = _MESSAGES[kind].unpack_from(body)[-1]
                 text = body[_MESSAGES[kind].size :].decode(errors="replace")
-                found.messages.append((at, clock_us * 1e-6, text))
+                index.messages.append((at, clock_us * 1e-6, text))
             elif kind in _DEFINING:
-                _define(found, raw[at:stop], kind)
-                found.unknown |= kind == _FLAG and at == start + _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
+                _define(index, raw[at:stop], kind)
+                index.unknown |= kind == _FLAG and at == start + _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
         else:
             # This message is damaged, or the size of the previous one.
-            resumed = _resumed(raw, before + 1, end, found.subscribed)
-            found.unread_bytes += max(resumed - at, 0)
+            resumed = _resumed(raw, before + 1, end, index.subscribed)
+            index.unread_bytes += max(resumed - at, 0)
             at = before = resumed
             continue
-        found.whole_bytes = stop
+        index.whole_bytes = stop
         before, at = at, stop
-    found.samples = samples
-    return found
+    index.samples = samples
+    return index
 
 
 def _stop(raw: mmap.mmap, at: int, end: int) -> int | None:
@@ -346,23 +342,23 @@ def _letters(raw: mmap.mmap, start: int, end: int) -> Iterator[int]:
             yield from (letter.start() for letter in _LETTER.finditer(raw, at, stop))
 
 
-def _define(found: _Index, message: bytes, kind: int) -> None:
+def _define(index: _Index, message: bytes, kind: int) -> None:
     """Add a format, a subscription or a fact; the first one of each name or number is used."""
     body = message[_HEAD.size :]
     if kind == _FORMAT and (fields := _FIELDS.fullmatch(body)):
-        found.formats.setdefault(fields[1].decode(), message)
+        index.formats.setdefault(fields[1].decode(), message)
     elif kind == _SUBSCRIBE:
         instance, number = _SUBSCRIPTION.unpack_from(body)
-        if number not in found.subscribed:
-            found.subscribed[number] = instance, body[_SUBSCRIPTION.size :].decode(errors="replace")
-            found.subscriptions[number] = message
+        if number not in index.subscribed:
+            index.subscribed[number] = instance, body[_SUBSCRIPTION.size :].decode(errors="replace")
+            index.subscriptions[number] = message
     elif kind == _INFORMATION and (fact := _FACT.fullmatch(body[1 : 1 + body[0]])):
         value, name = body[1 + body[0] :], fact[2].decode()
         if fact[1] != b"uint32_t":
             text = "".join(filter(str.isprintable, value.decode(errors="replace")))
-            found.about.setdefault(name, text.strip())
+            index.about.setdefault(name, text.strip())
         elif len(value) == _UINT32_BYTES:
-            found.about.setdefault(name, int.from_bytes(value, "little"))
+            index.about.setdefault(name, int.from_bytes(value, "little"))
 
 
 def _needs_more(flags: bytes) -> bool:
@@ -463,4 +459,4 @@ def _fields(file: Path) -> list[str]:
             header = text.readline(1 << 16).strip()
     except (OSError, UnicodeDecodeError):
         return []
-    return header.split(separator(str(file)))
+    return header.split(dump_separator(str(file)))

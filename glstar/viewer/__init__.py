@@ -1,5 +1,5 @@
-"""The flight-replay viewer: a window in which a flight plays, and the camera's exposures appear as they are recorded.
+"""The window of glstar: a flight plays, and the camera's exposures appear as they are recorded.
 
-`session` holds the state, `ui.interface` draws it on any OpenGL context, `window` and `headless` are the surfaces that
-it is drawn on, `loop` runs it.  Play head, view, keys, overlays and comparison are plain modules without OpenGL.
+`session` holds the state, `ui` draws it on any OpenGL context, `loop` runs it on a surface: the `window`, or an
+offscreen framebuffer.  `flight`, `overlays`, `picture` and `skyobjects` are plain modules without window and imgui.
 """

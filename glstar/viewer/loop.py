@@ -1,8 +1,6 @@
-"""The main loop of the viewer, and scripts that run it without a user.
+"""The main loop of the viewer, scripts that run it without a user, and the surfaces that it draws on.
 
-The surface that the viewer draws on: a window, or an offscreen framebuffer.
-
-A surface without a display: the same interface on a headless context, for scripts and tests.
+A surface is a window (`glstar.viewer.window`), or the framebuffer of a headless context for scripts and tests.
 """
 
 import time
@@ -17,7 +15,7 @@ from imgui_bundle import imgui
 from numpy.typing import NDArray
 
 from glstar.config import Config
-from glstar.errors import GlstarError, RenderError
+from glstar.errors import RenderError
 from glstar.link import Endpoint, Link
 from glstar.render.opengl import Context, Framebuffer, GLRenderer
 from glstar.render.opengl.context import headless_context
@@ -48,19 +46,19 @@ class Surface(Protocol):
     def scale(self) -> float: ...  # noqa: D102 - documented above
 
     @property
-    def native_dialogs(self) -> bool: ...  # noqa: D102
+    def native_dialogs(self) -> bool: ...  # noqa: D102 - documented above
 
     @property
-    def size(self) -> tuple[int, int]: ...  # noqa: D102
+    def size(self) -> tuple[int, int]: ...  # noqa: D102 - documented above
 
     @property
-    def window_size(self) -> tuple[int, int]: ...  # noqa: D102
+    def window_size(self) -> tuple[int, int]: ...  # noqa: D102 - documented above
 
     @property
-    def target(self) -> Framebuffer: ...  # noqa: D102
+    def target(self) -> Framebuffer: ...  # noqa: D102 - documented above
 
     @property
-    def should_close(self) -> bool: ...  # noqa: D102
+    def should_close(self) -> bool: ...  # noqa: D102 - documented above
 
     def attach(self) -> None:
         """Connect the events to the current imgui context."""
@@ -145,11 +143,7 @@ class Viewer:
             self.session = Session(renderer, config, output=output)
             self._owned.callback(self.session.close)
             self.interface = Interface(
-                self.session,
-                surface.context,
-                layout=layout,
-                scale=surface.scale,
-                native_dialogs=surface.native_dialogs,
+                self.session, surface.context, layout=layout, scale=surface.scale, native_dialogs=surface.native_dialogs
             )
             self._owned.callback(self.interface.close)
             surface.attach()
@@ -229,18 +223,15 @@ class Viewer:
     def _connect(self, link: str) -> None:
         """Open a link and show its flight; it is closed with the viewer."""
         flight = self.session.config.flight
-        try:
+        with self.session.errors_reported():
             opened = Link(Endpoint.parse(link), flight.options, sysid=flight.sysid, retry=True)
             self._owned.enter_context(opened)
-        except GlstarError as error:
-            self.session.notify(str(error), is_error=True)
-            return
-        self.follow(opened)
+            self.follow(opened)
 
     def run(self) -> None:
         """Draw frames until the window is closed; while nothing changes, wait for events."""
         settling = _SETTLING_FRAMES
-        while not (self._surface.should_close or self.interface.wants_to_quit):
+        while not self._is_closing:
             began_s = time.perf_counter()
             self.frame()
             settling = _SETTLING_FRAMES if self._has_changed() else max(settling - 1, 0)
@@ -253,6 +244,18 @@ class Viewer:
                 self.session.times.pause()
                 if self._sleep():
                     settling = _SETTLING_FRAMES
+
+    @property
+    def _is_closing(self) -> bool:
+        """Whether the user has closed the window."""
+        return self._surface.should_close or self.interface.wants_to_quit
+
+    def _paced_frame(self) -> None:
+        """Draw a frame, wait until the next is due, and process events."""
+        began_s = time.perf_counter()
+        self.frame()
+        self.pace(began_s)
+        self._surface.wait(0.0)
 
     def _has_changed(self) -> bool:
         """Return whether the next frame may differ from the last one without any event."""
@@ -324,13 +327,8 @@ class Viewer:
     def _draw_until_answered(self) -> None:
         """Draw frames until the flight has been read and nothing is missing, or the window has been closed."""
         session = self.session
-        while session.loader.path is not None or session.loader.missing is not None:
-            if self._surface.should_close or self.interface.wants_to_quit:
-                return
-            began_s = time.perf_counter()
-            self.frame()
-            self.pace(began_s)
-            self._surface.wait(0.0)
+        while (session.loader.path is not None or session.loader.missing is not None) and not self._is_closing:
+            self._paced_frame()
 
     def _play_live(self, script: Script, live: LiveFlight) -> dict[str, Any]:
         """Show a link, whether its sky can be drawn or not, and return the report."""
@@ -366,11 +364,8 @@ class Viewer:
         end_s = time.perf_counter() + seconds
         self._last_frame_s = time.perf_counter()
         self.session.times.recording = True
-        while time.perf_counter() < end_s and not (self._surface.should_close or self.interface.wants_to_quit):
-            began_s = time.perf_counter()
-            self.frame()
-            self.pace(began_s)
-            self._surface.wait(0.0)
+        while time.perf_counter() < end_s and not self._is_closing:
+            self._paced_frame()
         self.session.times.recording = False
 
     def _report(self) -> dict[str, Any]:
@@ -416,7 +411,8 @@ class Viewer:
 
     def close(self) -> None:
         """Stop exports and threads, store what is remembered, and release all objects; a second call does nothing."""
-        self._memory.night, self._memory.overlays = self.session.night, frozenset(self.session.shown_overlays)
+        self._memory.night = self.session.night
+        self._memory.overlays = frozenset(self.session.shown_overlays)
         self._memory.text_scale = self.interface.text_scale
         self._memory.save()
         self._owned.close()

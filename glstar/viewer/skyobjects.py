@@ -1,10 +1,7 @@
-"""Where an object of the sky is with respect to the image, and when it enters the image.
+"""Stars, constellations, the Sun, the Moon and planets in the window.
 
-The star whose trail is under the mouse.
-
-Search for stars, constellations, the Sun, the Moon and planets by name or catalogue number.
-
-The object of the sky that the user has selected, and what is known of it in the exposure shown.
+Search by name or catalogue number; position of an object with respect to the image, and when it enters the image; the
+star whose trail is under the mouse; the selected object with its truth and its profile in the exposure shown.
 """
 
 import json
@@ -59,11 +56,7 @@ class ObjectPlace:
     from_axis_rad: float  # Angle from the optical axis, rad
 
     def message(self, name: str) -> str:
-        """Return where the object is, in one line.
-
-        `name`: of the object.  Returns: such as ``"Sirius is outside the image, 34.2 deg to the left and 12.0 deg
-        above"``.
-        """
+        """Return a message such as ``"Sirius is outside the image, 34.2 deg to the left and 12.0 deg above"``."""
         if self.altitude_rad < 0:
             return f"{name} is {-degrees(self.altitude_rad):.1f} deg below the horizon"
         if self.on_image:
@@ -109,8 +102,8 @@ def object_place(scene: Scene, direction_eq: Float) -> ObjectPlace:
 def time_in_image_s(simulator: Simulator, direction_eq: Float, after_utc_s: float) -> float | None:
     """Return when an object is on the image next, or first if it is not any more after a given time.
 
-    `direction_eq` (3,): apparent unit vector, true equator and equinox; `after_utc_s`: UTC seconds since 1970.
-    Returns: UTC seconds since 1970, to a quarter of a second; None if the object is never on the image.
+    `direction_eq` (3,): apparent unit vector, true equator and equinox; `after_utc_s`: UTC seconds since 1970.  Returns
+    UTC seconds since 1970, to a quarter of a second; None if the object is never on the image.
     """
     attitude = simulator.flight.attitude
     times_s = np.arange(attitude.first_s, attitude.last_s, _SEARCH_STEP_S)
@@ -125,11 +118,11 @@ def _first_in_image_s(
     simulator: Simulator, attitude: AttitudeTrack, direction_eq: Float, times_s: Float
 ) -> float | None:
     for first in range(0, len(times_s), _TIMES_AT_ONCE):
-        some_s = times_s[first : first + _TIMES_AT_ONCE]
-        xy_px = simulator.camera.project(simulator.pointing(some_s).to_camera(direction_eq[np.newaxis]))[:, 0]
+        block_s = times_s[first : first + _TIMES_AT_ONCE]
+        xy_px = simulator.camera.project(simulator.pointing(block_s).to_camera(direction_eq[np.newaxis]))[:, 0]
         for index in np.flatnonzero(simulator.camera.contains(xy_px)).tolist():
-            if attitude.gap_within(some_s[index], some_s[index]) is None:
-                return float(some_s[index])
+            if attitude.gap_within(block_s[index], block_s[index]) is None:
+                return float(block_s[index])
     return None
 
 
@@ -176,7 +169,7 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
         nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, position))
     near = np.flatnonzero(nearest_px <= within_px)
     if scene.exposure.readout_s and near.size:
-        # Of the path over the whole readout, a star is recorded while its own rows are open.
+        # A star is recorded only while its own rows are open, which is a part of the path over the whole readout.
         directions = scene.stars.direction_eq[scene.visible[around[near]]]
         recorded = recorded_positions(scene, directions, np.linspace(0, 1, _RECORDED_SAMPLES))
         nearest_px[near] = _distance_to_trail_px(recorded, position)
@@ -260,45 +253,45 @@ class SkySearch:
     def matches(self, query: str, *, limit: int = 12) -> list[SkyObject]:
         """Return the objects whose names match a query, the best first.
 
+        They are sorted by match (complete name, beginning of a name, of a word, anywhere), kind and magnitude.
         `query`: a name or the beginning of one of its words, a designation with a Greek letter or its name (``"α
         cma"``, ``"alpha cma"``, ``"alp cma"``), or a catalogue number (``"HR 2491"``, ``"2491"``); case and accents are
-        ignored; `limit`: the largest number of objects returned.  Returns: sorted by match (complete name, beginning of
-        a name, of a word, anywhere), kind and magnitude.
+        ignored; `limit`: the largest number of objects returned.
         """
-        wanted = _normalized(query)
-        if not wanted:
+        words = _normalized(query)
+        if not words:
             return []
         ranked = [
             (rank, order)
             for order, keys in enumerate(self._keys)
-            if (rank := min(_rank(key, wanted) for key in keys)) < 4
+            if (rank := min(_rank(key, words) for key in keys)) < 4
         ]
-        found = [self._objects[order] for _, order in sorted(ranked)[:limit]]
-        number = _NUMBER.fullmatch(wanted)
+        matches = [self._objects[order] for _, order in sorted(ranked)[:limit]]
+        number = _NUMBER.fullmatch(words)
         if number and number[1] is None and (star := self._by_number.get(int(number[2]))) is not None:
-            found = [star, *(each for each in found if each != star)][:limit]
-        return found
+            matches = [star, *(each for each in matches if each != star)][:limit]
+        return matches
 
     def star(self, star_id: int) -> SkyObject | None:
         """Return a star by its catalogue number; None if the catalogue lacks it."""
         return self._by_number.get(star_id)
 
 
-def object_direction_eq(found: SkyObject, sky: Sky, stars: StarField, utc_s: float, site: Site) -> NDArray[np.float64]:
+def object_direction_eq(target: SkyObject, sky: Sky, stars: StarField, utc_s: float, site: Site) -> NDArray[np.float64]:
     """Return the direction of an object.
 
-    `found`: of a `SkySearch` of the same catalogue; `stars`: of that sky; `utc_s`: UTC seconds since 1970; it matters
+    `target`: of a `SkySearch` of the same catalogue; `stars`: of that sky; `utc_s`: UTC seconds since 1970; it matters
     for the Sun, the Moon and planets.  Returns (3,) apparent unit vector, true equator and equinox of date; of a
     constellation, the position of its label.  Raises KeyError if the star is not one of `stars`.
     """
-    if found.kind is ObjectKind.BODY:
-        return observed_bodies(sky, utc_s, site, (found.name,))[0].direction_eq
-    if found.kind is ObjectKind.STAR:
-        index = np.flatnonzero(stars.star_id == found.star_id)
+    if target.kind is ObjectKind.BODY:
+        return observed_bodies(sky, utc_s, site, (target.name,))[0].direction_eq
+    if target.kind is ObjectKind.STAR:
+        index = np.flatnonzero(stars.star_id == target.star_id)
         if not index.size:
-            raise KeyError(found.label)
+            raise KeyError(target.label)
         return np.asarray(stars.direction_eq[index[0]])
-    ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == found.name)
+    ra_rad, dec_rad = next(each.label_rad for each in constellations() if each.name == target.name)
     return np.asarray(ASTROMETRY["erfa"].apparent_directions([ra_rad], [dec_rad], [0.0], [0.0], stars.epoch_utc_s)[0])
 
 
@@ -334,20 +327,20 @@ def _normalized(name: str) -> str:
     return " ".join("".join(letters).split())
 
 
-def _rank(key: str, wanted: str) -> int:
+def _rank(key: str, query: str) -> int:
     """Return how well a key matches: 0 completely, 1 and 2 at its beginning, 3 at words' beginnings, 4 not at all.
 
     Each word of the query must begin a word of the key, in the same order.
     """
-    if key == wanted:
+    if key == query:
         return 0
-    if key.startswith(wanted):
+    if key.startswith(query):
         return 1
     words = iter(key.split())
     # `any` consumes the words of the key up to the match, so the order of the query's words matters.
-    if all(any(word.startswith(part) for word in words) for part in wanted.split()):
+    if all(any(word.startswith(part) for word in words) for part in query.split()):
         return 2
-    return 3 if len(wanted) > 2 and wanted in key else 4
+    return 3 if len(query) > 2 and query in key else 4
 
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
@@ -375,21 +368,18 @@ class Selection:
             self._search = catalogue, SkySearch(catalogue)
         return self._search[1]
 
-    def select(self, found: SkyObject | None, simulator: Simulator, scene: Scene) -> str:
-        """Select an object, or none.
-
-        `scene`: the exposure shown.  Returns: where the object is, as a message; empty if nothing was selected.
-        """
-        self.selected = found
-        if found is None or (place := self.place(simulator, scene)) is None:
+    def select(self, target: SkyObject | None, simulator: Simulator, scene: Scene) -> str:
+        """Select an object, or None; return where it is in the exposure shown, as a message, empty for None."""
+        self.selected = target
+        if target is None or (place := self.place(simulator, scene)) is None:
             return ""
-        return place.message(found.name)
+        return place.message(target.name)
 
     def direction_eq(self, simulator: Simulator, scene: Scene) -> Float | None:
-        """Return the direction of the selected object in the exposure shown.
+        """Return the direction of the selected object in the exposure shown, (3,): apparent, true equator and equinox.
 
-        Returns (3,) or None: apparent unit vector, true equator and equinox; None without a selection, and for a star
-        that is fainter than the magnitude limit or belongs to another catalogue.
+        Returns None without a selection, and for a star that is fainter than the magnitude limit or belongs to another
+        catalogue.
         """
         if self.selected is None:
             return None
@@ -410,10 +400,7 @@ class Selection:
         return None if direction_eq is None else object_place(scene, direction_eq)
 
     def next_in_image_s(self, simulator: Simulator, scene: Scene) -> float | None:
-        """Return when the selected object is on the image next: see `time_in_image_s`.
-
-        Returns: UTC seconds since 1970.
-        """
+        """Return when the selected object is on the image next, UTC seconds since 1970: see `time_in_image_s`."""
         direction_eq = self.direction_eq(simulator, scene)
         if direction_eq is None:
             return None
@@ -425,30 +412,29 @@ class Selection:
         `pixels` (height, width) uint8 or uint16: the image.  Returns the keys of a star in `frame_truth`; None if the
         selection is no star or its flux does not touch the image.
         """
-        found = self.selected
-        if found is None or found.kind is not ObjectKind.STAR:
+        star = self.selected
+        if star is None or star.kind is not ObjectKind.STAR:
             return None
-        inputs = (found, scene, id(pixels))
+        inputs = (star, scene, id(pixels))
         if self._truth is None or self._truth[0] != inputs:
-            index = np.flatnonzero(scene.stars.star_id[scene.visible] == found.star_id)
-            line = frame_truth(scene.with_visible(index), Frame(pixels, scene.exposure, seed=0), number=0, file="")
-            stars = [star for star in json.loads(line)["stars"] if star["star_id"] == found.star_id]
-            self._truth = inputs, stars[0] if stars else None
+            self._truth = inputs, _star_truth(scene, star.star_id, pixels)
         return self._truth[1]
 
 
 def star_signal_to_noise(scene: Scene, star_id: int) -> float:
-    """Return the expected signal-to-noise ratio of a star in an exposure, as truth has it.
+    """Return the expected signal-to-noise ratio of a star in an exposure; NaN if its flux does not touch the image."""
+    dark = np.broadcast_to(np.uint8(0), (scene.camera.height_px, scene.camera.width_px))
+    truth = _star_truth(scene, star_id, dark) or {}
+    return float(truth.get("snr", np.nan))
 
-    `star_id`: in the catalogue.  Returns: NaN if its flux does not touch the image.
-    """
+
+def _star_truth(scene: Scene, star_id: int, pixels: Pixels) -> dict[str, Any] | None:
+    """Return the line of truth of one star; None if its flux does not touch the image."""
     index = np.flatnonzero(scene.stars.star_id[scene.visible] == star_id)
     if not index.size:
-        return float("nan")
-    dark = np.broadcast_to(np.uint8(0), (scene.camera.height_px, scene.camera.width_px))
-    line = frame_truth(scene.with_visible(index), Frame(dark, scene.exposure, seed=0), number=0, file="")
-    found = [star["snr"] for star in json.loads(line)["stars"] if star["star_id"] == star_id and "snr" in star]
-    return float(found[0]) if found else float("nan")
+        return None
+    line = frame_truth(scene.with_visible(index), Frame(pixels, scene.exposure, seed=0), number=0, file="")
+    return next((star for star in json.loads(line)["stars"] if star["star_id"] == star_id), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -466,7 +452,7 @@ class CutOut:
     def saturated(self, tested: Pixels, saturation_dn: int) -> NDArray[np.bool_]:
         """Return which of its pixels are saturated, (n, m).
 
-        `tested` (height, width) uint8, uint16 or bool: the image, or of a stacked one where a short exposure is
+        `tested` (height, width) uint8 or uint16: the image; or bool: where a short exposure of a stacked image is
         saturated; `saturation_dn`: the largest digital number of the sensor.
         """
         rows, columns = self.pixels.shape
@@ -475,13 +461,12 @@ class CutOut:
 
 
 def star_cut_out(scene: Scene, pixels: Pixels, direction_eq: Float, flux_dn: float) -> CutOut | None:
-    """Return the surroundings of a star in the middle of its exposure.
+    """Return the surroundings of a star in the middle of its exposure; None if it is then outside the image.
 
-    `pixels` (height, width) uint8 or uint16; `direction_eq` (3,): of the star; `flux_dn`: sum of its flux over the
-    image, DN.  Returns: none if the star is then outside the image.  The expected profile is that of a star that
-    moves uniformly on a straight line.
+    The expected profile is that of a star that moves uniformly on a straight line.  `pixels` (height, width) uint8 or
+    uint16; `direction_eq` (3,): of the star; `flux_dn`: sum of its flux over the image, DN.
     """
-    # Of a stacked image, in the short exposure nearest to the middle: between two of them the star jumps.
+    # The middle of a stacked image is that of its nearest short exposure: between two of them the star jumps.
     count = max(len(scene.shorts), 1)
     fraction = _SPEED_FRACTION / count
     times = (count // 2 + 0.5) / count + fraction * np.array([-0.5, 0.0, 0.5])

@@ -32,7 +32,7 @@ class WindowSurface:
         self._library: Any = glfw
         glfw.ERROR_REPORTING = "ignore"
         if not glfw.init():
-            raise ContextError(f"no display to open a window on: {_last_error()}. {_ALTERNATIVES}")
+            raise ContextError(f"no display to open a window on: {_text(glfw.get_error()[1])}. {_ALTERNATIVES}")
         for hint, value in (
             (glfw.CONTEXT_VERSION_MAJOR, 3),
             (glfw.CONTEXT_VERSION_MINOR, 3),
@@ -167,11 +167,6 @@ def text_scale(content_scale: float, framebuffer_px: int, window_units: int) -> 
 
 def _text(message: bytes | str | None) -> str:
     return message.decode(errors="replace") if isinstance(message, bytes) else message or "the system does not say why"
-
-
-def _last_error() -> str:
-    """Return GLFW's message for its last error."""
-    return _text(glfw.get_error()[1])
 
 
 def _no_window(code: int, message: str) -> str:

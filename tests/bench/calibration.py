@@ -1,4 +1,4 @@
-"""What `glstar calibrate` recovers of known cameras: ``poe bench-calibrate``, or ``python -m tests.bench.calibration``.
+"""What `glstar calibrate` recovers of known cameras: ``poe bench calibrate``, or ``python -m tests.bench.calibration``.
 
 Images are drawn by the exporter's own renderer with known parameters (sky level and noise, width of the point spread
 function, bit depth, field of view, attitude) and calibrated: three in four from an attitude with an error of a degree
@@ -22,7 +22,11 @@ from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from glstar.calibrate import PlateSolution, calibrate, detect_stars, identify_lost, identify_near
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.identify.lost import identify_lost
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.sensor.calibration import calibrate
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.render.opengl import GLRenderer

@@ -1,4 +1,4 @@
-"""Whether the stated errors of `compare`'s clock offset, mount and readout time hold: ``poe bench-clock``.
+"""Whether the stated errors of `compare`'s clock offset, mount and readout time hold: ``poe bench clock``.
 
 Draws sets of images with a known clock offset and mount error (`tests.support.clocksets`), fits them, and prints how
 many times the stated error the fits are off: with errors that hold, 1.0 rms, a mean of 0 and 5 % beyond 2.

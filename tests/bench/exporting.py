@@ -1,4 +1,4 @@
-"""How fast frames get to the disk: ``poe bench-export``, or ``python -m tests.bench.exporting``.
+"""How fast frames get to the disk: ``poe bench export``, or ``python -m tests.bench.exporting``.
 
 Draws exposures of half a second with noise and truth: one every half second of the bundled flight, which turns fast and
 is logged roughly, and of a steady turn at 10 deg/s; and frames spread evenly over real flights, if their logs are given
@@ -139,8 +139,8 @@ def _stages(export: Export, console: Console) -> float:
         task.draw(renderer, numbers[0])  # compiles the shaders
         for number in numbers[:: max(1, len(numbers) // 40)]:
             composed = timed("scene", lambda number=number: task.frames.compose(number))
-            timed("draw", lambda composed=composed: task.begin(renderer, composed))
-            frame = timed("read", renderer.end_read)
+            pending = timed("draw", lambda composed=composed: task.begin(renderer, composed))
+            frame = timed("read", pending.frame)
             line = timed(
                 "truth", lambda c=composed, f=frame: frame_truth(c.scene, f, number=c.number, file="frame.png")
             )

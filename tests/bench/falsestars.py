@@ -1,4 +1,4 @@
-"""False identifications on hazy, noisy wide-field images: ``poe bench-false-stars``.
+"""False identifications on hazy, noisy wide-field images: ``poe bench false-stars``.
 
 Images are drawn by `tests.plainphotos.hazy` (50 deg, barrel distortion, patchy haze, hot pixels) over many seeds and
 calibrated as `glstar calibrate --fov 50` does, or from an attitude with an error of two degrees.  Prints a line for
@@ -12,7 +12,11 @@ import argparse
 
 import numpy as np
 
-from glstar.calibrate import PlateSolution, detect_stars, fit_lens, identify_lost, identify_near
+from glstar.calibrate.geometry.lensfit import fit_lens
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.identify.lost import identify_lost
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.photo.detection import detect_stars
 from glstar.errors import CalibrationError
 from glstar.rotation import about_x, about_y, about_z
 from tests.support.plainphotos import REFERENCE, focal_px, hazy, pinhole_camera

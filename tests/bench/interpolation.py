@@ -1,4 +1,4 @@
-"""Accuracy of interpolated attitude: ``poe bench-interpolation``, or ``python -m tests.bench.interpolation``.
+"""Accuracy of interpolated attitude: ``poe bench interpolation``, or ``python -m tests.bench.interpolation``.
 
 Thins a record, interpolates, and compares with the removed samples.  Errors are in pixels at f = 3871 px (6 mm on the
 PiCamHQ's 1.55 um pixels), of two kinds: the total rotation angle between the attitude and the true one, and the angle

@@ -1,4 +1,4 @@
-"""Lenses: the time to draw a frame with distortion, and the accuracy of fitted lenses: ``poe bench-lenses``.
+"""Lenses: the time to draw a frame with distortion, and the accuracy of fitted lenses: ``poe bench lenses``.
 
 Prints two tables.  The first has the processor time from a scene to an array of 8-bit pixels, for the same sky through
 a pinhole and through lenses in turn: 1014x760, sigma 1.2 px, 10 deg/s.  The second is about images of wide lenses from
@@ -17,15 +17,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from glstar.calibrate import (
-    Photograph,
-    PlateSolution,
-    ReferenceStars,
-    detect_stars,
-    fit_camera,
-    identify_lost,
-    identify_near,
-)
+from glstar.calibrate.geometry.lensfit import fit_camera
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.identify.lost import identify_lost
+from glstar.calibrate.identify.platesolution import PlateSolution, ReferenceStars
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera

@@ -1,4 +1,4 @@
-"""Latency of a live view: ``poe bench-live``, or ``python -m tests.bench.live``.
+"""Latency of a live view: ``poe bench live``, or ``python -m tests.bench.live``.
 
 A separate process plays the bundled flight at 50 Hz into one end of a serial cable (a socat pair of pseudo-terminals
 limited to the baud rate); the viewer listens at the other end.  Prints

@@ -1,4 +1,4 @@
-"""Time to open large logs: ``poe bench-logs``, or ``python -m tests.bench.logs``.
+"""Time to open large logs: ``poe bench logs``, or ``python -m tests.bench.logs``.
 
 Makes logs of 50 MB by repeating real ones with shifted time, and prints for each the median and the best time from file
 to flight (`open_flight`), the peak memory of a process that only opens it, and the time of the reference reader:

@@ -1,4 +1,4 @@
-"""An hour of a live flight in a minute: ``poe soak-live``, or ``python -m tests.bench.soak``.
+"""An hour of a live flight in a minute: ``poe bench soak``, or ``python -m tests.bench.soak``.
 
 A separate process sends a flight of an hour, 50 attitudes a second, sixty times as fast over TCP; the viewer shows it
 and the link is recorded.  Every few minutes of flight it prints the memory of the process, the drift of the link's UTC

@@ -1,4 +1,4 @@
-"""Speed of the window: ``poe bench-window``, or ``python -m tests.bench.window``.
+"""Speed of the window: ``poe bench window``, or ``python -m tests.bench.window``.
 
 Plays the bundled flight without a display, with sliding exposures and the panels of the first start, in a window of
 1280 x 800.  Prints for each camera
@@ -94,6 +94,7 @@ def _drawn_alone(viewer: Viewer) -> Callable[[], object]:
 
     def draw() -> None:
         session.renderer.develop(simulator.scene(next(exposures)), seed=0)
+        session.renderer.texture()
         session.renderer.context.finish()
 
     return draw

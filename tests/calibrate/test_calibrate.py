@@ -12,26 +12,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import theilslopes
 
-from glstar.calibrate import (
-    Calibration,
-    DetectedStars,
-    Label,
-    Photograph,
-    PlateSolution,
-    ReferenceStars,
-    calibrate,
-    detect_stars,
-    draw_report,
-    fit_brightness,
-    identify_by_labels,
-    identify_lost,
-    identify_near,
-    read_image,
-)
 from glstar.calibrate.geometry.camera import refraction_notes
+from glstar.calibrate.identify.hints import Label, identify_by_labels, identify_near
+from glstar.calibrate.identify.lost import identify_lost
 from glstar.calibrate.identify.matching import mutual_nearest, refine
-from glstar.calibrate.identify.platesolution import is_significant, require_significant
+from glstar.calibrate.identify.platesolution import PlateSolution, ReferenceStars, is_significant, require_significant
+from glstar.calibrate.photo.detection import DetectedStars, detect_stars
+from glstar.calibrate.photo.photograph import Photograph, read_image
 from glstar.calibrate.photo.psf import dilution, draw_stars, fit_stars, profile
+from glstar.calibrate.sensor.calibration import Calibration, calibrate
+from glstar.calibrate.sensor.fit import fit_brightness
+from glstar.calibrate.sensor.report import draw_report
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
 from glstar.config import Config
@@ -275,7 +266,7 @@ def test_sidereal_trails_give_the_same_sensor_as_point_stars(exposure_s: float, 
     assert found.sensor.psf_sigma_px == pytest.approx(sigma_px, rel=0.02)
     peak_dn = found.sensor.peak_dn([true.reference_vmag], exposure_s)[0]
     assert peak_dn == pytest.approx(true.reference_peak_dn, rel=0.045)  # 0.05 mag
-    assert any("sidereal motion" in note for note in found.notes)
+    assert any("sidereal motion" in note.text for note in found.notes)
 
 
 def test_a_tracking_mount_leaves_no_sidereal_trails() -> None:
@@ -361,8 +352,8 @@ def test_large_position_residuals_are_reported() -> None:
 
     found = calibrate(right.image, detected_, right.reference, wrong, method="by hand", exposure_s=0.5)
 
-    assert not any("rms from the stars" in note for note in right.notes)
-    assert any("px rms from the stars" in note for note in found.notes)
+    assert not any("rms from the stars" in note.text for note in right.notes)
+    assert any("px rms from the stars" in note.text for note in found.notes)
 
 
 def test_a_compressive_response_is_reported() -> None:
@@ -373,7 +364,7 @@ def test_a_compressive_response_is_reported() -> None:
     matches = identify_near(stars, drawn.reference, drawn.solution)
     found = calibrate(squeezed, stars, drawn.reference, matches, method="", exposure_s=EXPOSURE_S)
     assert not found.brightness.linear
-    assert any("the response is not linear" in note for note in found.notes)
+    assert any("the response is not linear" in note.text for note in found.notes)
     assert calibrated("sixteen bits").brightness.linear
 
 
@@ -392,7 +383,7 @@ def test_a_flipped_or_rotated_image_is_recognised_and_reported(change, words: st
     drawn = photo()
     stars = detect_stars(drawn.with_pixels(np.ascontiguousarray(change(drawn.image.pixels_dn))))
     matches = identify_near(stars, drawn.reference, drawn.solution)
-    assert any(words in note for note in matches.notes)
+    assert any(words in note.text for note in matches.notes)
     assert len(matches) > 0.95 * len(calibrated().matches)
 
 
@@ -740,5 +731,5 @@ def test_a_precise_focal_length_without_time_and_site_is_noted_as_too_short(erro
     without = refraction_notes(SimpleNamespace(C_ned_eq=None, zenith_error_rad=None), matches)
 
     assert len(without) == noted
-    assert all("0.03% too short" in note and "--utc" in note for note in without)
+    assert all("0.03% too short" in note.text and "--utc" in note.text for note in without)
     assert refraction_notes(SimpleNamespace(C_ned_eq=np.eye(3), zenith_error_rad=None), matches) == ()

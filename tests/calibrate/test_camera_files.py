@@ -9,7 +9,9 @@ import pillow_heif
 import pytest
 from PIL import Image
 
-from glstar.calibrate import Channel, detect_stars, identify_near, read_image
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.photo.photograph import Channel, read_image
 from glstar.calibrate.sensor.photontransfer import images_in
 from glstar.camera.photofile import decode_photo, has_image_signature
 from glstar.camera.sensor.sensor import Sensor

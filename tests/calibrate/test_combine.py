@@ -10,8 +10,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from glstar.calibrate import Calibration, calibrate, combine, detect_stars, draw_combined, identify_near
-from glstar.calibrate.sensor.combine import Observations, _error_mag, _measured_well, solve_brightness
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.sensor.calibration import Calibration, calibrate
+from glstar.calibrate.sensor.combine import (
+    Observations,
+    _error_mag,
+    _measured_well,
+    combine,
+    draw_combined,
+    solve_brightness,
+)
 from glstar.camera.sensor.sensor import Sensor
 from glstar.cli import app
 from glstar.config import Config
@@ -93,8 +102,8 @@ def test_several_images_give_one_sensor_and_a_camera_magnitude_per_star() -> Non
     )
     assert combined.spread_mag == pytest.approx(SPREAD_MAG, rel=0.15)
     assert combined.repeat_mag < 0.08
-    assert any("ground3.png is 0.3" in note and "fainter" in note for note in combined.notes)
-    assert any("ground3.png has a sky of 30" in note for note in combined.notes)
+    assert any("ground3.png is 0.3" in note.text and "fainter" in note.text for note in combined.notes)
+    assert any("ground3.png has a sky of 30" in note.text for note in combined.notes)
 
     drawn = three()[0][0]
     true_mag = dict(

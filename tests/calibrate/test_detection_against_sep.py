@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from glstar.calibrate import DetectedStars, Photograph, detect_stars, read_image
+from glstar.calibrate.photo.detection import DetectedStars, detect_stars
+from glstar.calibrate.photo.photograph import Photograph, read_image
 from glstar.camera.sensor.sensor import Sensor
 from tests.support.starphotos import StarPhoto
 

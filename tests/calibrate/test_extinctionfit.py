@@ -6,16 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from glstar.calibrate import (
-    Calibration,
-    above_air,
-    above_air_together,
-    calibrate,
-    combine,
-    detect_stars,
-    fit_brightness,
-    identify_near,
-)
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.sensor.brightness import above_air, above_air_together
+from glstar.calibrate.sensor.calibration import Calibration, calibrate
+from glstar.calibrate.sensor.combine import combine
+from glstar.calibrate.sensor.fit import fit_brightness
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from tests.support.starphotos import EXPOSURE_S, StarPhoto
@@ -92,7 +88,7 @@ def test_several_images_give_one_extinction_and_an_offset_each():
 
     combined = combine(found)
     assert combined.fainter_mag[0] - combined.fainter_mag[1] == pytest.approx(0.4, rel=0, abs=0.03)
-    assert sum("above the air" in note for note in combined.notes) == 1
+    assert sum("above the air" in note.text for note in combined.notes) == 1
     assert combined.to_json()["extinction"] == terms[0]
     assert "below the air" not in combined.to_toml("stars.csv")
     assert "below the air" in combine((hazy, clear)).to_toml("stars.csv")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glstar.calibrate import read_image
+from glstar.calibrate.photo.photograph import read_image
 from glstar.calibrate.sensor.photontransfer import images_in
 from glstar.errors import CalibrationError
 

@@ -45,7 +45,19 @@ def stamps_of(above, xy_px, *, dn_per_e, read_dn):
     variance = np.full(above.shape, read_dn**2 + dn_per_e * SKY_DN)
     none = np.zeros_like(xy_px)
     usable = np.ones(above.shape, bool)
-    return cut_stamps(above, variance, usable, xy_px, xy_px, none, none, np.full(len(none), 0.65), HALF_PX, dn_per_e)[0]
+    stamps, _ = cut_stamps(
+        above_dn=above,
+        variance_dn2=variance,
+        usable=usable,
+        xy_px=xy_px,
+        others_px=xy_px,
+        trail_px=none,
+        offset=none,
+        bv=np.full(len(none), 0.65),
+        half_px=HALF_PX,
+        dn_per_e=dn_per_e,
+    )
+    return stamps
 
 
 def assert_true_shape(joint):

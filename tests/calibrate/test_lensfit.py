@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.calibrate import Matches, PlateSolution, ReferenceStars, fit_camera
+from glstar.calibrate.geometry.lensfit import fit_camera
+from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera

@@ -6,17 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glstar.calibrate import (
-    Photograph,
-    PlateSolution,
-    calibrate,
-    detect_stars,
-    identify_near,
-    linearised,
-    measure_photograph,
-)
-from glstar.calibrate.photo.photograph import recorded_again
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.photo.photograph import Photograph, linearised, recorded_again
 from glstar.calibrate.photo.sky import NoiseAgainstLevel, gamma_of_noise
+from glstar.calibrate.sensor.calibration import calibrate
+from glstar.calibrate.sensor.photographmodel import measure_photograph
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.processing import process

@@ -5,7 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from glstar.calibrate import Calibration, PlateSolution, calibrate, detect_stars, draw_report, identify_near
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.photo.detection import detect_stars
+from glstar.calibrate.sensor.calibration import Calibration, calibrate
+from glstar.calibrate.sensor.report import draw_report
 from tests.support.plainphotos import REFERENCE, imperfect, pinhole_camera
 
 # The beginning of each note.
@@ -30,7 +34,7 @@ def calibrated(seed: int = 1, **faults: float) -> Calibration:
 
 def named(found: Calibration) -> set[str]:
     """Return the kinds of notes of a calibration."""
-    return {name for name, words in NOTES.items() if any(words in note for note in found.notes)}
+    return {name for name, words in NOTES.items() if any(words in note.text for note in found.notes)}
 
 
 def number(found: Calibration, name: str) -> float:
@@ -83,7 +87,7 @@ def test_a_sky_gradient_is_noted_once_with_its_size_and_direction() -> None:
     assert found.detected.sky.unevenness_dn > 2 * found.detected.sky.std_dn
     assert named(found) == {"gradient"}
     assert number(found, "sky_gradient_dn") == pytest.approx(30.0, abs=2.0)  # DN
-    assert "towards the right" in next(note for note in found.notes if NOTES["gradient"] in note)
+    assert "towards the right" in next(note.text for note in found.notes if NOTES["gradient"] in note.text)
 
 
 def test_elliptical_stars_are_noted_with_axis_ratio_and_direction() -> None:

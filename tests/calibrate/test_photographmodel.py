@@ -8,9 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from glstar.calibrate import PhotographModel, PlateSolution, calibrate, detect_stars, identify_near, measure_photograph
+from glstar.calibrate.identify.hints import identify_near
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.photo.detection import detect_stars
 from glstar.calibrate.photo.sky import before_clipping
 from glstar.calibrate.sensor.brightness import fit_brightness_terms
+from glstar.calibrate.sensor.calibration import calibrate
+from glstar.calibrate.sensor.photographmodel import PhotographModel, measure_photograph
 from glstar.calibrate.twin import render_twin
 from glstar.camera.vignetting import Vignetting
 from glstar.config import Config

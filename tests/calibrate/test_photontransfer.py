@@ -82,7 +82,7 @@ def test_dark_frames_alone_have_no_gain() -> None:
 
     assert found.dn_per_e is None
     assert found.read_noise_dn == pytest.approx(GAIN * READ_E, rel=0.01)
-    assert "gain_dn_per_e" not in found.keys(12)
+    assert "gain_dn_per_e" not in found.keys
 
 
 @pytest.mark.parametrize(

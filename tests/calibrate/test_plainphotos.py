@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from glstar.calibrate import DetectedStars, Matches, PlateSolution, detect_stars, fit_lens, identify_lost
-from glstar.calibrate.identify.platesolution import sidereal_trails
+from glstar.calibrate.geometry.lensfit import fit_lens
+from glstar.calibrate.identify.lost import identify_lost
+from glstar.calibrate.identify.platesolution import Matches, PlateSolution, sidereal_trails
+from glstar.calibrate.photo.detection import DetectedStars, detect_stars
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError

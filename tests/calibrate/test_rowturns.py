@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from glstar.calibrate import PlateSolution, RowTurns
+from glstar.calibrate.identify.platesolution import PlateSolution
+from glstar.calibrate.identify.rollingshutter import RowTurns
 from glstar.camera.exposure import Readout
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.calibrate import fit_shared_lens
+from glstar.calibrate.geometry.lensfit import fit_shared_lens
 from glstar.camera.distortion import Lens
 from glstar.errors import CalibrationError
 from tests.calibrate.test_lensfit import SCATTER_PX, Photo

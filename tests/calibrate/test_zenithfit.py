@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.calibrate import ReferenceStars, find_zenith, fit_camera
+from glstar.calibrate.geometry.lensfit import fit_camera
+from glstar.calibrate.geometry.zenith import find_zenith
+from glstar.calibrate.identify.platesolution import ReferenceStars
 from glstar.camera.distortion import Lens
 from tests.calibrate.test_lensfit import Detected, Photo
 from tests.support.scenes import NIGHT_UTC_S

@@ -243,12 +243,14 @@ def test_with_bit_depth_refuses_17_bits() -> None:
 def test_effect_keys_in_digital_numbers_are_scaled_to_another_bit_depth() -> None:
     sensor = Sensor(bit_depth=8, effects={"hot_pixels.peak_dn": 100.0, "hot_pixels.rate": 0.5, "hot_pixels.model": "a"})
 
-    assert sensor.with_bit_depth(16).effects == {
+    assert sensor.with_bit_depth(16, {"hot_pixels.peak_dn"}).effects == {
         "hot_pixels.peak_dn": 25700.0,
         "hot_pixels.rate": 0.5,
         "hot_pixels.model": "a",
     }
-    assert sensor.leaves_same_signal(Sensor())
+    assert sensor.leaves_same_signal(Sensor(), {"hot_pixels.kind"})
+    assert not sensor.leaves_same_signal(Sensor(), {"hot_pixels.rate"})
+    assert not sensor.leaves_same_signal(Sensor())
     assert sensor != Sensor()
 
 

@@ -1,10 +1,12 @@
 """Sensors and their modes: sources, binning, bits, and the cameras that they make."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from glstar.camera.presets import camera_from_preset, is_sensor_mode, sensor_mode, sensor_presets
+from glstar.config import Config
 from glstar.errors import ConfigError
 
 NAMES = (
@@ -92,3 +94,89 @@ def test_a_camera_has_its_lens_and_a_sensor_needs_one() -> None:
         camera_from_preset("imx477")
     with pytest.raises(ConfigError, match="images of any size"):
         camera_from_preset("generic", 6.0)
+
+
+USERS_SENSOR = """\
+[AllSky]
+description = "a camera of the user's"
+pixel_um = { value = 2.4, source = "data sheet" }
+bit_depth = { value = 12, source = "data sheet" }
+gain_dn_per_e = { value = 0.25, source = "measured" }
+analogue_gain_max = { value = 10.0, source = "data sheet" }
+full_well_e = { value = 15000.0, source = "data sheet" }
+black_level_dn = { value = 64.0, source = "measured" }
+read_noise_before_gain_e = { value = 1.5, source = "data sheet" }
+read_noise_after_gain_e = { value = 2.0, source = "data sheet" }
+dark_current_e_per_s = { value = 0.1, source = "measured" }
+hot_pixels_per_mpx = { value = 100.0, source = "measured" }
+quantum_efficiency = { value = 0.8, source = "data sheet" }
+photons_per_s_cm2 = { value = 1.0e6, source = "assumed" }
+modes = [
+    { size = [640, 480], binning = 1, readout_ms = 40.0, source = "data sheet" },
+    { size = [320, 240], binning = 2, readout_ms = 20.0, source = "data sheet" },
+]
+"""
+
+
+@pytest.fixture
+def sensors(tmp_path: Path) -> str:
+    """Return the path of a user's file of sensors."""
+    (tmp_path / "sensors.toml").write_text(USERS_SENSOR, encoding="utf-8")
+    return str(tmp_path / "sensors.toml")
+
+
+def test_a_sensor_of_a_users_file_is_a_preset(sensors: str) -> None:
+    mode = sensor_mode(f"{sensors}:allsky:320x240")
+
+    assert is_sensor_mode(f"{sensors}:AllSky")
+    assert (mode.name, mode.readout_s, mode.pixel_um) == (f"{sensors}:allsky:320x240", 0.02, 4.8)
+    assert mode.values["full_well_e"] == 4 * 15000.0  # electrons of four pixels
+    assert camera_from_preset(f"{sensors}:AllSky:320x240", 6.0).fx_px == pytest.approx(6000 / 4.8)
+    assert camera_from_preset(f"{sensors}:AllSky", 6.0).width_px == 640
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "message"),
+    [
+        (("", ""), "allsku", r'sensors.toml: there is no sensor "allsku" \(did you mean "allsky"\? There are allsky\)'),
+        (("", ""), "allsky:1x1", r'no mode "1x1" \(its modes are 640x480, 320x240\)'),
+        (("pixel_um", "pixel_mm"), "allsky", r"sensors.toml: \[AllSky\] is no sensor: pixel_um is missing"),
+        (("description", "text"), "allsky", r"\[AllSky\] is no sensor: description is missing"),
+        (("value = 2.4", 'value = "wide"'), "allsky", r"\[AllSky\] is no sensor: could not convert string to float"),
+        (("[AllSky]", "[AllSky"), "allsky", r"sensors.toml cannot be read: .*line 1"),
+    ],
+)
+def test_errors_of_a_users_file_name_it_and_the_sensor(
+    sensors: str, change: tuple[str, str], name: str, message: str
+) -> None:
+    Path(sensors).write_text(USERS_SENSOR.replace(*change), encoding="utf-8")
+
+    with pytest.raises(ConfigError, match=message):
+        sensor_mode(f"{sensors}:{name}")
+
+
+def test_a_users_file_that_is_missing_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml cannot be read: there is no such file"):
+        sensor_mode(f"{tmp_path / 'none.toml'}:allsky")
+
+
+def test_a_config_finds_the_file_of_a_sensor_beside_it(sensors: str, tmp_path: Path) -> None:
+    keys = 'preset = "sensors.toml:AllSky:320x240"\n'
+    (tmp_path / "config.toml").write_text(f"[camera]\n{keys}lens_mm = 6.0\n[sensor]\n{keys}", encoding="utf-8")
+
+    config = Config.load(tmp_path / "config.toml")
+
+    assert (config.camera().width_px, config.exposure.readout_s) == (320, 0.02)
+    assert config.sensor().electrons.full_well_e == 4 * 15000.0
+    assert config.files == (Path(sensors),)
+    (tmp_path / "written.toml").write_text(config.to_toml(), encoding="utf-8")
+    assert Config.load(tmp_path / "written.toml").sensor() == config.sensor()
+
+
+def test_a_preset_of_a_flag_is_relative_to_the_working_directory(
+    sensors: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = {"camera.preset": "sensors.toml:AllSky", "sensor.preset": "sensors.toml:AllSky", "camera.lens_mm": 6.0}
+
+    assert Config().override(**flags).files == (Path(sensors),)

@@ -167,6 +167,7 @@ def frames_of(config, **settings):
     return DataSetFrames(config, (flight, flight), {}, "png", **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(30)
 def test_a_data_set_of_millions_of_frames_is_planned_or_refused_at_once(tmp_path):
     config = config_of(tmp_path, "[sweep]\ndraws = 2000000\nstart_s = { min = 0, max = 1 }\n")

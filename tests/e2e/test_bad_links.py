@@ -18,6 +18,7 @@ from glstar.link import Endpoint, Framer, Link, Recorder, Transport, open_transp
 from glstar.link.packets import dialect
 from glstar.system.resources import asset
 from tests.support.links import Plug, farthest_rad, free_port, playing, until
+from tests.support.sender import packets
 
 DEG = np.pi / 180
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
@@ -215,8 +216,6 @@ def is_listening(port: int) -> bool:
 def test_the_reader_of_these_tests_finds_the_packets_of_the_framer(tmp_path: Path) -> None:
     """`recorded` finds in a log the packets that the framer wrote."""
     with Recorder(tmp_path / "x.tlog") as recorder:
-        from tests.link.test_framing import packets  # noqa: PLC0415
-
         made = packets(30) + packets(30, sign=True)
         recorder.write(Framer().feed(b"".join(made)))
 

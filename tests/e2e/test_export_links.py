@@ -12,7 +12,7 @@ import pytest
 from glstar.errors import ExportError
 from glstar.export.directory import open_to_append, output_files
 from glstar.export.publish.latest import LatestFrameWriter
-from tests.e2e.test_export import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
+from tests.support.exports import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
 
 VALUABLE = b"the only copy"
 

@@ -31,7 +31,7 @@ from glstar.export.run.export import Shard
 from glstar.export.run.prepare import prepare_data_set, prepare_export
 from glstar.export.truth.lines import TruthFile
 from glstar.render.opengl import GLRenderer
-from tests.e2e.test_export import (
+from tests.support.exports import (
     FRAMES,
     IN_PROGRESS,
     SETTINGS,

@@ -15,11 +15,9 @@ from glstar.cli import app
 from glstar.errors import ConfigError
 from glstar.export.publish.stream import AnswerReceiver, FrameStream, send_answers
 from glstar.sky.place.timescale import parse_utc
-from tests.e2e.test_link import interrupted_when
-from tests.e2e.test_simulator_link import SMALL, angle_rad, lines
 from tests.examples import answer_frames
-from tests.support.autopilot import ESTIMATED_DEG, estimated_yaw_rad, simulated
-from tests.support.links import free_port, until
+from tests.support.autopilot import ESTIMATED_DEG, SMALL, angle_rad, estimated_yaw_rad, lines, simulated
+from tests.support.links import free_port, interrupted_when, until
 
 
 def test_a_client_answers_frames_and_the_autopilot_receives_its_positions(tmp_path: Path) -> None:

@@ -18,9 +18,8 @@ from glstar.link import Vehicle
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc
-from tests.e2e.test_link import has_frames, interrupted_when
 from tests.support.autopilot import BOOT_S, MAVLINK, UTC_S, SimulatedAutopilot, estimated_yaw_rad
-from tests.support.links import free_port
+from tests.support.links import free_port, has_frames, interrupted_when
 
 SMALL = """
 [camera]

@@ -9,8 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from glstar.link import Endpoint, Framer, Link, Recorder, open_transport, superv
 from glstar.link.packets import dialect
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
-from tests.support.links import Plug, farthest_rad, free_port, playing, until
+from tests.support.links import Plug, farthest_rad, free_port, has_frames, interrupted_when, playing, until
 
 DEG = np.pi / 180
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
@@ -65,34 +65,6 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from glstar.cli import app
 app()
 """
-
-
-def has_frames(directory: Path, count: int) -> bool:
-    """Return whether an export in progress has this number of frames."""
-    lines = directory / "truth.jsonl.partial"
-    return lines.exists() and lines.read_bytes().count(b"\n") >= count
-
-
-@contextmanager
-def interrupted_when(true: Callable[[], bool]) -> Iterator[None]:
-    """Press Ctrl-C once a condition holds, for example after a number of frames."""
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.wait(0.02):
-            if true():
-                signal.raise_signal(signal.SIGINT)
-                return
-
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    try:
-        yield
-    finally:
-        over.set()
-        watcher.join()
-        signal.signal(signal.SIGINT, handler)
 
 
 # --- the flight of a link ---------------------------------------------------------------------------------------------

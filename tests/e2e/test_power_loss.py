@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import tifffile
 
-from tests.e2e.test_export import SETTINGS, assert_same, contents, done, table_of_a_flight
 from tests.scripts import kills
 from tests.scripts.powerloss import CASES, Laboratory, search
+from tests.support.exports import SETTINGS, assert_same, contents, done, table_of_a_flight
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="the recorder takes Linux")
 

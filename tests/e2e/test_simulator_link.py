@@ -13,40 +13,22 @@ from glstar.camera.exposure import Exposure
 from glstar.cli import app
 from glstar.cli.flights.navigatoranswers import InjectedAnswers
 from glstar.link import Endpoint, Injector
-from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
-from tests.e2e.test_link import has_frames, interrupted_when
 from tests.support.autopilot import (
     BIAS_RAD,
     ESTIMATED_DEG,
     MAVLINK,
+    SMALL,
     TRUE_DEG,
+    angle_rad,
     estimated_yaw_rad,
+    lines,
     simulated,
     true_yaw_rad,
 )
-from tests.support.links import free_port, until
+from tests.support.links import free_port, has_frames, interrupted_when, until
 
 DEG = np.pi / 180
-SMALL = """
-[camera]
-width_px = 64
-height_px = 48
-fx_px = 60.0
-fy_px = 60.0
-[navigator]
-gps = "known"
-"""
-
-
-def angle_rad(yaw_rad: float, q_body_ned: list[float]) -> float:
-    """Return the angle between an attitude of the script and another one."""
-    cosine = abs(float(quaternion_from_euler(0.1, 0.2, yaw_rad) @ np.array(q_body_ned)))
-    return float(2 * np.arccos(min(cosine, 1.0)))
-
-
-def lines(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def test_the_sky_is_the_simulators_and_the_navigator_knows_the_estimate(tmp_path: Path) -> None:

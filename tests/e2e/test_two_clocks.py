@@ -9,7 +9,7 @@ from typer.testing import CliRunner, Result
 from glstar.cli import app
 from glstar.config import Config
 from glstar.sky.place.timescale import format_utc, parse_utc
-from tests.e2e.test_compare import CAMERA
+from tests.support.comparisons import CAMERA
 
 FLIGHT = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
 HOUR_S = 3600.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glstar.export.imagefiles.formats import decode, encode
-from tests.e2e.test_export import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
+from tests.support.exports import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
 
 COUNT = 6
 

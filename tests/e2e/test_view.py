@@ -2,12 +2,9 @@
 
 import json
 import os
-import shutil
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
@@ -17,40 +14,8 @@ import pytest
 from glstar.config import Config
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
-from tests.support import links
 from tests.support.links import free_port, playing, soon
-
-MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
-needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} are not installed")
-
-GLSTAR = [sys.executable, "-m", "glstar"]
-PATIENCE_S = 90.0
-
-
-def environment(display: str | None, home: Path, **more: str) -> dict[str, str]:
-    kept = {name: value for name, value in os.environ.items() if name not in {"DISPLAY", "WAYLAND_DISPLAY"}}
-    return kept | {"XDG_CONFIG_HOME": str(home)} | ({} if display is None else {"DISPLAY": display}) | more
-
-
-@pytest.fixture
-def xvfb() -> Iterator[Callable[..., str]]:
-    servers: list[subprocess.Popen[bytes]] = []
-
-    def start(*flags: str) -> str:
-        reads, writes = os.pipe()
-        arguments = ["Xvfb", "-displayfd", str(writes), "-screen", "0", "1280x800x24", "-nolisten", "tcp", *flags]
-        servers.append(subprocess.Popen(arguments, pass_fds=[writes], stderr=subprocess.DEVNULL))
-        os.close(writes)
-        with os.fdopen(reads) as out:
-            return f":{out.readline().strip()}"
-
-    yield start
-    for server in servers:
-        server.terminate()
-        server.wait(10)
-
-
-until = partial(links.until, patience_s=PATIENCE_S)
+from tests.support.realwindow import GLSTAR, PATIENCE_S, environment, needs_xvfb, press_keys, started, until
 
 
 def worked_s(pid: int) -> float:
@@ -89,24 +54,6 @@ def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> st
     assert child.returncode == 1, child.stderr
     (line,) = child.stderr.splitlines()
     return line
-
-
-@contextmanager
-def started(*words: str, display: str, home: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Start ``glstar`` with a window; its processes are ended in any case."""
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([*GLSTAR, *words], cwd=home, env=environment(display, home), **pipes) as window:
-        try:
-            yield window
-        finally:
-            window.kill()
-
-
-def press_keys(variables: dict[str, str], *chords: str) -> None:
-    """Press keys in glstar's window; it must be visible to have the focus."""
-    words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
-    keys = {"env": variables, "timeout": PATIENCE_S}
-    until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0, "a window")
 
 
 @needs_xvfb

@@ -11,13 +11,8 @@ from glstar.config import Config
 from glstar.flight import Flight
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
-from tests.e2e.test_view import needs_xvfb, started, until
-from tests.e2e.test_view_panels import Places, differ, display
-from tests.e2e.test_view_work import Work
 from tests.support.links import free_port, playing, soon
-from tests.support.realwindow import RealWindow
-
-__all__ = ["display"]
+from tests.support.realwindow import Places, RealWindow, Work, differ, needs_xvfb, started, until
 
 
 def connect(window: RealWindow, places: Places, link: str) -> None:

@@ -1,72 +1,13 @@
 """The panels of the real window, by mouse and keys, in a small and in a usual window and on a fine screen."""
 
-import os
 import subprocess
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from glstar.system.resources import asset
-from tests.e2e.test_view import GLSTAR, needs_xvfb, started
-from tests.support.realwindow import RealWindow
-
-TOP_PX, TABS_PX = 46, 35
-
-
-@pytest.fixture
-def display(tmp_path: Path) -> Iterator[Callable[[int, int], str]]:
-    """A display of a size that stores its screen in the test's folder."""
-    servers: list[subprocess.Popen[bytes]] = []
-
-    def start(width: int, height: int) -> str:
-        reads, writes = os.pipe()
-        words = ["Xvfb", "-displayfd", str(writes), "-screen", "0", f"{width}x{height}x24", "-noreset"]
-        words += ["-nolisten", "tcp", "-fbdir", str(tmp_path)]
-        servers.append(subprocess.Popen(words, pass_fds=[writes], stderr=subprocess.DEVNULL))
-        os.close(writes)
-        with os.fdopen(reads) as out:
-            return f":{out.readline().strip()}"
-
-    yield start
-    for server in servers:
-        server.terminate()
-        server.wait(10)
-
-
-class Places:
-    """Where the panels of a window of a size are, px."""
-
-    def __init__(self, width: int, height: int, scale: float = 1.0) -> None:
-        self.right = int(width - max(0.26 * width, 300 * scale))
-        self.middle, self.height, self.scale = self.right // 2, height, scale
-
-    def image(self, screen: np.ndarray) -> np.ndarray:
-        top = int(TOP_PX * self.scale)
-        return screen[top : self.height // 2, : self.right - 8].astype(int)
-
-    def panel(self, screen: np.ndarray) -> np.ndarray:
-        """Return the panel in front on the right, below all dialogs."""
-        return screen[self.height // 3 : self.height // 2 - 8, self.right + 8 :].astype(int)
-
-    def search(self, screen: np.ndarray, first_px: int, last_px: int) -> np.ndarray:
-        """Return some rows of the dialogs that search, in the middle."""
-        columns = self.middle + np.array([-40, 40]) * self.scale
-        rows = np.array([first_px, last_px]) * self.scale
-        return screen[slice(*rows.astype(int)), slice(*columns.astype(int))].astype(int)
-
-    def tab(self, x: int) -> tuple[int, int]:
-        return self.right + int(x * self.scale), int(TABS_PX * self.scale)
-
-    def has_status(self, screen: np.ndarray) -> bool:
-        """Return whether the status line has a time, as with a flight."""
-        return bool(screen[-int(20 * self.scale) :, : self.middle].max() > 150)
-
-
-def differ(first: np.ndarray, second: np.ndarray) -> bool:
-    """Return whether more than a notification or the mouse differs."""
-    return bool((first != second).any(axis=2).mean() > 0.02)
+from tests.support.realwindow import GLSTAR, TOP_PX, Places, RealWindow, differ, needs_xvfb, started
 
 
 def open_bundled_flight(window: RealWindow, places: Places) -> np.ndarray:

@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.e2e.test_view import environment, needs_xvfb, press_keys, started, until, xvfb
 from tests.support.links import soon
-
-__all__ = ["xvfb"]
+from tests.support.realwindow import environment, needs_xvfb, press_keys, started, until
 
 FRAMES_PER_S = 30.0
 

@@ -4,7 +4,6 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,16 +12,11 @@ import pytest
 from glstar.config import Config
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
-from tests.e2e.test_view import GLSTAR, needs_xvfb, started, until
-from tests.e2e.test_view_panels import Places, display
-from tests.support.links import soon
-from tests.support.realwindow import RealWindow
-from tests.viewer.test_missing import dataflash
+from tests.support.dataflash import dataflash
+from tests.support.realwindow import GLSTAR, Places, RealWindow, Work, changed, needs_xvfb, started, until
 
 pytest.importorskip("Xlib", reason="needs python-xlib")
 from tests.support.dragsource import drag_onto_window
-
-__all__ = ["display"]
 
 PLACES = Places(1280, 800)
 # Parts of the window: the tour, the times below the timeline, the menus, the image, and the panel on the right.
@@ -36,53 +30,6 @@ def count(part: np.ndarray, colour: tuple[int, int, int]) -> int:
     """Return how many pixels have about this colour."""
     least, most = ([each + by for each in colour] for by in (-13, 13))
     return int(cv2.countNonZero(cv2.inRange(np.ascontiguousarray(part), np.array(least), np.array(most))))
-
-
-def changed(first: np.ndarray, second: np.ndarray) -> int:
-    """Return how many pixels differ."""
-    return int((first != second).any(axis=2).sum())
-
-
-class Work:
-    """A window, and what is saved from it.
-
-    Parameters
-    ----------
-    window : RealWindow
-    saved : Path
-        The folder of what it saves.
-    """
-
-    def __init__(self, window: RealWindow, saved: Path) -> None:
-        self.window, self.saved = window, saved
-
-    def until_changed(self, part: Any, press: str, what: str, pixels: int = 100) -> np.ndarray:
-        """Press keys until a part of the screen differs, and return the screen."""
-        before = self.window.still()
-        return self.window.until(
-            lambda screen: changed(screen[part], before[part]) > pixels, what, again=lambda: self.window.press(press)
-        )
-
-    def command(self, name: str) -> None:
-        """Perform a command by its name in the palette."""
-        self.until_changed(np.s_[60:200, 300:700], "ctrl+p", "the list of commands", 1000)
-        self.window.write(name)
-        self.window.press("Return")
-
-    def until_saved(self, pattern: str, act: Callable[[], None]) -> Path:
-        """Do something until there is a new file that ends with a line, and return its path."""
-        before = set(self.saved.glob(pattern))
-
-        def new() -> list[Path]:
-            return [path for path in set(self.saved.glob(pattern)) - before if path.read_text().endswith("\n")]
-
-        until(lambda: act() or soon(new, 8.0), pattern)
-        return new()[0]
-
-    def truth(self) -> dict[str, Any]:
-        """Save the frame shown, and return its truth."""
-        truth = self.until_saved("*/truth.jsonl", lambda: self.window.press("ctrl+s"))
-        return dict(json.loads(truth.read_text()))
 
 
 def follow_tour(work: Work) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import glstar as gs
-from tests.examples import drive_a_solver, render_one_frame, sweep_the_exposure
+from tests.examples import calibrate_a_camera, drive_a_solver, render_one_frame, sweep_the_exposure
 
 EXAMPLES = Path(__file__).parent
 SITE = {"latitude_deg": -34.93, "longitude_deg": 138.6}
@@ -21,6 +21,15 @@ def test_one_frame_is_rendered_and_its_stars_are_printed(tmp_path, capsys):
 
     assert (tmp_path / "frame.png").stat().st_size > 1e5
     assert len(capsys.readouterr().out.splitlines()) == 6
+
+
+def test_the_camera_of_a_rendered_photograph_is_calibrated(tmp_path, capsys):
+    calibrate_a_camera.main(["-o", str(tmp_path / "found.toml")])
+
+    config = gs.Config.load(tmp_path / "found.toml")
+    assert config.camera().fx_px == pytest.approx(1000.0, rel=1e-3)
+    assert config.sensor().psf_sigma_px == pytest.approx(1.1, rel=0.01)
+    assert "stars identified by attitude" in capsys.readouterr().out
 
 
 def test_trails_grow_with_the_exposure():

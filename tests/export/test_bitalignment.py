@@ -10,7 +10,7 @@ import tifffile
 from astropy.io import fits
 from typer.testing import CliRunner
 
-from glstar.calibrate import read_image
+from glstar.calibrate.photo.photograph import read_image
 from glstar.camera.photofile import as_digital_numbers, shift_bits, stated_shift_bits
 from glstar.cli import app
 from glstar.errors import CalibrationError

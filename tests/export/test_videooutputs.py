@@ -18,10 +18,8 @@ from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.publish.outputs import MjpegServer, open_frame_output
 from glstar.sky.place.timescale import parse_utc
-from tests.e2e.test_link import interrupted_when
-from tests.e2e.test_simulator_link import SMALL
-from tests.support.autopilot import simulated
-from tests.support.links import free_port
+from tests.support.autopilot import SMALL, simulated
+from tests.support.links import free_port, interrupted_when
 
 FOCAL = {"camera.fx_px": 60.0, "camera.fy_px": 60.0}
 UTC = "2024-03-10T11:00:00.250000Z"

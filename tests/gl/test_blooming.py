@@ -48,8 +48,8 @@ def star(sensor: Sensor, xy_px: tuple[float, float] = (160.0, 120.0), vmag: floa
 
 
 def noiseless(renderer: GLRenderer, scene: Scene) -> Frame:
-    renderer.begin_develop(scene, seed=0, noiseless=True)
-    return renderer.stack.frame or renderer.read(light=True)
+    renderer.develop(scene, seed=0, light=True, noiseless=True)
+    return renderer.read().frame()
 
 
 def spilled(line: Float, full_well: float, fraction: float) -> Float:

@@ -1,6 +1,6 @@
 """Calibration of images that the exporter's renderer draws with a known camera.
 
-``poe bench-calibrate`` tests many images of all kinds.
+``poe bench calibrate`` tests many images of all kinds.
 """
 
 import pytest

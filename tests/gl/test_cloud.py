@@ -14,20 +14,10 @@ from glstar.flight.position import PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.truth.frame import frame_truth
+from tests.support.clouds import CLOUD
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field
 
 EARTH_M = 6371008.8
-# Small, thick clouds with sharp edges, low and in a strong wind: stars go through several of them.
-CLOUD = {
-    "cloud.coverage": 0.5,
-    "cloud.optical_depth": 3.0,
-    "cloud.height_m": 1500.0,
-    "cloud.scale_m": 1000.0,
-    "cloud.edge": 0.3,
-    "cloud.wind_m_s": 60.0,
-    "cloud.wind_from_deg": 240.0,
-    "cloud.seed": 5,
-}
 MOUNT = Mount(pitch_rad=np.deg2rad(60.0))
 
 

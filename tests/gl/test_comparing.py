@@ -14,7 +14,7 @@ from glstar.images import FittedImage, RealImages, fit
 from glstar.render.opengl import GLRenderer
 from glstar.system.resources import asset
 from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState, compose
-from glstar.viewer.picture.content import Display, PanelContent
+from glstar.viewer.picture.content import Display, PanelContent, Picture
 from glstar.viewer.picture.view import ImageView, Stretch, StretchKind
 
 WIDTH_PX, HEIGHT_PX = 61, 40
@@ -72,7 +72,7 @@ def shown_pixels(
     view = ImageView()
     view.resize(*shown.size_px, *shown.size_px)
     assert view.zoom == 1.0
-    display.draw(shown, view, stretch, shown.size_px, scale=1.0, night=night)
+    display.draw(Picture.of(shown, view, stretch, shown.size_px, scale=1.0, night=night))
     return display.read()
 
 

@@ -13,14 +13,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from glstar.camera.sensor.pointspread import PSF_KEYS
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError, ShaderError
-from glstar.render.effects import EFFECTS, Effect, EffectTexture, Key, Stage, active_effects, effects_truth
+from glstar.render.effects import (
+    EFFECTS,
+    Effect,
+    EffectTexture,
+    Key,
+    Stage,
+    active_effects,
+    effects_truth,
+    light_keys,
+    scaled_keys,
+)
 from glstar.render.opengl import GLRenderer
+from glstar.render.scene.clouds import CLOUD_DEFAULTS
 from glstar.render.scene.scene import Scene
 from glstar.render.truth.frame import frame_truth
 from tests.examples import add_an_effect
-from tests.examples.add_an_effect import VIGNETTING
+from tests.examples.add_an_effect import PANE
 from tests.support.scenes import camera, stars_at
 
 Draw = Callable[..., NDArray[np.uint16]]
@@ -52,26 +64,32 @@ def effect(name: str, glsl: str, stage: Stage = Stage.TRANSMISSION, **given: obj
     return Effect(name=name, section=name, keys=(), stage=stage, glsl=glsl, **given)  # type: ignore[arg-type]
 
 
-def test_vignetting_is_the_fourth_power_of_the_cosine_of_the_field_angle(draw: Draw, context: moderngl.Context) -> None:
-    scene = scene_of(replace(CLEAN, effects={"vignetting.strength": 0.8}))
+def test_a_pane_of_glass_passes_what_fresnels_equations_say(draw: Draw, context: moderngl.Context) -> None:
+    scene = scene_of(replace(CLEAN, effects={"pane.refractive_index": 1.5}))
     with GLRenderer(context) as renderer:
         light_dn = renderer.render(scene, seed=5, light=True).light_dn
     x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
     ray = scene.camera.unproject(np.stack([x, y], axis=-1))
-    cosine = 1 / np.linalg.norm(ray, axis=-1)
+    outside_rad = np.arccos(1 / np.linalg.norm(ray, axis=-1))
+    inside_rad = np.arcsin(np.sin(outside_rad) / 1.5)
+    # Of a face, by the sum and difference of the angles (Hecht, Optics, equations 4.42 and 4.43); on the axis 4 %.
+    with np.errstate(invalid="ignore"):
+        across = (np.sin(outside_rad - inside_rad) / np.sin(outside_rad + inside_rad)) ** 2
+        along = (np.tan(outside_rad - inside_rad) / np.tan(outside_rad + inside_rad)) ** 2
 
-    pixels = draw(scene, VIGNETTING)
+    pixels = draw(scene, PANE)
 
-    expected_dn = light_dn * (1 - 0.8 * (1 - cosine**4)) + CLEAN.sky_mean_dn
-    assert cosine.min() ** 4 < 0.2  # vignetting is strong in the corners
-    np.testing.assert_allclose(pixels, expected_dn, rtol=0, atol=ROUNDING_DN)
+    passes = sum((1 - reflected) / (1 + reflected) for reflected in (across, along)) / 2
+    assert passes[120, 160] == pytest.approx(0.96 / 1.04, abs=1e-4)
+    assert passes.min() < 0.9  # the pane dims the corners
+    np.testing.assert_allclose(pixels, light_dn * passes + CLEAN.sky_mean_dn, rtol=0, atol=ROUNDING_DN)
 
 
 def test_an_effect_that_is_off_leaves_every_pixel_as_it_is(draw: Draw) -> None:
     scene = scene_of(Sensor())
 
-    np.testing.assert_array_equal(draw(scene, VIGNETTING), draw(scene))
-    assert VIGNETTING not in active_effects(scene.sensor, [*EFFECTS, VIGNETTING])
+    np.testing.assert_array_equal(draw(scene, PANE), draw(scene))
+    assert PANE not in active_effects(scene.sensor, [*EFFECTS, PANE])
 
 
 def test_effects_are_applied_in_the_order_of_their_stages(draw: Draw) -> None:
@@ -167,16 +185,14 @@ def test_a_mistake_in_the_glsl_of_an_effect_is_reported_with_its_line(context: m
 
 
 def test_the_truth_of_a_frame_has_the_keys_of_its_effects(renderer: GLRenderer, monkeypatch) -> None:
-    scene = scene_of(replace(CLEAN, effects={"vignetting.strength": 0.8}))
+    scene = scene_of(replace(CLEAN, effects={"pane.refractive_index": 1.5}))
     frame = renderer.render(scene, seed=0)
-    assert effects_truth(scene, [*EFFECTS, VIGNETTING]) == {"vignetting": {"strength": 0.8}}
-    monkeypatch.setattr(
-        "glstar.render.truth.frame.effects_truth", lambda scene: effects_truth(scene, [*EFFECTS, VIGNETTING])
-    )
+    assert effects_truth(scene, [*EFFECTS, PANE]) == {"pane": {"refractive_index": 1.5}}
+    monkeypatch.setattr("glstar.render.truth.frame.effects_truth", lambda scene: effects_truth(scene, [*EFFECTS, PANE]))
 
     line = json.loads(frame_truth(scene, frame, number=0, file="frame_000000.png"))
 
-    assert line["vignetting"] == {"strength": 0.8}
+    assert line["pane"] == {"refractive_index": 1.5}
 
 
 def test_names_keys_and_labels_of_effects_are_unique() -> None:
@@ -188,6 +204,20 @@ def test_names_keys_and_labels_of_effects_are_unique() -> None:
         assert len(set(together)) == len(together)
 
 
+def test_keys_in_digital_numbers_and_keys_of_starlight_are_those_that_say_so() -> None:
+    assert scaled_keys() == {
+        "sensor.sky_mean_dn",
+        "sensor.sky_std_dn",
+        "sensor.black_level_dn",
+        "sensor.black_drift_dn",
+    }
+    shape = {f"sensor.{key}" for key in ("band", "band_slope", "band_curvature", "mosaic")}
+    cloud = {f"cloud.{key}" for key in CLOUD_DEFAULTS}
+    assert light_keys() == {*PSF_KEYS, *shape, *cloud}
+    own = Effect("own", "own", (Key("peak_dn", 1.0, "DN", scales=True, changes_light=True),), Stage.SKY, glsl="")
+    assert (scaled_keys([own]), light_keys([own])) == ({"own.peak_dn"}, {"own.peak_dn"})
+
+
 def test_missing_values_are_defaults() -> None:
     keys = (Key("gain", 2.0, "a number"), Key("kind", "a", "a letter", choices=("a", "b")))
     some = Effect(name="some", section="some", keys=keys, stage=Stage.SKY, glsl="")
@@ -195,8 +225,8 @@ def test_missing_values_are_defaults() -> None:
     assert some.values(Sensor(effects={"some.kind": "b"})) == {"gain": 2.0, "kind": "b"}
 
 
-def test_the_example_draws_a_vignetted_image(tmp_path: Path) -> None:
-    image = tmp_path / "vignetted.png"
+def test_the_example_draws_an_image_behind_glass(tmp_path: Path) -> None:
+    image = tmp_path / "behind-glass.png"
     subprocess.run([sys.executable, add_an_effect.__file__, image], check=True)
 
     assert cv2.imread(str(image), cv2.IMREAD_UNCHANGED).shape == (760, 1014)

@@ -15,21 +15,12 @@ from glstar.errors import RenderError
 from glstar.render.scene.culling import DrawList
 from glstar.render.scene.scene import Scene
 from glstar.render.truth.frame import frame_truth
+from tests.support.lenses import LENSES, camera_with
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
-LENSES = {
-    "barrel": Lens("plumb_bob", (-0.28, 0.07, 1e-3, -7e-4, 0.01)),
-    "pincushion": Lens("plumb_bob", (0.2, 0.05, 0.0, 0.0)),
-    "rational": Lens("rational", (0.3, 0.1, 1e-3, -2e-3, 0.02, 0.6, 0.2, 0.03)),
-    "fisheye": Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4)),
-}
 every_lens = pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 # Centre, edges and corners, at different sub-pixel phases.
 POSITIONS = np.array([(x, y) for x in (10.3, 200.75, 396.2) for y in (9.6, 150.1, 290.45)])
-
-
-def camera_with(lens: Lens) -> Camera:
-    return Camera(407, 301, 388.0, 386.0, 204.0, 147.0, 0.0, lens)
 
 
 def still_stars(lens: Lens, sensor: Sensor, vmag: float = 3.0) -> Scene:

@@ -1,18 +1,22 @@
 """Resources of a renderer, from creation to release, and invalid arguments."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import moderngl
 import pytest
 
 from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ContextError, RenderError, ShaderError
 from glstar.render.opengl import GLRenderer
 from glstar.render.opengl import program as program_module
 from glstar.render.opengl.context import headless_context
+from glstar.render.truth.frame import frame_truth
 from glstar.system import resources
-from tests.support.scenes import camera, stars_at
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
 
 MAKERS = ("program", "vertex_array", "buffer", "texture", "framebuffer")
 
@@ -33,6 +37,21 @@ def test_a_closed_renderer_leaves_nothing_on_the_gpu(context, monkeypatch):
                 renderer.render(stars_at([[50.2, 40.7]], [0.0], sensor=sensor, lens=lens), seed=0)
     assert len(made) > 10
     assert all(isinstance(resource.mglo, moderngl.mgl.InvalidObject) for resource in made)
+
+
+def test_a_scene_with_a_natural_sky_is_freed_with_its_flight_and_stars_when_nothing_refers_to_it():
+    sky = {"sky.brightness": "natural", "cloud.coverage": 0.3, "sky.scintillation": 0.3}
+    simulator = sky_over_adelaide(camera(), sensor=Sensor(effects=sky))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 1.0, 0.5))
+    with GLRenderer.headless() as renderer:
+        line = frame_truth(scene, renderer.render(scene, seed=0), number=0, file="frame.png")
+    assert b'"sky_mag_arcsec2"' in line
+    alive = [weakref.ref(part) for part in (scene.stars, scene.listing, simulator.flight.attitude)]
+    assert all(part() is not None for part in alive)
+
+    del simulator, scene, renderer
+    gc.collect()
+    assert [part() for part in alive] == [None, None, None]
 
 
 def test_closing_again_has_no_effect():

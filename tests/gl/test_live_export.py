@@ -11,8 +11,8 @@ from glstar.export import live
 from glstar.export.live import LiveExport, LiveReport
 from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
-from tests.link.test_receiver import UTC_S, Sender
 from tests.support.links import Script, ScriptedLink, flown
+from tests.support.sender import UTC_S, Sender
 
 
 def exported(script: Script, renderer: GLRenderer) -> tuple[LiveReport, list[float], list[str]]:

@@ -15,17 +15,10 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
-from tests.gl.test_analytic_trails import (
-    BRIGHT,
-    demo_flight,
-    light,
-    most_of_the_time_on_the_image,
-    vibrating,
-    with_stars,
-)
-from tests.gl.test_lens import LENSES, camera_with
+from tests.support.lenses import LENSES, camera_with
 from tests.support.rollingshutter import rolling_light, rolling_light_behind_lens
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.support.trails import BRIGHT, demo_flight, light, most_of_the_time_on_the_image, vibrating, with_stars
 
 # No pixel may differ by more than this fraction of the brightest pixel of the star's own trail, and no sum of flux by
 # more than this fraction of it.

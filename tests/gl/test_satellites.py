@@ -23,7 +23,7 @@ from glstar.sky.observed.solarsystem import observed_bodies
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry.synthetic import ScriptedFlight
-from tests.gl.test_cloud import CLOUD
+from tests.support.clouds import CLOUD
 from tests.support.reference import profile
 from tests.support.rollingshutter import open_fractions
 from tests.support.satellites import PASS, dut1_s, elements, seen_by_skyfield

@@ -15,7 +15,7 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.segmentation import SHAPE_LIMITS
 from glstar.render.opengl import GLRenderer, program
 from glstar.system.resources import shader_paths
-from tests.gl.test_lens import LENSES
+from tests.support.lenses import LENSES
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 COMPILER = shutil.which("glslangValidator")

@@ -10,7 +10,7 @@ from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.effects.lensflare import flare_dn
 from glstar.render.effects.naturalsky import NATURAL_SKY
-from glstar.render.effects.skylight import FINE_GRID, node_positions, softened
+from glstar.render.effects.sky import FINE_GRID, node_positions, softened
 from glstar.render.opengl import GLRenderer
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 

@@ -32,9 +32,9 @@ def test_the_stages_one_by_one_draw_what_render_draws(renderer):
     expected = renderer.render(SCENE, seed=3, light=True)
     with GLRenderer(renderer.context) as other:
         other.expose(SCENE)
-        texture = other.develop(SCENE, seed=3)
-        frame = other.read(light=True)
-        shown = np.frombuffer(texture.read(), np.uint8).reshape(240, 320)
+        other.develop(SCENE, seed=3, light=True)
+        frame = other.read().frame()
+        shown = np.frombuffer(other.texture().read(), np.uint8).reshape(240, 320)
     np.testing.assert_array_equal(frame.pixels, expected.pixels)
     np.testing.assert_array_equal(frame.light_dn, expected.light_dn)
     np.testing.assert_array_equal(shown, expected.pixels)
@@ -47,7 +47,7 @@ def test_another_noise_or_seed_does_not_expose_again(renderer, exposed):
         renderer.develop(scene, seed=seed)
     assert exposed == [SCENE]
     with GLRenderer(renderer.context) as fresh:
-        np.testing.assert_array_equal(renderer.read().pixels, fresh.render(brighter, seed=2).pixels)
+        np.testing.assert_array_equal(renderer.read().frame().pixels, fresh.render(brighter, seed=2).pixels)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,13 @@ def test_a_bright_star_that_enters_the_image_creates_no_new_targets(renderer):
     assert (
         both.draw_list.truncation_radius_px[1] < 23 < both.draw_list.truncation_radius_px[0]
     )  # on both sides of a multiple of 8 px, the step of the guard band
-    assert renderer.develop(faint, seed=0) is renderer.develop(both, seed=0)
+    renderer.develop(faint, seed=0)
+    texture = renderer.texture()
+    renderer.develop(both, seed=0)
+    assert renderer.holds(texture)
+    assert renderer.texture() is texture
+    renderer.develop(SCENE.with_sensor(Sensor(bit_depth=12)), seed=0)
+    assert not renderer.holds(texture)
 
 
 def test_a_scene_that_was_not_developed_cannot_be_read(renderer):
@@ -89,35 +95,47 @@ def test_a_scene_that_was_not_developed_cannot_be_read(renderer):
 def test_images_are_read_in_the_order_in_which_they_were_started(renderer):
     other = stars_at([[20.7, 30.1]], [1.0], sensor=Sensor(bit_depth=12), lens=camera(101, 83))
     expected = [renderer.render(scene, seed=seed) for scene, seed in ((SCENE, 1), (other, 2), (SCENE, 3))]
+    pending = []
     for scene, seed in ((SCENE, 1), (other, 2), (SCENE, 3)):
         renderer.develop(scene, seed=seed)
-        renderer.begin_read()
-    for frame in expected:
-        read = renderer.end_read()
+        pending.append(renderer.read())
+    for frame, each in zip(expected, pending, strict=True):
+        read = each.frame()
         np.testing.assert_array_equal(read.pixels, frame.pixels)
         assert (read.seed, read.exposure, read.pixels.dtype) == (frame.seed, frame.exposure, frame.pixels.dtype)
-    with pytest.raises(RenderError, match="begin_read"):
-        renderer.end_read()
+        assert each.frame() is read
 
 
-def test_begin_and_end_read_return_the_same_frame_as_render(renderer):
+def test_a_frame_that_is_read_while_another_is_drawn_is_that_of_render(renderer):
     expected = renderer.render(SCENE, seed=4, light=True)
-    renderer.begin(SCENE, seed=4, light=True)
-    renderer.begin(SCENE.with_visible(slice(0)), seed=5)
-    frame, dark = renderer.end_read(), renderer.end_read()
+    renderer.develop(SCENE, seed=4, light=True)
+    first = renderer.read()
+    renderer.develop(SCENE.with_visible(slice(0)), seed=5)
+    frame, dark = first.frame(), renderer.read().frame()
     np.testing.assert_array_equal(frame.pixels, expected.pixels)
     np.testing.assert_array_equal(frame.light_dn, expected.light_dn)
     assert (dark.seed, dark.light_dn) == (5, None)
     assert (dark.pixels != frame.pixels).any()
 
 
-def test_a_forgotten_frame_is_not_returned(renderer):
-    renderer.begin(SCENE, seed=1)
-    renderer.forget()
-    renderer.begin(SCENE, seed=2)
-    assert renderer.end_read().seed == 2
-    with pytest.raises(RenderError, match="begin_read"):
-        renderer.end_read()
+def test_a_discarded_frame_is_not_returned(renderer):
+    renderer.develop(SCENE, seed=1)
+    discarded = renderer.read()
+    discarded.discard()
+    renderer.develop(SCENE, seed=2)
+    assert renderer.read().frame().seed == 2
+    with pytest.raises(RenderError, match="discarded"):
+        discarded.frame()
+
+
+def test_a_frame_of_a_closed_renderer_is_not_returned(renderer):
+    with GLRenderer(renderer.context) as other:
+        other.develop(SCENE, seed=1)
+        pending, read = other.read(), other.read()
+        frame = read.frame()
+    with pytest.raises(RenderError, match="closed"):
+        pending.frame()
+    assert read.frame() is frame
 
 
 @pytest.mark.parametrize("width_px", [1, 2, 3, 5, 318, 319])
@@ -129,6 +147,7 @@ def test_an_image_of_any_width_is_the_left_part_of_a_wider_one(renderer, width_p
     )
     pixels = renderer.render(wide, seed=3).pixels[:, :width_px]
     np.testing.assert_array_equal(renderer.render(narrow, seed=3).pixels, pixels)
-    shown = renderer.develop(narrow, seed=3)
+    renderer.develop(narrow, seed=3)
+    shown = renderer.texture()
     assert shown.size == (width_px, 240)
     np.testing.assert_array_equal(np.frombuffer(shown.read(alignment=1), pixels.dtype).reshape(pixels.shape), pixels)

@@ -2,30 +2,12 @@
 
 import random
 from collections import Counter
-from typing import Any
 
 import pytest
 
 from glstar.link import Framer
 from glstar.link.packets import dialect
-
-
-def packets(count: int, *, sign: bool = False) -> list[bytes]:
-    """Return packets of several messages, as an autopilot sends them."""
-    mavlink = dialect()
-    link = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
-    if sign:
-        link.signing.secret_key, link.signing.sign_outgoing = bytes(32), True
-    made = []
-    for number in range(count):
-        messages: list[Any] = [
-            mavlink.MAVLink_attitude_message(number, 0.1, 0.2, 3.0, 0.0, 0.0, 0.0),
-            mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3),
-            mavlink.MAVLink_statustext_message(6, b"\xfd\xfe a text with what begins packets \xfd\x09", 0, 0),
-        ]
-        made.append(bytes(messages[number % 3].pack(link)))
-        link.seq = (link.seq + 1) % 256
-    return made
+from tests.support.sender import packets
 
 
 def fed(stream: bytes, framer: Framer, step: int = 13) -> list[bytes]:

@@ -9,7 +9,7 @@ import pytest
 
 from glstar.errors import ConfigError
 from glstar.link import Endpoint, Injector, PositionFix
-from tests.link.test_receiver import MAVLINK, UTC_S, Sender, flying, system_time
+from tests.support.sender import MAVLINK, UTC_S, Sender, flying, system_time
 
 HERE = Endpoint.parse("udpin:127.0.0.1:14550")
 

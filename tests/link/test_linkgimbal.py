@@ -10,7 +10,7 @@ from glstar.flight import Flight
 from glstar.flight.gimbal import Gimbal
 from glstar.link.clock import BootClock
 from glstar.link.receiver import Receiver
-from tests.link.test_receiver import MAVLINK, Sender
+from tests.support.sender import MAVLINK, Sender
 
 # The platform keeps this roll and pitch while its yaw against the heading grows.
 ROLL_DEG, PITCH_DEG, YAW_DEG, RATE_DEG_PER_S = 1.5, 35.0, -25.0, 40.0

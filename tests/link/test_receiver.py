@@ -1,49 +1,19 @@
 """Attitude, position and time of an autopilot, from single packets."""
 
 import tracemalloc
-from typing import Any
 
 import numpy as np
 import pytest
 
 from glstar.flight import Flight
-from glstar.link import Framer, Packet
+from glstar.link import Packet
 from glstar.link.clock import BootClock
 from glstar.link.history import RowBuffer
-from glstar.link.packets import dialect
 from glstar.link.receiver import Receiver
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.sky.place.site import Site
 from glstar.telemetry import FlightOptions
-
-MAVLINK = dialect()
-
-
-class Sender:
-    """Creates packets of one system."""
-
-    def __init__(self, system: int, component: int = 1) -> None:
-        self.link = MAVLINK.MAVLink(None, srcSystem=system, srcComponent=component)
-        self.framer = Framer()
-
-    def __call__(self, message: Any) -> Packet:
-        (packet,) = self.framer.feed(bytes(message.pack(self.link)))
-        self.link.seq = (self.link.seq + 1) % 256
-        return packet
-
-    def heartbeat(self, autopilot: int = 3) -> Packet:
-        return self(MAVLINK.MAVLink_heartbeat_message(1, autopilot, 0, 0, 4, 3))
-
-    def angles(self, boot_s: float, yaw_rad: float = 0.0) -> Packet:
-        return self(MAVLINK.MAVLink_attitude_message(round(boot_s * 1000), 0.1, 0.2, yaw_rad, 0, 0, 0))
-
-    def quaternion(self, boot_s: float, *q: float) -> Packet:
-        return self(MAVLINK.MAVLink_attitude_quaternion_message(round(boot_s * 1000), *q, 0, 0, 0))
-
-
-def receiver(**options: Any) -> tuple[Receiver, list[str]]:
-    reported: list[str] = []
-    return Receiver(BootClock(start_utc_s=0.0), reported.append, **options), reported
+from tests.support.sender import MAVLINK, UTC_S, Sender, flying, receiver, system_time
 
 
 def attitude_rad(heard: Receiver) -> tuple[float, ...]:
@@ -223,18 +193,6 @@ def test_the_first_of_attitudes_with_equal_timestamps_is_used() -> None:
 
 
 # --- reboots and clocks that are set -------------------------------------------------------------------------------
-
-UTC_S = 1_710_068_400.0
-
-
-def system_time(sender: Sender, boot_s: float, utc_s: float) -> Packet:
-    return sender(MAVLINK.MAVLink_system_time_message(round(utc_s * 1e6), round(boot_s * 1000)))
-
-
-def flying() -> tuple[Receiver, list[str]]:
-    """Return a receiver with a chosen autopilot and its UTC."""
-    messages: list[str] = []
-    return Receiver(BootClock(), messages.append), messages
 
 
 def fly(heard: Receiver, plane: Sender, boot_s: float, arrival_s: float, seconds: float, utc_s: float | None) -> None:

@@ -5,19 +5,9 @@ from typing import Any
 import pytest
 
 from glstar.link.outgoing import Requests
-from glstar.link.packets import (
-    ATTITUDE,
-    ATTITUDE_QUATERNION,
-    GPS,
-    HIL_STATE,
-    POSITION,
-    SIM_STATE,
-    SIMSTATE,
-    SYSTEM_TIME,
-    dialect,
-)
+from glstar.link.packets import MessageId, dialect
 from glstar.link.receiver import Receiver
-from tests.link.test_receiver import Sender, receiver
+from tests.support.sender import Sender, receiver
 
 MAVLINK = dialect()
 
@@ -63,11 +53,21 @@ def test_missing_messages_are_requested_and_their_rates_are_restored_on_closing(
     requests, listening = Requests(50.0), heard()
 
     asked = intervals_us(requests.due(listening, 0.0))
-    assert asked == {POSITION: 200_000.0, SYSTEM_TIME: 500_000.0, ATTITUDE_QUATERNION: 20_000.0}
+    assert asked == {
+        MessageId.GLOBAL_POSITION_INT: 200_000.0,
+        MessageId.SYSTEM_TIME: 500_000.0,
+        MessageId.ATTITUDE_QUATERNION: 20_000.0,
+    }
     # No reply: the alternative messages are requested too.
     for second in range(1, 10):
         asked |= intervals_us(requests.due(listening, float(second)))
-    assert asked.keys() == {POSITION, SYSTEM_TIME, ATTITUDE_QUATERNION, ATTITUDE, GPS}
+    assert asked.keys() == {
+        MessageId.GLOBAL_POSITION_INT,
+        MessageId.SYSTEM_TIME,
+        MessageId.ATTITUDE_QUATERNION,
+        MessageId.ATTITUDE,
+        MessageId.GPS_RAW_INT,
+    }
 
     # An interval of 0 restores the vehicle's default rate.
     assert intervals_us(requests.default_rate_requests(listening)) == dict.fromkeys(asked, 0.0)
@@ -78,11 +78,11 @@ def test_a_simulators_state_is_requested_at_the_rate_of_the_attitude_if_the_sky_
     listening, _ = receiver(with_simulator=True)
     listening.receive(Sender(7).heartbeat(), 0.0)
 
-    assert intervals_us(requests.due(listening, 0.0))[SIM_STATE] == 20_000.0
+    assert intervals_us(requests.due(listening, 0.0))[MessageId.SIM_STATE] == 20_000.0
     asked: dict[int, float] = {}
     for second in range(1, 10):
         asked |= intervals_us(requests.due(listening, float(second)))
-    assert asked[HIL_STATE] == asked[SIMSTATE] == 20_000.0
+    assert asked[MessageId.HIL_STATE_QUATERNION] == asked[MessageId.SIMSTATE] == 20_000.0
 
 
 def test_messages_that_were_not_requested_are_not_restored() -> None:

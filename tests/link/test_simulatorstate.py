@@ -9,8 +9,8 @@ from glstar.link.clock import BootClock
 from glstar.link.history import SimulatorState
 from glstar.link.receiver import Receiver
 from glstar.rotation import euler_from_quaternion
-from tests.link.test_receiver import MAVLINK, Sender
 from tests.support.autopilot import body_to_ned
+from tests.support.sender import MAVLINK, Sender
 
 DEG = np.pi / 180
 

@@ -50,6 +50,7 @@ def test_less_than_95_percent_caught_is_a_failure(survivors: int, status: int, c
     assert printed.count("survived") == survivors
 
 
+@pytest.mark.slow
 def test_a_fault_is_injected_into_a_copy_and_taken_out_again(tmp_path: Path) -> None:
     in_python, in_a_shader = (
         next(fault for fault in FAULTS if fault.name == name)

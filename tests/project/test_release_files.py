@@ -70,3 +70,38 @@ def test_the_image_takes_extras_that_exist() -> None:
 
     assert first == second
     assert all(re.search(rf"^{extra} = \[", settings, re.MULTILINE) for extra in first.split(","))
+
+
+def releases() -> dict[str, list[str]]:
+    """Return the lines of each release in the changelog, without empty ones."""
+    _, *parts = re.split(r"^## ", (ROOT / ".github" / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {part.splitlines()[0]: [line for line in part.splitlines()[1:] if line] for part in parts}
+
+
+def test_the_changelog_begins_with_the_version_of_the_package_or_what_comes_after_it() -> None:
+    versions = list(releases())
+
+    assert next(name for name in versions if name != "Unreleased") == glstar.__version__
+    assert all(re.fullmatch(r"\d+\.\d+\.\d+", name) for name in versions[versions[0] == "Unreleased" :])
+
+
+def test_the_changelog_of_a_release_is_short() -> None:
+    assert {name: len(lines) for name, lines in releases().items() if not 0 < len(lines) <= 40} == {}
+    assert [line for lines in releases().values() for line in lines if len(line) > 140] == []
+
+
+def test_the_pages_that_the_changelog_names_exist() -> None:
+    topics = {path.stem for path in (ROOT / "assets" / "manual").glob("*.md")}
+    text = "\n".join(releases()["0.2.0"])
+    named = {
+        page for pages in re.findall(r"\(([a-z-]+(?:,\s+[a-z-]+)*)\)\.", text) for page in re.split(r",\s+", pages)
+    }
+
+    assert len(named) > 10
+    assert named <= topics
+
+
+def test_the_readme_links_to_changelog_contributing_and_citation() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+
+    assert all(f"(.github/{name})" in readme for name in ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff"))

@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -71,13 +72,14 @@ EXCEPTIONS = (
     ("tests/scripts/powerloss.py", "tell", "the method of Python's files"),
 )
 
+ANY_PHRASE = re.compile("|".join(PHRASES), re.IGNORECASE)
 WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 
 
 def terms(line: str) -> Iterator[str]:
     """Yield the private words and phrases of a line; identifiers are split at underscores and capitals."""
     yield from (part.lower() for part in WORD.findall(line) if part.lower() in STANDARD_WORDS)
-    yield from (phrase for phrase in PHRASES if re.search(phrase, line, re.IGNORECASE))
+    yield from (match[0].lower() for match in ANY_PHRASE.finditer(line))
 
 
 def is_excepted(file: str, term: str) -> bool:
@@ -93,23 +95,33 @@ def documents() -> Iterator[Path]:
         yield from sorted(path for path in (ROOT / folder).rglob("*") if path.suffix in SUFFIXES)
 
 
+@cache
+def occurrences() -> tuple[tuple[str, int, str], ...]:
+    """Return every private word and phrase of the project: file, line and term."""
+    texts = ((path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in documents())
+    return tuple(
+        (file, number, term)
+        for file, text in texts
+        for number, line in enumerate(text.splitlines(), 1)
+        for term in terms(line)
+    )
+
+
 def test_code_and_documents_use_the_words_of_the_field() -> None:
     found = defaultdict(list)
-    for path in documents():
-        file = path.relative_to(ROOT).as_posix()
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-            for term in terms(line):
-                if not is_excepted(file, term):
-                    found[f"{term} -> {STANDARD_WORDS.get(term, 'plain words')}"].append(f"{file}:{number}")
+    for file, number, term in occurrences():
+        if not is_excepted(file, term):
+            found[f"{term} -> {STANDARD_WORDS.get(term, 'plain words')}"].append(f"{file}:{number}")
 
     assert dict(found) == {}
 
 
 def test_every_exception_is_used() -> None:
-    used = set()
-    for path in documents():
-        file = path.relative_to(ROOT).as_posix()
-        for term in {term for line in path.read_text(encoding="utf-8").splitlines() for term in terms(line)}:
-            used |= {entry for entry in EXCEPTIONS if fnmatch(file, entry[0]) and fnmatch(term, entry[1])}
+    used = {
+        entry
+        for file, term in {(file, term) for file, _, term in occurrences()}
+        for entry in EXCEPTIONS
+        if fnmatch(file, entry[0]) and fnmatch(term, entry[1])
+    }
 
     assert used == set(EXCEPTIONS)

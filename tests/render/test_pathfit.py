@@ -187,8 +187,9 @@ def test_a_path_is_fitted_without_scipy_which_takes_long_to_load():
     program = """
 import sys
 import numpy as np
-from glstar.render import nodecorrections, simulator
-nodecorrections.node_corrections(np.ones((4, 3)) / 3, np.zeros(4, dtype=int), np.ones((4, 3)), np.ones(4), 3)
+from glstar.render import simulator
+from glstar.render.motion import segmentfit
+segmentfit.node_corrections(np.ones((4, 3)) / 3, np.zeros(4, dtype=int), np.ones((4, 3)), np.ones(4), 3)
 assert not any(name.startswith("scipy") for name in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

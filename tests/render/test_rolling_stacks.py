@@ -14,9 +14,9 @@ from glstar.render.readout.rows import recorded_times
 from glstar.render.readout.stacking import short_seed
 from glstar.render.truth.frame import frame_truth
 from glstar.render.truth.mask import mask_threshold_dn, trail_mask
-from tests.gl.test_analytic_trails import BRIGHT, light, most_of_the_time_on_the_image
 from tests.support.rollingshutter import recorded_span_s, rolling_light, star_positions
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field
+from tests.support.trails import BRIGHT, light, most_of_the_time_on_the_image
 
 SMALL = camera(240, 180, 967.7425)
 STACK = Exposure(NIGHT_UTC_S + 0.4, 0.1, frames=3, gap_s=0.03, readout_s=0.087)

@@ -13,9 +13,9 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.render.readout.rows import recorded_positions, recorded_times
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.truth.frame import frame_truth
-from tests.gl.test_analytic_trails import vibrating
 from tests.support.rollingshutter import star_positions
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, star_field
+from tests.support.trails import vibrating
 
 LENS = camera(320, 240, 967.7425)
 SAMPLES = 20_000

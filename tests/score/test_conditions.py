@@ -102,8 +102,8 @@ def test_frames_are_grouped_by_cloud_moon_and_sun(answered: tuple[Path, Path]) -
     ]
     assert counts(found, "altitude of the Sun, deg") == [("< -18", 7, 7), ("-18 to -12", 3, 1)]
     thin = dict(dict(found.bins)["transmission of cloud"])["0.8 to 0.99"]
-    assert thin.boresight_rad is not None
-    assert thin.boresight_rad.median == pytest.approx(35 * ARCSEC, rel=0, abs=1e-9)
+    assert thin.spread("boresight_rad") is not None
+    assert thin.spread("boresight_rad").median == pytest.approx(35 * ARCSEC, rel=0, abs=1e-9)
 
 
 def test_json_and_plot_have_the_conditions_of_each_frame(answered: tuple[Path, Path], tmp_path: Path) -> None:

@@ -38,11 +38,9 @@ from glstar.errors import LogFormatError
 from glstar.sky.place.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import open_flight, open_source
-from tests.support import joinedlogs
+from tests.support import joinedlogs, tlog, ulog
 from tests.telemetry import test_mappedtable as mapped
 from tests.telemetry import test_rosbag as rosbag
-from tests.telemetry import test_tlog as tlog
-from tests.telemetry import test_ulog as ulog
 
 try:
     import resource

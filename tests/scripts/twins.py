@@ -8,47 +8,22 @@ Each comparison is DIRECTORY/NAME.pair.png; the table is Markdown.
 import argparse
 from pathlib import Path
 
-from glstar.calibrate import Calibration
-from glstar.cli.calibration.run import calibrate_images
-from glstar.cli.calibration.settings import CalibrateOptions
-from glstar.cli.calibration.twin import write_twin
+from glstar.calibrate.pipeline import calibrate_photographs
+from glstar.calibrate.sensor.calibration import Calibration
+from glstar.cli.calibration.output import write_twin
 from glstar.errors import CalibrationError
 
-_NOWHERE = {"--lat": None, "--lon": None}
-_UNKNOWN = {"--yaw": None, "--pitch": None, "--roll": None}
 _COLUMNS = (
     *("photograph", "sky KS", "noise %", "correlation, twin", "peaks %", "of the catalogue %", "noise alone %"),
     *("widths", "profile %"),
 )
 
 
-def options_of(exposure_s: float, fov_deg: float, gamma: str | None) -> CalibrateOptions:
-    return CalibrateOptions(
-        config=None,
-        fov_deg=fov_deg,
-        exposures_s=[exposure_s],
-        utc=None,
-        site_deg=_NOWHERE,
-        attitude_deg=_UNKNOWN,
-        flight=None,
-        labels=None,
-        channel="value",
-        bit_depth=None,
-        criterion="median",
-        lens="auto",
-        fit_lens=False,
-        geometry_only=False,
-        shape=False,
-        twin=True,
-        gamma=gamma,
-    )
-
-
 def row_of(path: Path, exposure_s: float, fov_deg: float, gamma: str | None, directory: Path) -> str:
     """Return a row of the table."""
     output = directory / f"{path.stem}.toml"
     try:
-        calibration = calibrate_images([path], options_of(exposure_s, fov_deg, gamma), output, None)
+        calibration = calibrate_photographs(path, fov_deg=fov_deg, exposure_s=exposure_s, gamma=gamma)
         if not isinstance(calibration, Calibration):
             return f"| {path.name} | {calibration.notes[0]} |"
         found = write_twin(calibration, output).twin.figures

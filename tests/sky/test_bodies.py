@@ -106,6 +106,7 @@ def skyfield_vmag(astrometric: Any, ephemeris: Any, timescale: Any) -> float:
     return float(magnitudelib.planetary_magnitude(heliocentric))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BODIES)
 def test_bodies_lie_within_an_arcsecond_of_de421(pairs: dict[str, list[Pair]], name: str) -> None:
     for pair in pairs[name]:
@@ -114,6 +115,7 @@ def test_bodies_lie_within_an_arcsecond_of_de421(pairs: dict[str, list[Pair]], n
         np.testing.assert_allclose(pair.ours.distance_km, pair.distance_km, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BODIES[1:])
 def test_phases_agree_with_skyfield(pairs: dict[str, list[Pair]], name: str) -> None:
     for pair in pairs[name]:
@@ -124,6 +126,7 @@ def test_phases_agree_with_skyfield(pairs: dict[str, list[Pair]], name: str) -> 
             assert abs((turn_rad + np.pi) % (2 * np.pi) - np.pi) < np.deg2rad(0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BODIES[2:])
 def test_magnitudes_of_planets_are_those_of_mallama_and_hilton(pairs: dict[str, list[Pair]], name: str) -> None:
     differences = np.array([pair.ours.vmag - pair.vmag for pair in pairs[name]])

@@ -16,7 +16,7 @@ from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_direction
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import described_earth_orientation, earth_orientation, parse_utc
-from tests.e2e.test_export import SETTINGS, done, manifest_of, refused, table_of_a_flight, truth_of
+from tests.support.exports import SETTINGS, done, manifest_of, refused, table_of_a_flight, truth_of
 
 ARCSEC = np.pi / 648000
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 100.0, pressure_hpa=0.0)

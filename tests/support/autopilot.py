@@ -1,15 +1,18 @@
 """A scripted autopilot in a simulator: SIM_STATE and an ATTITUDE that drifts from it, sent with pymavlink over UDP."""
 
+import json
 import socket
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from glstar.link.packets import dialect
+from glstar.rotation import quaternion_from_euler
 
 MAVLINK: Final = dialect()
 UTC_S: Final = 1_710_068_400.0
@@ -119,3 +122,24 @@ def simulated(port: int, truth: str | None = "SIM_STATE") -> Iterator[SimulatedA
     finally:
         stop.set()
         thread.join()
+
+
+SMALL = """
+[camera]
+width_px = 64
+height_px = 48
+fx_px = 60.0
+fy_px = 60.0
+[navigator]
+gps = "known"
+"""
+
+
+def angle_rad(yaw_rad: float, q_body_ned: list[float]) -> float:
+    """Return the angle between an attitude of the script and another one."""
+    cosine = abs(float(quaternion_from_euler(0.1, 0.2, yaw_rad) @ np.array(q_body_ned)))
+    return float(2 * np.arccos(min(cosine, 1.0)))
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]

@@ -171,3 +171,15 @@ def beginning(log: Path, folder: Path, size: int = 1_000_000) -> Path:
     whole = BinaryRecords(str(path)).end
     path.write_bytes(log.read_bytes()[:whole])
     return path
+
+
+def dataflash(path: Path, *, gps: bool = False, pos: bool = False) -> Path:
+    """Write a flight of 8 s that turns."""
+    log = Log()
+    for t in times(8.0):
+        log.att(t, yaw_deg=4.0 * (t - 30.0))
+        if gps:
+            log.gps(t)
+        if pos:
+            log.pos(t)
+    return log.save(path)

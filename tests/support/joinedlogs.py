@@ -15,9 +15,8 @@ from glstar.errors import LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import euler_from_quaternion
 from glstar.telemetry import open_flight
+from tests.support import tlog, ulog
 from tests.support.dataflash import ELEVEN_MS, ELEVEN_S, WEEK, Log, TextLog
-from tests.telemetry import test_tlog as tlog
-from tests.telemetry import test_ulog as ulog
 
 RATE_HZ = 10.0
 # Rate of yaw, deg/s: a boot is shorter than the 180 s of half a turn.

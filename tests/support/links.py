@@ -2,6 +2,7 @@
 
 import os
 import select
+import signal
 import socket
 import threading
 import time
@@ -18,8 +19,8 @@ import pytest
 from glstar.flight import AttitudeTrack, Flight
 from glstar.link import Endpoint, LatestAttitude, Link, Packet, Transport, Vehicle, open_transport
 from glstar.telemetry import FlightOptions
-from tests.link.test_receiver import Sender, system_time
 from tests.support.scenes import ADELAIDE
+from tests.support.sender import Sender, system_time
 
 # Much longer than needed, for busy machines.
 PATIENCE_S = 20.0
@@ -150,3 +151,31 @@ def flown(
         if utc_s is not None and step % 25 == 0:
             yield at_s, system_time(plane, boot_s + step / 50, utc_s + at_s)
         yield at_s, plane.angles(boot_s + step / 50, 0.01 * at_s)
+
+
+def has_frames(directory: Path, count: int) -> bool:
+    """Return whether an export in progress has this number of frames."""
+    lines = directory / "truth.jsonl.partial"
+    return lines.exists() and lines.read_bytes().count(b"\n") >= count
+
+
+@contextmanager
+def interrupted_when(true: Callable[[], bool]) -> Iterator[None]:
+    """Press Ctrl-C once a condition holds, for example after a number of frames."""
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.02):
+            if true():
+                signal.raise_signal(signal.SIGINT)
+                return
+
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watcher.join()
+        signal.signal(signal.SIGINT, handler)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
-from glstar.calibrate import Matches, Photograph, ReferenceStars
+from glstar.calibrate.identify.platesolution import Matches, ReferenceStars
+from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.model import Camera
 from glstar.sky.observed.stars import Sky
 from glstar.sky.photometry import star_colours

@@ -1,14 +1,22 @@
-"""A real window on a display of its own: keys and mouse through xdotool, and what the screen shows."""
+"""A real window on a display of its own: its process, keys and mouse through xdotool, and what the screen shows."""
 
+import json
 import os
+import shutil
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
-__all__ = ["RealWindow"]
+from tests.support import links
+from tests.support.links import soon
 
 # Longest wait for the screen, s: a fit in a window takes a minute on a busy machine.
 _PATIENCE_S = 180.0
@@ -133,3 +141,123 @@ class RealWindow:
                 again_s = time.monotonic() + _AGAIN_S
             time.sleep(0.05)
         return picture
+
+
+MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
+
+
+needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} are not installed")
+
+
+GLSTAR = [sys.executable, "-m", "glstar"]
+PATIENCE_S = 90.0
+
+
+def environment(display: str | None, home: Path, **more: str) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if name not in {"DISPLAY", "WAYLAND_DISPLAY"}}
+    return kept | {"XDG_CONFIG_HOME": str(home)} | ({} if display is None else {"DISPLAY": display}) | more
+
+
+until = partial(links.until, patience_s=PATIENCE_S)
+
+
+@contextmanager
+def started(*words: str, display: str, home: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Start ``glstar`` with a window; its processes are ended in any case."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([*GLSTAR, *words], cwd=home, env=environment(display, home), **pipes) as window:
+        try:
+            yield window
+        finally:
+            window.kill()
+
+
+def press_keys(variables: dict[str, str], *chords: str) -> None:
+    """Press keys in glstar's window; it must be visible to have the focus."""
+    words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
+    keys = {"env": variables, "timeout": PATIENCE_S}
+    until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0, "a window")
+
+
+TOP_PX, TABS_PX = 46, 35
+
+
+class Places:
+    """Where the panels of a window of a size are, px."""
+
+    def __init__(self, width: int, height: int, scale: float = 1.0) -> None:
+        self.right = int(width - max(0.26 * width, 300 * scale))
+        self.middle, self.height, self.scale = self.right // 2, height, scale
+
+    def image(self, screen: np.ndarray) -> np.ndarray:
+        top = int(TOP_PX * self.scale)
+        return screen[top : self.height // 2, : self.right - 8].astype(int)
+
+    def panel(self, screen: np.ndarray) -> np.ndarray:
+        """Return the panel in front on the right, below all dialogs."""
+        return screen[self.height // 3 : self.height // 2 - 8, self.right + 8 :].astype(int)
+
+    def search(self, screen: np.ndarray, first_px: int, last_px: int) -> np.ndarray:
+        """Return some rows of the dialogs that search, in the middle."""
+        columns = self.middle + np.array([-40, 40]) * self.scale
+        rows = np.array([first_px, last_px]) * self.scale
+        return screen[slice(*rows.astype(int)), slice(*columns.astype(int))].astype(int)
+
+    def tab(self, x: int) -> tuple[int, int]:
+        return self.right + int(x * self.scale), int(TABS_PX * self.scale)
+
+    def has_status(self, screen: np.ndarray) -> bool:
+        """Return whether the status line has a time, as with a flight."""
+        return bool(screen[-int(20 * self.scale) :, : self.middle].max() > 150)
+
+
+def differ(first: np.ndarray, second: np.ndarray) -> bool:
+    """Return whether more than a notification or the mouse differs."""
+    return bool((first != second).any(axis=2).mean() > 0.02)
+
+
+def changed(first: np.ndarray, second: np.ndarray) -> int:
+    """Return how many pixels differ."""
+    return int((first != second).any(axis=2).sum())
+
+
+class Work:
+    """A window, and what is saved from it.
+
+    Parameters
+    ----------
+    window : RealWindow
+    saved : Path
+        The folder of what it saves.
+    """
+
+    def __init__(self, window: RealWindow, saved: Path) -> None:
+        self.window, self.saved = window, saved
+
+    def until_changed(self, part: Any, press: str, what: str, pixels: int = 100) -> np.ndarray:
+        """Press keys until a part of the screen differs, and return the screen."""
+        before = self.window.still()
+        return self.window.until(
+            lambda screen: changed(screen[part], before[part]) > pixels, what, again=lambda: self.window.press(press)
+        )
+
+    def command(self, name: str) -> None:
+        """Perform a command by its name in the palette."""
+        self.until_changed(np.s_[60:200, 300:700], "ctrl+p", "the list of commands", 1000)
+        self.window.write(name)
+        self.window.press("Return")
+
+    def until_saved(self, pattern: str, act: Callable[[], None]) -> Path:
+        """Do something until there is a new file that ends with a line, and return its path."""
+        before = set(self.saved.glob(pattern))
+
+        def new() -> list[Path]:
+            return [path for path in set(self.saved.glob(pattern)) - before if path.read_text().endswith("\n")]
+
+        until(lambda: act() or soon(new, 8.0), pattern)
+        return new()[0]
+
+    def truth(self) -> dict[str, Any]:
+        """Save the frame shown, and return its truth."""
+        truth = self.until_saved("*/truth.jsonl", lambda: self.window.press("ctrl+s"))
+        return dict(json.loads(truth.read_text()))

@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate import Photograph, PlateSolution, ReferenceStars
+from glstar.calibrate.identify.platesolution import PlateSolution, ReferenceStars
+from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor

@@ -17,7 +17,7 @@ from glstar.system.files import LockFile, LockHeldError, lock_handle
 # Takes a lock, reports it, and keeps it until its input ends or it is killed.
 OWNER = """
 import os, sys
-from glstar.system.filelock import LockFile, lock_handle
+from glstar.system.files import LockFile, lock_handle
 from pathlib import Path
 how, path = sys.argv[1:]
 if how == "file":

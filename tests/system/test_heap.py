@@ -10,7 +10,7 @@ NAMES = ("MALLOC_ARENA_MAX", "MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_",
 # Frees blocks of 64 KB that together are 30 MB, and prints what the process still holds of them, bytes.
 PROGRAM = """
 import ctypes
-from glstar.system.heap import keep_freed_memory
+from glstar.system.process import keep_freed_memory
 keeps = keep_freed_memory()
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
@@ -44,7 +44,7 @@ THREADS = (
     PROGRAM[: PROGRAM.index("before =")]
     + """
 import threading
-from glstar.system.heap import share_one_heap
+from glstar.system.process import share_one_heap
 shares = share_one_heap()
 before, end = resident(), threading.Event()
 def work(done):
@@ -78,7 +78,7 @@ def test_all_threads_together_keep_what_one_thread_keeps(monkeypatch):
 BELOW = (
     PROGRAM[: PROGRAM.index("before =")]
     + """
-from glstar.system.heap import return_freed_memory
+from glstar.system.process import return_freed_memory
 before = resident()
 blocks = [libc.malloc(65000) for _ in range(3080)]
 for block in blocks:

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from glstar.calibrate import read_image
+from glstar.calibrate.photo.photograph import read_image
 from glstar.camera.camerafile import camera_to_yaml
 from glstar.camera.model import Camera
 from glstar.cli import app

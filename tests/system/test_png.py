@@ -42,3 +42,11 @@ def test_an_image_without_noise_takes_a_hundredth_of_its_pixels() -> None:
     pixels = np.zeros((760, 1014), np.uint8)
     pixels[100:110, 200:210] = 200
     assert len(encode_png(pixels)) < pixels.size / 100
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+def test_a_colour_image_is_read_back_as_red_green_and_blue(depth: type) -> None:
+    pixels = np.random.default_rng(4).integers(0, np.iinfo(depth).max, (7, 5, 3)).astype(depth)
+    read = cv2.imdecode(np.frombuffer(encode_png(pixels), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert read.dtype == depth
+    assert np.array_equal(read, pixels[..., ::-1])

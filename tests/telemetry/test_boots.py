@@ -13,9 +13,8 @@ from glstar.flight import Flight
 from glstar.system.resources import asset
 from glstar.telemetry import FlightOptions, open_flight, open_source, survey
 from glstar.telemetry.boots import find_boots
+from tests.support import tlog, ulog
 from tests.support.dataflash import ELEVEN_MS, ELEVEN_S, HOME, WEEK, Log, TextLog, as_text
-from tests.telemetry import test_tlog as tlog
-from tests.telemetry import test_ulog as ulog
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 SKYWALKER = LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"

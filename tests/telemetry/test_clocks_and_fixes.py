@@ -15,9 +15,9 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import Recording, open_flight, open_source
 from tests.support.dataflash import Log as DataFlash
 from tests.support.dataflash import TextLog
-from tests.telemetry.test_tlog import BOOT_S
-from tests.telemetry.test_tlog import Log as Telemetry
-from tests.telemetry.test_ulog import Log as ULog
+from tests.support.tlog import BOOT_S
+from tests.support.tlog import Log as Telemetry
+from tests.support.ulog import Log as ULog
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
 # The receiver has a fix from this time on; before, it reports 0 N 0 E.

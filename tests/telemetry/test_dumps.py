@@ -15,10 +15,9 @@ from glstar.flight import Flight
 from glstar.rotation import conjugate, multiply
 from glstar.sky.place.site import Site
 from glstar.telemetry import Recording, open_flight, open_source
+from tests.support import tlog, ulog
 from tests.support.dataflash import ELEVEN_S, Log, beginning
 from tests.support.dataflash import times as dataflash_times
-from tests.telemetry import test_tlog as tlog
-from tests.telemetry import test_ulog as ulog
 
 needs_logs = pytest.mark.skipif(not tlog.ADELAIDE.exists(), reason=f"no sample logs in {tlog.LOGS}")
 MAVLOGDUMP = Path(pymavlink.__file__).parent / "tools" / "mavlogdump.py"

@@ -19,7 +19,7 @@ from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import RateSamples, column_map, open_flight, open_source, ready_maps
-from glstar.telemetry.tables.files import TableFile
+from glstar.telemetry.tables.files import TableFile, TableKind
 
 START_S = 1710068400.0  # 2024-03-10T11:00:00Z
 TIMES_S = np.arange(200) * 0.05
@@ -166,13 +166,13 @@ def test_commas_that_may_be_thousands_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_clocks_with_am_and_pm(text: str, utc: str) -> None:
-    table = TableFile("table", "CSV", {"utc": [text]}, np.array([1]))
+    table = TableFile("table", TableKind.CSV, {"utc": [text]}, np.array([1]))
     assert table.times("utc")[0] == pytest.approx(parse_utc(utc), abs=1e-6, rel=0)
 
 
 @pytest.mark.parametrize("text", ["16/10/2024 1:00:00 PM", "10/16/2024 13:00:00 PM", "10/16/2024 1:00:00"])
 def test_ambiguous_dates_and_clocks_are_refused(text: str) -> None:
-    table = TableFile("table", "CSV", {"utc": [text]}, np.array([1]))
+    table = TableFile("table", TableKind.CSV, {"utc": [text]}, np.array([1]))
     with pytest.raises(LogFormatError, match="is not an ISO 8601 time"):
         table.times("utc")
 

@@ -8,9 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from glstar.telemetry import open_flight
-from tests.support import dataflash
-from tests.telemetry import test_tlog as tlog
-from tests.telemetry import test_ulog as ulog
+from tests.support import dataflash, tlog, ulog
 
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = -34.93, 138.60, 48.0
 

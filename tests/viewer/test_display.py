@@ -9,7 +9,7 @@ import pytest
 from glstar.images import FittedImage
 from glstar.render.opengl.context import headless_context
 from glstar.viewer.picture.comparison import ComparisonMode, compose
-from glstar.viewer.picture.content import Display, PanelContent
+from glstar.viewer.picture.content import Display, PanelContent, Picture
 from glstar.viewer.picture.view import ImageView, Stretch, StretchKind
 
 RNG = np.random.default_rng(5)
@@ -48,7 +48,7 @@ def drawn(
     view = ImageView()
     view.resize(width, height, *size)
     view.zoom_at(view.middle, zoom / view.zoom)
-    display.draw(what, view, stretch, size, scale=1.0, night=night)
+    display.draw(Picture.of(what, view, stretch, size, scale=1.0, night=night))
     picture = display.read().astype(int)
     what.image.release()
     return picture
@@ -113,7 +113,7 @@ def test_the_area_around_the_picture_is_empty(context, display):
     view.resize(50, 38, 100, 100)
     view.zoom_at([50, 50], 1 / view.zoom)
     what = shown(context)
-    display.draw(what, view, LINEAR, (100, 100), scale=1.0, night=False)
+    display.draw(Picture.of(what, view, LINEAR, (100, 100), scale=1.0, night=False))
     picture = display.read()
     what.image.release()
     assert picture[:30].max() < 16

@@ -13,7 +13,7 @@ from glstar.config import Config
 from glstar.viewer.flight.playhead import Mode
 from glstar.viewer.loop import HeadlessSurface, Viewer
 from glstar.viewer.overlays.table import Overlay
-from glstar.viewer.session.keys import KEYS, Action, key_of
+from glstar.viewer.session.keys import KEYS, Action
 from glstar.viewer.session.saving import unused_path
 from glstar.viewer.ui.interface import Interface, parse_chord
 from glstar.viewer.window import text_scale
@@ -212,7 +212,7 @@ def test_the_wheel_zooms_at_the_cursor(viewer):
 
 
 def test_ctrl_q_quits(viewer):
-    press(viewer, key_of(Action.QUIT).chords[0])
+    press(viewer, "Ctrl+Q")
     assert viewer.interface.wants_to_quit
 
 

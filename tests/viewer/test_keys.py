@@ -8,14 +8,13 @@ import typer
 
 from glstar.cli.flights.windowoptions import overlays_of
 from glstar.viewer.overlays.table import Overlay
-from glstar.viewer.session.keys import KEYS, MENUS, Action, key_of, markdown
+from glstar.viewer.session.keys import KEYS, MENUS, Action, markdown
 
 PAGE = (Path(__file__).parents[2] / "assets" / "manual" / "viewer.md").read_text(encoding="utf-8")
 
 
 def test_every_action_has_exactly_one_row():
     assert Counter(key.action for key in KEYS) == Counter([*Action, *Overlay])
-    assert all(key_of(action).action is action for action in [*Action, *Overlay])
 
 
 def test_no_key_has_two_actions():

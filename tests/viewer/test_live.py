@@ -28,8 +28,8 @@ from glstar.system.resources import asset
 from glstar.viewer.flight.playhead import Mode
 from glstar.viewer.loop import HeadlessSurface, Viewer
 from glstar.viewer.session.saving import save_frame
-from tests.link.test_receiver import UTC_S, Sender
 from tests.support.links import ScriptedLink, flown, free_port, playing
+from tests.support.sender import UTC_S, Sender
 from tests.support.windowinput import press, screen
 from tests.viewer.test_missing import type_text
 
@@ -421,7 +421,7 @@ def test_a_recording_replays_the_same_frames(watch, flight, small, tmp_path) -> 
     for stop_utc_s, pixels in seen.items():
         session.head.seek(stop_utc_s)
         # Each frame of the camera has its own noise; these two have the same seed.
-        session.image.redraw()
+        session.image.clear()
         viewer.frame(0.0)
         assert session.scene.exposure.stop_utc_s == pytest.approx(stop_utc_s, abs=3e-6)
         others.append(np.abs(pixels.astype(int) - session.image.pixels.astype(int)))

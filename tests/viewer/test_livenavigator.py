@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.cli.flights.placedanswers import ShownAnswers
+from glstar.cli.flights.navigatoranswers import ShownAnswers
 from glstar.link import Endpoint, Link
 from glstar.score.answers import parse_answer
 from glstar.sky.place.timescale import format_utc

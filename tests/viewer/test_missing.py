@@ -13,7 +13,7 @@ from glstar.errors import ConfigError, LogFormatError, RenderError
 from glstar.sky.place.timescale import parse_utc
 from glstar.viewer.loop import HeadlessSurface, Script, Viewer
 from glstar.viewer.session.saving import save_frame, save_range, save_settings
-from tests.support.dataflash import ELEVEN_S, Log, times
+from tests.support.dataflash import ELEVEN_S, dataflash
 from tests.support.windowinput import press, screen, type_text
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_session import exported, finish
@@ -21,18 +21,6 @@ from tests.viewer.test_session import exported, finish
 UTC = "2024-03-10T11:00:07.5Z"
 TYPED = {"utc_start": UTC, "latitude_deg": "-34.93", "longitude_deg": "138.6000001", "height_m": "48"}
 KEYS = {"utc_start": UTC, "latitude_deg": -34.93, "longitude_deg": 138.6000001, "height_m": 48.0}
-
-
-def dataflash(path: Path, *, gps: bool = False, pos: bool = False) -> Path:
-    """Write a flight of 8 s that turns."""
-    log = Log()
-    for t in times(8.0):
-        log.att(t, yaw_deg=4.0 * (t - 30.0))
-        if gps:
-            log.gps(t)
-        if pos:
-            log.pos(t)
-    return log.save(path)
 
 
 @pytest.fixture
@@ -288,12 +276,12 @@ def test_settings_that_remove_the_site_ask_for_it_and_keep_utc(make_viewer, smal
     viewer = make_viewer(None, config=small.override(**place))
     session = viewer.session
     drop(viewer, path)
-    assert session.missing.reasons.keys() == {"UTC"}
+    assert [field.key for field in session.missing.fields] == ["utc_start"]
     give(viewer)
     (tmp_path / "other.toml").write_text(small.to_toml())
     session.open_settings(tmp_path / "other.toml")
     read(viewer)
-    assert session.missing.reasons.keys() == {"position"}
+    assert [field.key for field in session.missing.fields] == ["latitude_deg", "longitude_deg", "height_m"]
     give(viewer)
     assert session.missing is None
     assert given(session.config) == KEYS

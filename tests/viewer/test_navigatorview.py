@@ -8,7 +8,7 @@ import pytest
 from imgui_bundle import imgui
 from scipy.spatial.transform import Rotation
 
-from glstar.cli.flights.placedanswers import placed_answers
+from glstar.cli.flights.navigatoranswers import placed_answers
 from glstar.errors import AnswersError, ExportError
 from glstar.rotation import matrix_from_quaternion, multiply, quaternion_from_matrix, quaternion_from_turn
 from glstar.system.resources import asset

@@ -151,5 +151,6 @@ def test_each_frame_of_a_sliding_exposure_shows_the_image_of_its_own_scene(make_
     for scene, pixels in shown[::3]:
         assert scene is not None
         assert pixels is not None
-        alone = session.renderer.develop(scene, seed=frame_seed(session.image.seed, 0))
-        np.testing.assert_array_equal(pixels.ravel(), np.frombuffer(alone.read(alignment=1), pixels.dtype))
+        session.renderer.develop(scene, seed=frame_seed(session.image.seed, 0))
+        alone = session.renderer.texture().read(alignment=1)
+        np.testing.assert_array_equal(pixels.ravel(), np.frombuffer(alone, pixels.dtype))

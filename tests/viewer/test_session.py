@@ -54,9 +54,9 @@ def test_the_image_shown_equals_the_exporter_s_frame_bit_for_bit(viewer, small, 
     job = prepare_export(small, log, tmp_path / "elsewhere")
     scene = job.task.frames.compose(2).scene
     expected = session.renderer.render(scene, seed=frame_seed(0, 2)).pixels
-    viewer.session.image.redraw()
+    viewer.session.image.clear()
     viewer.frame(0.0)
-    np.testing.assert_array_equal(session.renderer.read().pixels, expected)
+    np.testing.assert_array_equal(session.renderer.read().frame().pixels, expected)
 
 
 STACKED = {"exposure.duration_s": 0.1, "exposure.frames": 3, "exposure.gap_s": 0.05}

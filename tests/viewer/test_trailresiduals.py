@@ -10,7 +10,7 @@ from glstar.export.plan.frames import ExportOptions
 from glstar.export.run.executors import SerialExecutor
 from glstar.export.run.prepare import prepare_export
 from glstar.render.opengl import GLRenderer
-from glstar.viewer.overlays.belief import arrow_strokes, residual_scale
+from glstar.viewer.overlays.canvas import arrow_strokes, residual_scale
 from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.fitting import TrailResiduals

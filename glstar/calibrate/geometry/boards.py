@@ -199,20 +199,20 @@ def _find_corners(
     return views, refused, size
 
 
-def _too_few(found: int, given: int, refused: dict[Path, tuple[int, str]]) -> CalibrationError:
+def _too_few(usable: int, images: int, refused: dict[Path, tuple[int, str]]) -> CalibrationError:
     reasons = "; ".join(f"{path}: {reason}" for path, (_, reason) in list(refused.items())[:3])
     more = f" and {len(refused) - 3} more" if len(refused) > 3 else ""
     why = f" ({reasons}{more})" if reasons else ""
     return CalibrationError(
-        f"the board is visible on {found} of {given} images, and {_LIMITS.min_images} are needed, better ten{why};"
+        f"the board is visible on {usable} of {images} images, and {_LIMITS.min_images} are needed, better ten{why};"
         " check --pattern against the board"
     )
 
 
-def _fitted(found: list[_Corners], size: tuple[int, int], model: LensModel) -> tuple[Camera, Float, dict[str, float]]:
+def _fitted(views: list[_Corners], size: tuple[int, int], model: LensModel) -> tuple[Camera, Float, dict[str, float]]:
     """Return the camera, the rms error of the corners of each image, px, and the camera's standard errors."""
-    on_boards = [on_board.astype(np.float32)[:, np.newaxis] for _, on_board, _ in found]
-    on_images = [xy.astype(np.float32)[:, np.newaxis] for _, _, xy in found]
+    on_boards = [on_board.astype(np.float32)[:, np.newaxis] for _, on_board, _ in views]
+    on_images = [xy.astype(np.float32)[:, np.newaxis] for _, _, xy in views]
     try:
         if model == "fisheye":
             # OpenCV 5 moved the fisheye's flags.
@@ -237,7 +237,7 @@ def _fitted(found: list[_Corners], size: tuple[int, int], model: LensModel) -> t
             f"OpenCV finds no {model} camera in these images ({reason}); take more, with the board at other angles"
         ) from error
     errors_px = []
-    for (_, on_board, xy), rvec, tvec in zip(found, rvecs, tvecs, strict=True):
+    for (_, on_board, xy), rvec, tvec in zip(views, rvecs, tvecs, strict=True):
         in_camera = on_board @ cv2.Rodrigues(rvec)[0].T + np.ravel(tvec)
         residual = camera.project(in_camera) - xy
         errors_px.append(float(np.sqrt((residual**2).sum(axis=1).mean())))
@@ -246,10 +246,10 @@ def _fitted(found: list[_Corners], size: tuple[int, int], model: LensModel) -> t
             f"the {model} lens that OpenCV finds turns back inside the image; take more images, or another --lens"
         )
     poses = [(np.ravel(rvec), np.ravel(tvec)) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
-    return camera, np.array(errors_px), _standard_errors(camera, found, poses)
+    return camera, np.array(errors_px), _standard_errors(camera, views, poses)
 
 
-def _standard_errors(camera: Camera, found: list[_Corners], poses: list[tuple[Float, Float]]) -> dict[str, float]:
+def _standard_errors(camera: Camera, views: list[_Corners], poses: list[tuple[Float, Float]]) -> dict[str, float]:
     """Return the standard errors of focal lengths, principal point and coefficients.
 
     The larger of two estimates: from the scatter of corners, and from the scatter of images (a warped board shifts all
@@ -259,7 +259,7 @@ def _standard_errors(camera: Camera, found: list[_Corners], poses: list[tuple[Fl
     names = ("fx_px", "fy_px", "cx_px", "cy_px", *COEFFICIENTS[camera.lens.model][: len(camera.lens.coefficients)])
     normal = np.zeros((len(names), len(names)))
     scores, square, numbers = [], 0.0, len(names)
-    for (_, on_board, xy), pose in zip(found, poses, strict=True):
+    for (_, on_board, xy), pose in zip(views, poses, strict=True):
         predicted, by_camera, by_pose = _jacobian(camera, on_board, pose)
         residual = (xy - predicted).ravel()
         # Project out changes of the pose.
@@ -268,11 +268,10 @@ def _standard_errors(camera: Camera, found: list[_Corners], poses: list[tuple[Fl
         normal += free.T @ free
         scores.append(free.T @ residual)
         square, numbers = square + float(residual @ residual), numbers + 6
-    count = sum(xy.size for _, _, xy in found)
+    count = sum(xy.size for _, _, xy in views)
     inverse = np.linalg.pinv(normal)
     by_corner = inverse * square / max(count - numbers, 1)
-    views = len(scores)
-    by_image = inverse @ (np.array(scores).T @ np.array(scores)) @ inverse * views / max(views - 1, 1)
+    by_image = inverse @ (np.array(scores).T @ np.array(scores)) @ inverse * len(views) / max(len(views) - 1, 1)
     variance = np.maximum(np.diag(by_corner), np.diag(by_image))
     return {name: float(error) for name, error in zip(names, np.sqrt(variance), strict=True)}
 

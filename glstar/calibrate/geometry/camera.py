@@ -1,11 +1,8 @@
-"""Camera and attitude from identified stars, without brightness and sharpness.
-
-One camera from several photographs of stars that are blurred or saturated: no sensor.
-"""
+"""Camera and attitude of one photograph, or of several by one camera, without the sensor: stars may be blurred."""
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +10,7 @@ import numpy as np
 from glstar import __version__
 from glstar.calibrate.geometry.lensfit import SharedLensFit, centroid_noise_px
 from glstar.calibrate.identify.platesolution import Matches, ReferenceStars
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.camerafile import camera_warnings
@@ -43,7 +41,7 @@ class GeometryCalibration:
     reference: ReferenceStars
     matches: Matches
     method: str  # How the stars were identified
-    notes: tuple[str, ...]  # Remarks for the user
+    notes: tuple[Note, ...]  # Remarks for the user
 
     @property
     def boresight_rad(self) -> tuple[float, float]:
@@ -106,7 +104,7 @@ class GeometryCalibration:
         }
 
     def to_toml(self) -> str:
-        """Return the camera as TOML, for ``--config``; returns ``[camera]``; its origin is a comment."""
+        """Return the camera as TOML, for ``--config``: ``[camera]``, with its origin as a comment."""
         head = [
             f"Camera by glstar {__version__} from {self.image.path.name}: {len(self.matches)} stars identified"
             f" ({self.method}).  Geometry only: no sensor.",
@@ -115,17 +113,17 @@ class GeometryCalibration:
         return calibration_toml(head, None, self.matches)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers as JSON-serialisable values.
-
-        Returns: as `glstar.calibrate.Calibration.to_json`, with ``sensor`` None.
-        """
-        return {"schema": 2, "glstar": __version__, **self.facts, "sensor": None, "notes": list(self.notes)}
+        """Return all numbers as JSON-serialisable values, as those of a sensor are, with ``sensor`` None."""
+        return {
+            "schema": 2,
+            "glstar": __version__,
+            **self.facts,
+            "sensor": None,
+            "notes": [note.text for note in self.notes],
+        }
 
     def to_csv(self) -> str:
-        """Return the list of identified stars.
-
-        Returns one line per star, in the order of catalogue brightness; lengths in px.
-        """
+        """Return a line for each identified star, in the order of catalogue brightness; lengths in px."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_STAR_COLUMNS)
@@ -147,7 +145,7 @@ def calibrate_geometry(
     matches: Matches,
     *,
     method: str,
-    notes: tuple[str, ...] = (),
+    notes: tuple[Note, ...] = (),
 ) -> GeometryCalibration:
     """Return the camera of one photograph with identified stars, which may be blurred or saturated.
 
@@ -162,53 +160,56 @@ def calibrate_geometry(
     if detected.drawn_out_px:
         all_notes = (
             *all_notes,
-            f"the stars are elongated by about {detected.drawn_out_px:.1f} px: the attitude is that of mid-exposure if"
-            " the camera moved steadily",
+            Note(
+                NoteKind.CAMERA,
+                f"the stars are elongated by about {detected.drawn_out_px:.1f} px: the attitude is that of mid-exposure"
+                " if the camera moved steadily",
+            ),
         )
     return GeometryCalibration(image, detected, reference, matches, method, all_notes)
 
 
-def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, ...]:
+def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[Note, ...]:
     """Return a note on a zenith from refraction, or where refraction is ignored and the focal length would show it."""
     if reference.zenith_error_rad is not None:
         from_axis = np.arccos(np.clip(matches.solution.C_camera_eq[2] @ reference.zenith_eq, -1, 1))
         declination_deg, error_deg = np.rad2deg([np.arcsin(reference.zenith_eq[2]), reference.zenith_error_rad])
-        return (
+        text = (
             f"time and site are unknown; refraction shows the zenith {np.rad2deg(from_axis):.0f} ± {error_deg:.0f} deg"
             f" from the optical axis, at declination {declination_deg:.0f} deg (the latitude of the site): camera and"
-            " horizon are those of this zenith, whose error the standard errors leave out; give --utc, --lat and --lon",
+            " horizon are those of this zenith, whose error the standard errors leave out; give --utc, --lat and --lon"
         )
+        return (Note(NoteKind.CAMERA, text),)
     error_px = matches.standard_error.get("fx_px")
     focal_px = matches.solution.camera.fx_px
     if reference.C_ned_eq is not None or error_px is None or error_px > _ZENITH_REFRACTION * focal_px:
         return ()
-    return (
+    text = (
         "time and site are unknown, so refraction is not removed: the focal length is"
         f" {_ZENITH_REFRACTION:.2%} too short if the camera pointed at the zenith, and more at lower altitudes; its"
-        " standard error does not include this; give --utc, --lat and --lon",
+        " standard error does not include this; give --utc, --lat and --lon"
     )
+    return (Note(NoteKind.CAMERA, text),)
 
 
-def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
+def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[Note, ...]:
     """Return remarks on a doubtful camera; `psf_sigma_px`: width of the stars, px."""
-    notes = camera_warnings(matches.solution.camera)
-    if not matches.solution.camera.is_drawable:
-        notes = (
-            *notes,
-            f"the lens covers {np.rad2deg(matches.solution.camera.field_radius_rad):.0f} deg off its axis, and glstar"
+    camera = matches.solution.camera
+    texts = [*camera_warnings(camera)]
+    if not camera.is_drawable:
+        texts.append(
+            f"the lens covers {np.rad2deg(camera.field_radius_rad):.0f} deg off its axis, and glstar"
             " renders up to 70: sigma and brightness are those on the image; for rendering, give the camera of a"
-            " smaller part of it (width_px, height_px, cx_px, cy_px)",
+            " smaller part of it (width_px, height_px, cx_px, cy_px)"
         )
-    if matches.rms_px <= _MISPLACED_SIGMA * psf_sigma_px:
-        return notes
-    lens = matches.solution.camera.lens
-    kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
-    return (
-        *notes,
-        f"the fitted camera is off by {matches.rms_px:.2f} px rms from the stars, although a sigma of"
-        f" {psf_sigma_px:.2f} px allows far better centroids: it is not exactly {kind}, or the image was smeared;"
-        " towards the corners, and where no star was identified, the error may be larger",
-    )
+    if matches.rms_px > _MISPLACED_SIGMA * psf_sigma_px:
+        model = "a pinhole" if camera.lens is None else f"such a {camera.lens.model} lens"
+        texts.append(
+            f"the fitted camera is off by {matches.rms_px:.2f} px rms from the stars, although a sigma of"
+            f" {psf_sigma_px:.2f} px allows far better centroids: it is not exactly {model}, or the image was smeared;"
+            " towards the corners, and where no star was identified, the error may be larger"
+        )
+    return tuple(Note(NoteKind.CAMERA, text) for text in texts)
 
 
 def _flat_keys(sensor: Sensor) -> dict[str, Any]:
@@ -285,7 +286,7 @@ class SharedGeometry:
 
     parts: tuple[GeometryCalibration, ...]  # One per photograph, all with the same camera
     shared_lens: SharedLensFit
-    notes: tuple[str, ...]  # Remarks for the user
+    notes: tuple[Note, ...]  # Remarks for the user
 
     @property
     def best(self) -> GeometryCalibration:
@@ -308,7 +309,7 @@ class SharedGeometry:
             "schema": 2,
             "glstar": __version__,
             "sensor": None,
-            "notes": list(self.notes),
+            "notes": [note.text for note in self.notes],
             "shared_lens": self.shared_lens.to_json([part.image.path.name for part in self.parts]),
             "images": [part.to_json() for part in self.parts],
         }
@@ -317,12 +318,14 @@ class SharedGeometry:
 def share_geometry(parts: tuple[GeometryCalibration, ...], shared_lens: SharedLensFit) -> SharedGeometry:
     """Return the camera that several photographs share.
 
-    `parts`: with the matches of `shared_lens`.  Returns: its notes are those of all images, each once, with the names
-    of the images.
+    `parts` have the matches of `shared_lens`.  Each of their notes is in the result once, with the names of its images.
     """
-    names: dict[str, list[str]] = {}
+    names: dict[Note, list[str]] = {}
     for part in parts:
         for note in part.notes:
             names.setdefault(note, []).append(part.image.path.name)
-    notes = (note if len(of) == len(parts) else f"{', '.join(of)}: {note}" for note, of in names.items())
-    return SharedGeometry(parts, shared_lens, (shared_lens.summary, *notes))
+    notes = (
+        note if len(images) == len(parts) else replace(note, text=f"{', '.join(images)}: {note}")
+        for note, images in names.items()
+    )
+    return SharedGeometry(parts, shared_lens, (Note(NoteKind.CAMERA, shared_lens.summary), *notes))

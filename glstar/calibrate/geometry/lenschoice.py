@@ -135,9 +135,9 @@ def simple_lens(stars: IdentifiedStars, solution: PlateSolution, choice: LensCho
         if len(coefficients) > 1 and stars.corner_fraction(solution.camera) < _SELECTION.corner_fraction:
             continue
         free = FreeParameters((stars,), solution.prior_camera or camera, (noise_px,), coefficients, principal_point)
-        found = _try_candidate(candidate, free, CameraPoses(camera, (solution.C_camera_eq,)))
-        if found is not None:
-            poses = found[0]
+        trial = _try_candidate(candidate, free, CameraPoses(camera, (solution.C_camera_eq,)))
+        if trial is not None:
+            poses = trial[0]
             return replace(
                 solution,
                 camera=poses.camera,
@@ -176,10 +176,10 @@ def best_lens(stars: tuple[IdentifiedStars, ...], solutions: tuple[PlateSolution
         free = FreeParameters(
             stars, first.prior_camera or camera, noise_px, candidate.coefficients, candidate.principal_point
         )
-        found = _try_candidate(candidate, free, CameraPoses(camera, attitudes))
-        if found is None:
+        fit = _try_candidate(candidate, free, CameraPoses(camera, attitudes))
+        if fit is None:
             continue
-        poses, trial, sd = found
+        poses, trial, sd = fit
         trials.append((trial, candidate.model))
         if eligible and (best is None or trial.criterion < best.chosen.criterion - _SELECTION.margin):
             best = BestLens(poses, trial, candidate, (), sd)
@@ -202,8 +202,8 @@ def fit_candidate(
     noise_px = scatter_px(stars, camera, C_camera_eq)
     prior = solution.prior_camera or camera
     free = FreeParameters((stars,), prior, (noise_px,), candidate.coefficients, candidate.principal_point)
-    found = _try_candidate(candidate, free, CameraPoses(camera, (C_camera_eq,)))
-    return None if found is None else (found[0].camera, found[2])
+    trial = _try_candidate(candidate, free, CameraPoses(camera, (C_camera_eq,)))
+    return None if trial is None else (trial[0].camera, trial[2])
 
 
 def _is_allowed(candidate: LensCandidate, choice: LensChoice, best: BestLens | None, *, images: int) -> bool:
@@ -255,7 +255,7 @@ def _try_candidate(
 def scatter_px(stars: IdentifiedStars, camera: Camera, C_camera_eq: Float) -> float:
     """Return the scatter of the residuals about a smooth polynomial of the position, which no lens reduces.
 
-    `C_camera_eq` (3, 3).  Returns: px.
+    `C_camera_eq` is (3, 3).
     """
     residual = np.nan_to_num(stars.residual_px(camera, C_camera_eq))
     if len(residual) < _SELECTION.stars_for_polynomial:

@@ -1,12 +1,9 @@
 """The camera from identified stars: focal length, principal point and lens, together with the attitude.
 
-Identified stars are points of known direction distributed over the image.  The complexity of the lens is chosen by an
-information criterion; see `glstar.calibrate.geometry.lenschoice`.  In a narrow field of view the principal point is
-nearly degenerate with the attitude: it keeps its given value, or stays in the middle of the image.
-
-One lens fitted to several images of one camera: joint least squares with an attitude for each image.
-
-Validation of a fitted camera: its residuals against the noise of the centroids.
+An information criterion chooses the complexity of the lens; see `glstar.calibrate.geometry.lenschoice`.  In a narrow
+field of view the principal point is nearly degenerate with the attitude: it keeps its given value, or stays in the
+middle of the image.  Several images share one lens, and each has an attitude of its own.  A camera whose residuals are
+far above the noise of the centroids is refused.
 """
 
 from collections.abc import Sequence
@@ -20,6 +17,7 @@ from glstar.calibrate.geometry.lenschoice import BestLens, LensChoice, LensTrial
 from glstar.calibrate.identify.leastsquares import IdentifiedStars
 from glstar.calibrate.identify.matching import mutual_nearest, offset_probability, significant
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.distortion import COEFFICIENTS
 from glstar.camera.model import Camera
@@ -66,9 +64,9 @@ def require_explained(
     """
     noise_px = centroid_noise_px(detected, matches.detection)
     most_px = max(_MOST_NOISE * noise_px, _MOST_PX, detected.psf_sigma_px)
-    solution, found = matches.solution, detected.xy_px[identified.detection]
-    placed = solution.project(reference.recorded(solution.C_camera_eq, identified.star, found, solution.camera))
-    off_px = np.linalg.norm(found - placed, axis=1)
+    solution, detected_px = matches.solution, detected.xy_px[identified.detection]
+    recorded = reference.recorded(solution.C_camera_eq, identified.star, detected_px, solution.camera)
+    off_px = np.linalg.norm(detected_px - solution.project(recorded), axis=1)
     far = ~(off_px <= _FAR_SIGMA * most_px)
     typical = robust_std(matches.residual_px) <= most_px and matches.rms_px <= _FAR_SIGMA * most_px
     if typical and far.mean() <= _MOST_FAR_FRACTION:
@@ -151,7 +149,7 @@ def fit_camera(
 
     `matches`: stars identified with a pinhole, or with a pinhole and k1; more are matched with the fitted lens; `lens`
     {"auto", "none", "plumb_bob", "rational", "fisheye"}: the model; with ``"auto"`` the one that the stars justify,
-    with ``"none"`` a pinhole.  Returns: by a robust loss (soft L1): a false match has little influence.  Raises
+    with ``"none"`` a pinhole.  The loss is robust (soft L1): a false match has little influence.  Raises
     CalibrationError if there are too few stars for any lens of that model.
     """
     apparent = reference.to_camera(np.eye(3))
@@ -197,8 +195,8 @@ def fit_lens(
     """Return the matches with the lens that the stars justify, or with the chosen model, if the residuals allow it.
 
     `matches`: as for `fit_camera`; `lens` {"auto", "none", "plumb_bob", "rational", "fisheye"}: with ``"auto"`` and
-    fewer than twelve stars the camera is unchanged.  Returns: its notes name the lens.  Raises CalibrationError if the
-    residuals of such a lens are too large.
+    fewer than twelve stars the camera is unchanged.  A note names the lens.  Raises CalibrationError if the residuals
+    of such a lens are too large.
     """
     identified = matches
     if lens == "auto" and len(matches) < _STARS_FOR_A_LENS:
@@ -206,8 +204,9 @@ def fit_lens(
     else:
         fit = fit_camera(detected, reference, matches, lens=lens)
         # A pinhole is the expected result and needs no note.
-        noted = lens != "auto" or fit.camera.lens is not None
-        matches = replace(fit.matches, notes=(*matches.notes, fit.summary) if noted else matches.notes)
+        is_noted = lens != "auto" or fit.camera.lens is not None
+        notes = (Note(NoteKind.CAMERA, fit.summary),) if is_noted else ()
+        matches = replace(fit.matches, notes=(*matches.notes, *notes))
         fitted = f"the best of all lens models ({fit.chosen.label})" if lens == "auto" else f"a {lens} lens"
         fitted = "a pinhole" if lens == "none" else fitted
     advice = (
@@ -265,9 +264,9 @@ def match_again(
     if not len(on_image):
         return Pairs(on_image, on_image, 0.0)
     detection, distance_px = mutual_nearest(xy[on_image], detected.xy_px, _MIN_RADIUS_PX)
-    known = np.isin(on_image, before)
-    known &= np.isfinite(distance_px)
-    typical_px = float(np.quantile(distance_px[known], 0.9)) if known.any() else _MIN_RADIUS_PX
+    was_matched = np.isin(on_image, before)
+    was_matched &= np.isfinite(distance_px)
+    typical_px = float(np.quantile(distance_px[was_matched], 0.9)) if was_matched.any() else _MIN_RADIUS_PX
     radius_px = max(_RADIUS_PER_RESIDUAL * min(typical_px, 3 * _MIN_RADIUS_PX), _MIN_RADIUS_PX)
     matched = distance_px < radius_px
     density_per_px2 = len(detected) / (solution.camera.width_px * solution.camera.height_px)

@@ -18,13 +18,12 @@ from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
     IdentifiedStars,
-    Minimum,
-    minimise,
     projection_jacobian,
 )
 from glstar.calibrate.identify.matching import refine, without_k1
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars, is_significant
 from glstar.calibrate.identify.rollingshutter import ReadoutTime, RowTurns
+from glstar.calibrate.minimise import Minimum, minimise
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
@@ -83,8 +82,8 @@ def search_readout(
     """Return the readout time with which most stars match, to start a fit from.
 
     `detected`, `reference`, `identified`: detections, reference stars with the turns of their rows, and identified
-    stars of some images; the readout time in `reference` need not be right.  Returns: s; negative if the rows open
-    against the given direction; that of `reference` if no other matches more stars.
+    stars of some images; the readout time in `reference` need not be right.  The time, s, is negative if the rows open
+    against the given direction, and that of `reference` if no other matches more stars.
     """
     images = [
         (d, r, m, r.rows.rate_rad_per_s(LONGEST_READOUT_S) * m.solution.camera.fx_px)
@@ -98,12 +97,12 @@ def search_readout(
     count = int(LONGEST_READOUT_S / step_s)
 
     def merit(readout_s: float) -> tuple[int, float]:
-        found = [
-            found
+        matches = [
+            matched
             for d, r, m, _ in searched
-            if (found := _matched(d, _with_readout([r], readout_s)[0], m.solution)) is not None
+            if (matched := _matched(d, _with_readout([r], readout_s)[0], m.solution)) is not None
         ]
-        return sum(map(len, found)), -sum(one.rms_px for one in found)
+        return sum(map(len, matches)), -sum(matched.rms_px for matched in matches)
 
     times_s: list[float] = (np.arange(-count, count + 1) * step_s).tolist()
     return max((given_s, *times_s), key=merit)
@@ -170,14 +169,14 @@ def _matched(detected: DetectedStars, reference: ReferenceStars, solution: Plate
     if solution.camera.lens is None:
         # Principal point and distortion may have made up for a wrong readout time.
         solution = without_k1(solution, solution.prior_camera or solution.camera)
-    found = refine(detected, reference, solution)
-    return found if found is not None and is_significant(found) else None
+    matches = refine(detected, reference, solution)
+    return matches if matches is not None and is_significant(matches) else None
 
 
 def _matched_again(detected: DetectedStars, reference: ReferenceStars, matches: Matches) -> Matches:
     """Return the stars matched with another readout time; as before if chance explains the new matches."""
-    found = _matched(detected, reference, matches.solution)
-    return matches if found is None else replace(found, notes=matches.notes)
+    refined = _matched(detected, reference, matches.solution)
+    return matches if refined is None else replace(refined, notes=matches.notes)
 
 
 def _stars_and_solutions(

@@ -13,8 +13,9 @@ from scipy.optimize import minimize
 
 from glstar.calibrate.geometry.lenschoice import LensCandidate, best_lens, scatter_px
 from glstar.calibrate.geometry.lensfit import fit_camera
-from glstar.calibrate.identify.leastsquares import CameraPoses, FreeParameters, IdentifiedStars, Minimum, fit_parameters
+from glstar.calibrate.identify.leastsquares import CameraPoses, FreeParameters, IdentifiedStars, fit_parameters
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars
+from glstar.calibrate.minimise import Minimum
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.errors import CalibrationError
 from glstar.sky.air.refraction import refraction_displacement
@@ -109,10 +110,10 @@ class _RefractedStars:
         """Return altitude and direction of least cost near others, rad."""
         corners = place_rad + np.array([[0.0, 0.0], [_START_RAD[0], 0.0], [0.0, _START_RAD[1]]])
         options = {"initial_simplex": corners, "xatol": 1e-4, "fatol": 1e-3}
-        found = minimize(
+        minimum = minimize(
             lambda place: self.cost(self.zenith_eq(*place), candidate), place_rad, method="Nelder-Mead", options=options
         )
-        return np.asarray(found.x)
+        return np.asarray(minimum.x)
 
     def first_place(self, candidate: LensCandidate) -> Float:
         """Return the best of many altitudes and directions, rad, for a camera that answers refraction linearly."""
@@ -156,18 +157,18 @@ def find_zenith(
     """Return the reference stars with the zenith that the refraction of a photograph shows, if it shows one.
 
     `matches`: identified stars; `refraction_scale`: the result of `glstar.sky.air.refraction.refraction_scale` for the
-    air; 0 for no refraction.  Returns: as it was if it has a zenith already; with fewer than 30 stars; and if Bayes'
-    information criterion prefers a lens without refraction or much thinner air, or does not distinguish the zenith from
-    one on the opposite side of the image.  The refraction is that of Teague & Chahl, eq. (25).
+    air; 0 for no refraction.  The stars are unchanged if they have a zenith already; with fewer than 30 stars; and if
+    Bayes' information criterion prefers a lens without refraction or much thinner air, or does not distinguish the
+    zenith from one on the opposite side of the image.  The refraction is that of Teague & Chahl, eq. (25).
     """
     if not refraction_scale or reference.zenith_eq.any() or reference.rows is not None or len(matches) < _LEAST_STARS:
         return reference
     try:
-        found = fit_camera(detected, reference, matches).matches
+        fitted = fit_camera(detected, reference, matches).matches
         identified = IdentifiedStars.of(
-            detected, reference.to_camera(np.eye(3)), found.solution, found.star, found.detection
+            detected, reference.to_camera(np.eye(3)), fitted.solution, fitted.star, fitted.detection
         )
-        return _with_zenith(_RefractedStars.of(identified, found.solution, refraction_scale), reference)
+        return _with_zenith(_RefractedStars.of(identified, fitted.solution, refraction_scale), reference)
     except CalibrationError:  # there is no camera yet: the fit of the lens says so
         return reference
 

@@ -1,7 +1,4 @@
-"""Identification of stars with an approximate attitude: pairs vote for a shift and a roll of the image.
-
-Identification of stars from a few that the user has labelled.
-"""
+"""Identification of stars with an approximate attitude, by votes for a shift and a roll, or from labels."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +21,7 @@ from glstar.calibrate.identify.platesolution import (
     require_significant,
     wide_angle_cameras,
 )
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
@@ -54,10 +52,10 @@ def identify_near(
     """Identify stars with an attitude that is right to 10 degrees.
 
     `solution`: the given attitude, right to 10 deg, and the camera; upright and unmirrored; `focal_known`: whether the
-    focal length is right to 1 %; otherwise it may be off by 15 %.  Returns: its notes report a mirrored or rotated
-    image.  Raises CalibrationError if the stars of that part of the sky are not on the image.  The brightest
-    predicted and detected stars vote for a shift and a roll, and the winner is refined.  If that fails and the field
-    of view is wide, the vote is repeated with typical wide-angle lenses.
+    focal length is right to 1 %; otherwise it may be off by 15 %.  Notes report a mirrored or rotated image.  Raises
+    CalibrationError if the stars of that part of the sky are not on the image.  The brightest predicted and detected
+    stars vote for a shift and a roll, and the winner is refined.  If that fails and the field of view is wide, the vote
+    is repeated with typical wide-angle lenses.
     """
     pinholes = () if exceeds_pinhole(solution.camera) else (solution,)
     best = _best_orientation(detected, reference, pinholes, refine, focal_known=focal_known)
@@ -80,8 +78,7 @@ def identify_near(
 def identify_again(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches:
     """Identify the stars of an image that has been solved before, with other detections.
 
-    `detected`: such as those that the user has left; `solution`: of that image.  Raises CalibrationError if chance may
-    explain the matches that are left.
+    `solution`: that of the image.  Raises CalibrationError if chance may explain the matches.
     """
     return require_significant(detected, refine(detected, reference, solution))
 
@@ -95,7 +92,8 @@ def _best_orientation(
     focal_known: bool,
 ) -> Matches | None:
     """Return the matches of the first significant orientation of the image, else of the best one, if any."""
-    candidates, focals = [], (1.0,) if focal_known else _ROUGH_FOCALS
+    candidates = []
+    focals = (1.0,) if focal_known else _ROUGH_FOCALS
     for solution, scale, (turned_deg, mirrored) in itertools.product(solutions, focals, _ORIENTATIONS):
         camera = replace(solution.camera, fx_px=solution.camera.fx_px * scale, fy_px=solution.camera.fy_px * scale)
         turned = PlateSolution(camera, about_z(np.deg2rad(turned_deg)) @ solution.C_camera_eq, mirrored)
@@ -105,9 +103,9 @@ def _best_orientation(
     best: Matches | None = None
     # The true orientation usually has by far the most votes; with few stars it may be one of the next.
     for _, guess, notes in sorted(candidates, key=lambda candidate: -candidate[0])[:_MOST_CANDIDATES]:
-        found = refine_with(detected, reference, guess)
-        if found is not None and (best is None or len(found) > len(best)):
-            best = replace(found, notes=notes)
+        refined = refine_with(detected, reference, guess)
+        if refined is not None and (best is None or len(refined) > len(best)):
+            best = replace(refined, notes=notes)
         if best is not None and is_significant(best):
             break
     return best
@@ -130,14 +128,14 @@ def _by_votes(
     near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * area_ratio), _MOST_VOTERS)]
     if len(near) < 3 or len(detected) < 3:
         return 0.0, None
-    found = detected.xy_px[:bright]
+    bright_px = detected.xy_px[:bright]
     bin_px = max(_BIN_FRACTION * camera.width_px, _MIN_BIN_PX)
     bins = int(np.ceil(2 * far_px / bin_px)) + 1
     best, excess, shift, rolled = 0.0, 0.0, np.zeros(2), 0.0
     for roll_rad in _rolls(camera, bin_px):
         c, s = np.cos(roll_rad), np.sin(roll_rad)
         turned = (xy[near] - centre) @ np.array([[c, s], [-s, c]]) + centre
-        offset = (found[np.newaxis] - turned[:, np.newaxis]).reshape(-1, 2)
+        offset = (bright_px[np.newaxis] - turned[:, np.newaxis]).reshape(-1, 2)
         offset = offset[(np.abs(offset) < far_px).all(axis=1)]
         column, row = ((offset + far_px) / bin_px).astype(np.intp).T
         votes = np.bincount(column * bins + row, minlength=bins * bins).reshape(bins, bins)
@@ -219,7 +217,8 @@ def identify_by_labels(
     lost = [star_label(reference.stars.catalogue, label.star_id) for label in labels if label.star_id not in identified]
     notes = orientation_notes(0, matches.solution.mirrored)
     if lost:
-        notes = (*notes, f"no star was found at the labels of {', '.join(lost)}")
+        text = f"no star was found at the labels of {', '.join(lost)}"
+        notes = (*notes, Note(NoteKind.IDENTIFICATION, text))
     return replace(matches, notes=notes)
 
 

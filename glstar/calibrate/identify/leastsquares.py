@@ -1,21 +1,17 @@
-"""The free parameters of a camera and of the attitudes of its images, and their least-squares fit to identified stars.
+"""The least-squares fit of a camera, and of its attitude in each of its images, to identified stars.
 
-Several images share one camera; each has an attitude of its own.
-
-Levenberg-Marquardt least squares on cameras and attitudes, with an analytic Jacobian.
-
-Rotations are composed step by step, so that no parametrisation of the attitude is needed.
+The Jacobian is analytic.  Rotations are composed step by step, so that no parametrisation of the attitude is needed.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Generic, TypeVar
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from glstar.calibrate.identify.platesolution import PlateSolution
 from glstar.calibrate.identify.rollingshutter import RowTurns
+from glstar.calibrate.minimise import Minimum, minimise
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
 from glstar.camera.model import Camera
@@ -23,87 +19,17 @@ from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
 Float = NDArray[np.float64]
-State = TypeVar("State")
 
-# Converged when a step reduces the sum of squares by less than this fraction.
-_CONVERGED: Final = 1e-10
-# Below this fraction the minimum is near.
-_NEAR_MINIMUM: Final = 0.1
-_NOTHING: Final = 1e-12
-_FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
 # Step of the numerical derivative in the normalised image plane.
 _STATE_STEP: Final = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Minimum(Generic[State]):
-    """A minimum of a robust sum of squares."""
-
-    state: State  # The fitted state
-    residual: Float  # (n,)
-    slopes: Float  # (n, k) Jacobian of the residuals by the free parameters
-    scale: Float  # (n,) residuals beyond this have a reduced influence
-
-    @property
-    def root(self) -> Float:
-        """The square root of one plus the squared scaled residuals, (n,) float64."""
-        return np.asarray(np.sqrt(1 + (self.residual / self.scale) ** 2))
-
-    @property
-    def cost(self) -> float:
-        """Half the robust sum of squares."""
-        return float(np.sum(self.residual**2 / (self.root + 1)))
-
-    @property
-    def information(self) -> Float:
-        """The information matrix: the inverse of the parameters' covariance, (k, k) float64."""
-        root = self.root
-        return np.asarray((self.slopes.T * ((root + 1) / (2 * root**2))) @ self.slopes)
-
-
-def minimise(
-    start: State,
-    measured: Callable[[State], tuple[Float, Float]],
-    moved: Callable[[State, Float], State],
-    *,
-    scale: ArrayLike,
-    most_steps: int = 100,
-) -> Minimum[State]:
-    """Return the state that minimises the robust sum of squares, starting from a given one.
-
-    `measured`: returns the residuals of a state (n,), and their Jacobian (n, k) by the step of `moved`, at 0; `moved`:
-    returns the state a step (k,) away from a state; `scale` (n,): scale of SciPy's ``soft_l1`` loss: larger residuals
-    count linearly; infinity for least squares; `most_steps`: largest number of steps.
-    """
-    residual, slopes = measured(start)
-    scale = np.broadcast_to(np.asarray(scale, dtype=np.float64), residual.shape)
-    best = Minimum(start, residual, slopes, scale)
-    damping, near = _FIRST_DAMPING, False
-    for _ in range(most_steps):
-        root = best.root
-        gradient = best.slopes.T @ (best.residual / root)
-        # Far from the minimum these weights never overshoot; near it they are the curvature of the loss.
-        normal = (best.slopes.T / (root**3 if near else root)) @ best.slopes
-        # A parameter that no residual depends on keeps its value.
-        diagonal = np.maximum(np.diag(normal), _NOTHING)
-        step = np.asarray(np.linalg.solve(normal + np.diag(damping * diagonal), -gradient), dtype=np.float64)
-        state = moved(best.state, step)
-        trial = Minimum(state, *measured(state), scale)
-        less = best.cost - trial.cost
-        still, near = abs(less) <= _CONVERGED * best.cost, 0 <= less < _NEAR_MINIMUM * best.cost
-        best, damping = (trial, damping / 10) if less >= 0 else (best, damping * 10)
-        if still or damping > _MOST_DAMPING:
-            break
-    return best
-
-
 def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
-    """Return distorted positions of directions, and their derivatives.
+    """Return distorted positions of directions (n, 3) in the camera frame, and their derivatives.
 
-    `direction_camera` (n, 3): in the camera frame.  Returns `bent` (n, 2): distorted positions in the normalised image
-    plane: the camera matrix maps them to pixels; `by_position` (n, 2, 2): derivatives of pixels by undistorted
-    normalised positions; `by_turn` (n, 2, 3): derivatives of pixels by the rotation vector of
-    `glstar.rotation.quaternion_from_turn`, px/rad.
+    The positions (n, 2) are those in the normalised image plane, which the camera matrix maps to pixels.  The
+    derivatives of pixels are those by undistorted normalised positions (n, 2, 2), and by the rotation vector of
+    `glstar.rotation.quaternion_from_turn`, px/rad (n, 2, 3).
     """
     plane = direction_camera[:, :2] / np.where(direction_camera[:, 2:] > 1e-9, direction_camera[:, 2:], np.nan)
     matrix = camera.K[:2, :2]
@@ -310,16 +236,16 @@ class FreeParameters:
 def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | None) -> Minimum[CameraPoses] | None:
     """Return the camera with a lens of a model, and the attitudes, that fit the stars best.
 
-    `model` {"plumb_bob", "rational", "fisheye"} or None: none for a pinhole.  Returns: none if no minimum was found;
-    the lens need not be one-to-one over the image; see `is_one_to_one`.
+    `model` is None for a pinhole.  The result is None if there is no minimum; its lens need not be one-to-one over the
+    image (`is_one_to_one`).
     """
-    given = start.camera
+    start_camera = start.camera
     tangent = max(stars.largest_tangent(C) for stars, C in zip(free.stars, start.C_camera_eq, strict=True))
     camera = replace(
-        given,
-        cx_px=given.cx_px if free.principal_point else free.prior.cx_px,
-        cy_px=given.cy_px if free.principal_point else free.prior.cy_px,
-        lens=None if model is None else _lens_like(given.lens, model, free.coefficients, tangent),
+        start_camera,
+        cx_px=start_camera.cx_px if free.principal_point else free.prior.cx_px,
+        cy_px=start_camera.cy_px if free.principal_point else free.prior.cy_px,
+        lens=None if model is None else _lens_like(start_camera.lens, model, free.coefficients, tangent),
     )
     positions = 2 * sum(map(len, free.stars))
     priors = 2 * free.principal_point + len(free.denominator)
@@ -334,10 +260,7 @@ def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | 
 
 
 def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str, float]:
-    """Return the standard errors of the fitted parameters of the camera.
-
-    Returns: of ``fx_px``, and of those of ``cx_px``, ``cy_px`` and the coefficients that were free.
-    """
+    """Return the standard errors of ``fx_px``, and of ``cx_px``, ``cy_px`` and the coefficients if they were free."""
     camera, f = fit.state.camera, free.focal_column
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
     covariance = np.linalg.pinv(fit.information) * max(2 * fit.cost / degrees, 1e-12)
@@ -364,13 +287,13 @@ def is_one_to_one(camera: Camera) -> bool:
     return bool(np.isfinite(camera.unproject(middle + _BORDER_FACTOR * (border - middle))).all())
 
 
-def _lens_like(given: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
+def _lens_like(similar: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
     """Return the lens of a model closest to a given lens, or to a pinhole, up to a tangent off the axis."""
     r = np.linspace(0.0, tangent, 65)[1:]
     factor = np.ones_like(r)
-    if given is not None:
+    if similar is not None:
         # The mean of both sides of the axis has no decentring.
-        factor = (given.distort(np.outer(r, [1, 0])) - given.distort(np.outer(r, [-1, 0])))[:, 0] / (2 * r)
+        factor = (similar.distort(np.outer(r, [1, 0])) - similar.distort(np.outer(r, [-1, 0])))[:, 0] / (2 * r)
     coefficients = np.zeros(max(free, default=-1) + 1)
     if model == "fisheye":
         theta = np.arctan(r)

@@ -53,8 +53,8 @@ def identify_lost(
 
     `catalogue`: the stars of `reference`, J2000; `camera`: the image's size, and a focal length right to 15 %; its
     lens, if it is known; for a wide field of view without a lens, other lenses of the same horizontal field of view are
-    tried too.  Returns: its notes say if the image is mirrored.  Raises CalibrationError if tetra3rs is not installed,
-    or no part of the sky has this pattern.
+    tried too.  A note says if the image is mirrored.  Raises CalibrationError if tetra3rs is not installed, or no part
+    of the sky has this pattern.
     """
     if len(detected) < MIN_STARS:
         message = (
@@ -107,21 +107,21 @@ def _recognised(
     columns, rows = np.round(2 * half).astype(int).tolist()
     patterns = pattern_database(catalogue, fov_rad)
     for count in (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest))):
-        found = patterns.solve_from_centroids(
+        solution = patterns.solve_from_centroids(
             brightest[:count],
             fov_estimate_rad=fov_rad,
             image_shape=(rows, columns),
             fov_max_error_rad=_FOV_TOLERANCE * fov_rad,
             solve_timeout_ms=_TIMEOUT_MS,
         )
-        if not found:
+        if not solution:
             continue
-        scale = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
-        C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
+        scale = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(solution.fov_deg) / 2))
+        C_camera_icrs: Float = np.asarray(solution.rotation_matrix_icrs_to_camera, dtype=np.float64)
         yield PlateSolution(
             replace(camera, fx_px=camera.fx_px * scale, fy_px=camera.fy_px * scale),
             C_camera_icrs @ reference.stars.C_eq_icrs.T,
-            bool(found.parity_flip),
+            bool(solution.parity_flip),
         )
 
 
@@ -148,32 +148,32 @@ def pattern_database(catalogue: StarCatalogue, fov_rad: float) -> Any:
     with tempfile.TemporaryDirectory() as directory:
         stars = Path(directory) / "stars.bin"
         stars.write_bytes(content)
-        made = tetra3rs.SolverDatabase.generate_from_gaia(
+        database = tetra3rs.SolverDatabase.generate_from_gaia(
             str(stars), max_fov_deg=wide_deg * (1 + _FOV_TOLERANCE), min_fov_deg=wide_deg * (1 - _FOV_TOLERANCE)
         )
     with suppress(OSError):  # a cache that cannot be written costs time only
         kept.parent.mkdir(parents=True, exist_ok=True)
-        temporary = kept.with_name(f".{kept.name}.{id(made):x}")
-        made.save_to_file(str(temporary))
+        temporary = kept.with_name(f".{kept.name}.{id(database):x}")
+        database.save_to_file(str(temporary))
         temporary.replace(kept)
-    return made
+    return database
 
 
 def _deep_enough(catalogue: StarCatalogue, fov_rad: float) -> StarCatalogue:
     """Return the brightest stars, enough for several in every field of view."""
     views = _SPHERE_SR / (0.75 * fov_rad**2)
     count = max(round(_STARS_A_VIEW * views), int((catalogue.vmag <= _LEAST_VMAG).sum()))
-    some = slice(0, min(count, len(catalogue)))
+    brightest = slice(0, min(count, len(catalogue)))
     return StarCatalogue(
-        catalogue.catalogue,
-        catalogue.star_id[some],
-        catalogue.name[some],
-        catalogue.ra_rad[some],
-        catalogue.dec_rad[some],
-        catalogue.pm_ra_cosdec_rad_per_yr[some],
-        catalogue.pm_dec_rad_per_yr[some],
-        catalogue.vmag[some],
-        catalogue.bv[some],
+        catalogue=catalogue.catalogue,
+        star_id=catalogue.star_id[brightest],
+        name=catalogue.name[brightest],
+        ra_rad=catalogue.ra_rad[brightest],
+        dec_rad=catalogue.dec_rad[brightest],
+        pm_ra_cosdec_rad_per_yr=catalogue.pm_ra_cosdec_rad_per_yr[brightest],
+        pm_dec_rad_per_yr=catalogue.pm_dec_rad_per_yr[brightest],
+        vmag=catalogue.vmag[brightest],
+        bv=catalogue.bv[brightest],
     )
 
 

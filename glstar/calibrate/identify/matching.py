@@ -1,11 +1,8 @@
 """Matching of predicted catalogue stars with detections, and the refinement of the plate solution on the matches.
 
-Significance of matches between catalogue stars and detections, and the number that chance explains.
-
-A faint catalogue star always has some detection near it: a hot pixel, a noise peak, a fainter star.  A match is kept
-if it is much more probable that the detection is the star than that another detection is as close by chance.
-
-Refinement of wide views: matches grow outwards from the middle of the image, together with a fisheye lens.
+A faint catalogue star always has some detection near it: a hot pixel, a noise peak, a fainter star.  A match is kept if
+it is much more probable that the detection is the star than that another detection is as close by chance.  In wide
+views the matches grow outwards from the middle of the image, together with a fisheye lens.
 """
 
 from dataclasses import dataclass, replace
@@ -20,9 +17,7 @@ from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
     IdentifiedStars,
-    Minimum,
     fit_parameters,
-    minimise,
     projection_jacobian,
 )
 from glstar.calibrate.identify.platesolution import (
@@ -33,6 +28,7 @@ from glstar.calibrate.identify.platesolution import (
     PlateSolution,
     ReferenceStars,
 )
+from glstar.calibrate.minimise import Minimum, minimise
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.model import Camera
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
@@ -56,10 +52,7 @@ _TAIL_SCALE: Final = 3.0
 
 
 def chance_pairs(stars: int, detections: int, radius_px: float, area_px2: float) -> float:
-    """Return the expected number of chance pairs of a catalogue star and a detection within a radius.
-
-    `stars`, `detections`: their numbers within the area.  Returns: expected number of pairs.
-    """
+    """Return the expected number of chance pairs within a radius, of all stars and detections in an area."""
     return stars * detections * np.pi * radius_px**2 / area_px2
 
 
@@ -83,10 +76,7 @@ def match_probability(separation_px: Float, scatter_px: Float, density_per_px2: 
 
 
 def significant(probability: Float) -> Mask:
-    """Return which matches are kept: the most probable ones, with a bound on the number of false ones among them.
-
-    `probability` (n,): from `match_probability`.  Returns (n,) bool.
-    """
+    """Return which matches are kept (n,): the most probable, with a bound on the number of false ones."""
     order = np.argsort(-probability, kind="stable")
     false_so_far = np.cumsum(1 - probability[order])
     most = np.maximum(_MOST_FALSE, _MOST_FALSE_FRACTION * np.arange(1, len(order) + 1))
@@ -181,7 +171,7 @@ _REFINEMENT: Final = _Refinement()
 def refine(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
     """Match and refine a solution with an error of at most 1 % of the image's width, with shrinking radii.
 
-    Returns: none if fewer than three stars match, or if the matches are insignificant.
+    The result is None if fewer than three stars match, or if the matches are insignificant.
     """
     radius_px = max(_REFINEMENT.first_radius * solution.camera.width_px, 3 * _REFINEMENT.min_radius_px)
     for number in range(_REFINEMENT.rounds):
@@ -222,7 +212,15 @@ def match_stars(
     detection_xy, star_xy = detected.xy_px[tried], xy[:stars]
     if not stars or not count:
         none = np.empty(0, dtype=np.intp)
-        return Matches(solution, none, none, np.empty((0, 2)), predicted, xy, 1.0)
+        return Matches(
+            solution=solution,
+            star=none,
+            detection=none,
+            residual_px=np.empty((0, 2)),
+            predicted=predicted,
+            predicted_xy_px=xy,
+            chance=1.0,
+        )
     detection, distance_px = mutual_nearest(star_xy, detection_xy, detected.psf_sigma_px)
     scale = np.where(deep & detected.saturated[tried[detection]], _MATCHING.saturated_radius, 1.0)
     matched = distance_px < radius_px * scale
@@ -240,7 +238,16 @@ def match_stars(
     star, paired = predicted[pairs], tried[detection[pairs]]
     residual_px = detection_xy[detection[pairs]] - xy[pairs]
     return Matches(
-        solution, star, paired, residual_px, predicted, xy, chance, false_alarm, needed, expected_by_chance=expected
+        solution=solution,
+        star=star,
+        detection=paired,
+        residual_px=residual_px,
+        predicted=predicted,
+        predicted_xy_px=xy,
+        chance=chance,
+        false_alarm=false_alarm,
+        needed=needed,
+        expected_by_chance=expected,
     )
 
 
@@ -303,16 +310,16 @@ def _false_alarm(matched: Mask, nearby: float) -> tuple[float, int]:
     subsets = sorted({int(count) for count in subsets if count <= stars})
     best, needed = 1.0, stars + 1
     for count in subsets:
-        found = int(matched[:count].sum())
+        matches = int(matched[:count].sum())
         number = np.arange(count + 1)
         beyond = number - _FALSE_ALARM.pattern_stars
         others = max(count - _FALSE_ALARM.pattern_stars, 1)
         tail = np.where(beyond < 1, 1.0, bdtrc(np.clip(beyond - 1, 0, others - 1), others, nearby))
         alarm = np.minimum(1.0, _FALSE_ALARM.solutions_tried * len(subsets) * tail)
-        if alarm[found] <= best:
+        if alarm[matches] <= best:
             enough = np.flatnonzero(alarm <= SIGNIFICANCE.false_alarm)
-            best = float(alarm[found])
-            needed = int(matched.sum()) - found + (int(enough[0]) if enough.size else count + 1)
+            best = float(alarm[matches])
+            needed = int(matched.sum()) - matches + (int(enough[0]) if enough.size else count + 1)
     return best, needed
 
 
@@ -330,9 +337,9 @@ def _brightest_counts(stars: int, detections: int, radius_px: float, area_px2: f
 
 
 def _residuals(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution, matches: Matches) -> Float:
-    found = detected.xy_px[matches.detection]
-    predicted = solution.project(reference.recorded(solution.C_camera_eq, matches.star, found, solution.camera))
-    return np.asarray(found - predicted)
+    detected_px = detected.xy_px[matches.detection]
+    recorded = reference.recorded(solution.C_camera_eq, matches.star, detected_px, solution.camera)
+    return np.asarray(detected_px - solution.project(recorded))
 
 
 def _refined(detected: DetectedStars, reference: ReferenceStars, matches: Matches, most_steps: int) -> PlateSolution:
@@ -418,10 +425,7 @@ def _residuals_and_jacobian(
 
 
 def without_k1(solution: PlateSolution, prior: Camera) -> PlateSolution:
-    """Return the solution with another principal point and without k1; stars near the middle stay where they are.
-
-    `prior`: it has the principal point.  Returns: its prior camera is `prior`.
-    """
+    """Return the solution with the principal point of its new prior and without k1; the middle stays where it is."""
     camera = solution.camera
     right_px, down_px = camera.cx_px - prior.cx_px, camera.cy_px - prior.cy_px
     turn_rad = np.array([np.arctan(down_px / camera.fy_px), -np.arctan(right_px / camera.fx_px), 0.0])
@@ -453,9 +457,9 @@ _GROWTH: Final = _Growth()
 def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
     """Match and refine a solution that is right near the middle of the image and has an approximate lens.
 
-    `solution`: its camera has a fisheye lens, and the focal length and attitude that fit the middle of the image.
-    Returns: with a fisheye that fits up to the corners; None if fewer than four stars match towards the corners, or if
-    the matches are insignificant.
+    `solution`: its camera has a fisheye lens, and the focal length and attitude that fit the middle of the image.  The
+    result has a fisheye that fits up to the corners; it is None if fewer than four stars match towards the corners, or
+    if the matches are insignificant.
     """
     camera, apparent = solution.camera, reference.to_camera(np.eye(3))
     assert camera.lens is not None

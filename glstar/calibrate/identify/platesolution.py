@@ -1,10 +1,7 @@
 """Plate solutions: the camera and the attitude that map the sky to an image.
 
-The catalogue stars that an image may show, as apparent directions over a site or without one.
-
-Sidereal trails: the motion of stars over the image of a camera at rest on the ground.
-
-Matches between catalogue stars and detections, and whether chance could explain them.
+Also the catalogue stars that an image may show, over a site or without one; the sidereal motion of stars over the image
+of a camera at rest; and the matches of stars with detections, and whether chance could explain them.
 """
 
 import itertools
@@ -15,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.identify.rollingshutter import ReadoutTime, RowTurns
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
@@ -158,8 +156,8 @@ class PlateSolution:
 def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
     """Return cameras with typical wide-angle lenses and the horizontal field of view of a given pinhole camera.
 
-    Returns: empty for a camera with a known lens and for a narrow field of view; for a field too wide for a pinhole it
-    includes cameras whose image circle fits the shorter side of the image.
+    There are none for a camera with a known lens and for a narrow field of view.  For a field too wide for a pinhole,
+    the image circle of some fits the shorter side of the image.
     """
     tangent = camera.width_px / 2 / camera.fx_px
     if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
@@ -230,7 +228,7 @@ class Matches:
     false_alarm: float = 1.0
     needed: int = 0  # Number of matches at which the false-alarm probability is small enough; 0 if it was not computed
     expected_by_chance: float = 0.0  # Expected number of false matches, which are unrelated detections near a star
-    notes: tuple[str, ...] = ()  # Remarks for the user: a mirrored image, an attitude far off
+    notes: tuple[Note, ...] = ()  # Remarks for the user: a mirrored image, an attitude far off
     # Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, of those that were fitted.
     standard_error: dict[str, float] = field(default_factory=dict)
     readout: ReadoutTime | None = None  # The readout time of a rolling shutter, if it was fitted
@@ -273,15 +271,14 @@ def require_significant(detected: DetectedStars, matches: Matches | None) -> Mat
     return replace(matches, notes=orientation_notes(0, matches.solution.mirrored))
 
 
-def orientation_notes(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
+def orientation_notes(turned_rad: float, mirrored: bool) -> tuple[Note, ...]:
     """Return notes for the user on an image that is turned or mirrored.
 
-    `turned_rad`: rotation against the given attitude and mount, rad; 0 for an upright image.  Returns: empty for an
-    upright, unmirrored image.
+    `turned_rad`: rotation against the given attitude and mount, rad.
     """
-    notes = []
+    texts = []
     if mirrored:
-        notes.append("the image is mirrored: left and right are exchanged")
+        texts.append("the image is mirrored: left and right are exchanged")
     if turned_rad:
-        notes.append(f"the image is turned by {np.rad2deg(turned_rad):.0f} deg against the given attitude and mount")
-    return tuple(notes)
+        texts.append(f"the image is turned by {np.rad2deg(turned_rad):.0f} deg against the given attitude and mount")
+    return tuple(Note(NoteKind.IDENTIFICATION, text) for text in texts)

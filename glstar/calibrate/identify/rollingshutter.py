@@ -1,7 +1,4 @@
-"""How an aircraft turns while a rolling shutter reads a photograph: each row sees the stars from its own attitude.
-
-The readout time of a rolling shutter as photographs show it, with its standard error.
-"""
+"""How an aircraft turns while a rolling shutter reads a photograph: each row sees the stars from its own attitude."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

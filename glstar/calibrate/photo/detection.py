@@ -1,7 +1,4 @@
-"""Detection of stars on an image, and measurement of their positions, amplitudes and widths.
-
-Level and noise of the sky background, at each pixel and over the whole image.
-"""
+"""Detection of stars on an image: their positions, amplitudes and widths; level and noise of the sky background."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -59,26 +56,22 @@ class SkyLevel:
 def background_of(image_dn: Float) -> Background:
     """Return the level and the noise of the background at each pixel.
 
-    `image_dn` (height, width).  Returns: clipped means of tiles, median-filtered over neighbouring tiles and
-    interpolated.
+    The level is the clipped mean of tiles, median-filtered over neighbouring tiles and interpolated.
     """
     level, noise = tile_statistics(image_dn)
     return Background(_spread(level, image_dn.shape), np.maximum(_spread(noise, image_dn.shape), 0.05))
 
 
 def tile_statistics(image: Float) -> tuple[Float, Float]:
-    """Return the clipped mean and standard deviation of each tile of an image.
-
-    `image` (height, width).  Returns `mean, std` (rows, columns).
-    """
+    """Return the clipped mean and standard deviation of each tile of an image, (rows, columns)."""
     side = _tile_px(image.shape)
     rows, columns = (-(-length // side) for length in image.shape)
     padded = np.pad(image, ((0, rows * side - image.shape[0]), (0, columns * side - image.shape[1])), mode="reflect")
     stride = max(1, side // _TILE_PX)
     tiles = padded.reshape(rows, side, columns, side)[:, ::stride, :, ::stride]
     values = np.sort(np.swapaxes(tiles, 1, 2).reshape(rows, columns, -1).astype(np.float32), axis=-1)
-    found = np.array([_clipped_moments(tile) for tile in values.reshape(rows * columns, -1)])
-    return found[:, 0].reshape(rows, columns), found[:, 1].reshape(rows, columns)
+    moments = np.array([_clipped_moments(tile) for tile in values.reshape(rows * columns, -1)])
+    return moments[:, 0].reshape(rows, columns), moments[:, 1].reshape(rows, columns)
 
 
 def _clipped_moments(ordered: NDArray[np.float32]) -> tuple[float, float]:
@@ -149,14 +142,14 @@ def _spread(tiles: Float, shape: tuple[int, int]) -> Float:
 
 def _clipped_gaussian(image_dn: Float, starless: Mask) -> tuple[float, float]:
     """Return mean and standard deviation of a Gaussian background clipped at 0: medians over parts of the image."""
-    found = []
+    tile_moments = []
     for rows in np.array_split(np.arange(image_dn.shape[0]), _PARTS):
         for columns in np.array_split(np.arange(image_dn.shape[1]), _PARTS):
             part = np.ix_(rows, columns)
             values = image_dn[part][starless[part]]
             if values.size >= _MIN_PIXELS:
-                found.append(_fit_clipped_gaussian(np.rint(values).astype(np.intp)))
-    mean, std = np.median(np.array(found), axis=0)
+                tile_moments.append(_fit_clipped_gaussian(np.rint(values).astype(np.intp)))
+    mean, std = np.median(np.array(tile_moments), axis=0)
     return float(mean), float(std)
 
 
@@ -263,11 +256,11 @@ class DetectedStars:
 
 
 def detect_stars(image: Photograph) -> DetectedStars:
-    """Detect the stars of an image.
+    """Detect the stars of an image; there may be none.
 
-    Returns: possibly empty.  Detections are significant peaks of the image smoothed with its PSF.  The renderer's
-    Gaussian (`glstar.calibrate.photo.psf`) is fitted to each, first with an individual width and then with the median
-    width of all stars, which stabilises the amplitudes of faint stars.
+    Detections are significant peaks of the image smoothed with its PSF.  The renderer's Gaussian
+    (`glstar.calibrate.photo.psf`) is fitted to each, first with an individual width and then with the median width of
+    all stars, which stabilises the amplitudes of faint stars.
     """
     pixels = image.pixels_dn
     background = background_of(pixels)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glstar.camera.photofile import PhotoPixels, as_digital_numbers, decode_photo, stated_shift_bits
 from glstar.camera.sensor.tonecurve import GAMMAS, light_before, recorded_by
 from glstar.errors import CalibrationError, ConfigError
-from glstar.system.imagefiles import size_error
+from glstar.system.imagefiles import encode_png, size_error
 
 Channel = Literal["value", "red", "green", "blue", "mean"]
 
@@ -70,15 +70,14 @@ def read_image(
 ) -> Photograph:
     """Return an image as one channel.
 
-    `path`: JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF; DNG,
-    HEIC; or FITS of one channel; `channel` {"value", "red", "green", "blue", "mean"}: channel of a colour image:
-    ``"value"`` is the V of HSV, the brightest of the three; `bit_depth`: bit depth of the converter if it is smaller
-    than that of the file: 12 for a raw image in 16 bits, whether its numbers are in the lowest bits or, left-aligned,
-    in the highest; by default 8; for a 16-bit file the depth whose largest number occurs in the image, else 16; a DNG
-    states it, and so does a grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits; `demosaiced`:
-    whether a DNG's mosaic becomes a colour image.  Raises CalibrationError if it cannot be read, is cut off, is too
-    large (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.  Teague & Chahl, section 2.5: the value
-    channel.
+    The file is JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF;
+    DNG; HEIC; or FITS of one channel.  `channel` is that of a colour image: ``"value"`` is the V of HSV, the brightest
+    of the three (Teague & Chahl, section 2.5).  `bit_depth` is that of the converter if it is smaller than that of the
+    file: 12 for a raw image in 16 bits, whether its numbers are in the lowest bits or, left-aligned, in the highest.
+    Its default is 8, or for a 16-bit file the depth whose largest number occurs in the image, else 16.  A DNG states
+    it, and so does a grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits.  `demosaiced`:
+    whether a DNG's mosaic becomes a colour image.  Raises CalibrationError if the file cannot be read, is cut off, is
+    too large (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.
     """
     path = Path(path)
     try:
@@ -150,8 +149,8 @@ def _depth_of(pixels: NDArray[Any]) -> int:
 def _exposure_s(content: bytes) -> float | None:
     """Return the exposure that the camera wrote into its file, s, or None."""
     if content.startswith(_FITS_BEGIN):
-        found = _FITS_EXPOSURE.search(content[:_END_WITHIN_BYTES])
-        return (float(found[1]) or None) if found else None
+        exposure = _FITS_EXPOSURE.search(content[:_END_WITHIN_BYTES])
+        return (float(exposure[1]) or None) if exposure else None
     try:
         tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
         return float(tags["EXIF ExposureTime"].values[0]) or None
@@ -168,8 +167,8 @@ def linearised(image: Photograph, gamma: str | float) -> Photograph:
     """Return the light of a photograph that a tone curve has processed.
 
     `image`: as recorded; `gamma`: as in ``[output] gamma``: ``"srgb"``, ``"rpi"``, or g for a recorded value that grows
-    as the light to the power of 1 / g.  Returns: of 16 bits, proportional to the light; the same where `gamma` is
-    ``"linear"``.  Raises ConfigError if there is no such curve.
+    as the light to the power of 1 / g; ``"linear"`` changes nothing.  The light has 16 bits.  Raises ConfigError if
+    there is no such curve.
     """
     if gamma == "linear":
         return image
@@ -205,3 +204,11 @@ def _checked_gamma(gamma: str | float) -> str | float:
     if not 0.1 <= number <= 10:
         raise ConfigError(f"--gamma is {', '.join(GAMMAS)}, fit, or a number from 0.1 to 10, not {gamma!r}")
     return number
+
+
+def encoded_image(suffix: str, pixels: NDArray[Any]) -> bytes:
+    """Return the content of an image file; `suffix`: that of its format, such as ``.png``."""
+    if suffix == ".png":
+        return encode_png(pixels if pixels.ndim == 2 else pixels[..., ::-1])
+    _, content = cv2.imencode(suffix, pixels)
+    return content.tobytes()

@@ -1,9 +1,7 @@
-"""The point spread function: the Gaussian that the renderer draws, integrated over pixels, and its fit to an image.
-
-The shape of stars: round, or elongated by motion during the exposure.
-"""
+"""The renderer's Gaussian, integrated over pixels, and its fit to stars; shapes of stars elongated by motion."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -11,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.special import erf
 
+from glstar.calibrate.minimise import minimise_each
 from glstar.camera.sensor.sensor import MIN_WIDENED_SIGMA_PX, PIXEL_VARIANCE_PX2
 
 Float = NDArray[np.float64]
@@ -130,12 +129,11 @@ def fit_stars(
 ) -> FittedStars:
     """Return Gaussians fitted to stars by least squares, all at once.
 
-    `image_dn` (height, width): the image; `usable` (height, width) bool: pixels that count: not saturated; `xy_px` (n,
-    2): positions of the stars to 1 or 2 px; each pixel belongs to the nearest star; `start_sigma_px`: approximate width
-    of the stars, px; `sigma_px`: fixed width; by default the width is fitted; `trail_px` (n, 2): uniform motion of each
-    star during the exposure; the amplitude is then that of the star at rest; by default the stars are at rest;
+    `usable` (height, width): pixels that count: not saturated.  `xy_px` (n, 2): positions of the stars to 1 or 2 px;
+    each pixel belongs to the nearest star.  `start_sigma_px`: approximate width; `sigma_px`: fixed width, by default
+    fitted.  `trail_px` (n, 2): uniform motion during the exposure; the amplitude is that of the star at rest.
     `stamp_trail_px` (n, 2): size the stamps for trails of these lengths, whatever `trail_px` is, so that fits can be
-    compared; `only` (k,) intp: fit and return only these; the others keep the pixels nearest to them.
+    compared.  `only` (k,): fit and return only these stars; the others keep the pixels nearest to them.
     Levenberg-Marquardt on amplitude, position, ln sigma and sky, with the renderer's model.  Departs from Teague &
     Chahl, eq. (39): the standard deviation of a set of intensities is not a length; the fitted sigma is.
     """
@@ -144,34 +142,34 @@ def fit_stars(
     longest_px = float(np.linalg.norm(trail if stamp_trail_px is None else stamp_trail_px, axis=1).max(initial=0.0))
     half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3) + longest_px / 2)) + 1
     # Blocks of a few stars fit into the processor's cache.
-    some = max(1, _BLOCK_PIXELS // (2 * half + 1) ** 2)
+    block = max(1, _BLOCK_PIXELS // (2 * half + 1) ** 2)
     corner, stamps, weights = _stamps(image_dn, usable, xy_px, half, np.arange(len(xy_px)) if only is None else only)
     if only is not None:
         xy_px, trail = xy_px[only], trail[only]
     near = xy_px - corner
-    fits = _fit_all(stamps, weights, near, trail, start, some, width_free=sigma_px is None)
+    fits = _fit_all(stamps, weights, near, trail, start, block, width_free=sigma_px is None)
     if sigma_px is None and fits[3].any():
         typical_px = float(np.exp(np.median(fits[0][fits[3], 3])))
         # Narrow and wide stars have different models: repeat the fit if the starting width chose the wrong one.
         if (typical_px < MIN_WIDENED_SIGMA_PX) != (start < MIN_WIDENED_SIGMA_PX):
-            fits = _fit_all(stamps, weights, near, trail, typical_px, some, width_free=True)
+            fits = _fit_all(stamps, weights, near, trail, typical_px, block, width_free=True)
     return _fitted_stars(*fits, corner, weights, free=5 if sigma_px is None else 4)
 
 
 def _fit_all(
-    stamps: Float, weights: Float, near: Float, trail: Float, start_px: float, some: int, *, width_free: bool
+    stamps: Float, weights: Float, near: Float, trail: Float, start_px: float, block: int, *, width_free: bool
 ) -> tuple[Float, Float, Float, Mask]:
-    """Return what `_fit_some` returns, for all stars, `some` at a time."""
+    """Return what `_fit_some` returns, for all stars, `block` at a time."""
     fits = [
         _fit_some(
-            stamps[k : k + some],
-            weights[k : k + some],
-            near[k : k + some],
-            trail[k : k + some],
+            stamps[k : k + block],
+            weights[k : k + block],
+            near[k : k + block],
+            trail[k : k + block],
             start_px,
             width_free=width_free,
         )
-        for k in range(0, len(near), some)
+        for k in range(0, len(near), block)
     ]
     if not fits:
         return np.empty((0, 5)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_)
@@ -208,30 +206,23 @@ def _fit_some(
     p[:, 0] /= dilution(trail, start)
     model = _Model(stamps, weights, trail, _exposure_samples(trail, start), start >= MIN_WIDENED_SIGMA_PX, width_free)
 
-    damping = np.full(len(p), 1e-3)
-    cost, gradient, normal = model.normal_equations(p)
-    moving = np.ones(len(p), dtype=np.bool_)
-    for _ in range(_ROUNDS):
-        k = np.flatnonzero(moving)
-        if not k.size:
-            break
-        step = _step(gradient[k], normal[k], damping[k], width_free=width_free)
-        trial = p[k] + step
-        trial[:, 3] = np.clip(trial[:, 3], np.log(_NARROWEST_PX), np.log(half + 1.0))
-        trial_cost, trial_gradient, trial_normal = model.some(k).normal_equations(trial)
-        better = trial_cost <= cost[k]
-        won = k[better]
-        p[won], cost[won] = trial[better], trial_cost[better]
-        gradient[won], normal[won] = trial_gradient[better], trial_normal[better]
-        damping[k] = np.clip(np.where(better, damping[k] / 8, damping[k] * 6), 1e-9, 1e9)
-        small = (np.abs(step[:, 1:4]) < _CONVERGED).all(axis=1)
-        moving[k[small]] = False
+    def bounded(p: Float) -> Float:
+        p[:, 3] = np.clip(p[:, 3], np.log(_NARROWEST_PX), np.log(half + 1.0))
+        return p
 
+    p, cost, normal, converged = minimise_each(
+        p,
+        lambda p, k: model.some(k).normal_equations(p),
+        lambda step: np.asarray((np.abs(step[:, 1:4]) < _CONVERGED).all(axis=1)),
+        step_of=partial(_step, width_free=width_free),
+        bounded=bounded,
+        most_steps=_ROUNDS,
+    )
     at_home = (np.abs(p[:, 1:3] - half) <= half).all(axis=1)
     # A peak that is not a star may leave a parameter undetermined.
     variance = np.maximum(np.diagonal(np.linalg.pinv(normal, hermitian=True), axis1=1, axis2=2), 0.0)
     variance = np.column_stack([variance[:, 0], variance[:, 4] if width_free else np.zeros(len(p))])
-    return p, cost, variance, ~moving & at_home & np.isfinite(p).all(axis=1)
+    return p, cost, variance, converged & at_home & np.isfinite(p).all(axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -346,18 +337,14 @@ def _axis(offset: Float, sigma: Float, *, widened: bool) -> tuple[Float, Float, 
     return g, at_lower - at_upper, g - sigma * (upper * at_upper - lower * at_lower)
 
 
-def _step(gradient: Float, normal: Float, damping: Float, *, width_free: bool) -> Float:
-    """Return the damped Gauss-Newton step of each star, (n, 5); 0 for fixed parameters."""
-    damped = normal.copy()
-    diagonal = np.einsum("nii->ni", damped)
-    diagonal += damping[:, np.newaxis] * diagonal + 1e-12
-    found = np.linalg.solve(damped, gradient[..., np.newaxis])[..., 0]
-    step = np.zeros((len(gradient), 5))
+def _step(solution: Float, *, width_free: bool) -> Float:
+    """Return the step of each star, (n, 5), from that of its free parameters; 0 for fixed parameters."""
+    step = np.zeros((len(solution), 5))
     # In one step a star moves by at most a pixel, and widens by at most half.
-    step[:, 0], step[:, 4] = found[:, 0], found[:, 3]
-    step[:, 1:3] = found[:, 1:3].clip(-1, 1)
+    step[:, 0], step[:, 4] = solution[:, 0], solution[:, 3]
+    step[:, 1:3] = solution[:, 1:3].clip(-1, 1)
     if width_free:
-        step[:, 3] = found[:, 4].clip(-0.5, 0.5)
+        step[:, 3] = solution[:, 4].clip(-0.5, 0.5)
     return step
 
 
@@ -377,12 +364,9 @@ _VARIANCE_FRACTION: Final = 1 / 11
 
 
 def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float:
-    """Return the approximate length of the stars' trails, px; 0 if they are round.
+    """Return the median length of the trails of the brightest stars without unusable pixels, px; 0 if they are round.
 
-    `above_dn` (height, width): the image without its sky, DN; `usable` (height, width) bool: mask of the usable pixels;
-    `xy_px` (n, 2): positions of bright stars, the brightest first; `sigma_px`: approximate width of the stars, px.
-    Returns the median trail length of the brightest stars without unusable pixels, px.  Second moments under a
-    Gaussian window that is adapted to the star's shape until both agree.
+    The parameters are those of `star_shapes`.
     """
     xx, yy, xy = star_shapes(above_dn, usable, xy_px, sigma_px)
     if len(xx) < _LEAST_SHAPES:

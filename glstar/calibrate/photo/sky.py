@@ -1,7 +1,4 @@
-"""The sky of a photograph: its brightness over the image, and its noise against that brightness.
-
-Photographs that a camera has processed with a tone curve: their light, and the gamma that their noise shows.
-"""
+"""The sky of a photograph: its brightness over the image, its noise against that brightness, and the gamma it shows."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -143,11 +140,10 @@ def before_clipping(cut_mean: Float, cut_std: Float) -> tuple[Float, Float]:
 
 
 def measure_noise(sky: SkyMap) -> NoiseAgainstLevel | None:
-    """Return the noise of the sky against its level.
+    """Return the noise of the sky against its level; None if there is too little sky.
 
-    Returns: none if there is too little sky.  EMVA 1288, eq. (9): the variance grows by the gain K for each DN.  A
-    line is fitted to the variances of blocks of pixels, clipped at 3.5 standard deviations, with weights from their
-    scatter.
+    EMVA 1288, eq. (9): the variance grows by the gain K for each DN.  A line is fitted to the variances of blocks of
+    pixels, clipped at 3.5 standard deviations, with weights from their scatter.
     """
     height, width = (length // _BLOCK_PX * _BLOCK_PX for length in sky.level_dn.shape)
     blocks = [
@@ -248,7 +244,7 @@ def _misfit_of_gamma(light: Float, variance: Float, relative_error: Float) -> fl
     ones = 1 / relative_error
     trials = []
     for columns in ([0, 1], [0], [1]):
-        found = np.linalg.lstsq(design[:, columns], ones, rcond=None)[0]
-        if (found >= 0).all():
-            trials.append(float(np.sum((ones - design[:, columns] @ found) ** 2)))
+        solution = np.linalg.lstsq(design[:, columns], ones, rcond=None)[0]
+        if (solution >= 0).all():
+            trials.append(float(np.sum((ones - design[:, columns] @ solution) ** 2)))
     return min(trials)

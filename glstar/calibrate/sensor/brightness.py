@@ -1,8 +1,7 @@
-"""What the brightness of stars depends on besides their V magnitude: the camera's band, vignetting and tone.
+"""What the brightness of stars in a photograph depends on besides their V magnitude.
 
-Extinction in photographs: fitted to its stars, or given, and taken out of the reference brightness.
-
-The brightness of each star as one photograph records it, besides what the sensor model explains.
+The camera's band, vignetting and tone; the extinction of the air, fitted or given, and taken out of the reference
+brightness; and what each star has besides, as the photograph records it.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.sensor.calibration import Calibration
 from glstar.calibrate.sensor.combine import Observations, StarTable, solve_brightness
 from glstar.calibrate.sensor.misfit import Measurement
@@ -95,10 +95,16 @@ def fit_brightness_terms(
         slope = Measurement(float(q[-1]), float(q_error[-1]))
     model = p[0] + sum((columns[name] * p[k + 1] for k, name in enumerate(names)), np.zeros_like(off))
     return BrightnessTerms(
-        float(p[0]), float(error[0]), terms.get("colour"), terms.get("curvature"), terms.get("loss"), slope, scatter,
-        int(used.sum()),
-        off - model,
-    )  # fmt: skip
+        zero_mag=float(p[0]),
+        zero_error_mag=float(error[0]),
+        colour=terms.get("colour"),
+        curvature=terms.get("curvature"),
+        loss_mag=terms.get("loss"),
+        magnitude_slope=slope,
+        scatter_mag=scatter,
+        stars=int(used.sum()),
+        residual_mag=off - model,
+    )
 
 
 def _left_out(names: list[str], p: Float, all_by_chance: float, by_chance: list[float]) -> str | None:
@@ -120,14 +126,14 @@ def _by_chance(design: Float, values: Float, noise: Float, p: Float) -> tuple[fl
 
     F tests of the fits without them.
     """
-    left = values - design @ p
-    root = np.sqrt(_huber_weights(left, noise, robust_std(left, float(np.median(left)))))
+    residual = values - design @ p
+    root = np.sqrt(_huber_weights(residual, noise, robust_std(residual, float(np.median(residual)))))
     free = max(len(values) - design.shape[1], 1)
     weighted, of_values = design * root[:, np.newaxis], values * root
 
     def cost(columns: list[int]) -> float:
-        found = np.linalg.lstsq(weighted[:, columns], of_values, rcond=None)[0]
-        return float(np.sum((of_values - weighted[:, columns] @ found) ** 2))
+        solution = np.linalg.lstsq(weighted[:, columns], of_values, rcond=None)[0]
+        return float(np.sum((of_values - weighted[:, columns] @ solution) ** 2))
 
     every = list(range(design.shape[1]))
     whole = max(cost(every), 1e-12)
@@ -140,9 +146,9 @@ def _by_chance(design: Float, values: Float, noise: Float, p: Float) -> tuple[fl
     return chance(every[1:]), [chance([k]) for k in every[1:]]
 
 
-def _huber_weights(left: Float, noise: Float, scatter: float) -> Float:
+def _huber_weights(residual: Float, noise: Float, scatter: float) -> Float:
     total = np.hypot(max(scatter, 0.01), noise)
-    return np.asarray(np.minimum(1.0, _HUBER * total / np.maximum(np.abs(left), 1e-9)) / total**2)
+    return np.asarray(np.minimum(1.0, _HUBER * total / np.maximum(np.abs(residual), 1e-9)) / total**2)
 
 
 def robust_fit(
@@ -160,11 +166,11 @@ def robust_fit(
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
         p = np.asarray(np.linalg.lstsq(design * root[:, np.newaxis], values * root, rcond=None)[0], dtype=np.float64)
-        left = values - design @ p
-        scatter = robust_std(left, float(np.median(left)))
-        weight = _huber_weights(left, noise, scatter)
+        residual = values - design @ p
+        scatter = robust_std(residual, float(np.median(residual)))
+        weight = _huber_weights(residual, noise, scatter)
     inverse = np.linalg.pinv((design * weight[:, np.newaxis]).T @ design)
-    score = design * (weight * left)[:, np.newaxis]
+    score = design * (weight * residual)[:, np.newaxis]
     if same is not None:
         _, group = np.unique(same, return_inverse=True)
         score = np.stack([np.bincount(group, weights=column) for column in score.T], axis=-1)
@@ -202,22 +208,21 @@ class AirTerm:
         }
 
     @property
-    def note(self) -> str:
+    def note(self) -> Note:
         """What was done, for the user."""
         masses = f"air masses {self.lowest_mass:.2f} to {self.highest_mass:.2f}"
         how = "as given" if self.error_mag is None else f"± {self.error_mag:.3f}, fitted"
-        return (
+        return Note(
+            NoteKind.SENSOR,
             f"reference_peak_dn is above the air: {self.zenith_mag:.3f} mag per air mass ({how}; {self.stars} stars,"
-            f' {masses}) are taken out; simulate with [sky] extinction = "standard"'
+            f' {masses}) are taken out; simulate with [sky] extinction = "standard"',
         )
 
 
 def above_air(calibration: Calibration, zenith_mag: float | None = None) -> Calibration:
     """Return a calibration whose reference brightness is that above the air.
 
-    `calibration`: of an image whose site, time and attitude are known; `zenith_mag`: extinction per air mass, mag; by
-    default it is fitted.  Raises CalibrationError if the zenith is unknown, or the stars do not show the extinction.
-    As `above_air_together` with one image.
+    The parameters and errors are those of `above_air_together`.
     """
     return above_air_together((calibration,), zenith_mag)[0]
 
@@ -226,7 +231,7 @@ def above_air_together(parts: Sequence[Calibration], zenith_mag: float | None = 
     """Return calibrations of photographs of one night, whose reference brightness is that above the air.
 
     `parts`: of images whose site, time and attitude are known; `zenith_mag`: extinction per air mass, mag; by default
-    one value is fitted to the stars of all images.  Returns: in the order of the images.  Raises CalibrationError if
+    one value is fitted to the stars of all images.  Raises CalibrationError if
     a zenith is unknown, or the stars do not show the extinction.  Magnitudes measured minus fitted are a + k X + b (B
     - V) + c r^2, with X the air mass; b and c, which are centred on the stars, keep band and vignetting out of k.
     Each image has an a of its own, for haze, and exposures that are not quite those given.
@@ -237,14 +242,15 @@ def above_air_together(parts: Sequence[Calibration], zenith_mag: float | None = 
         offsets, k, k_error = _fitted_air(parts, masses, used)
     else:
         offsets = [
-            _air_offset(part, zenith_mag * mass, some) for part, mass, some in zip(parts, masses, used, strict=True)
+            _air_offset(part, zenith_mag * mass, is_used)
+            for part, mass, is_used in zip(parts, masses, used, strict=True)
         ]
         k, k_error = zenith_mag, None
-    seen = np.concatenate([mass[some] for mass, some in zip(masses, used, strict=True)])
+    seen = np.concatenate([mass[is_used] for mass, is_used in zip(masses, used, strict=True)])
     air = AirTerm(k, k_error, float(seen.min()), float(seen.max()), seen.size)
     return tuple(
-        _taken_out(part, k * mass, some, *offset, air)
-        for part, mass, some, offset in zip(parts, masses, used, offsets, strict=True)
+        _taken_out(part, k * mass, is_used, *offset, air)
+        for part, mass, is_used, offset in zip(parts, masses, used, offsets, strict=True)
     )
 
 
@@ -264,11 +270,11 @@ def _taken_out(
     air: AirTerm,
 ) -> Calibration:
     """Return a calibration with the extinction of each star taken out, and its offset above the air."""
-    left = (calibration.off_mag - offset_mag - lost_mag)[used]
+    residual_mag = (calibration.off_mag - offset_mag - lost_mag)[used]
     fit = replace(
         calibration.brightness,
         reference_peak_dn=calibration.brightness.reference_peak_dn * float(10 ** (-0.4 * offset_mag)),
-        scatter_mag=robust_std(left, float(np.median(left))),
+        scatter_mag=robust_std(residual_mag, float(np.median(residual_mag))),
         error_mag=error_mag,
     )
     sensor = replace(calibration.sensor, reference_peak_dn=fit.reference_peak_dn)
@@ -309,8 +315,8 @@ def _fitted_air(
     parts: Sequence[Calibration], masses: Sequence[Float], used: Sequence[NDArray[np.bool_]]
 ) -> tuple[list[tuple[float, float]], float, float]:
     """Return the offset of each image above the air with its error, and the extinction per air mass with its, mag."""
-    mass = np.concatenate([one[some] for one, some in zip(masses, used, strict=True)])
-    spans = [np.percentile(one[some], [5, 95]) for one, some in zip(masses, used, strict=True) if some.any()]
+    mass = np.concatenate([one[is_used] for one, is_used in zip(masses, used, strict=True)])
+    spans = [np.percentile(one[is_used], [5, 95]) for one, is_used in zip(masses, used, strict=True) if is_used.any()]
     if mass.size < _LEAST_AIR_STARS or max(high - low for low, high in spans) < _LEAST_AIR_SPAN:
         low, high = max(spans, key=lambda span: span[1] - span[0]) if spans else (np.nan, np.nan)
         where = "the image has" if len(parts) == 1 else "the images have, at best on one of them,"
@@ -323,13 +329,13 @@ def _fitted_air(
         )
 
     def of_all(values: Callable[[Calibration], NDArray[Any]]) -> NDArray[Any]:
-        return np.concatenate([values(part)[some] for part, some in zip(parts, used, strict=True)])
+        return np.concatenate([values(part)[is_used] for part, is_used in zip(parts, used, strict=True)])
 
     bv = of_all(lambda part: star_colours(part.reference.stars, part.matches.star))
     bv = np.clip(np.nan_to_num(bv, nan=USUAL_BV), *VALID_BV)
     across = of_all(lambda part: corner_distance(part.image, part.matches, part.stars.xy_px) ** 2)
     more = [one - np.median(one) for one in (bv, across)][: mass.size // _STARS_PER_AIR_TERM]
-    image = np.repeat(np.arange(len(parts)), [int(some.sum()) for some in used])
+    image = np.repeat(np.arange(len(parts)), [int(is_used.sum()) for is_used in used])
     design = np.column_stack([image[:, np.newaxis] == np.arange(len(parts)), mass, *more])
     noise_mag = of_all(lambda part: 1.0857 * part.stars.noise_dn / part.stars.peak_dn)
     star_id = of_all(lambda part: part.stars.star_id)
@@ -350,10 +356,10 @@ def recorded_brightness(
     """Return the magnitudes of the matched stars in the camera's band.
 
     `terms`: what their brightness depends on; `colour`: the camera's band; `flux_dn`, `error_dn` (n,): of the matched
-    stars, with standard errors, DN.  Returns: of the stars that are neither saturated nor blended.  A star differs
-    from the catalogue because it varies, because its light is that of several stars or of a nebula, or because of air
-    and cloud before it.  The deviations are shrunk towards their median, as those of several photographs are: a star
-    whose noise is as large as the spread of all stars keeps half of its deviation.
+    stars, with standard errors, DN.  Saturated and blended stars are left out.  A star differs from the catalogue
+    because it varies, because its light is that of several stars or of a nebula, or because of air and cloud before it.
+    The deviations are shrunk towards their median, as those of several photographs are: a star whose noise is as large
+    as the spread of all stars keeps half of its deviation.
     """
     stars, reference = calibration.stars, calibration.reference.stars
     measured = np.isfinite(terms.residual_mag) & (flux_dn > _LEAST_SNR * error_dn)
@@ -366,6 +372,11 @@ def recorded_brightness(
     of_band = colour.magnitude_minus_v(colours_used(reference, matched))
     names = tuple(reference.name[k] for k in matched.tolist())
     return StarTable(
-        reference.catalogue, reference.star_id[matched], names, stars.vmag[chosen], of_band + zero_mag[0] + off_mag,
-        error_mag, np.ones_like(order),
-    )  # fmt: skip
+        catalogue=reference.catalogue,
+        star_id=reference.star_id[matched],
+        name=names,
+        vmag=stars.vmag[chosen],
+        off_mag=of_band + zero_mag[0] + off_mag,
+        error_mag=error_mag,
+        images=np.ones_like(order),
+    )

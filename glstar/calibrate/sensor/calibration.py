@@ -1,7 +1,4 @@
-"""The calibration of a sensor from one photograph, and its output formats.
-
-The shape of the stars of a photograph as keys of the sensor: Moffat wings, ellipticity and growth off axis.
-"""
+"""The calibration of a sensor from one photograph, its output formats, and the shape of the stars."""
 
 import csv
 import io
@@ -15,6 +12,7 @@ from scipy.optimize import least_squares
 from glstar import __version__
 from glstar.calibrate.geometry.camera import GeometryCalibration, calibration_toml, camera_notes, refraction_notes
 from glstar.calibrate.identify.platesolution import Matches, ReferenceStars
+from glstar.calibrate.notes import SHAPE_NOTES, Note, NoteKind, notes_without
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.sensor.fit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
@@ -47,7 +45,7 @@ class Calibration:
     brightness: BrightnessFit
     stars: MeasuredStars
     method: str  # How the stars were identified
-    notes: tuple[str, ...]  # Remarks for the user
+    notes: tuple[Note, ...]  # Remarks for the user
     misfit: Misfit  # Effects in the photograph that the sensor model lacks
     # (n,) or None: what the air took from each star, if the reference brightness is above the air.
     extinction_mag: Float | None = None
@@ -84,10 +82,7 @@ class Calibration:
         return GeometryCalibration(self.image, self.detected, self.reference, self.matches, self.method, self.notes)
 
     def to_toml(self) -> str:
-        """Return the calibration as TOML, for ``[sensor] file`` or ``--config``.
-
-        Returns ``[sensor]`` and ``[camera]``; their origin is a comment.
-        """
+        """Return ``[sensor]`` and ``[camera]`` as TOML, with their origin as a comment."""
         head = [
             f"Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
             f" ({self.method}), {int(self.brightness.used.sum())} used.",
@@ -130,14 +125,11 @@ class Calibration:
             },
             "extinction": self.air or {"reference_is": "below the air"},
             "misfit": self.misfit.to_json(),
-            "notes": list(self.notes),
+            "notes": [note.text for note in self.notes],
         }
 
     def to_csv(self) -> str:
-        """Return the list of identified stars.
-
-        Returns one line per star, in the order of catalogue brightness; lengths in px, brightness in DN.
-        """
+        """Return a line for each identified star, the brightest first; lengths in px, brightness in DN."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_STAR_COLUMNS)
@@ -188,21 +180,37 @@ def calibrate(
         *misfit.notes(sensor, linear=fit.linear),
     )
     sensor = replace(sensor, effects=dict(sensor.effects) | image.output_keys)
-    return Calibration(image, detected, reference, matches, sensor, fit, stars, method, notes, misfit)
+    return Calibration(
+        image=image,
+        detected=detected,
+        reference=reference,
+        matches=matches,
+        sensor=sensor,
+        brightness=fit,
+        stars=stars,
+        method=method,
+        notes=notes,
+        misfit=misfit,
+    )
 
 
 def _doubtful(
     detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars, misfit: Misfit
-) -> tuple[str, ...]:
+) -> tuple[Note, ...]:
     """Return remarks on doubtful numbers."""
     notes = []
+
+    def note(text: str, kind: NoteKind = NoteKind.SENSOR) -> None:
+        notes.append(Note(kind, text))
+
     if stars.moved:
-        notes.append(
+        note(
             f"the stars moved by up to {stars.longest_trail_px:.1f} px in {sensor.reference_exposure_s:g} s (sidereal"
-            " motion): sigma and brightness are corrected for it"
+            " motion): sigma and brightness are corrected for it",
+            NoteKind.MOTION,
         )
     elif detected.drawn_out_px:
-        notes.append(
+        note(
             f"the stars are elongated by about {detected.drawn_out_px:.1f} px but were fitted as round: sigma includes"
             " the blur; hold the camera still, focus, and use a shorter exposure"
         )
@@ -213,7 +221,7 @@ def _doubtful(
             f"{100 * (10 ** ((LIGHT_DEX_PER_MAG - slope) * (m - fit.reference_vmag)) - 1):+.0f} % at {m:.1f} mag"
             for m in (span.min(), span.max())
         )
-        notes.append(
+        note(
             f"brightness falls by {-slope:.2f} dex per magnitude and flux by {-LIGHT_DEX_PER_MAG:.2f}: the response is"
             f" not linear, but has a gamma of {exponent:.2f} (JPEG, processing): take raw images, or try"
             f" --gamma {1 / max(exponent, 0.1):.2g}; the calibration holds at"
@@ -223,17 +231,18 @@ def _doubtful(
     # A gradient and vignetting have their own notes.
     uneven_dn, besides = misfit.unexplained_unevenness(sky)
     if uneven_dn > _UNEVEN * max(sky.std_dn, 1.0):
-        notes.append(
+        note(
             f"the sky is uneven: its level differs by {uneven_dn:.1f} DN {besides}, its noise is"
-            f" {sky.std_dn:.1f} DN, and the sensor model has a single level"
+            f" {sky.std_dn:.1f} DN, and the sensor model has a single level",
+            NoteKind.UNEVEN_SKY,
         )
     if stars.saturated.mean() > _MANY_SATURATED:
-        notes.append(
+        note(
             f"{int(stars.saturated.sum())} of {len(stars)} identified stars are saturated; a shorter exposure would"
             " measure brightness and sigma better"
         )
     if fit.used.sum() < 10:
-        notes.append(f"the brightness is measured on {int(fit.used.sum())} stars only: ± {fit.error_mag:.2f} mag")
+        note(f"the brightness is measured on {int(fit.used.sum())} stars only: ± {fit.error_mag:.2f} mag")
     return tuple(notes)
 
 
@@ -244,19 +253,17 @@ _GAUSSIAN_BETA: Final = 15.0
 # Mean square of the distance from the centre of stars all over an image, over that of a corner.
 _MEAN_SQUARE_DISTANCE: Final = 1 / 3
 _LARGEST_ELLIPTICITY: Final = 0.4
-# What the notes on the effects begin with that the sensor then has.
-_EXPLAINED: Final = ("the stars have wings", "the stars are elliptical", "the stars in the corner are")
 
 
 def with_point_spread(calibration: Calibration) -> Calibration:
-    """Return a calibration whose sensor has the shape of the stars besides their width.
+    """Return a calibration whose sensor has the shape of the stars: Moffat wings, ellipticity and growth off axis.
 
-    Returns: ellipticity and growth only where they are significant; width and amplitude are those of the Moffat profile
-    on the axis.
+    Ellipticity and growth are there only where they are significant; width and amplitude are those of the profile on
+    axis.
     """
     sensor, misfit = calibration.sensor, calibration.misfit
     effects: dict[str, EffectValue] = dict(sensor.effects)
-    found = []
+    terms = []
     sigma_px, peak_dn = sensor.psf_sigma_px, sensor.reference_peak_dn
     if misfit.stacked is not None:
         beta, width, amplitude = fit_moffat(misfit.stacked)
@@ -267,21 +274,21 @@ def with_point_spread(calibration: Calibration) -> Calibration:
             peak_dn *= amplitude * (sigma_px**2 / recorded_px2) * (width**2 * recorded_px2 / narrower_px2)
             sigma_px = float(np.sqrt(narrower_px2))
             effects |= {"sensor.psf": "moffat", "sensor.psf_beta": round(beta, 3)}
-            found.append(f"Moffat profile of beta {beta:.2f}")
+            terms.append(f"Moffat profile of beta {beta:.2f}")
     growth = misfit.corner_growth
     if growth is not None and growth.exceeds(0.0) and growth.value > 0:
         effects["sensor.psf_growth"] = round(growth.value, 4)
         sigma_px /= 1 + growth.value * _MEAN_SQUARE_DISTANCE
         peak_dn *= (1 + growth.value * _MEAN_SQUARE_DISTANCE) ** 2
-        found.append(f"growth to the corners {growth.value:.3f} ± {growth.standard_error:.3f}")
+        terms.append(f"growth to the corners {growth.value:.3f} ± {growth.standard_error:.3f}")
     if misfit.ellipticity is not None and misfit.ellipticity.exceeds(0.0):
         ellipticity = min(1 - 1 / misfit.axis_ratio, _LARGEST_ELLIPTICITY)
         effects["sensor.psf_ellipticity"] = round(ellipticity, 4)
         effects["sensor.psf_angle_deg"] = round(float(np.rad2deg(misfit.long_axis_rad)), 1)
-        found.append(f"ellipticity {ellipticity:.3f} ± {misfit.ellipticity.standard_error:.3f}")
+        terms.append(f"ellipticity {ellipticity:.3f} ± {misfit.ellipticity.standard_error:.3f}")
     shaped = replace(sensor, psf_sigma_px=sigma_px, reference_peak_dn=float(peak_dn), effects=effects)
-    kept = tuple(note for note in calibration.notes if not note.startswith(_EXPLAINED))
-    notes = (*kept, f"shape of the stars: {', '.join(found) if found else 'plain Gaussians'}")
+    shape = f"shape of the stars: {', '.join(terms) if terms else 'plain Gaussians'}"
+    notes = (*notes_without(calibration.notes, SHAPE_NOTES), Note(NoteKind.SENSOR, shape))
     return replace(calibration, sensor=shaped, notes=notes)
 
 
@@ -293,8 +300,8 @@ def fit_moffat(stacked: RadialProfile) -> tuple[float, float, float]:
     square root of their area, so that wings count.
     """
     radius, brightness = stacked.radius_sigma, stacked.brightness
-    known = np.isfinite(brightness)
-    radius, brightness = radius[known], brightness[known]
+    is_known = np.isfinite(brightness)
+    radius, brightness = radius[is_known], brightness[is_known]
     weight = np.sqrt(radius)
 
     def residuals(parameters: Float) -> Float:

@@ -1,7 +1,4 @@
-"""Several photographs of one camera: one sensor, and the brightness of each star as the camera records it.
-
-The report of several photographs of one camera as a PNG.
-"""
+"""Several photographs of one camera: one sensor, the brightness of each star as the camera records it, and a report."""
 
 import csv
 import io
@@ -15,6 +12,7 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.calibrate.geometry.camera import calibration_toml
 from glstar.calibrate.geometry.lensfit import SharedLensFit, require_one_camera
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.sensor.calibration import Calibration
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
@@ -98,7 +96,7 @@ class CombinedCalibration:
     spread_mag: float  # Intrinsic standard deviation of stars about the catalogue, magnitudes
     # Repeatability of a star between images, standard deviation, magnitudes; NaN if no star is on two.
     repeat_mag: float
-    notes: tuple[str, ...]  # Remarks for the user
+    notes: tuple[Note, ...]  # Remarks for the user
     shared_lens: SharedLensFit | None = None  # The lens fitted to all images together, if requested
 
     @property
@@ -106,10 +104,10 @@ class CombinedCalibration:
         """The part with the most stars, whose camera is written."""
         return max(self.parts, key=lambda part: len(part.stars))
 
-    def to_toml(self, star_brightness: str) -> str:
+    def to_toml(self, star_brightness: str | None = None) -> str:
         """Return the calibration as TOML, for ``[sensor] file`` or ``--config``.
 
-        `star_brightness`: the name of the table's file, beside this one.
+        `star_brightness`: the name of the table's file, beside this one; None to leave the table out.
         """
         names = ", ".join(part.image.path.name for part in self.parts)
         head = [
@@ -130,7 +128,7 @@ class CombinedCalibration:
         return {"shared_lens": self.shared_lens.to_json([part.image.path.name for part in self.parts])}
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers, ready for JSON; returns ``images`` holds `Calibration.to_json` of each part."""
+        """Return all numbers as JSON-serialisable values; ``images`` holds `Calibration.to_json` of each part."""
         return {
             "schema": 2,
             "glstar": __version__,
@@ -140,7 +138,7 @@ class CombinedCalibration:
             "repeat_mag": None if np.isnan(self.repeat_mag) else self.repeat_mag,
             "fainter_mag": self.fainter_mag.tolist(),
             "extinction": self.air or {"reference_is": "below the air"},
-            "notes": list(self.notes),
+            "notes": [note.text for note in self.notes],
             **self._lens_json(),
             "images": [part.to_json() for part in self.parts],
         }
@@ -182,10 +180,19 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
         sky_std_dn=float(np.median([part.sensor.sky_std_dn for part in alike])),
     )
     fainter_mag = zero_mag - middle
-    lens_notes = () if shared_lens is None else (shared_lens.summary,)
+    lens_notes = () if shared_lens is None else (Note(NoteKind.CAMERA, shared_lens.summary),)
     notes = (*lens_notes, *_differences(parts, sensor, fainter_mag), *_of_each(parts))
     repeat_mag = _repeat_mag(seen, zero_mag)
-    return CombinedCalibration(parts, sensor, table, fainter_mag, spread_mag, repeat_mag, notes, shared_lens)
+    return CombinedCalibration(
+        parts=parts,
+        sensor=sensor,
+        table=table,
+        fainter_mag=fainter_mag,
+        spread_mag=spread_mag,
+        repeat_mag=repeat_mag,
+        notes=notes,
+        shared_lens=shared_lens,
+    )
 
 
 def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float, Float, Float, float]:
@@ -246,15 +253,21 @@ def _error_mag(part: Calibration) -> Float:
 def _table(
     parts: tuple[Calibration, ...], star_id: NDArray[np.int32], off_mag: Float, error_mag: Float, count: Index
 ) -> StarTable:
-    known: dict[int, tuple[str, float]] = {}
+    catalogued: dict[int, tuple[str, float]] = {}
     for part in parts:
         for k, number in enumerate(part.stars.star_id):
-            known[int(number)] = part.stars.name[k], float(part.stars.vmag[k])
-    vmag = np.array([known[int(number)][1] for number in star_id])
+            catalogued[int(number)] = part.stars.name[k], float(part.stars.vmag[k])
+    vmag = np.array([catalogued[int(number)][1] for number in star_id])
     order = np.flatnonzero(count)[np.argsort(vmag[count > 0], kind="stable")]
-    names = tuple(known[int(star_id[k])][0] for k in order)
+    names = tuple(catalogued[int(star_id[k])][0] for k in order)
     return StarTable(
-        parts[0].stars.catalogue, star_id[order], names, vmag[order], off_mag[order], error_mag[order], count[order]
+        catalogue=parts[0].stars.catalogue,
+        star_id=star_id[order],
+        name=names,
+        vmag=vmag[order],
+        off_mag=off_mag[order],
+        error_mag=error_mag[order],
+        images=count[order],
     )
 
 
@@ -294,28 +307,33 @@ def _require_one_camera(parts: tuple[Calibration, ...]) -> None:
     require_one_camera(names, [part.matches.solution.camera for part in parts])
 
 
-def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Float) -> tuple[str, ...]:
-    notes = []
+def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Float) -> tuple[Note, ...]:
+    texts = []
     for part, fainter in zip(parts, fainter_mag, strict=True):
         name, sky = part.image.path.name, part.sensor
         if abs(fainter) > _REPORTED_MAG:
             word = "fainter" if fainter > 0 else "brighter"
-            notes.append(
+            texts.append(
                 f"{name} is {abs(fainter):.2f} mag {word} than the others: haze, or a different exposure than given"
             )
         same_time = sky.reference_exposure_s == sensor.reference_exposure_s
         if same_time and abs(sky.sky_mean_dn - sensor.sky_mean_dn) > _REPORTED_SKY_SIGMA * max(sensor.sky_std_dn, 1.0):
-            notes.append(
+            texts.append(
                 f"{name} has a sky of {sky.sky_mean_dn:.1f} ± {sky.sky_std_dn:.1f} DN, and the sensor"
                 f" {sensor.sky_mean_dn:.1f} ± {sensor.sky_std_dn:.1f} DN"
             )
-    return tuple(notes)
+    return tuple(Note(NoteKind.COMBINATION, text) for text in texts)
 
 
-def _of_each(parts: tuple[Calibration, ...]) -> tuple[str, ...]:
+def _of_each(parts: tuple[Calibration, ...]) -> tuple[Note, ...]:
     """Return the notes that all images share, once, and then those of each image."""
     shared = [note for note in parts[0].notes if all(note in part.notes for part in parts[1:])]
-    own = (f"{part.image.path.name}: {note}" for part in parts for note in part.notes if note not in shared)
+    own = (
+        replace(note, text=f"{part.image.path.name}: {note}")
+        for part in parts
+        for note in part.notes
+        if note not in shared
+    )
     return (*shared, *own)
 
 
@@ -327,11 +345,11 @@ _MOST_NAMED: Final = 10
 def draw_combined(combined: CombinedCalibration) -> bytes:
     """Return the report of several photographs as a PNG.
 
-    Returns: brightness against magnitude on all images; measured minus catalogue magnitude of each star on one image
+    It shows brightness against magnitude on all images; measured minus catalogue magnitude of each star on one image
     against the other images; the residuals without and with the table; the magnitude offset of each image.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
 
     figure = Figure(figsize=(15, 10.5))
     FigureCanvasAgg(figure)

@@ -238,16 +238,16 @@ def fit_brightness(
         m, peak = vmag[sloping], peak_dn[sloping]
     slope, low, high = _slope(m, np.log10(peak)) if np.ptp(m) > 0 else (np.nan, -np.inf, np.inf)
     return BrightnessFit(
-        criterion,
-        reference_vmag,
-        reference_peak_dn,
-        used,
-        scatter,
+        criterion=criterion,
+        reference_vmag=reference_vmag,
+        reference_peak_dn=reference_peak_dn,
+        used=used,
+        scatter_mag=scatter,
         # The median's standard error is pi / 2 times that of the mean, in variance.
-        scatter * float(np.sqrt(np.pi / 2 / used.sum())),
-        float(slope),
-        float(low),
-        float(high),
+        error_mag=scatter * float(np.sqrt(np.pi / 2 / used.sum())),
+        slope_dex_per_mag=float(slope),
+        slope_low_dex_per_mag=float(low),
+        slope_high_dex_per_mag=float(high),
     )
 
 

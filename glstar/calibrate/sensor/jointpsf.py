@@ -1,9 +1,7 @@
-"""One point spread function fitted to many stars of a photograph together, saturated ones with their wings.
-
-The pixels around the stars of a photograph, and the light that a point spread function has in them.
-"""
+"""One point spread function fitted to many stars of a photograph together, saturated ones with their wings."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import cv2
@@ -43,9 +41,15 @@ class StarStamps:
     def some(self, k: Index | Mask) -> "StarStamps":
         """Return the stamps of some stars."""
         return StarStamps(
-            self.corner_px[k], self.values_dn[k], self.variance_dn2[k], self.xy_px[k], self.trail_px[k],
-            self.offset[k], self.bv[k], self.dn_per_e,
-        )  # fmt: skip
+            corner_px=self.corner_px[k],
+            values_dn=self.values_dn[k],
+            variance_dn2=self.variance_dn2[k],
+            xy_px=self.xy_px[k],
+            trail_px=self.trail_px[k],
+            offset=self.offset[k],
+            bv=self.bv[k],
+            dn_per_e=self.dn_per_e,
+        )
 
     def profiles(self, psf: PointSpread, sigma_px: float) -> Float:
         """Return the image of each star for a flux of 1, (n, m, m)."""
@@ -70,6 +74,7 @@ class StarStamps:
 
 
 def cut_stamps(
+    *,
     above_dn: Float,
     variance_dn2: Float,
     usable: Mask,
@@ -105,9 +110,15 @@ def cut_stamps(
                 counts[k] &= other_r2 > np.minimum(r2, (0.6 * half_px) ** 2)
     variance = np.where(counts, variance_dn2[place], np.inf)
     stamps = StarStamps(
-        corner[inside].astype(np.float64), above_dn[place], variance, xy_px[inside], trail_px[inside],
-        offset[inside], bv[inside], dn_per_e,
-    )  # fmt: skip
+        corner_px=corner[inside].astype(np.float64),
+        values_dn=above_dn[place],
+        variance_dn2=variance,
+        xy_px=xy_px[inside],
+        trail_px=trail_px[inside],
+        offset=offset[inside],
+        bv=bv[inside],
+        dn_per_e=dn_per_e,
+    )
     return stamps, inside
 
 
@@ -180,15 +191,15 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
     """
     names: tuple[str, ...] = ("sigma",)
     fitted, stamps, cost = _fitted(stamps, names, _Shape(start_sigma_px))
-    left = list(_GROUPS)
-    while left:
+    untried = list(_GROUPS)
+    while untried:
         # Of the shapes with a further group of parameters, the one that explains most.
         trials = []
-        for group in left[: 2 if len(left) > _ROUND_GROUPS else 1]:
+        for group in untried[: 2 if len(untried) > _ROUND_GROUPS else 1]:
             start = fitted.started(group)
             trials.append((*_fitted(stamps, (*names, *group), start), group))
         trial, moved, trial_cost, group = min(trials, key=lambda one: one[2] / (1 - 1e-3 * len(one[3])))
-        left.remove(group)
+        untried.remove(group)
         unit = trial_cost / max(_free_pixels(stamps) - 5 * len(stamps), 1)
         # Pixels of one star share its own peculiarities: they are fewer than they seem.
         if cost - trial_cost > _BETTER * unit * len(group) and _is_clear(moved, (*names, *group), group, trial):
@@ -202,10 +213,7 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
 
 
 def measure_fluxes(stamps: StarStamps, joint: JointPsf) -> tuple[Float, Float, StarStamps]:
-    """Return the fluxes of stars with a known point spread function, their standard errors, and moved stamps.
-
-    Returns `flux_dn, error_dn` (n,).
-    """
+    """Return fluxes with a known point spread function (n,), their standard errors (n,), and moved stamps."""
     shape = _Shape(joint.sigma_px, fixed=joint.psf)
     weight = _weights(stamps, shape, np.zeros(len(stamps)))
     flux = _residuals(stamps, shape, weight)[1]
@@ -296,6 +304,11 @@ def _limits(stamps: StarStamps, names: tuple[str, ...]) -> tuple[Float, Float]:
     return low, np.where(np.array(names) == "ln_wing_px", np.minimum(high, np.log(widest_px)), high)
 
 
+def _flat_residuals(stamps: StarStamps, names: tuple[str, ...], shape: _Shape, weight: Float, vector: Float) -> Float:
+    """Return the weighted residuals of all pixels for a vector of parameters, (pixels,)."""
+    return _residuals(stamps, shape.at(names, vector), weight)[0].reshape(-1)
+
+
 def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[_Shape, StarStamps, float]:
     """Return the best shape, the stamps with the best positions, and the weighted sum of squares."""
     low, high = _limits(stamps, names)
@@ -304,13 +317,9 @@ def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[
     for _ in range(_ROUNDS):
         stamps = _moved(stamps, shape, weight)
         begin = np.clip(shape.vector(names), low + 1e-6, high - 1e-6)
-        here, there = stamps, weight
-
-        def cost(vector: Float, stamps: StarStamps = here, weight: Float = there, shape: _Shape = shape) -> Float:
-            return _residuals(stamps, shape.at(names, vector), weight)[0].reshape(-1)
-
-        found = least_squares(cost, begin, bounds=(low, high), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=12)
-        shape = shape.at(names, found.x)
+        residuals = partial(_flat_residuals, stamps, names, shape, weight)
+        minimum = least_squares(residuals, begin, bounds=(low, high), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=12)
+        shape = shape.at(names, minimum.x)
         weight = _weights(stamps, shape, _residuals(stamps, shape, weight)[1])
     residual, _ = _residuals(stamps, shape, weight)
     return shape, stamps, float(np.sum(residual**2))
@@ -423,9 +432,9 @@ def _slopes(stamps: StarStamps, names: tuple[str, ...], shape: _Shape, weight: F
     for k in range(len(names)):
         # Towards the inside of the range.
         step = 1e-3 if vector[k] < middle[k] else -1e-3
-        there = vector + step * (np.arange(len(names)) == k)
+        shifted = vector + step * (np.arange(len(names)) == k)
         slopes.append(
-            (_residuals(stamps, shape.at(names, there), weight)[0].reshape(len(stamps), -1) - residual) / step
+            (_residuals(stamps, shape.at(names, shifted), weight)[0].reshape(len(stamps), -1) - residual) / step
         )
     return np.stack(slopes, axis=-1)
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import SkyLevel
 from glstar.camera.sensor.sensor import Sensor
 
@@ -36,6 +37,7 @@ class _Relevance:
 
 
 _RELEVANCE: Final = _Relevance()
+_LEAST_LOSS_MAG: Final = -2.5 * float(np.log10(1 - _RELEVANCE.vignetting_fraction))
 # Wings begin at this radius, in sigma as the pixels record it; and the flux of a Gaussian beyond it, over its flux.
 WING_RADIUS_SIGMA: Final = 3.0
 _GAUSSIAN_WING: Final = float(np.exp(-(WING_RADIUS_SIGMA**2) / 2))
@@ -100,28 +102,32 @@ class Misfit:
     def has_vignetting(self) -> bool:
         """Whether stars lose flux towards the corners, significantly and by a relevant amount."""
         loss = self.corner_loss_mag
-        return loss is not None and loss.value > 0 and loss.exceeds(-2.5 * np.log10(1 - _RELEVANCE.vignetting_fraction))
+        return loss is not None and loss.value > 0 and loss.exceeds(_LEAST_LOSS_MAG)
 
     def unexplained_unevenness(self, sky: SkyLevel) -> tuple[float, str]:
-        """Return the unevenness of the sky beyond effects that have notes of their own, and a label for it.
-
-        Returns: standard deviation, DN.
-        """
+        """Return the unevenness of the sky beyond effects with notes of their own, rms DN, and a label."""
         if self.has_vignetting:
             return self.rest_without_bowl_dn, "besides a gradient and the vignetting"
         if self.has_gradient(sky.std_dn):
             return self.rest_dn, "besides its gradient"
         return sky.unevenness_dn, "over the image"
 
-    def notes(self, sensor: Sensor, *, linear: bool = True) -> tuple[str, ...]:
+    def notes(self, sensor: Sensor, *, linear: bool = True) -> tuple[Note, ...]:
         """Return notes for the user, one for each significant and relevant effect.
 
         `linear`: whether pixel values are proportional to the light; otherwise the response distorts the profiles of
         stars, and neither wings nor a change of width are reported.
         """
-        of_lens = (self._wings(), self._growth()) if linear else ()
-        notes = (*of_lens, self._vignetting(), self._gradient(sensor), self._ellipse(), self._processing())
-        return tuple(note for note in notes if note)
+        texts = {
+            NoteKind.WINGS: self._wings() if linear else "",
+            NoteKind.CORNER_WIDTH: self._growth() if linear else "",
+            NoteKind.VIGNETTING: self._vignetting(),
+            NoteKind.BRIGHT_CORNERS: self._bright_corners(),
+            NoteKind.GRADIENT: self._gradient(sensor),
+            NoteKind.ELLIPSE: self._ellipse(),
+            NoteKind.PROCESSING: self._processing(),
+        }
+        return tuple(Note(kind, text) for kind, text in texts.items() if text)
 
     def _wings(self) -> str:
         if (
@@ -142,19 +148,23 @@ class Misfit:
 
     def _vignetting(self) -> str:
         loss = self.corner_loss_mag
-        if loss is None or not loss.exceeds(-2.5 * np.log10(1 - _RELEVANCE.vignetting_fraction)):
+        if loss is None or not self.has_vignetting:
             return ""
-        if not self.has_vignetting:
-            return (
-                f"stars in the corner are {-loss.value:.2f} ± {loss.standard_error:.2f} mag brighter than on the axis:"
-                f" the reference peak is {abs(self.mean_loss_mag):.2f} mag too bright for the centre; look for haze in"
-                " the middle of the image, or a correction of vignetting that is too strong"
-            )
         corner = 100 * (1 - 10 ** (-0.4 * loss.value))
         return (
             f"the corners are {corner:.0f} % darker than the centre ({loss.value:.2f} ± {loss.standard_error:.2f} mag:"
             f" vignetting): the reference peak is {self.mean_loss_mag:.2f} mag too faint for the centre, and too bright"
             " for the corners; stop the lens down, or divide the image by a flat field"
+        )
+
+    def _bright_corners(self) -> str:
+        loss = self.corner_loss_mag
+        if loss is None or self.has_vignetting or not loss.exceeds(_LEAST_LOSS_MAG):
+            return ""
+        return (
+            f"stars in the corner are {-loss.value:.2f} ± {loss.standard_error:.2f} mag brighter than on the axis:"
+            f" the reference peak is {abs(self.mean_loss_mag):.2f} mag too bright for the centre; look for haze in"
+            " the middle of the image, or a correction of vignetting that is too strong"
         )
 
     def _gradient(self, sensor: Sensor) -> str:
@@ -213,7 +223,7 @@ class Misfit:
                 return None
             return {"value": estimate.value, "standard_error": estimate.standard_error}
 
-        known = self.ellipticity is not None
+        has_shape = self.ellipticity is not None
         return {
             "wing_fraction_beyond_gaussian": number(self.wing_fraction),
             "corner_loss_mag": number(self.corner_loss_mag),
@@ -225,8 +235,8 @@ class Misfit:
             "sky_unevenness_without_gradient_dn": self.rest_dn,
             "sky_unevenness_without_gradient_and_bowl_dn": self.rest_without_bowl_dn,
             "psf_ellipticity": number(self.ellipticity),
-            "psf_axis_ratio": self.axis_ratio if known else None,
-            "psf_long_axis_deg": float(np.rad2deg(self.long_axis_rad)) if known else None,
+            "psf_axis_ratio": self.axis_ratio if has_shape else None,
+            "psf_long_axis_deg": float(np.rad2deg(self.long_axis_rad)) if has_shape else None,
             "corner_sigma_growth": number(self.corner_growth),
             "noise_neighbour_correlation": number(self.neighbour_correlation),
             "noise_lattice_excess": number(self.lattice_excess),

@@ -1,9 +1,4 @@
-"""Measurement of the effects in a photograph that the sensor model lacks.
-
-Wings and ellipticity of the stars of a photograph.
-
-Structure of the noise of a photograph: correlation of neighbouring pixels, and differences on the 2 x 2 lattice.
-"""
+"""Measurement of effects that the sensor model lacks: in the profiles of stars, their brightness, sky and noise."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -69,7 +64,7 @@ def measure_wings(
         return None, None
     values, heavy = np.array(wings), np.array(weights)
     resampled = np.random.default_rng(0).integers(0, len(values), (_RESAMPLED, len(values)))
-    spread = float(np.std([_weighted_median(values[some], heavy[some]) for some in resampled]))
+    spread = float(np.std([_weighted_median(values[sample], heavy[sample]) for sample in resampled]))
     stacked = RadialProfile((edges[1:] + edges[:-1]) / 2, np.nanmedian(np.array(profiles), axis=0))
     return Measurement(_weighted_median(values, heavy), spread), stacked
 
@@ -147,10 +142,10 @@ def measure_noise_structure(
             above = image.pixels_dn[part] - detected.background.level_dn[part]
             noise_dn = float(np.median(detected.background.noise_dn[part]))
             near = detected.xy_px - (left, top)
-            found = _patch_noise(above, noise_dn, near, detected.psf_sigma_px)
-            if found is not None:
-                correlations.append(found[0])
-                lattices.append(found[1])
+            noise = _patch_noise(above, noise_dn, near, detected.psf_sigma_px)
+            if noise is not None:
+                correlations.append(noise[0])
+                lattices.append(noise[1])
     if len(correlations) < _PATCHES:
         return None, None
     count = float(np.sqrt(len(correlations)))
@@ -175,11 +170,11 @@ def _patch_noise(above: Float, noise_dn: float, xy_px: Float, sigma_px: float) -
         starless[rows, columns] = False
     if starless.sum() < _MIN_PATCH_PIXELS:
         return None
-    left = np.where(starless, above - above[starless].mean(), 0.0)
-    variance = float((left**2).sum() / starless.sum())
+    residual = np.where(starless, above - above[starless].mean(), 0.0)
+    variance = float((residual**2).sum() / starless.sum())
     phases = [(slice(row, None, 2), slice(column, None, 2)) for row in (0, 1) for column in (0, 1)]
     counts = np.array([starless[phase].sum() for phase in phases])
-    lattice = np.array([(left[phase] ** 2).sum() for phase in phases]) / np.maximum(counts, 1)
+    lattice = np.array([(residual[phase] ** 2).sum() for phase in phases]) / np.maximum(counts, 1)
     # A constant sky has no noise to examine.
     if variance < 1e-3 or counts.min() < _MIN_PATCH_PIXELS // 8 or lattice.min() <= 0:
         return None
@@ -190,7 +185,7 @@ def _patch_noise(above: Float, noise_dn: float, xy_px: Float, sigma_px: float) -
             ((slice(lag, None), slice(None)), (slice(None, -lag), slice(None))),
             ((slice(None), slice(lag, None)), (slice(None), slice(None, -lag))),
         ):
-            total += float((left[one] * left[other]).sum())
+            total += float((residual[one] * residual[other]).sum())
             pairs += int((starless[one] & starless[other]).sum())
         return total / max(pairs, 1) / variance
 
@@ -273,10 +268,7 @@ def measure_misfit(
 
 
 def corner_distance(image: Photograph, matches: Matches, xy_px: Float) -> Float:
-    """Return the distances of pixel positions from the principal point over that of the farthest corner.
-
-    `xy_px` (n, 2).  Returns (n,).
-    """
+    """Return the distances (n,) of positions (n, 2) from the principal point over that of the farthest corner."""
     return np.asarray(np.linalg.norm(_offsets(xy_px, image.pixels_dn.shape, _axis_px(matches)), axis=1))
 
 
@@ -308,11 +300,11 @@ def _fit_radial(offset: Float, values: Float, weights: Float) -> tuple[Float, Fl
     robust, p = weights, np.zeros(4)
     for _ in range(20):
         p = np.linalg.lstsq(design * np.sqrt(robust)[:, np.newaxis], values * np.sqrt(robust), rcond=None)[0]
-        left = np.abs(values - design @ p) * np.sqrt(weights)
-        robust = weights * np.minimum(1.0, 1.5 * max(robust_std(left), 1e-12) / np.maximum(left, 1e-12))
-    left = values - design @ p
+        residual = np.abs(values - design @ p) * np.sqrt(weights)
+        robust = weights * np.minimum(1.0, 1.5 * max(robust_std(residual), 1e-12) / np.maximum(residual, 1e-12))
+    residual = values - design @ p
     inverse = np.linalg.pinv((design * robust[:, np.newaxis]).T @ design)
-    meat = (design * ((robust * left) ** 2)[:, np.newaxis]).T @ design
+    meat = (design * ((robust * residual) ** 2)[:, np.newaxis]).T @ design
     return p, inverse @ meat @ inverse * len(values) / max(len(values) - 4, 1)
 
 

@@ -1,7 +1,4 @@
-"""The model of one photograph: its sensor with sky, noise, shape and colour, as far as the image supports them.
-
-Hot pixels of one photograph: single bright pixels that no star explains.
-"""
+"""The model of one photograph: sensor, sky, noise, shape, colour and hot pixels, as far as the image supports them."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -15,6 +12,7 @@ from scipy.special import erf
 from glstar import __version__
 from glstar.calibrate.geometry.camera import calibration_toml
 from glstar.calibrate.identify.platesolution import sidereal_trails
+from glstar.calibrate.notes import MODEL_NOTES, notes_without
 from glstar.calibrate.photo.sky import NoiseAgainstLevel, SkyMap, measure_noise, measure_sky
 from glstar.calibrate.sensor.brightness import BrightnessTerms, fit_brightness_terms, recorded_brightness
 from glstar.calibrate.sensor.calibration import Calibration
@@ -50,10 +48,7 @@ class HotPixels:
         return len(self.x_px)
 
     def dark_frame_dn(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return a map for ``dark_frame``: the excess at the hot pixels and 0 elsewhere.
-
-        `shape`: rows and columns of the image.  Returns (height, width) float32: DN.
-        """
+        """Return a map (rows, columns) for ``dark_frame``: the excess at the hot pixels and 0 elsewhere, DN."""
         frame = np.zeros(shape, np.float32)
         frame[self.y_px, self.x_px] = self.excess_dn
         return frame
@@ -64,10 +59,10 @@ def find_hot_pixels(above_dn: Float, variance_dn2: Float, dn_per_e: float, joint
 
     `above_dn` (height, width): the image above its sky, DN; `variance_dn2` (height, width): of the sky and the sensor,
     DN^2; `dn_per_e`: variance of further light over its level, DN; 0 for the paper's noise; `joint`: shape of the
-    stars.  Returns: none of them at the edge.  A star's light in the four neighbours of its brightest pixel, over
-    that pixel, is least where the star is centred on the pixel.  Beside a hot pixel there is less than that, beyond
-    the noise of all five pixels.  Stars much narrower than a pixel, sigma below 0.3 px, look like hot pixels, and none
-    is found among them.
+    stars.  Pixels at the edge are left out.  A star's light in the four neighbours of its brightest pixel, over that
+    pixel, is least where the star is centred on the pixel.  Beside a hot pixel there is less than that, beyond the
+    noise of all five pixels.  Stars much narrower than a pixel, sigma below 0.3 px, look like hot pixels, and none is
+    found among them.
     """
     least = light_beside_star(joint)
     beside = cv2.filter2D(above_dn, -1, _NEIGHBOURS, borderType=cv2.BORDER_REFLECT)
@@ -119,11 +114,6 @@ _LEAST_ZERO: Final = 3
 # The sky has a map if its level differs by more than this, noises of a pixel or standard errors of a texel.
 _UNEVEN_NOISE: Final = 0.1
 _UNEVEN_ERRORS: Final = 3.0
-# What the notes on the effects begin with that the model has.
-_EXPLAINED: Final = (
-    *("the stars have wings", "the stars are elliptical", "the stars in the corner are", "the stars moved"),
-    *("the sky has a gradient", "the sky is uneven", "the corners are"),
-)
 # The full well lies above the converter's range by this factor: one image does not show it.
 _WELL_ABOVE_RANGE: Final = 1.05
 
@@ -231,20 +221,19 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
         refused = (*refused, f"the sky is even: its level differs by {uneven_dn:.2g} DN (limit {limit:.2g})")
     if sensor.electrons is None and len(hot):
         refused = (*refused, f"{len(hot)} hot pixels are not simulated: they need noise that grows with the level")
-    notes = tuple(note for note in calibration.notes if not note.startswith(_EXPLAINED))
     return PhotographModel(
-        replace(calibration, sensor=sensor, notes=notes),
-        sky,
-        noise,
-        joint,
-        terms,
-        hot,
-        recorded_brightness(calibration, terms, sensor.colour, flux, error),
-        has_map,
-        moved,
-        flux,
-        errors,
-        refused,
+        calibration=replace(calibration, sensor=sensor, notes=notes_without(calibration.notes, MODEL_NOTES)),
+        sky=sky,
+        noise=noise,
+        joint=joint,
+        terms=terms,
+        hot=hot,
+        brightness=recorded_brightness(calibration, terms, sensor.colour, flux, error),
+        has_map=has_map,
+        moved=moved,
+        flux_dn=flux,
+        standard_error=errors,
+        refused=refused,
     )
 
 
@@ -291,7 +280,18 @@ def _stamps(
     predicted_px = calibration.matches.predicted_xy_px
     undetected_px = predicted_px[KDTree(detected.xy_px).query(predicted_px)[0] > _UNDETECTED_PX]
     others_px = np.concatenate([detected.xy_px, undetected_px])
-    return cut_stamps(sky.residual_dn, variance, usable, xy_px, others_px, trail_px, offset, bv, half_px, _gain(noise))
+    return cut_stamps(
+        above_dn=sky.residual_dn,
+        variance_dn2=variance,
+        usable=usable,
+        xy_px=xy_px,
+        others_px=others_px,
+        trail_px=trail_px,
+        offset=offset,
+        bv=bv,
+        half_px=half_px,
+        dn_per_e=_gain(noise),
+    )
 
 
 def _shape(calibration: Calibration, sky: SkyMap, noise: NoiseAgainstLevel | None) -> tuple[JointPsf, bool]:

@@ -1,6 +1,6 @@
 """Gain, read noise and maps of a sensor from a user's own dark frames and flat fields: photon transfer."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -8,8 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate.photo.photograph import Photograph
+from glstar.calibrate.photo.photograph import Photograph, encoded_image, read_image
 from glstar.camera.sensor.pixelpattern import smooth
+from glstar.config.keys import toml_value
 from glstar.errors import CalibrationError
 
 Float = NDArray[np.float64]
@@ -35,6 +36,7 @@ _SUFFIXES: Final = frozenset(
 class PhotonTransfer:
     """What dark frames and flat fields say of a sensor."""
 
+    bit_depth: int  # Bits of the images
     black_level_dn: float  # Median of the mean dark frame, DN: the black level with the mean dark current
     read_noise_dn: float  # Temporal noise of pixels in the dark, DN rms, without the rounding
     dn_per_e: float | None  # Gain with the camera's settings, DN/e; None without flat fields
@@ -54,24 +56,82 @@ class PhotonTransfer:
         """Read noise, e rms; None without flat fields."""
         return None if self.dn_per_e is None else self.read_noise_dn / self.dn_per_e
 
-    def keys(self, bit_depth: int) -> dict[str, Any]:
-        """Return the keys of ``[sensor]`` that were measured.
-
-        `bit_depth`: bits of the images.  Returns: at an analogue gain of 1, which means that of the images; without the
-        maps.
-        """
-        keys: dict[str, Any] = {"noise": "electrons", "bit_depth": bit_depth, "black_level_dn": self.black_level_dn}
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The measured keys of ``[sensor]`` without the maps; an analogue gain of 1 is that of the images."""
+        keys: dict[str, Any] = {
+            "noise": "electrons",
+            "bit_depth": self.bit_depth,
+            "black_level_dn": self.black_level_dn,
+        }
         # The dark current is in the black level, and hot pixels are in the dark frame.
         keys |= {"dark_current_e_per_s": 0.0, "hot_pixels_per_mpx": 0.0}
         if self.dn_per_e is not None:
             keys |= {
                 "gain_dn_per_e": self.dn_per_e,
                 "analogue_gain": 1.0,
-                "full_well_e": (2**bit_depth - 1 - self.black_level_dn) / self.dn_per_e,
+                "full_well_e": (2**self.bit_depth - 1 - self.black_level_dn) / self.dn_per_e,
                 "read_noise_before_gain_e": self.read_noise_dn / self.dn_per_e,
                 "read_noise_after_gain_e": 0.0,
             }
         return keys
+
+    def _maps(self, name: str) -> dict[str, tuple[str, NDArray[Any]]]:
+        """Return the file name and the pixels of each map, by key of ``[sensor]``."""
+        maps: dict[str, tuple[str, NDArray[Any]]] = {"dark_frame": (f"{name}.dark.tiff", self.dark_frame_dn)}
+        if self.flat_field is not None:
+            maps["flat_field"] = (f"{name}.flat.tiff", self.flat_field)
+        if self.is_dead.any():
+            maps["defect_map"] = (f"{name}.defects.png", self.is_dead.astype(np.uint8) * 255)
+        return maps
+
+    def files(self, name: str) -> dict[str, bytes]:
+        """Return the maps and the TOML file that refers to them, by file name; `name`: without suffix."""
+        maps = self._maps(name)
+        keys = self.keys | {key: file for key, (file, _) in maps.items()}
+        lines = ["# From dark frames and flat fields by glstar calibrate.", "[sensor]"]
+        lines += [f"{key} = {toml_value(value)}" for key, value in keys.items()]
+        images = {file: encoded_image(Path(file).suffix, pixels) for file, pixels in maps.values()}
+        return images | {f"{name}.toml": ("\n".join(lines) + "\n").encode()}
+
+    def to_json(self, name: str) -> dict[str, Any]:
+        """Return all numbers and the names of the maps as JSON-serialisable values; `name`: as for `files`."""
+        return {
+            **self.keys,
+            "dn_per_e_error": self.dn_per_e_error,
+            "read_noise_dn": self.read_noise_dn,
+            "prnu_fraction": self.prnu_fraction,
+            "hot_pixels": self.hot,
+            "dead_pixels": int(self.is_dead.sum()),
+            "dark_frames": self.dark_frames,
+            "flat_fields": self.flat_fields,
+            **{key: file for key, (file, _) in self._maps(name).items()},
+        }
+
+
+def measure_darks(
+    darks: Path,
+    flats: Path | None = None,
+    *,
+    bit_depth: int | None = None,
+    on_image: Callable[[int, int], None] = lambda _done, _of: None,
+) -> PhotonTransfer:
+    """Measure a sensor from directories of dark frames and flat fields; see `photon_transfer`.
+
+    `bit_depth`: bits of the images; None to find them; `on_image`: called with the numbers of images read and of all.
+    Raises CalibrationError if the images cannot be used.
+    """
+    dark_paths = images_in(darks)
+    paths = [*dark_paths, *(images_in(flats) if flats is not None else [])]
+    images = []
+    for number, path in enumerate(paths, start=1):
+        images.append(read_image(path, bit_depth=bit_depth, demosaiced=False))
+        on_image(number, len(paths))
+    depths = {image.bit_depth for image in images}
+    if bit_depth is None and len(depths) > 1:
+        # A dark frame in 16 bits does not reach the largest number of its converter, and a flat field may.
+        raise CalibrationError(f"the images have {' and '.join(map(str, sorted(depths)))} bits; give --bit-depth")
+    return photon_transfer(images[: len(dark_paths)], images[len(dark_paths) :])
 
 
 def photon_transfer(darks: Sequence[Photograph], flats: Sequence[Photograph] = ()) -> PhotonTransfer:
@@ -103,6 +163,7 @@ def photon_transfer(darks: Sequence[Photograph], flats: Sequence[Photograph] = (
         dead = flat_field < _DEAD_RESPONSE * surroundings
         prnu = _prnu(flat_field / surroundings, above, gain, len(flats), ~hot & ~dead, read_dn)
     return PhotonTransfer(
+        bit_depth=max(image.bit_depth for image in (*darks, *flats)),
         black_level_dn=float(usual),
         read_noise_dn=read_dn,
         dn_per_e=gain,
@@ -190,8 +251,8 @@ def _prnu(
 ) -> float:
     """Return the scatter of the response, without the temporal noise that the mean of the flat fields has left."""
     noise_dn2 = (gain * float(above_dn[usable].mean()) + read_dn**2) / images
-    left = noise_dn2 / float(above_dn[usable].mean()) ** 2
-    return float(np.sqrt(max(float(np.asarray(response)[usable].var()) - left, 0.0)))
+    noise_fraction2 = noise_dn2 / float(above_dn[usable].mean()) ** 2
+    return float(np.sqrt(max(float(np.asarray(response)[usable].var()) - noise_fraction2, 0.0)))
 
 
 def images_in(directory: Path) -> list[Path]:

@@ -32,8 +32,8 @@ _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
 
 def prepare_to_draw() -> None:
     """Load matplotlib and its fonts; it takes 0.5 s and can run in another thread during the detection of stars."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
+    from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
 
     # A small page with all elements of a report: their first use is slow.
     figure = Figure(figsize=(4, 4))
@@ -63,7 +63,7 @@ def draw_report(calibration: Calibration) -> bytes:
     profile, and brightness and width against the distance from the optical axis.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
 
     height, width = calibration.image.pixels_dn.shape
     # All positions are fixed, including titles and labels: matplotlib's automatic layout takes longer than the fit.
@@ -103,7 +103,7 @@ def draw_report(calibration: Calibration) -> bytes:
 def draw_geometry(geometry: GeometryCalibration) -> bytes:
     """Return a PNG of the photograph with its stars labelled, and of the residuals of their positions."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
 
     height, width = geometry.image.pixels_dn.shape
     tall = 7.2 * height / width

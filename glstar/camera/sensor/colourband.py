@@ -102,10 +102,7 @@ class ColourBand:
 
     @classmethod
     def of(cls, effects: Mapping[str, object]) -> "ColourBand":
-        """Return the colour response that the keys of a sensor describe.
-
-        `effects`: `Sensor.effects`; missing keys have their defaults.
-        """
+        """Return the colour response of the keys of a sensor, given `Sensor.effects`; others have their defaults."""
         return _of_values(tuple(effects.get(f"sensor.{key}") for key in cls.__slots__))
 
     @property
@@ -114,41 +111,38 @@ class ColourBand:
         return self.band == "v"
 
     def magnitude_minus_v(self, bv: ArrayLike, channel: Channel | None = None) -> Float:
-        """Return the magnitude of stars in the camera's band minus V.
+        """Return the magnitude of stars in the camera's band minus V, (...), 0 for B - V = 0.
 
-        `bv` (...): colours B - V; used from -0.3 to 1.7; `channel` {"r", "g", "b"} or None: of the mosaic; None for the
-        mean of its cells, or a monochrome sensor.  Returns (...) 0 for B - V = 0.
+        `bv` (...) is used from -0.3 to 1.7; `channel` is one of the mosaic, None for the mean of its cells, or a
+        monochrome sensor.
         """
         response = self._responses["mean" if channel is None else channel]
         c = np.clip(np.asarray(bv, dtype=np.float64), *VALID_BV)
         return np.asarray(response.slope * c + response.curvature * c * c)
 
     def wavelength_nm(self, channel: Channel | None = None) -> float:
-        """Return the mean wavelength of the light that is counted.
+        """Return the mean wavelength of the light that a channel of the mosaic counts, or the mean of all pixels, nm.
 
-        `channel` {"r", "g", "b"} or None: a channel of the mosaic; None for the mean of all pixels.  Returns: of a star
-        of B - V 0.65: stars from A0 to M0 are within 15 nm. 550 nm, that of V, with "custom".
+        It is that of a star of B - V 0.65; stars from A0 to M0 are within 15 nm.  With "custom" it is 550 nm, that of
+        V.
         """
         return self._responses["mean" if channel is None else channel].wavelength_nm
 
     def photons(self, channel: Channel) -> float:
-        """Return the signal of an A0 star in pixels of one channel over the mean of the mosaic's cells.
-
-        `channel` {"r", "g", "b"}.
-        """
+        """Return the signal of an A0 star in pixels of one channel over the mean of the mosaic's cells."""
         return self._responses[channel].photons
 
     def channel_at(self, column: int, row: int) -> Channel:
-        """Return the channel of a pixel; returns: {"r", "g", "b"}."""
-        return self.mosaic[2 * (row % 2) + column % 2]  # type: ignore[return-value]
+        """Return the channel of a pixel."""
+        return self.mosaic[2 * (row % 2) + column % 2]  # type: ignore[return-value] # a letter of a `Mosaic`
 
     @property
     def sky_ratio(self) -> dict[Channel, float]:
         """Background in the pixels of each channel over the mean of the mosaic's cells."""
-        fainter = {one: float(self.magnitude_minus_v(self.sky_bv, one)) for one in _RGB}
-        level = {one: self.photons(one) * 10 ** (-0.4 * fainter[one]) for one in _RGB}
+        fainter = {channel: float(self.magnitude_minus_v(self.sky_bv, channel)) for channel in _RGB}
+        level = {channel: self.photons(channel) * 10 ** (-0.4 * fainter[channel]) for channel in _RGB}
         mean = (level["r"] + 2 * level["g"] + level["b"]) / 4
-        return {one: value / mean for one, value in level.items()}
+        return {channel: value / mean for channel, value in level.items()}
 
     @property
     def _responses(self) -> Mapping[str, _Response]:
@@ -162,5 +156,5 @@ _RGB: Final[tuple[Channel, ...]] = ("r", "g", "b")
 
 @lru_cache(maxsize=64)
 def _of_values(values: tuple[Any, ...]) -> ColourBand:
-    given = zip(ColourBand.__slots__, values, strict=True)
-    return ColourBand(**{key: value for key, value in given if value is not None})
+    keys = zip(ColourBand.__slots__, values, strict=True)
+    return ColourBand(**{key: value for key, value in keys if value is not None})

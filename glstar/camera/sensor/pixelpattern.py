@@ -1,5 +1,6 @@
 """The fixed pattern of a sensor: hot, stuck and dead pixels, uneven dark current and uneven response."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from math import log
@@ -55,6 +56,11 @@ class PixelPattern:
     flat_field: str = ""  # File of a mean flat field, in any unit; empty for none
     defect_map: str = ""  # File of the defective pixels, nonzero where a pixel does not respond; empty for none
 
+    @classmethod
+    def of(cls, effects: Mapping[str, Any]) -> "PixelPattern":
+        """Return the pattern that the keys of a sensor describe, given `Sensor.effects`; others have their defaults."""
+        return cls(**{name: effects[f"sensor.{name}"] for name in cls.__slots__ if f"sensor.{name}" in effects})
+
     @property
     def has_dark(self) -> bool:
         """Whether pixels differ in the dark."""
@@ -66,10 +72,7 @@ class PixelPattern:
         return bool(self.dead_pixels_per_mpx or self.prnu_fraction or self.flat_field or self.defect_map)
 
     def defects(self, width_px: int, height_px: int) -> Defects:
-        """Return the hot, stuck and dead pixels.
-
-        `width_px`, `height_px`: size of the image.  Returns: each position occurs once.
-        """
+        """Return the hot, stuck and dead pixels of an image of some size; each position occurs once."""
         pixels = width_px * height_px
         dead = round(self.dead_pixels_per_mpx * pixels / 1e6)
         hot = round(self.hot_pixels_per_mpx * pixels / 1e6)
@@ -89,10 +92,9 @@ class PixelPattern:
         )
 
     def dark_e(self, width_px: int, height_px: int, dark_e: float) -> Float32:
-        """Return the electrons of each pixel in the dark above the mean dark current.
+        """Return the electrons of each pixel in the dark above the mean dark current, (height, width) float32.
 
-        `width_px`, `height_px`: size of the image; `dark_e`: mean electrons of the dark current of ordinary pixels.
-        Returns (height, width) float32: without `dark_frame`, e.
+        `dark_e` is the mean number of electrons of the dark current of ordinary pixels.  `dark_frame` is not included.
         """
         above = np.zeros((height_px, width_px), np.float32)
         if self.dsnu_fraction:
@@ -104,11 +106,7 @@ class PixelPattern:
         return np.asarray(above)
 
     def response(self, width_px: int, height_px: int) -> Float32:
-        """Return the deviation of each pixel's response from 1.
-
-        `width_px`, `height_px`: size of the image.  Returns (height, width) float32: 0 for the mean response, -1 for a
-        dead pixel.
-        """
+        """Return the deviation of each pixel's response from 1, (height, width) float32; -1 for a dead pixel."""
         deviation = np.zeros((height_px, width_px), np.float32)
         if self.prnu_fraction:
             scatter = self._random(_RESPONSE).standard_normal(deviation.shape, np.float32)
@@ -123,10 +121,7 @@ class PixelPattern:
         return np.asarray(deviation, dtype=np.float32)
 
     def require_size(self, width_px: int, height_px: int) -> None:
-        """Reject maps that cannot be read or have another size than the image.
-
-        `width_px`, `height_px`: size of the image.  Raises ConfigError: `key` names the map.
-        """
+        """Raise ConfigError, whose `key` names the map, if one cannot be read or has another size than the image."""
         for key in ("dark_frame", "flat_field", "defect_map"):
             file = getattr(self, key)
             if not file:
@@ -145,33 +140,26 @@ class PixelPattern:
 
 
 def smooth(flat: Float32) -> Float32:
-    """Return a flat field without what differs from pixel to pixel: a mean over 33 x 33 px, mirrored at the edges.
-
-    `flat` (height, width) float32.  Returns (height, width) float32.
-    """
-    import cv2  # noqa: PLC0415 - when a map is used
+    """Return a flat field without differences from pixel to pixel: a mean over 33 x 33 px, mirrored at the edges."""
+    import cv2  # noqa: PLC0415 - cv2, only when a map is used
 
     side = 33
     return np.asarray(cv2.blur(flat, (side, side), borderType=cv2.BORDER_REFLECT), dtype=np.float32)
 
 
 def resampled(pixels: Float32, width_px: int, height_px: int) -> Float32:
-    """Return a map of another size, interpolated bilinearly between the centres of its pixels.
-
-    `pixels` (rows, columns) float32: it covers the image; `width_px`, `height_px`: size of the image.  Returns (height,
-    width) float32.
-    """
-    import cv2  # noqa: PLC0415 - when a map is used
+    """Return a map of another size, (height, width), interpolated bilinearly between the centres of its pixels."""
+    import cv2  # noqa: PLC0415 - cv2, only when a map is used
 
     size_px = width_px, height_px
     return np.asarray(cv2.resize(pixels, size_px, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
 def read_map(file: str) -> Float32:
-    """Return a map of pixels: PNG, TIFF, FITS or NPY, of one channel.
+    """Return a map of pixels from a PNG, TIFF, FITS or NPY of one channel, (height, width) float32, read only.
 
-    Returns (height, width) float32: row 0 is the top, in FITS too; read only.  Raises OSError if the file cannot be
-    read; ValueError if it is not an image of one channel.
+    Row 0 is the top, in FITS too.  Raises OSError if the file cannot be read, and ValueError if it is not an image of
+    one channel.
     """
     return _read_map(file, Path(file).stat().st_mtime_ns)
 
@@ -185,23 +173,23 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
     elif suffix in {".fits", ".fit", ".fts"}:
         pixels = read_fits(Path(file).read_bytes())
     else:
-        import cv2  # noqa: PLC0415 - when a map is used
+        import cv2  # noqa: PLC0415 - cv2, only when a map is used
 
         pixels = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or np.ndim(pixels) != 2 or not np.issubdtype(np.asarray(pixels).dtype, np.number):
         raise ValueError("it is not an image of one channel in PNG, TIFF, FITS or NPY")
-    found = np.ascontiguousarray(pixels, dtype=np.float32)
-    if not np.isfinite(found).all():
+    values = np.ascontiguousarray(pixels, dtype=np.float32)
+    if not np.isfinite(values).all():
         raise ValueError("it has pixels that are not finite")
-    found.setflags(write=False)
-    return found
+    values.setflags(write=False)
+    return values
 
 
 def read_fits(content: bytes) -> Float:
-    """Return the image of the first header unit of a FITS file, in physical values.
+    """Return the image of the first header unit of a FITS file, in physical values, (height, width).
 
-    Returns (height, width).  Raises ValueError if it is damaged, or no image of one channel.  FITS Standard 4.0,
-    sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
+    Raises ValueError if it is damaged, or no image of one channel.  FITS Standard 4.0, sections 3.3 (header), 4.4.2
+    (BSCALE, BZERO) and 5 (data, big-endian).
     """
     if not content.startswith(b"SIMPLE  ="):
         raise ValueError("it is no FITS file")

@@ -1,7 +1,4 @@
-"""Point spread functions as sums of Gaussians, so that trails keep their closed form.
-
-Where the point spread functions of stars are truncated.
-"""
+"""Point spread functions as sums of Gaussians, so that trails keep their closed form, and where they are truncated."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,8 +22,15 @@ _FWHM_PER_SIGMA: Final = 2 * sqrt(2 * log(2))
 # 0.17 % at 3, 0.1 % at 3.5 and less above.
 _FIVE_NODES: Final = ((2.0, 1.25, 1.0), (2.5, 1.0, 1.4))
 _FOUR_NODES: Final = (
-    *((2.5, 1.15, 1.2), (3.0, 1.0, 1.5), (3.5, 0.9, 1.7), (4.0, 0.8, 1.8), (5.0, 0.7, 2.0), (6.0, 0.65, 2.2)),
-    *((8.0, 0.55, 2.5), (12.0, 0.45, 2.9), (20.0, 0.35, 3.3)),
+    (2.5, 1.15, 1.2),
+    (3.0, 1.0, 1.5),
+    (3.5, 0.9, 1.7),
+    (4.0, 0.8, 1.8),
+    (5.0, 0.7, 2.0),
+    (6.0, 0.65, 2.2),
+    (8.0, 0.55, 2.5),
+    (12.0, 0.45, 2.9),
+    (20.0, 0.35, 3.3),
 )
 # Radii at which the mixture is fitted, in units of alpha.
 _FIT_RADII: Final = np.concatenate([np.linspace(0, 3, 60), np.geomspace(3.1, 80, 80)])
@@ -102,11 +106,13 @@ class PointSpread:
 
     @classmethod
     def of(cls, effects: Mapping[str, object]) -> "PointSpread":
-        """Return the point spread function that the keys of a sensor describe.
+        """Return the point spread function of a sensor's keys, given `Sensor.effects`; others have their defaults."""
+        return _of_values(tuple(map(effects.get, PSF_KEYS)))
 
-        `effects`: `Sensor.effects`; missing keys have their defaults.
-        """
-        return _of_values(tuple(map(effects.get, _CONFIG_KEYS)))
+    @classmethod
+    def of_keys(cls, keys: Mapping[str, object]) -> "PointSpread":
+        """Return the point spread function of some keys of ``[sensor]``, given without the section."""
+        return _of_values(tuple(map(keys.get, _KEYS.values())))
 
     @property
     def is_gaussian(self) -> bool:
@@ -125,47 +131,43 @@ class PointSpread:
         return bool(self.psf_growth or self.psf_tilt or self.psf_colour_growth)
 
     def circular(self, sigma_px: float) -> tuple[PsfComponent, ...]:
-        """Return the Gaussians of a circular star on the optical axis.
+        """Return the Gaussians of a circular star on the optical axis, whose flux fractions add up to 1.
 
-        `sigma_px`: ``psf_sigma_px``: standard deviation of the core, or of the Gaussian of equal width at half maximum,
-        px.  Returns: their flux fractions add up to 1.
+        `sigma_px` is ``psf_sigma_px``: of the core, or of the Gaussian of equal width at half maximum.
         """
         core, outer = _circular(self, sigma_px)
         return core + outer
 
     def components(self, sigma_px: float, *, scale: float = 1.0) -> tuple[PsfComponent, ...]:
-        """Return the Gaussians of a star.
+        """Return the Gaussians of a star at whose position `scale_at` is `scale`.
 
-        `sigma_px`: ``psf_sigma_px``, px; `scale`: `scale_at` of the star's position.  Returns: wings and halo stay as
-        they are; an elliptical Gaussian is a row of circular ones along its major axis (Gauss-Hermite quadrature).
+        Wings and halo stay as they are; an elliptical Gaussian is a row of circular ones along its major axis
+        (Gauss-Hermite quadrature).
         """
         ratio = 1 - self.psf_ellipticity
         nodes, weights = _hermite(ratio)
         along = cos(self.psf_angle_rad), sin(self.psf_angle_rad)
-        made = []
+        row = []
         core, outer = _circular(self, sigma_px)
-        for one in core:
-            width_px = scale * one.sigma_px
+        for gaussian in core:
+            width_px = scale * gaussian.sigma_px
             step_px = width_px * sqrt(1 / ratio - ratio)
             for node, weight in zip(nodes, weights, strict=True):
                 offset_px = (node * step_px * along[0], node * step_px * along[1])
-                made.append(PsfComponent(one.flux_fraction * weight, width_px * sqrt(ratio), offset_px))
-        return (*made, *outer)
+                row.append(PsfComponent(gaussian.flux_fraction * weight, width_px * sqrt(ratio), offset_px))
+        return (*row, *outer)
 
     def flux_per_peak_px2(self, sigma_px: float) -> float:
-        """Return the flux of a star on the axis over the amplitude of its point spread function, px^2.
-
-        `sigma_px`: ``psf_sigma_px``, px.
-        """
+        """Return the flux of a star on the axis over the amplitude of its point spread function, px^2."""
         if self.is_gaussian:
             return 2 * np.pi * sigma_px**2
         return float(1 / sum(one.flux_fraction / (2 * np.pi * one.sigma_px**2) for one in self.circular(sigma_px)))
 
     def scale_at(self, offset: ArrayLike, bv: ArrayLike = USUAL_BV) -> Float:
-        """Return the widths of the core over ``psf_sigma_px``.
+        """Return the widths of the core over ``psf_sigma_px``, (...): 1 on the axis for a star of B - V 0.65.
 
-        `offset` (..., 2): position (x, y) minus the principal point, over half the diagonal of the image; `bv` (...):
-        colours B - V; used from -0.3 to 1.7.  Returns (...) 1 on the axis for a star of B - V 0.65.
+        `offset` (..., 2) is the position (x, y) minus the principal point, over half the diagonal of the image; `bv`
+        (...) is used from -0.3 to 1.7.
         """
         x, y = np.moveaxis(np.asarray(offset, dtype=np.float64), -1, 0)
         towards = x * cos(self.psf_tilt_angle_rad) + y * sin(self.psf_tilt_angle_rad)
@@ -186,22 +188,22 @@ class PointSpread:
     def keys(self) -> dict[str, float | str]:
         """The keys of ``[sensor]`` that differ from a plain Gaussian."""
         changed = {name: value for name in _KEYS if (value := getattr(self, name)) != getattr(_GAUSSIAN, name)}
-        return {_KEYS[name]: degrees(value) if name.endswith("_rad") else value for name, value in changed.items()}
+        return {_KEYS[name]: degrees(value) if name in _ANGLES else value for name, value in changed.items()}
 
 
 _GAUSSIAN: Final = PointSpread()
 # The keys of ``[sensor]`` by attribute; angles are in degrees there.
-_KEYS: Final = {
-    name: f"{name.removesuffix('_rad')}_deg" if name.endswith("_rad") else name for name in PointSpread.__slots__
-}
-_CONFIG_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS.values())
+_ANGLES: Final = {"psf_angle_rad": "psf_angle_deg", "psf_tilt_angle_rad": "psf_tilt_angle_deg"}
+_KEYS: Final = {name: _ANGLES.get(name, name) for name in PointSpread.__slots__}
+# The same as `Sensor.effects` has them.
+PSF_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS.values())
 
 
 @lru_cache(maxsize=64)
 def _of_values(values: tuple[Any, ...]) -> PointSpread:
-    given: dict[str, Any] = {name: value for name, value in zip(_KEYS, values, strict=True) if value is not None}
-    given |= {name: radians(value) for name, value in given.items() if name.endswith("_rad")}
-    return PointSpread(**given)
+    keys: dict[str, Any] = {name: value for name, value in zip(_KEYS, values, strict=True) if value is not None}
+    keys |= {name: radians(keys[name]) for name in _ANGLES if name in keys}
+    return PointSpread(**keys)
 
 
 @lru_cache(maxsize=64)
@@ -241,11 +243,10 @@ def _hermite(ratio: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 @lru_cache(maxsize=64)
 def moffat_mixture(beta: float) -> tuple[tuple[float, float], ...]:
-    """Return the sum of Gaussians that approximates a Moffat profile of alpha 1.
+    """Return the Gaussians that approximate a Moffat profile (1 + r^2 / alpha^2)^-beta of alpha 1, for beta 2 to 20.
 
-    `beta`: exponent of the profile (1 + r^2 / alpha^2)^-beta, 2 to 20.  Returns: tuple of (float, float): flux
-    fraction and standard deviation, in units of alpha, of each Gaussian.  A Moffat profile is exactly a mixture of
-    Gaussians whose 1 / (2 sigma^2) has a gamma distribution of shape beta - 1; here a few sigmas at equal ratios have
+    Each is a flux fraction and a standard deviation, in units of alpha.  A Moffat profile is exactly a mixture of
+    Gaussians whose 1 / (2 sigma^2) has a gamma distribution of shape beta - 1.  Here a few sigmas at equal ratios have
     the fluxes that fit encircled energy and profile best, by least squares.
     """
     nodes, count = (_FIVE_NODES, 5) if beta < _FOUR_NODES[0][0] else (_FOUR_NODES, 4)
@@ -254,8 +255,8 @@ def moffat_mixture(beta: float) -> tuple[tuple[float, float], ...]:
     outside = np.exp(-np.outer(_FIT_RADII**2, rate))
     squared = 1 + _FIT_RADII**2
     design = np.vstack([1 - outside, outside * rate / (beta - 1), np.full((1, count), _UNIT_FLUX_WEIGHT)])
-    wanted = np.concatenate([1 - squared ** (1 - beta), squared**-beta, [_UNIT_FLUX_WEIGHT]])
-    flux, *_ = np.linalg.lstsq(design, wanted, rcond=None)
+    profile = np.concatenate([1 - squared ** (1 - beta), squared**-beta, [_UNIT_FLUX_WEIGHT]])
+    flux, *_ = np.linalg.lstsq(design, profile, rcond=None)
     flux /= flux.sum()
     return tuple(zip(flux.tolist(), np.sqrt(0.5 / rate).tolist(), strict=True))
 
@@ -285,15 +286,16 @@ RENORMALIZED: Final = Truncation(peak_fraction=1e-3, min_sigma=1.5, min_px=1.2)
 def gaussian_radius_px(
     sigma_px: float, peak_dn: ArrayLike, reduction: Float, *, renormalized: bool, faintest_dn: float = 0.0
 ) -> Float:
-    """Return the radius at which Gaussians are truncated.
+    """Return the radius at which Gaussians are truncated, (...) px.
 
-    `sigma_px`: standard deviation, px; `peak_dn` (...): amplitudes of stars that do not move, DN; `reduction` (...):
-    factor by which motion reduces them; `renormalized`: whether the flux outside the radius is added to the rest;
-    `faintest_dn`: signal below which nothing matters, however faint the star is, DN.  Returns (...) px.
+    `peak_dn` (...) are the amplitudes of stars that do not move, DN, and `reduction` (...) the factor by which motion
+    reduces them.  `renormalized` adds the flux outside the radius to the rest.  Signals below `faintest_dn` do not
+    matter, however faint the star is.
     """
     limits = RENORMALIZED if renormalized else PLAIN
-    peak, most = np.asarray(peak_dn, dtype=np.float64), 1 / limits.peak_fraction
-    of_peak = np.minimum(most, peak / faintest_dn) if faintest_dn else most
+    peak = np.asarray(peak_dn, dtype=np.float64)
+    max_contrast = 1 / limits.peak_fraction
+    of_peak = np.minimum(max_contrast, peak / faintest_dn) if faintest_dn else max_contrast
     contrast = np.maximum(peak / TRUNCATION_DN, of_peak) / reduction
     radius_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
     return np.asarray(np.maximum(sigma_px * radius_sigma, max(limits.min_sigma * sigma_px, limits.min_px)))

@@ -1,11 +1,6 @@
-"""The sensor: from magnitudes to digital numbers.
+"""The sensor: from magnitudes to digital numbers, in the paper's model or in electrons, and its limiting magnitude."""
 
-The electron model of a sensor: photo-electrons, dark current, full well, noise, gain and black level.
-
-The limiting magnitude of a sensor: the faintest star that it records with a given signal-to-noise ratio.
-"""
-
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import exp, hypot, isfinite, log10, nan, pi, sqrt
 from typing import Any, Final, Literal, Self, get_args
@@ -13,8 +8,9 @@ from typing import Any, Final, Literal, Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.camera.sensor import pointspread
 from glstar.camera.sensor.colourband import ColourBand
-from glstar.camera.sensor.pointspread import FAINTEST_COMPONENT_DN, PLAIN, PointSpread, PsfComponent, gaussian_radius_px
+from glstar.camera.sensor.pointspread import PointSpread, PsfComponent
 from glstar.errors import ConfigError
 from glstar.sky.photometry import brightness_ratio
 
@@ -55,14 +51,8 @@ class ElectronModel:
     temperature_c: float = 25.0  # Temperature of the sensor, degrees Celsius
 
     def __post_init__(self) -> None:
-        for key in _POSITIVE:
-            value = getattr(self, key)
-            if not (isfinite(value) and value > 0):
-                raise ConfigError(f"must be a positive number, not {value}", key=f"sensor.{key}")
-        for key in _NOT_NEGATIVE:
-            value = getattr(self, key)
-            if not (isfinite(value) and value >= 0):
-                raise ConfigError(f"must be a number, 0 or more, not {value}", key=f"sensor.{key}")
+        _require_positive(self, _POSITIVE)
+        _require_not_negative(self, _NOT_NEGATIVE, "a number, 0 or more")
         if not isfinite(self.temperature_c):
             raise ConfigError(f"must be a temperature, not {self.temperature_c}", key="sensor.temperature_c")
 
@@ -88,25 +78,23 @@ class ElectronModel:
         return float(self.dark_current_e_per_s * 2.0**doublings)
 
     def background_e(self, duration_s: float) -> float:
-        """Return the mean number of electrons of a pixel without a star, on the optical axis.
+        """Return the mean number of electrons of a pixel without a star, on the optical axis, e.
 
-        `duration_s`: exposure time, s.  Returns: of sky and dark current, at most the full well, e.
+        It is that of sky and dark current, at most the full well.
         """
         return min((self.sky_e_per_s + self.dark_e_per_s) * duration_s, self.full_well_e)
 
     def variance_e2(self, mean_e: ArrayLike) -> Float:
-        """Return the variance of pixels: shot noise and read noise, e^2.
+        """Return the variance of pixels with some mean numbers of electrons: shot noise and read noise, (...) e^2.
 
-        `mean_e` (...): mean numbers of electrons, e.  Returns (...) without the 1/12 DN^2 of rounding.  EMVA 1288,
-        eq. (9): the variance of a Poisson count is its mean.
+        The 1/12 DN^2 of rounding is not in it.  EMVA 1288, eq. (9): the variance of a Poisson count is its mean.
         """
         return np.asarray(mean_e, dtype=np.float64) + self.read_noise_e**2
 
     def pixel_electrons(self, pixel_dn: float) -> tuple[float, float]:
-        """Return the electrons of a pixel and their signal-to-noise ratio, from its digital number.
+        """Return the electrons of a pixel above the black level, and their signal-to-noise ratio.
 
-        `pixel_dn`: digital number, DN.  Returns `electrons`: above the black level, e; negative by noise;
-        `signal_to_noise`: over shot noise and read noise; 0 for negative ones.
+        Noise can make the electrons negative; the ratio, over shot noise and read noise, is then 0.
         """
         electrons = (pixel_dn - self.black_level_dn) / self.dn_per_e
         counted = max(electrons, 0.0)
@@ -114,12 +102,12 @@ class ElectronModel:
         return electrons, counted / variance_e2**0.5 if variance_e2 > 0 else 0.0
 
     def signal_to_noise(self, flux_e: ArrayLike, area_px2: ArrayLike, duration_s: float) -> Float:
-        """Return the signal-to-noise ratio of stars, measured with the weights of their own profile.
+        """Return the signal-to-noise ratio of stars, (...), measured with the weights of their own profile.
 
-        `flux_e` (...): electrons of each star on all its pixels together, e; `area_px2` (...): noise-equivalent area of
-        each: 1 over the sum of its squared profile, px^2; 4 pi sigma^2 at rest; `duration_s`: exposure time, s.
-        Returns (...).  Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), with the noise-equivalent area of King
-        1983 for the number of pixels.  Saturation and the rounding to DN are not in it.
+        `flux_e` (...) are the electrons of each star on all its pixels together, and `area_px2` (...) its
+        noise-equivalent area: 1 over the sum of its squared profile, 4 pi sigma^2 at rest.  Saturation and the rounding
+        to DN are not in it.  Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), with the noise-equivalent area of
+        King 1983 for the number of pixels.
         """
         flux = np.asarray(flux_e, dtype=np.float64)
         background_e2 = self.variance_e2(self.background_e(duration_s))
@@ -135,12 +123,23 @@ class ElectronModel:
         return (self.vmag_0_e_per_s, self.dn_per_e) == (other.vmag_0_e_per_s, other.dn_per_e)
 
 
+def _require_positive(owner: object, keys: Iterable[str]) -> None:
+    for key in keys:
+        value = getattr(owner, key)
+        if not (isfinite(value) and value > 0):
+            raise ConfigError(f"must be a positive number, not {value}", key=f"sensor.{key}")
+
+
+def _require_not_negative(owner: object, keys: Iterable[str], allowed: str) -> None:
+    for key in keys:
+        value = getattr(owner, key)
+        if not (isfinite(value) and value >= 0):
+            raise ConfigError(f"must be {allowed}, not {value}", key=f"sensor.{key}")
+
+
 PixelModel = Literal["integrated", "sampled"]
 EffectValue = float | int | bool | str
 NoiseModel = Literal["paper", "electrons"]
-
-# Beginnings of the effects' keys that change the noiseless signal of stars; all others act on it later.
-_KEYS_OF_LIGHT = ("sensor.psf", "sensor.band", "sensor.mosaic", "cloud.")
 
 # Radius of the largest sprite of wings and halos, px: all drivers draw points of 255 px.
 _LARGEST_PX = 110.0
@@ -212,14 +211,8 @@ class Sensor:
             raise ConfigError(f"must lie between 1 and 16, not {self.bit_depth}", key="sensor.bit_depth")
         if self.pixel not in get_args(PixelModel):
             raise ConfigError(f"must be 'integrated' or 'sampled', not {self.pixel!r}", key="sensor.pixel")
-        for key in ("reference_peak_dn", "reference_exposure_s", "psf_sigma_px"):
-            value = getattr(self, key)
-            if not (isfinite(value) and value > 0):
-                raise ConfigError(f"must be a positive number, not {value}", key=f"sensor.{key}")
-        for key in ("sky_mean_dn", "sky_std_dn"):
-            value = getattr(self, key)
-            if not (isfinite(value) and value >= 0):
-                raise ConfigError(f"must be a number of DN, 0 or more, not {value}", key=f"sensor.{key}")
+        _require_positive(self, ("reference_peak_dn", "reference_exposure_s", "psf_sigma_px"))
+        _require_not_negative(self, ("sky_mean_dn", "sky_std_dn"), "a number of DN, 0 or more")
         if not isfinite(self.reference_vmag):
             raise ConfigError(f"must be a magnitude, not {self.reference_vmag}", key="sensor.reference_vmag")
         self.point_spread.circular(self.psf_sigma_px)
@@ -264,7 +257,9 @@ class Sensor:
     def core(self) -> Self:
         """The sensor with the narrowest Gaussian of its point spread function, which limits the spacing of samples."""
         scale, _ = self.point_spread.scale_range
-        narrow = min(self.point_spread.components(self.psf_sigma_px, scale=scale), key=lambda one: one.sigma_px)
+        narrow = min(
+            self.point_spread.components(self.psf_sigma_px, scale=scale), key=lambda component: component.sigma_px
+        )
         return self if self.point_spread.is_gaussian else self.of_component(narrow)
 
     @property
@@ -273,8 +268,8 @@ class Sensor:
         if self.point_spread.is_gaussian:
             return self.effective_sigma_px
         return max(
-            hypot(*one.offset_px) / _WIDEST_IN_SIGMA + self.of_component(one).effective_sigma_px
-            for one in self._widest_components
+            hypot(*component.offset_px) / _WIDEST_IN_SIGMA + self.of_component(component).effective_sigma_px
+            for component in self._widest_components
         )
 
     @property
@@ -304,7 +299,7 @@ class Sensor:
             electrons=electrons,
             psf_sigma_px=component.sigma_px,
             reference_peak_dn=self.reference_peak_dn * float(peak_ratio),
-            effects={key: value for key, value in self.effects.items() if not key.startswith("sensor.psf")},
+            effects={key: value for key, value in self.effects.items() if key not in pointspread.PSF_KEYS},
         )
 
     @property
@@ -477,16 +472,17 @@ class Sensor:
         if not self.point_spread.is_gaussian:
             return self._widest_truncation_px(peak_dn, min_trail_px, renormalized=renormalized)
         reduction = self._peak_reduction(min_trail_px)
-        return gaussian_radius_px(self.effective_sigma_px, peak_dn, reduction, renormalized=renormalized)
+        return pointspread.gaussian_radius_px(self.effective_sigma_px, peak_dn, reduction, renormalized=renormalized)
 
     def _widest_truncation_px(self, peak_dn: ArrayLike, min_trail_px: ArrayLike, *, renormalized: bool) -> Float:
         """Return the largest of the truncation radii of the Gaussians of stars anywhere on the image, px."""
-        peak, largest = np.asarray(peak_dn, dtype=np.float64), np.zeros(())
-        for one in self._widest_components:
-            gaussian = self.of_component(one)
+        peak = np.asarray(peak_dn, dtype=np.float64)
+        largest = np.zeros(())
+        for component in self._widest_components:
+            gaussian = self.of_component(component)
             of_peak = gaussian.reference_peak_dn / self.reference_peak_dn
             radius_px = gaussian.component_radius_px(of_peak * peak, min_trail_px, renormalized=renormalized)
-            largest = np.maximum(largest, hypot(*one.offset_px) + radius_px)
+            largest = np.maximum(largest, hypot(*component.offset_px) + radius_px)
         return largest
 
     def component_radius_px(self, peak_dn: ArrayLike, min_trail_px: ArrayLike, *, renormalized: bool) -> Float:
@@ -504,18 +500,21 @@ class Sensor:
             `FAINTEST_COMPONENT_DN` is drawn.
         """
         sigma_px, reduction = self.effective_sigma_px, self._peak_reduction(min_trail_px)
-        radius_px = gaussian_radius_px(
-            sigma_px, peak_dn, reduction, renormalized=renormalized, faintest_dn=FAINTEST_COMPONENT_DN
+        radius_px = pointspread.gaussian_radius_px(
+            sigma_px, peak_dn, reduction, renormalized=renormalized, faintest_dn=pointspread.FAINTEST_COMPONENT_DN
         )
-        return np.minimum(radius_px, max(_LARGEST_PX, PLAIN.min_sigma * sigma_px))
+        return np.minimum(radius_px, max(_LARGEST_PX, pointspread.PLAIN.min_sigma * sigma_px))
 
-    def leaves_same_signal(self, other: "Sensor") -> bool:
+    def leaves_same_signal(self, other: "Sensor", light_keys: Collection[str] | None = None) -> bool:
         """Return whether stars leave the same noiseless signal on another sensor.
 
         Parameters
         ----------
         other : Sensor
             Its sky, noise, bit depth and effects may differ.
+        light_keys : collection of str, optional
+            Dotted keys of the effects that change the signal of stars: see `glstar.render.effects.light_keys`.
+            Default: all.
 
         Returns
         -------
@@ -531,15 +530,18 @@ class Sensor:
             bit_depth=other.bit_depth,
             effects=other.effects,
         )
-        return equalised == other and _of_light(self.effects) == _of_light(other.effects)
+        keys = self.effects.keys() | other.effects.keys() if light_keys is None else light_keys
+        return equalised == other and all(self.effects.get(key) == other.effects.get(key) for key in keys)
 
-    def with_bit_depth(self, bit_depth: int) -> Self:
+    def with_bit_depth(self, bit_depth: int, scaled_keys: Collection[str] = ()) -> Self:
         """Return the sensor with another bit depth; all brightnesses keep their fraction of full scale.
 
         Parameters
         ----------
         bit_depth : int
             Bits, 1 to 16.
+        scaled_keys : collection of str
+            Dotted keys of the effects whose values are in DN: see `glstar.render.effects.scaled_keys`.
 
         Returns
         -------
@@ -554,7 +556,7 @@ class Sensor:
             bit_depth=bit_depth,
             electrons=None if self.electrons is None else self.electrons.with_scale(scale),
             effects={
-                key: value * scale if key.endswith("_dn") and isinstance(value, float) else value
+                key: value * scale if key in scaled_keys and not isinstance(value, str) else value
                 for key, value in self.effects.items()
             },
         )
@@ -565,15 +567,11 @@ def _trail_sigma_px(sensor: Sensor) -> float:
     psf = sensor.point_spread
     if psf.is_gaussian:
         return sensor.effective_sigma_px
-    sensors = [sensor.of_component(one) for one in psf.circular(sensor.psf_sigma_px)]
-    peaks = np.array([one.reference_peak_dn for one in sensors])
-    widths_px = np.array([one.effective_sigma_px for one in sensors])
+    gaussians = [sensor.of_component(component) for component in psf.circular(sensor.psf_sigma_px)]
+    peaks = np.array([gaussian.reference_peak_dn for gaussian in gaussians])
+    widths_px = np.array([gaussian.effective_sigma_px for gaussian in gaussians])
     longest = psf.scale_range[1] / np.sqrt(1 - psf.psf_ellipticity)
     return float(longest * peaks @ widths_px / peaks.sum())
-
-
-def _of_light(effects: Mapping[str, EffectValue]) -> dict[str, EffectValue]:
-    return {key: value for key, value in effects.items() if key.startswith(_KEYS_OF_LIGHT)}
 
 
 def _have_same_gain(one: ElectronModel | None, other: ElectronModel | None) -> bool:
@@ -588,14 +586,14 @@ _QUANTISATION_VARIANCE_DN2: Final = 1 / 12
 
 
 def noise_equivalent_area_px2(sensor: Sensor) -> float:
-    """Return the noise-equivalent area of a star that does not move, on the optical axis.
+    """Return the noise-equivalent area of a star that does not move, on the optical axis, px^2.
 
-    Returns: 1 over the integral of its squared profile, px^2: 4 pi sigma^2 for a Gaussian.  King 1983, PASP 95, 163.
-    Two Gaussians of the variances s and t at the distance d overlap by exp(-d^2 / 2 (s + t)) / 2 pi (s + t).
+    It is 1 over the integral of the squared profile: 4 pi sigma^2 for a Gaussian.  King 1983, PASP 95, 163.  Two
+    Gaussians of the variances s and t at the distance d overlap by exp(-d^2 / 2 (s + t)) / 2 pi (s + t).
     """
     parts = [
-        (one.flux_fraction, sensor.of_component(one).effective_sigma_px ** 2, one.offset_px)
-        for one in sensor.point_spread.components(sensor.psf_sigma_px)
+        (component.flux_fraction, sensor.of_component(component).effective_sigma_px ** 2, component.offset_px)
+        for component in sensor.point_spread.components(sensor.psf_sigma_px)
     ]
     squared = 0.0
     for fraction, variance_px2, (x_px, y_px) in parts:
@@ -609,14 +607,16 @@ def noise_equivalent_area_px2(sensor: Sensor) -> float:
 def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: float = 0.0, frames: int = 1) -> float:
     """Return the magnitude of a star that a matched filter finds with a signal-to-noise ratio of 5.
 
-    Valid for both noise models.  Row noise, fixed patterns, a colour mosaic and processing in the camera are not in
-    it.  `duration_s`: exposure time, s; of each short exposure of a stacked image; `area_px2`: noise-equivalent area
-    of the star or of its trail, px^2; `sky_dn`: signal per pixel of a sky that the sensor's own background does not
-    have, DN; with shot noise in electrons; `frames`: number of short exposures in the image, whose ratio is
-    sqrt(frames) times that of one.  Returns: in the camera's band, as it reaches the lens, on the optical axis; NaN if
-    the background saturates.  Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), solved for the flux F: F^2 = SNR^2
-    (K F + A v), with K DN per electron (0 in the paper's noise model), the noise-equivalent area A, and the variance v
-    of a pixel without a star.
+    It is in the camera's band, as it reaches the lens, on the optical axis; NaN if the background saturates.  Valid for
+    both noise models; row noise, fixed patterns, a colour mosaic and processing in the camera are not in it.
+
+    `duration_s` is the exposure time, of each short exposure of a stack; `area_px2` the noise-equivalent area of the
+    star or of its trail.  `sky_dn` is the signal per pixel of a sky that the sensor's own background does not have,
+    with shot noise in electrons.  `frames` is the number of short exposures in the image, whose ratio is sqrt(frames)
+    times that of one.
+
+    Merline & Howell 1995, Exp. Astron. 6, 163, eq. (1), solved for the flux F: F^2 = SNR^2 (K F + A v), with K DN per
+    electron (0 in the paper's noise model), the noise-equivalent area A, and the variance v of a pixel without a star.
     """
     model = sensor.electrons
     dn_per_e = 0.0 if model is None else model.dn_per_e

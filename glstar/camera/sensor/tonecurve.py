@@ -16,14 +16,13 @@ Float = NDArray[np.float64]
 
 # Names of tone curves, the default first.
 GAMMAS: Final = ("linear", "srgb", "rpi")
-# Tone curve of the Raspberry Pi HQ camera: (input, output) of 65535, linear between; libcamera, tuning file of the
+# Tone curve of the Raspberry Pi HQ camera, of 65535, linear between; libcamera, tuning file of the
 # IMX477 for the older processor (BSD-2-Clause).
-_RPI_CURVE: Final = (
-    *((0, 0), (1024, 5040), (2048, 9338), (3072, 12356), (4096, 15312), (5120, 18051), (6144, 20790), (7168, 23193)),
-    *((8192, 25744), (9216, 27942), (10240, 30035), (11264, 32005), (12288, 33975), (13312, 35815), (14336, 37600)),
-    *((15360, 39168), (16384, 40642), (18432, 43379), (20480, 45749), (22528, 47753), (24576, 49621), (26624, 51253)),
-    *((28672, 52698), (30720, 53796), (32768, 54876), (36864, 57012), (40960, 58656), (45056, 59954), (49152, 61183)),
-    *((53248, 62355), (57344, 63419), (61440, 64476), (65535, 65535)),
+_RPI_INPUTS: Final = (*range(0, 16384, 1024), *range(16384, 32768, 2048), *range(32768, 65535, 4096), 65535)
+_RPI_OUTPUTS: Final = (
+    (0, 5040, 9338, 12356, 15312, 18051, 20790, 23193, 25744, 27942, 30035, 32005, 33975, 35815, 37600, 39168),
+    (40642, 43379, 45749, 47753, 49621, 51253, 52698, 53796),
+    (54876, 57012, 58656, 59954, 61183, 62355, 63419, 64476, 65535),
 )
 # Values that a tone curve is applied to at once: 256 kB of float64.
 _BLOCK: Final = 1 << 15
@@ -37,26 +36,20 @@ _LIBCAMERA_FULL_SCALE: Final = 65535
 
 
 def recorded_by(light: NDArray[Any], gamma: str | float, points: str = "") -> Float:
-    """Return values after a tone curve.
+    """Return values from 0 to 1, of any shape, after a tone curve, from 0 to 1.
 
-    `light`: from 0 to 1; `gamma` {"linear", "srgb", "rpi"} or float: the name of a curve, or g for the light to the
-    power of 1 / g; `points`: points of a curve as `curve_text` writes them; empty for `gamma`.  Returns: from 0 to 1,
-    of the shape of `light`.
+    `gamma` is the name of a curve, or g for the light to the power of 1 / g; `points` of `curve_text` replace it.
     """
     if points:
-        given, toned = np.transpose(parse_curve(points))
-        return np.asarray(np.interp(light, given, toned))
+        inputs, outputs = np.transpose(parse_curve(points))
+        return np.asarray(np.interp(light, inputs, outputs))
     if not isinstance(gamma, str):
         return np.asarray(light, dtype=np.float64) ** (1 / gamma)
     return _interpolated(light, _named_curve(gamma))
 
 
 def light_before(recorded: NDArray[Any], gamma: str | float) -> Float:
-    """Return the light that a tone curve records as some values: the inverse of `recorded_by`.
-
-    `recorded`: from 0 to 1; `gamma` {"linear", "srgb", "rpi"} or float.  Returns: from 0 to 1, of the shape of
-    `recorded`.
-    """
+    """Return the light, from 0 to 1, that a tone curve records as some values: the inverse of `recorded_by`."""
     if not isinstance(gamma, str):
         return np.asarray(recorded, dtype=np.float64) ** gamma
     return np.asarray(np.interp(recorded, _named_curve(gamma), _equidistant()))
@@ -71,12 +64,13 @@ def _interpolated(values: NDArray[Any], table: Float) -> Float:
     last = len(table) - 1
     inputs = np.linspace(0, 1, len(table))
     slopes = np.append(np.diff(table) / np.diff(inputs), 0.0)
-    flat, found = values.ravel(), np.empty(values.size)
+    flat = values.ravel()
+    interpolated = np.empty(values.size)
     for first in range(0, flat.size, _BLOCK):
-        given = flat[first : first + _BLOCK].astype(np.float64)
-        at = np.minimum((given * last).astype(np.intp), last)
-        found[first : first + _BLOCK] = slopes[at] * (given - inputs[at]) + table[at]
-    return found.reshape(values.shape)
+        block = flat[first : first + _BLOCK].astype(np.float64)
+        at = np.minimum((block * last).astype(np.intp), last)
+        interpolated[first : first + _BLOCK] = slopes[at] * (block - inputs[at]) + table[at]
+    return interpolated.reshape(values.shape)
 
 
 def _equidistant() -> Float:
@@ -90,8 +84,7 @@ def _named_curve(gamma: str) -> Float:
     if gamma == "srgb":  # IEC 61966-2-1
         return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
     if gamma == "rpi":
-        given, toned = np.transpose(_RPI_CURVE)
-        return np.asarray(np.interp(65535 * x, given, toned) / 65535)
+        return np.asarray(np.interp(65535 * x, _RPI_INPUTS, np.concatenate(_RPI_OUTPUTS)) / 65535)
     return x
 
 
@@ -101,19 +94,15 @@ def is_curve_text(text: str) -> bool:
 
 
 def curve_text(points: CurvePoints) -> str:
-    """Return points as text.
-
-    `points` tuple of (float, float).  Returns: such as ``"0,0;0.5,0.7;1,1"``, of eight digits.
-    """
-    return ";".join(f"{given:.8g},{toned:.8g}" for given, toned in points)
+    """Return points as text of eight digits, such as ``"0,0;0.5,0.7;1,1"``."""
+    return ";".join(f"{x:.8g},{y:.8g}" for x, y in points)
 
 
 @lru_cache(maxsize=8)
 def parse_curve(text: str) -> CurvePoints:
-    """Return the points of a text.
+    """Return the points of a text of `curve_text`.
 
-    `text`: as `curve_text` writes it.  Returns: tuple of (float, float).  Raises ValueError if they are no tone curve;
-    the message continues "KEY: ".
+    Raises ValueError if they are no tone curve; the message continues "KEY: ".
     """
     return checked_points([row.split(",") for row in text.split(";") if row.strip()])
 
@@ -121,9 +110,9 @@ def parse_curve(text: str) -> CurvePoints:
 def read_curve(path: Path) -> CurvePoints:
     """Return the points of a file.
 
-    `path`: CSV with a column of inputs and one of outputs; JSON with a list of [input, output]; or a tuning file of
-    libcamera, whose ``gamma_curve`` has inputs and outputs of 65535 in turn.  Returns: tuple of (float, float).  Raises
-    ValueError if it cannot be read, or holds no tone curve; the message continues "KEY: ".
+    It is CSV with a column of inputs and one of outputs; JSON with a list of [input, output]; or a tuning file of
+    libcamera, whose ``gamma_curve`` has inputs and outputs of 65535 in turn.  Raises ValueError if it cannot be read,
+    or holds no tone curve; the message continues "KEY: ".
     """
     try:
         text = read_text(path, _LARGEST_BYTES)
@@ -133,10 +122,10 @@ def read_curve(path: Path) -> CurvePoints:
 
 
 def checked_points(rows: Sequence[Any]) -> CurvePoints:
-    """Return rows of two numbers as points of a tone curve.
+    """Return rows of two fractions of full scale as points of a tone curve.
 
-    `rows`: fractions of full scale.  Returns: tuple of (float, float).  Raises ValueError if one is no pair of
-    fractions, there are fewer than two, or the curve falls; the message continues "KEY: ".
+    Raises ValueError if one is no pair of fractions, there are fewer than two, or the curve falls; the message
+    continues "KEY: ".
     """
     points = tuple(map(_point, rows))
     if len(points) < 2:
@@ -151,8 +140,8 @@ def checked_points(rows: Sequence[Any]) -> CurvePoints:
 
 def _point(row: Any) -> tuple[float, float]:
     try:
-        given, toned = row
-        point = float(given), float(toned)
+        x, y = row
+        point = float(x), float(y)
     except (TypeError, ValueError):
         raise ValueError(f"{row!s:.40} is no pair of numbers, [input, output]") from None
     if not all(0 <= value <= 1 for value in point):
@@ -173,7 +162,7 @@ def _rows_of_csv(text: str) -> list[list[str]]:
 
 def _rows_of_json(text: str) -> list[Any]:
     content = json.loads(text)
-    for curve in _found(content):
+    for curve in _libcamera_curves(content):
         if not isinstance(curve, list) or len(curve) % 2:
             raise ValueError(f"its {_LIBCAMERA_KEY} is no list of inputs and outputs in turn")
         fractions = [value / _LIBCAMERA_FULL_SCALE for value in curve]
@@ -183,10 +172,10 @@ def _rows_of_json(text: str) -> list[Any]:
     raise ValueError("is no list of [input, output], and has no gamma_curve of libcamera")
 
 
-def _found(content: Any) -> Iterator[Any]:
+def _libcamera_curves(content: Any) -> Iterator[Any]:
     """Yield the values of the key of libcamera's curve, at any depth."""
     if isinstance(content, dict) and _LIBCAMERA_KEY in content:
         yield content[_LIBCAMERA_KEY]
     inner = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     for value in inner:
-        yield from _found(value)
+        yield from _libcamera_curves(value)

@@ -1,37 +1,13 @@
 """``glstar calibrate``: the simulator's sensor and camera from photographs of the stars."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from glstar.cli.calibration.settings import CalibrateOptions
 from glstar.cli.flightoptions import ConfigFile
 from glstar.cli.verbosity import with_verbosity
 from glstar.errors import ConfigError
-
-
-class _Channel(StrEnum):
-    value = "value"
-    red = "red"
-    green = "green"
-    blue = "blue"
-    mean = "mean"
-
-
-class _Lens(StrEnum):
-    auto = "auto"
-    none = "none"
-    plumb_bob = "plumb_bob"
-    rational = "rational"
-    fisheye = "fisheye"
-
-
-class _Criterion(StrEnum):
-    median = "median"
-    paper = "paper"
-
 
 Images = Annotated[
     list[Path] | None,
@@ -73,16 +49,20 @@ Pitch = Annotated[float | None, typer.Option(help="Pitch, deg.", show_default="u
 Roll = Annotated[float | None, typer.Option(help="Roll, deg.", show_default="unknown")]
 Log = Annotated[Path | None, typer.Option(help="A log with position and attitude at each --utc.", show_default="none")]
 Labels = Annotated[Path | None, typer.Option(help="A CSV of known stars: x, y, star_id.", show_default="none")]
-ColourChannel = Annotated[_Channel, typer.Option(help="Channel of a colour image.")]
+ColourChannel = Annotated[
+    Literal["value", "red", "green", "blue", "mean"], typer.Option(help="Channel of a colour image.")
+]
 BitDepth = Annotated[
     int | None,
     typer.Option(help="Bits of the converter, for raw images in 16 bits.", min=1, max=16, show_default="detected"),
 ]
 BrightnessCriterion = Annotated[
-    _Criterion, typer.Option(help="Reference brightness: the median of all stars, or the paper's single star.")
+    Literal["median", "paper"],
+    typer.Option(help="Reference brightness: the median of all stars, or the paper's single star."),
 ]
 LensModel = Annotated[
-    _Lens, typer.Option(help="OpenCV's lens model to fit to the stars; auto chooses the model that they justify.")
+    Literal["auto", "none", "plumb_bob", "rational", "fisheye"],
+    typer.Option(help="OpenCV's lens model to fit to the stars; auto chooses the model that they justify."),
 ]
 FitLens = Annotated[
     bool, typer.Option("--fit-lens", help="Fit one lens to all images together, with an attitude for each.")
@@ -148,11 +128,11 @@ def calibrate(
     roll: Roll = None,
     flight: Log = None,
     labels: Labels = None,
-    channel: ColourChannel = _Channel.value,
+    channel: ColourChannel = "value",
     bit_depth: BitDepth = None,
     gamma: Gamma = None,
-    criterion: BrightnessCriterion = _Criterion.median,
-    lens: LensModel = _Lens.auto,
+    criterion: BrightnessCriterion = "median",
+    lens: LensModel = "auto",
     fit_lens: FitLens = False,
     fit_readout: FitReadout = False,
     geometry_only: GeometryOnly = False,
@@ -172,47 +152,35 @@ def calibrate(
     """
     if _calibrated_from_darks(images, darks, flats, output, bit_depth, as_json=as_json):
         return
-    options = CalibrateOptions(
-        config=config,
-        fov_deg=fov,
-        exposures_s=exposure,
-        utc=utc,
-        site_deg={"--lat": lat, "--lon": lon},
-        attitude_deg={"--yaw": yaw, "--pitch": pitch, "--roll": roll},
-        flight=flight,
-        labels=labels,
-        channel=channel.value,
-        bit_depth=bit_depth,
-        criterion=criterion.value,
-        lens=lens.value,
-        fit_lens=fit_lens,
-        geometry_only=geometry_only,
-        shape=shape,
-        twin=twin,
-        extinction=extinction,
-        fit_readout=fit_readout,
-        gamma=gamma,
-    )
-    _run(images or [], options, output, camera_out, as_json=as_json)
+    _require_possible_twin(twin, images or [], geometry_only, shape, fit_readout, extinction)
+    from glstar.calibrate.pipeline import calibrate_photographs  # noqa: PLC0415 - OpenCV, SciPy
+    from glstar.cli.calibration import output as reports  # noqa: PLC0415 - OpenCV, SciPy
 
-
-def _run(
-    images: list[Path], options: CalibrateOptions, output: Path, camera_out: Path | None, *, as_json: bool
-) -> None:
-    """Calibrate from photographs, write the results and report."""
-    _require_consistent(options, images)
-    # OpenCV, SciPy and matplotlib are loaded only now.
-    from glstar.calibrate import SharedGeometry  # noqa: PLC0415
-    from glstar.cli.calibration.output import print_result  # noqa: PLC0415
-    from glstar.cli.calibration.run import calibrate_images  # noqa: PLC0415
-
-    result = calibrate_images(images, options, output, camera_out)
-    if not options.twin or isinstance(result, SharedGeometry):
-        print_result(result, output, as_json=as_json)
-        return
-    from glstar.cli.calibration.twin import write_twin_of  # noqa: PLC0415 - OpenGL
-
-    write_twin_of(result, output, as_json=as_json)
+    with reports.showing_progress() as (on_step, on_note):
+        result = calibrate_photographs(
+            images or [],
+            config=config,
+            fov_deg=fov,
+            exposure_s=exposure,
+            utc=utc,
+            site_deg=_all_or_none({"--lat": lat, "--lon": lon}),
+            attitude_deg=_all_or_none({"--yaw": yaw, "--pitch": pitch, "--roll": roll}),
+            flight=flight,
+            labels=labels,
+            channel=channel,
+            bit_depth=bit_depth,
+            gamma=gamma or (None if twin else "linear"),
+            criterion=criterion,
+            lens=lens,
+            fit_lens=fit_lens,
+            fit_readout=fit_readout,
+            geometry_only=geometry_only,
+            shape=shape,
+            extinction=extinction,
+            on_step=on_step,
+            on_note=on_note,
+        )
+    reports.write_and_print(result, output, camera_out, twin=twin, as_json=as_json)
 
 
 def _calibrated_from_darks(
@@ -235,59 +203,34 @@ def _calibrated_from_darks(
         raise typer.BadParameter("give photographs of the stars, or --darks", param_hint="IMAGES")
     if darks is None:
         return False
-    from glstar.cli.calibration.darks import calibrate_from_darks  # noqa: PLC0415 - OpenCV
+    from glstar.cli.calibration.output import calibrate_from_darks  # noqa: PLC0415 - OpenCV, SciPy
 
     calibrate_from_darks(darks, flats, output, bit_depth, as_json=as_json)
     return True
 
 
-def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
-    """Refuse options that contradict the number of images."""
-    if options.twin and options.geometry_only:
+def _require_possible_twin(
+    twin: bool, images: list[Path], geometry_only: bool, shape: bool, fit_readout: bool, extinction: str
+) -> None:
+    """Refuse options that contradict ``--twin``, if it is given."""
+    if not twin:
+        return
+    if geometry_only:
         raise ConfigError("--twin needs the sensor, and --geometry-only leaves it out; give one of them")
-    if options.twin and options.shape:
+    if shape:
         raise ConfigError("--twin measures the shape of the stars too: leave --shape out")
-    if options.fit_readout and (options.flight is None or not options.utc):
-        raise ConfigError("--fit-readout needs --flight and --utc: how the aircraft turned while the rows were read")
-    if options.fit_readout and options.twin:
+    if fit_readout:
         raise ConfigError("--twin draws one attitude for all rows: leave --fit-readout or --twin out")
-    if options.extinction != "none":
-        _require_extinction(options)
-    if len(images) == 1:
-        if options.fit_lens:
-            raise ConfigError("--fit-lens needs several images: the lens of a single one is always fitted, see --lens")
-    else:
-        _require_several(options)
-
-
-def _require_several(options: CalibrateOptions) -> None:
-    """Refuse options that take one image."""
-    if options.geometry_only and not options.fit_lens:
-        raise ConfigError("--geometry-only of several images needs --fit-lens: one lens for all of them")
-    if options.shape:
-        raise ConfigError("--shape takes one image: calibrate the sharpest one with it")
-    if options.twin:
-        raise ConfigError("--twin takes one image: its sky is that of the one photograph")
-    if options.gamma == "fit":
-        raise ConfigError(
-            "--gamma fit takes one image: fit it on that with the widest range of sky, and give the number"
-        )
-    if options.labels is not None:
-        raise ConfigError("--labels belong to one image: leave them out, or calibrate the images one by one")
-    if options.criterion == "paper":
-        raise ConfigError("--criterion paper, eq. (38), takes one image; several use the median of all their stars")
-
-
-def _require_extinction(options: CalibrateOptions) -> None:
-    """Refuse an extinction that is no choice, or contradicts other options."""
-    if options.extinction != "fit":
-        try:
-            known = 0 <= float(options.extinction) <= 10
-        except ValueError:
-            known = False
-        if not known:
-            raise ConfigError(
-                f"--extinction is none, fit or a magnitude per air mass from 0 to 10, not {options.extinction!r}"
-            )
-    if options.twin or options.geometry_only:
+    if extinction != "none":
         raise ConfigError("--extinction belongs to the brightness of the stars: leave --twin and --geometry-only out")
+    if len(images) > 1:
+        raise ConfigError("--twin takes one image: its sky is that of the one photograph")
+
+
+def _all_or_none(options: dict[str, float | None]) -> tuple[float, ...] | None:
+    """Return the values of options that go together, or None if none was given."""
+    values = tuple(value for value in options.values() if value is not None)
+    if 0 < len(values) < len(options):
+        missing = [name for name, value in options.items() if value is None]
+        raise ConfigError(f"{' and '.join(missing)} missing; {', '.join(options)} go together")
+    return values or None

@@ -15,8 +15,8 @@ from rich.table import Table
 
 from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings
 from glstar.camera.model import Camera
-from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_presets
-from glstar.cli.completion import sensor_names
+from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
+from glstar.cli.flightoptions import sensor_names
 from glstar.cli.progress import progress_bar
 from glstar.cli.verbosity import with_verbosity
 from glstar.errors import CalibrationError
@@ -109,7 +109,7 @@ def presets(
     sensor: Annotated[
         str | None,
         typer.Argument(
-            help="A sensor: its modes, and its numbers with the source of each.",
+            help="A sensor, or FILE.toml:NAME: its modes, and its numbers with the source of each.",
             show_default="all",
             autocompletion=sensor_names,
         ),
@@ -122,7 +122,7 @@ def presets(
     """
     if sensor is not None:
         sensor_mode(sensor)  # refuses an unknown name
-        preset = sensor_presets()[sensor.lower().partition(":")[0]]
+        preset = sensor_preset(sensor)
         if as_json:
             typer.echo(json.dumps(asdict(preset), ensure_ascii=False))
         else:
@@ -205,6 +205,7 @@ def rectify(
     """Write an image as a pinhole of the same focal length would have recorded it."""
     import cv2  # noqa: PLC0415 - when it is needed
 
+    from glstar.calibrate.photo.photograph import encoded_image  # noqa: PLC0415 - OpenCV again
     from glstar.camera.rectify import rectify as rectified  # noqa: PLC0415
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV again
     from glstar.system.imagefiles import size_error  # noqa: PLC0415
@@ -226,10 +227,10 @@ def rectify(
     if pixels is None:
         raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=image)
     undistorted, _ = rectified(np.asarray(pixels), behind)
-    _, encoded = cv2.imencode(output.suffix.lower(), undistorted)
+    encoded = encoded_image(output.suffix.lower(), undistorted)
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(output, encoded.tobytes())
+        write_atomically(output, encoded)
     if as_json:
         typer.echo(json.dumps({"image": str(output), **_facts(behind)}))
         return

@@ -1,76 +1,65 @@
-"""Files and messages of ``glstar calibrate``."""
+"""Files and messages of ``glstar calibrate``, which writes and prints what `glstar.calibrate` measures."""
 
 import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import typer
 
-from glstar.calibrate import (
-    Calibration,
-    CombinedCalibration,
-    GeometryCalibration,
-    SharedGeometry,
-    draw_combined,
-    draw_geometry,
-    draw_report,
-)
-from glstar.camera.camerafile import camera_to_yaml
+from glstar.calibrate import pipeline
+from glstar.calibrate.geometry.camera import GeometryCalibration, SharedGeometry
+from glstar.calibrate.notes import Note
+from glstar.calibrate.sensor.calibration import Calibration
+from glstar.calibrate.sensor.combine import CombinedCalibration
+from glstar.calibrate.sensor.photographmodel import measure_photograph
+from glstar.calibrate.sensor.photontransfer import PhotonTransfer, measure_darks
+from glstar.calibrate.sensor.report import prepare_to_draw
+from glstar.calibrate.twin import TwinResult, make_twin, model_files
+from glstar.cli.progress import progress_bar
 from glstar.cli.verbosity import echo_note
+from glstar.config import Config
+from glstar.errors import CalibrationError
 from glstar.export.directory import explain_disk_errors
 from glstar.system.files import write_atomically
 
-# The suffix of the stars' measured brightness, beside the calibration.
-_TABLE: Final = ".brightness.csv"
+# A larger fraction of hot pixels is reported: real sensors have some hundred in a million.
+_MANY_HOT: Final = 0.01
 
 
-def write_files(output: Path, files: dict[str, bytes]) -> None:
-    """Write files beside each other, by suffix."""
-    with explain_disk_errors(output):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        for suffix, content in files.items():
-            # The name of an image may contain dots: only .toml is a suffix.
-            write_atomically(output.with_name(output.name.removesuffix(".toml") + suffix), content)
+@contextmanager
+def showing_progress() -> Iterator[tuple[Callable[[int, int], None], Callable[[str], None]]]:
+    """Show a progress bar, and yield functions for its steps and for notes; load matplotlib meanwhile."""
+    with progress_bar("steps") as on_step, ThreadPoolExecutor(max_workers=1) as executor:
+        executor.submit(prepare_to_draw)
+        yield on_step, lambda text: echo_note(f"note: {text}")
 
 
-def write_camera(path: Path, geometry: GeometryCalibration) -> None:
-    """Write the camera of an image as a camera file."""
-    errors = ", ".join(f"{name} {error:.2g}" for name, error in geometry.matches.standard_error.items())
-    comments = [f"From the stars of {geometry.image.path.name}.", *([f"Standard errors: {errors}."] if errors else [])]
-    written = camera_to_yaml(geometry.matches.solution.camera, *comments)
-    write_files(path, {"": written.encode()})
+def write_files(directory: Path, files: dict[str, bytes]) -> None:
+    """Write files into a directory, by file name."""
+    for name, content in files.items():
+        with explain_disk_errors(directory / name):
+            directory.mkdir(parents=True, exist_ok=True)
+            write_atomically(directory / name, content)
 
 
-def files_of(part: Calibration | GeometryCalibration, *, with_toml: bool) -> dict[str, bytes]:
-    """Return the files of one image, by suffix."""
-    files = {
-        ".json": (json.dumps(part.to_json(), indent=1) + "\n").encode(),
-        ".stars.csv": part.to_csv().encode(),
-        ".png": draw_geometry(part) if isinstance(part, GeometryCalibration) else draw_report(part),
-    }
-    return {".toml": part.to_toml().encode()} | files if with_toml else files
-
-
-def files_of_all(combined: CombinedCalibration | SharedGeometry, output: Path) -> dict[str, bytes]:
-    """Return the files of several images together, by suffix."""
-    if isinstance(combined, SharedGeometry):
-        return {
-            ".toml": combined.to_toml().encode(),
-            ".json": (json.dumps(combined.to_json(), indent=1) + "\n").encode(),
-            ".png": draw_geometry(combined.best),
-        }
-    return {
-        _TABLE: combined.table.to_csv().encode(),
-        ".toml": combined.to_toml(output.with_suffix(_TABLE).name).encode(),
-        ".json": (json.dumps(combined.to_json(), indent=1) + "\n").encode(),
-        ".png": draw_combined(combined),
-    }
-
-
-def print_result(
-    result: Calibration | CombinedCalibration | GeometryCalibration | SharedGeometry, output: Path, *, as_json: bool
+def write_and_print(
+    result: pipeline.CalibrationResult, output: Path, camera_out: Path | None, *, twin: bool, as_json: bool
 ) -> None:
+    """Write the files of a calibration, with the twin of its photograph if that is requested, and print the result."""
+    write_files(output.parent, pipeline.calibration_files(result, output.stem))
+    if camera_out is not None:
+        write_files(camera_out.parent, {camera_out.name: pipeline.camera_file(result).encode()})
+    if twin:
+        _write_and_print_twin(result, output, as_json=as_json)
+    else:
+        print_result(result, output, as_json=as_json)
+
+
+def print_result(result: pipeline.CalibrationResult, output: Path, *, as_json: bool) -> None:
     """Print a result, as messages or as JSON."""
     if as_json:
         typer.echo(json.dumps(result.to_json()))
@@ -111,7 +100,8 @@ def _print_combined(combined: CombinedCalibration, output: Path) -> None:
     )
     for note in combined.notes:
         echo_note(f"note: {note}")
-    typer.echo(f"{output}; brightness of the stars: {output.with_suffix(_TABLE)}; report: {output.with_suffix('.png')}")
+    table = output.with_suffix(pipeline.BRIGHTNESS_SUFFIX)
+    typer.echo(f"{output}; brightness of the stars: {table}; report: {output.with_suffix('.png')}")
 
 
 def _print_calibration(calibration: Calibration, output: Path) -> None:
@@ -129,7 +119,7 @@ def _print_geometry(geometry: GeometryCalibration, output: Path) -> None:
 
 
 def report_lines(result: Calibration | GeometryCalibration) -> list[str]:
-    """Return what was found in one image; returns: lines, without the notes."""
+    """Return lines about the result of one image, without its notes."""
     if isinstance(result, GeometryCalibration):
         ra_deg, dec_deg = np.rad2deg(result.boresight_rad)
         pointing = f"right ascension {ra_deg:.3f} deg, declination {dec_deg:+.3f} deg (ICRS)"
@@ -156,7 +146,96 @@ def _identification(geometry: GeometryCalibration) -> str:
     )
 
 
-def _print_notes(notes: tuple[str, ...], output: Path) -> None:
+def _print_notes(notes: tuple[Note, ...], output: Path) -> None:
     for note in notes:
         echo_note(f"note: {note}")
     typer.echo(f"{output}; report: {output.with_suffix('.png')}")
+
+
+def _write_and_print_twin(result: pipeline.CalibrationResult, output: Path, *, as_json: bool) -> None:
+    """Write the twin of a photograph, and print how the two differ."""
+    if not isinstance(result, Calibration):
+        reason = result.notes[0] if result.notes else "no sensor"
+        raise CalibrationError(f"has no twin: {reason}")
+    twin = write_twin(result, output)
+    if as_json:
+        typer.echo(json.dumps(twin.to_json()))
+    else:
+        print_result(twin.calibration, output, as_json=False)
+        _print_twin(twin, output)
+
+
+def write_twin(calibration: Calibration, output: Path) -> TwinResult:
+    """Measure a photograph, and write its model, its twin and their comparison beside the TOML file.
+
+    Raises CalibrationError if the photograph has too few stars or too little sky.
+    """
+    model = measure_photograph(calibration)
+    write_files(output.parent, model_files(model, output.stem))
+    # The twin is made from what was written.
+    twin = make_twin(calibration, model, Config.load(output))
+    write_files(output.parent, pipeline.image_files(twin.calibration, output.stem) | twin.files(output.stem))
+    return twin
+
+
+def _print_twin(result: TwinResult, output: Path) -> None:
+    """Print what was measured and how the twin differs."""
+    model, figures = result.model, result.twin.figures
+    sensor = model.calibration.sensor
+    errors = model.standard_error
+    values = {**sensor.keys, **{key.partition(".")[2]: value for key, value in sensor.effects.items()}}
+    typer.echo(", ".join(f"{key} {values[key]:.4g} ± {errors[key]:.2g}" for key in errors if key in values))
+    slope = model.terms.magnitude_slope
+    if slope is not None:
+        typer.echo(
+            f"recorded light grows as its power {1 + slope.value:.3f} ± {slope.standard_error:.3f} (1: a linear sensor)"
+        )
+    if model.dark_frame is not None:
+        typer.echo(f"{len(model.hot)} hot pixels: {output.with_suffix('.hot.tiff')}")
+    for reason in model.refused:
+        echo_note(f"note: {reason}")
+    noise = "" if figures.noise_error is None else f"; noise against level {100 * figures.noise_error:.1f} % off"
+    typer.echo(
+        f"twin: sky {figures.sky_ks:.3f} (Kolmogorov-Smirnov){noise}; peaks of {figures.stars} stars"
+        f" {100 * figures.peak_error:.0f} % off, of which noise makes {100 * figures.peak_noise:.0f} %"
+        f" ({100 * figures.catalogue_peak_error:.0f} % with the brightness of the catalogue); widths"
+        f" {figures.width_ratio:.3f}; profiles {100 * figures.profile_error:.0f} % off"
+    )
+    typer.echo(f"{output}; twin: {output.with_suffix('.twin.png')}; comparison: {output.with_suffix('.pair.png')}")
+
+
+def calibrate_from_darks(
+    darks: Path, flats: Path | None, output: Path, bit_depth: int | None, *, as_json: bool
+) -> None:
+    """Measure a sensor from directories of dark frames and flat fields, write its keys and maps, and report.
+
+    `bit_depth`: bits of the images; None to find them.  Raises CalibrationError if the images cannot be used.
+    """
+    with progress_bar("images") as on_image:
+        transfer = measure_darks(darks, flats, bit_depth=bit_depth, on_image=on_image)
+    write_files(output.parent, transfer.files(output.stem))
+    hot_fraction = transfer.hot / transfer.dark_frame_dn.size
+    if hot_fraction > _MANY_HOT:
+        echo_note(f"note: {100 * hot_fraction:.1f} % of the pixels are hot: is the lens capped, and the sensor cool?")
+    if as_json:
+        typer.echo(json.dumps(transfer.to_json(output.stem)))
+    else:
+        _print_transfer(transfer, output)
+
+
+def _print_transfer(transfer: PhotonTransfer, output: Path) -> None:
+    typer.echo(
+        f"{transfer.dark_frames} dark frames: black level {transfer.black_level_dn:.2f} DN, read noise"
+        f" {transfer.read_noise_dn:.3f} DN, {transfer.hot} hot pixels"
+    )
+    if transfer.dn_per_e is not None and transfer.prnu_fraction is not None:
+        typer.echo(
+            f"{transfer.flat_fields} flat fields: {transfer.dn_per_e:.4f} ± {transfer.dn_per_e_error:.4f} DN/e, so a"
+            f" read noise of {transfer.read_noise_e:.2f} e; response {100 * transfer.prnu_fraction:.2f} % rms;"
+            f" {int(transfer.is_dead.sum())} dead pixels"
+        )
+    else:
+        typer.echo(
+            "without flat fields (--flats) the gain in DN per electron is not known, and the read noise in DN only"
+        )
+    typer.echo(f"{output}: use it with [sensor] file, or copy its keys")

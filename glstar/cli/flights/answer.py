@@ -65,8 +65,8 @@ def answer(
 
 def _line(of: dict[str, object], lat: float, lon: float, sigma_km: float | None, instant: str) -> str:
     """Return an answer as a JSON line; ``of`` has its frame or its time."""
-    given: dict[str, object] = {**of, "latitude_deg": lat, "longitude_deg": lon, "instant": instant}
+    values: dict[str, object] = {**of, "latitude_deg": lat, "longitude_deg": lon, "instant": instant}
     if sigma_km is not None:
-        given |= {"ellipse_major_km": sigma_km, "ellipse_minor_km": sigma_km, "ellipse_azimuth_deg": 0.0}
-        given["ellipse_confidence"] = _ONE_SIGMA
-    return json.dumps(given)
+        values |= {"ellipse_major_km": sigma_km, "ellipse_minor_km": sigma_km, "ellipse_azimuth_deg": 0.0}
+        values["ellipse_confidence"] = _ONE_SIGMA
+    return json.dumps(values)

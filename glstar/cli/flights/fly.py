@@ -16,9 +16,9 @@ from glstar.telemetry import KEYS, PREFIX, as_table, synthetic_flight
 def _with_keys(command: Any) -> Any:
     """Give a command one option for each key of a described flight: ``radius_m`` is ``--radius-m``."""
 
-    def with_options(**given: Any) -> None:
-        settings = {key: given.pop(key) for key in KEYS}
-        command(**given, settings={key: text for key, text in settings.items() if text is not None})
+    def with_options(**values: Any) -> None:
+        settings = {key: values.pop(key) for key in KEYS}
+        command(**values, settings={key: text for key, text in settings.items() if text is not None})
 
     options = [
         Parameter(
@@ -27,11 +27,11 @@ def _with_keys(command: Any) -> Any:
             default=None,
             annotation=Annotated[
                 str | None,
-                typer.Option(f"--{key.replace('_', '-')}", help=f"{known.help[0].upper()}{known.help[1:]}.",
-                             show_default=known.default or False, metavar="TEXT"),
+                typer.Option(f"--{key.replace('_', '-')}", help=f"{setting.help[0].upper()}{setting.help[1:]}.",
+                             show_default=setting.default or False, metavar="TEXT"),
             ],
         )
-        for key, known in KEYS.items()
+        for key, setting in KEYS.items()
     ]  # fmt: skip
     own = [
         parameter.replace(kind=Parameter.KEYWORD_ONLY)

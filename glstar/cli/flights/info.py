@@ -1,21 +1,26 @@
-"""``glstar info``: what flight logs hold."""
+"""``glstar info``: what flight logs hold, as text, JSON or a plot of angles, rates and gaps over time."""
 
 import json
 import math
 import sys
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
 from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.config import Config
-from glstar.errors import LogFormatError
+from glstar.errors import ExportError, LogFormatError
 from glstar.flight import ClockQuality, Flight
+from glstar.rotation import euler_from_quaternion
+from glstar.system.files import write_atomically
 from glstar.telemetry import LOG_SUFFIXES, Survey, TriggerSurvey, is_bag_directory
 
 if TYPE_CHECKING:
@@ -24,7 +29,10 @@ if TYPE_CHECKING:
 
 
 # If there are more gaps, they are counted instead of listed.
-_GAPS_LISTED = 5
+_GAPS_LISTED: Final = 5
+_PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
+# A larger step between two samples of an angle is a wrap-around, deg.
+_WRAP_DEG: Final = 180.0
 
 
 @with_verbosity
@@ -51,44 +59,41 @@ def info(
 
     Try: glstar info flight.BIN --plot flight.png
     """
-    paths = [one for path in flights_of(flags.settings(), flights) for one in _logs_of(path)]
+    paths = [file for path in flights_of(flags.settings(), flights) for file in _logs_of(path)]
     if len(paths) > 1 or any(path.is_dir() and not is_bag_directory(path) for path in flights or ()):
         if plot is not None:
             raise typer.BadParameter("draws one log; name one", param_hint="--plot")
         _survey_several(paths, flags, as_json=as_json)
         return
     settings = flags.settings()
-    found, track = settings.survey_flight(paths[0], flags=flags.given())
-    scene = None if flags.config is None else _middle_scene(settings, found, track)
+    log, track = settings.survey_flight(paths[0], flags=flags.given())
+    scene = None if flags.config is None else _middle_scene(settings, log, track)
     limit = None if flags.config is None else _limiting_magnitude(settings, scene)
     if plot is not None:
-        from glstar.cli.flights.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
-
-        plot_flight(track, found, plot)
+        _plot(track, log, plot)
     if as_json:
-        keys = asdict(found) | _limit_keys(limit) | _view_keys(scene)
+        keys = asdict(log) | _limit_keys(limit) | _view_keys(scene)
         typer.echo(json.dumps(keys, indent=1, ensure_ascii=False))
         return
-    _print(found, limit, scene)
+    _print(log, limit, scene)
     if plot is not None:
         typer.echo(f"plot: {plot}")
 
 
-def _middle_scene(settings: Config, found: Survey, flight: Flight) -> "Scene | None":
+def _middle_scene(settings: Config, log: Survey, flight: Flight) -> "Scene | None":
     """Return the scene of an exposure in the middle of the flight; None if no sky is known there."""
     attitude, span_s = flight.attitude, settings.exposure.span_s
     start_s = (attitude.first_s + attitude.last_s - span_s) / 2
     is_inside = start_s >= attitude.first_s and attitude.gap_within(start_s, start_s + span_s) is None
-    if not is_inside or found.sun_altitude_deg is None:
+    if not is_inside or log.sun_altitude_deg is None:
         return None
     return settings.simulator(flight).scene(settings.exposure.starting_at(start_s))
 
 
 def _limiting_magnitude(settings: Config, scene: "Scene | None") -> "LimitingMagnitude":
     """Return the limiting magnitude of a scene; without one, that of a star at rest only."""
-    # NumPy and the simulator, only with -c.
-    from glstar.camera.sensor.sensor import limiting_mag, noise_equivalent_area_px2  # noqa: PLC0415
-    from glstar.render.truth.conditions import LimitingMagnitude, limiting_magnitude  # noqa: PLC0415
+    from glstar.camera.sensor.sensor import limiting_mag, noise_equivalent_area_px2  # noqa: PLC0415 - only with -c
+    from glstar.render.truth.conditions import LimitingMagnitude, limiting_magnitude  # noqa: PLC0415 - only with -c
 
     if scene is not None:
         return limiting_magnitude(scene)
@@ -132,7 +137,7 @@ def _logs_of(path: Path) -> list[Path]:
     """Return the logs in a folder, sorted by name; for a file, the file itself."""
     if not path.is_dir() or is_bag_directory(path):
         return [path]
-    logs = sorted(one for one in path.iterdir() if one.suffix.lower() in LOG_SUFFIXES and one.is_file())
+    logs = sorted(file for file in path.iterdir() if file.suffix.lower() in LOG_SUFFIXES and file.is_file())
     if not logs:
         raise LogFormatError(path, f"has no flight log in it: no file that ends with {', '.join(LOG_SUFFIXES)}")
     return logs
@@ -141,60 +146,61 @@ def _logs_of(path: Path) -> list[Path]:
 def _survey_several(paths: list[Path], flags: FlightFlags, *, as_json: bool) -> None:
     """Print a line for each log; exit with 1 if none of them can be read."""
     settings = flags.settings()
-    found: list[tuple[Path, Survey | LogFormatError]] = []
+    results: list[tuple[Path, Survey | LogFormatError]] = []
     for path in paths:
         try:
-            found.append((path, settings.survey_flight(path, flags=flags.given())[0]))
+            results.append((path, settings.survey_flight(path, flags=flags.given())[0]))
         except LogFormatError as error:
-            found.append((path, error))
+            results.append((path, error))
     if as_json:
         reports = [
-            asdict(one) if isinstance(one, Survey) else {"file": str(path), "error": one.reason} for path, one in found
+            asdict(result) if isinstance(result, Survey) else {"file": str(path), "error": result.reason}
+            for path, result in results
         ]
         typer.echo(json.dumps(reports, indent=1, ensure_ascii=False))
     else:
-        _print_table(found)
-    if not any(isinstance(one, Survey) for _, one in found):
+        _print_table(results)
+    if not any(isinstance(result, Survey) for _, result in results):
         raise typer.Exit(1)
 
 
-def _print_table(found: "list[tuple[Path, Survey | LogFormatError]]") -> None:
+def _print_table(results: "list[tuple[Path, Survey | LogFormatError]]") -> None:
     table = Table("log", "UTC", "seconds", "attitude", "light", "gaps", "boots", "notes", box=None)
     for column in (table.columns[2], *table.columns[5:]):
         column.justify = "right"
-    for path, one in found:
-        if not isinstance(one, Survey):
+    for path, result in results:
+        if not isinstance(result, Survey):
             table.add_row(path.name, "cannot be read")
             continue
-        begins = one.utc_first[:19] if one.utc_first is not None else "not known"
-        counts = (len(one.gaps), len(one.boots) or 1, len(one.notes))
-        row = (path.name, begins, f"{one.duration_s:.1f}", one.attitude_source, one.light or "not known")
+        begins = result.utc_first[:19] if result.utc_first is not None else "not known"
+        counts = (len(result.gaps), len(result.boots) or 1, len(result.notes))
+        row = (path.name, begins, f"{result.duration_s:.1f}", result.attitude_source, result.light or "not known")
         table.add_row(*row, *map(str, counts))
     Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(table)
-    for path, one in found:
-        if not isinstance(one, Survey):
-            typer.echo(f"{path.name}: {one.reason}", err=True)
+    for path, result in results:
+        if not isinstance(result, Survey):
+            typer.echo(f"{path.name}: {result.reason}", err=True)
 
 
-def _print(found: Survey, limit: "LimitingMagnitude | None", scene: "Scene | None") -> None:
+def _print(log: Survey, limit: "LimitingMagnitude | None", scene: "Scene | None") -> None:
     facts = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in (
-        ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB" if found.file_bytes else found.file),
-        ("format", found.format),
-        ("vehicle", found.vehicle or "unknown"),
-        ("firmware", found.firmware or "unknown"),
-        ("duration", _duration(found.duration_s)),
-        ("UTC", _utc(found)),
-        *(("readings", _readings(clock)) for clock in found.clocks),
-        ("position", _position(found)),
-        ("light", _light(found)),
+        ("file", f"{log.file}, {log.file_bytes / 1e6:.1f} MB" if log.file_bytes else log.file),
+        ("format", log.format),
+        ("vehicle", log.vehicle or "unknown"),
+        ("firmware", log.firmware or "unknown"),
+        ("duration", _duration(log.duration_s)),
+        ("UTC", _utc(log)),
+        *(("readings", _readings(clock)) for clock in log.clocks),
+        ("position", _position(log)),
+        ("light", _light(log)),
         *([] if limit is None else [("stars", f"{limit.text}, on the optical axis with SNR 5")]),
         *_view(scene),
-        ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
-        *([("camera", _camera(found.triggers))] if found.triggers else []),
-        *([("flew by", found.estimator)] if found.estimator else []),
-        ("attitude", found.attitude_source),
-        ("gaps", _gaps(found)),
+        ("gyros", "none" if log.gyros is None else f"{log.gyros.source}, {log.gyros.rate_hz:.1f} Hz"),
+        *([("camera", _camera(log.triggers))] if log.triggers else []),
+        *([("flew by", log.estimator)] if log.estimator else []),
+        ("attitude", log.attitude_source),
+        ("gaps", _gaps(log)),
     ):
         facts.add_row(name, value)
     # A pipe has no width: use one that suffices for the table.
@@ -204,31 +210,31 @@ def _print(found: Survey, limit: "LimitingMagnitude | None", scene: "Scene | Non
     attitudes = Table("attitude", "samples", "Hz", "seconds", "gaps", "longest, s", "fastest, deg/s", box=None)
     for column in attitudes.columns[1:]:
         column.justify = "right"
-    for one in found.attitudes:
+    for attitude in log.attitudes:
         attitudes.add_row(
-            one.name,
-            str(one.samples),
-            f"{one.rate_hz:.1f}",
-            f"{one.duration_s:.1f}",
-            str(one.gaps),
-            f"{one.longest_gap_s:.3f}",
-            f"{one.largest_rate_deg_per_s:.0f}",
+            attitude.name,
+            str(attitude.samples),
+            f"{attitude.rate_hz:.1f}",
+            f"{attitude.duration_s:.1f}",
+            str(attitude.gaps),
+            f"{attitude.longest_gap_s:.3f}",
+            f"{attitude.largest_rate_deg_per_s:.0f}",
         )
     console.print()
     console.print(attitudes)
-    if found.boots:
+    if log.boots:
         console.print()
-        console.print(_boots(found))
-    for note in found.notes:
+        console.print(_boots(log))
+    for note in log.notes:
         echo_note(f"note: {note}")
-    console.print(f"\nTry: {found.command}")
+    console.print(f"\nTry: {log.command}")
 
 
-def _boots(found: Survey) -> Table:
+def _boots(log: Survey) -> Table:
     table = Table("boot", "seconds", "samples", "UTC", "attitude", "in the flight", box=None)
     for column in table.columns[1:3]:
         column.justify = "right"
-    for boot in found.boots:
+    for boot in log.boots:
         table.add_row(
             str(boot.number),
             f"{boot.duration_s:.1f}",
@@ -245,10 +251,10 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s" + (f" ({minutes:.0f} min {rest:.0f} s)" if minutes else "")
 
 
-def _utc(found: Survey) -> str:
-    if found.utc_first is None:
-        return f"none: {found.utc_source}; give it with --utc-start"
-    return f"{found.utc_first} to {found.utc_last} ({found.utc_source})"
+def _utc(log: Survey) -> str:
+    if log.utc_first is None:
+        return f"none: {log.utc_source}; give it with --utc-start"
+    return f"{log.utc_first} to {log.utc_last} ({log.utc_source})"
 
 
 def _readings(clock: ClockQuality) -> str:
@@ -271,13 +277,13 @@ def _short(seconds: float) -> str:
     return f"{1000 * seconds:.1f} ms"
 
 
-def _position(found: Survey) -> str:
-    if found.latitude_deg is None or found.longitude_deg is None:
-        return f"none: {found.position_source}; give it with --lat and --lon"
-    north, east = "N" if found.latitude_deg >= 0 else "S", "E" if found.longitude_deg >= 0 else "W"
+def _position(log: Survey) -> str:
+    if log.latitude_deg is None or log.longitude_deg is None:
+        return f"none: {log.position_source}; give it with --lat and --lon"
+    north, east = "N" if log.latitude_deg >= 0 else "S", "E" if log.longitude_deg >= 0 else "W"
     return (
-        f"{abs(found.latitude_deg):.5f} {north} {abs(found.longitude_deg):.5f} {east}, {found.height_m:.0f} m"
-        f" ({found.position_source})"
+        f"{abs(log.latitude_deg):.5f} {north} {abs(log.longitude_deg):.5f} {east}, {log.height_m:.0f} m"
+        f" ({log.position_source})"
     )
 
 
@@ -286,28 +292,79 @@ def _camera(triggers: TriggerSurvey) -> str:
     return f"{triggers.count} triggers ({triggers.source}), {span}; --at camera exposes at them"
 
 
-def _light(found: Survey) -> str:
-    if found.sun_altitude_deg is None:
+def _light(log: Survey) -> str:
+    if log.sun_altitude_deg is None:
         return "unknown without UTC and position"
-    over = "above" if found.sun_altitude_deg >= 0 else "below"
-    remark = "" if found.light == "night" else "; glstar draws the stars nevertheless"
-    return f"{found.light}: the Sun is {abs(found.sun_altitude_deg):.1f} deg {over} the horizon{_moon(found)}{remark}"
+    over = "above" if log.sun_altitude_deg >= 0 else "below"
+    remark = "" if log.light == "night" else "; glstar draws the stars nevertheless"
+    return f"{log.light}: the Sun is {abs(log.sun_altitude_deg):.1f} deg {over} the horizon{_moon(log)}{remark}"
 
 
-def _moon(found: Survey) -> str:
-    if found.moon_altitude_deg is None or found.moon_illuminated_fraction is None:
+def _moon(log: Survey) -> str:
+    if log.moon_altitude_deg is None or log.moon_illuminated_fraction is None:
         return ""
-    up = f"{found.moon_altitude_deg:.1f} deg above" if found.moon_altitude_deg >= 0 else "below"
-    return f", the Moon, {found.moon_illuminated_fraction:.0%} lit, {up} it"
+    up = f"{log.moon_altitude_deg:.1f} deg above" if log.moon_altitude_deg >= 0 else "below"
+    return f", the Moon, {log.moon_illuminated_fraction:.0%} lit, {up} it"
 
 
-def _gaps(found: Survey) -> str:
-    if not found.gaps:
+def _gaps(log: Survey) -> str:
+    if not log.gaps:
         return "none"
-    if len(found.gaps) > _GAPS_LISTED:
+    if len(log.gaps) > _GAPS_LISTED:
         counted = ", ".join(
-            f"{reason} {'once' if count == 1 else f'{count} times'}" for reason, count in found.gap_counts.items()
+            f"{reason} {'once' if count == 1 else f'{count} times'}" for reason, count in log.gap_counts.items()
         )
-        longest = max(found.gaps, key=lambda gap: gap.duration_s)
+        longest = max(log.gaps, key=lambda gap: gap.duration_s)
         return f"{counted}; the longest, {longest.duration_s:.3f} s, at {longest.start_s:.1f} s"
-    return "; ".join(f"{gap.reason} of {gap.duration_s:.3f} s at {gap.start_s:.1f} s" for gap in found.gaps)
+    return "; ".join(f"{gap.reason} of {gap.duration_s:.3f} s at {gap.start_s:.1f} s" for gap in log.gaps)
+
+
+def _plot(flight: Flight, survey: Survey, path: Path) -> None:
+    """Plot Euler angles and turn rates of a flight, with shaded gaps.
+
+    `path`: the file to write: .png, .svg or .pdf.  Raises ExportError if the file has another suffix or cannot be
+    written.
+    """
+    # Matplotlib and OpenCV, only for a plot.
+    from matplotlib import rc_context  # noqa: PLC0415
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    from glstar.export.directory import explain_disk_errors  # noqa: PLC0415
+
+    if path.suffix.lower() not in _PLOT_FORMATS:
+        raise ExportError(path, f"is not a supported image format; it must end with {', '.join(_PLOT_FORMATS)}")
+    track = flight.attitude
+    t = track.utc_s - track.first_s
+    figure = Figure(figsize=(12, 8), layout="constrained")
+    FigureCanvasAgg(figure)
+    angles, rates = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    for name, angle_rad in zip(("roll", "pitch", "yaw"), euler_from_quaternion(track.q_body_ned), strict=True):
+        angles.plot(t, _unbroken(np.rad2deg(angle_rad)), lw=0.8, label=name)
+    rate_utc_s, rate_rad_per_s = track.rates()
+    for name, rate in zip(("about forward", "about right", "about down"), np.rad2deg(rate_rad_per_s).T, strict=True):
+        rates.plot(rate_utc_s - track.first_s, rate, lw=0.8, label=name)
+    for axes, label in ((angles, "deg"), (rates, "deg/s")):
+        for gap in track.gaps:
+            axes.axvspan(gap.start_utc_s - track.first_s, gap.stop_utc_s - track.first_s, color="0.8", lw=1)
+        axes.set_ylabel(label)
+        axes.grid(visible=True, alpha=0.3)
+        axes.legend(loc="upper right", ncols=3)
+    angles.set_yticks(np.arange(-180, 181, 60))
+    rates.set_xlabel(f"s from the first attitude{'' if survey.utc_first is None else f', {survey.utc_first}'}")
+    gaps = {0: "no gaps", 1: "1 gap, shaded"}.get(len(track.gaps), f"{len(track.gaps)} gaps, shaded")
+    angles.set_title(f"{flight.name}: {flight.attitude_source}, {gaps}")
+    with explain_disk_errors(path):
+        drawn = BytesIO()
+        # Without a date, and with fixed names in SVG: equal flights give equal files.
+        dated = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[path.suffix.lower()]
+        with rc_context({"svg.hashsalt": "glstar"}):
+            figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=110, metadata=dated)
+        write_atomically(path, drawn.getvalue())
+
+
+def _unbroken(angle_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an angle with NaN where it wraps around, so that no line crosses the plot."""
+    broken = angle_deg.copy()
+    broken[1:][np.abs(np.diff(angle_deg)) > _WRAP_DEG] = np.nan
+    return broken

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
-from glstar.cli.flights.navigatoranswers import InjectedAnswers
+from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
 from glstar.cli.flights.windowoptions import (
     Headless,
     Screenshot,
@@ -28,7 +28,7 @@ from glstar.cli.flights.windowoptions import (
     surface_of,
     write_stats,
 )
-from glstar.cli.images.publishing import FramePublishing, LatestFrame, WithTruth
+from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
@@ -289,7 +289,6 @@ def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:
 def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_s: float | None) -> dict[str, object]:
     """Show the link in the viewer's window, and return the report of its images."""
     require_window_libraries()
-    from glstar.cli.flights.placedanswers import ShownAnswers  # noqa: PLC0415
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
 
     overlays = overlays_of(window.show)

@@ -1,7 +1,4 @@
-"""A navigator's answers, read while it writes them.
-
-A navigator's answers as position fixes for the autopilot.
-"""
+"""A navigator's answers: read while it writes them, sent to the autopilot as position fixes, or shown in a window."""
 
 import sys
 import time
@@ -9,13 +6,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from threading import Event, Thread
-from typing import IO, Final, Self
+from typing import IO, TYPE_CHECKING, Final, Self
 
 from glstar.camera.exposure import Exposure
-from glstar.errors import AnswersError
+from glstar.config import Config
+from glstar.errors import AnswersError, ExportError
 from glstar.export.publish.stream import STREAM, AnswerReceiver
 from glstar.link import Injector, PositionFix
-from glstar.score.answers import Answer, parse_answer
+from glstar.score.answers import Answer, parse_answer, read_answers
+from glstar.sky.place.timescale import format_utc, parse_utc
+
+if TYPE_CHECKING:
+    from glstar.viewer.overlays.belief import PlacedAnswer
 
 # Name of the standard input.
 STDIN: Final = Path("-")
@@ -26,9 +28,9 @@ _POLL_S: Final = 0.02
 class IncomingAnswers(ABC):
     """Answers that a navigator writes now; a context manager with a thread that reads them.
 
-    `source`: ``zmq://HOST:PORT``, where `glstar answer` and other programs send them; or a file that the navigator
-    appends JSON lines to, as `glstar.score` reads them; ``-`` is the standard input; lines that are in the file already
-    are skipped: they are of an earlier run; `report`: called with a message for each answer that is not valid.  Raises
+    `source`: ``zmq://HOST:PORT``, to which `glstar answer` and other programs send them; a file to which the navigator
+    appends JSON lines, as `glstar.score` reads them; or ``-``, the standard input.  Lines that are in the file already
+    are of an earlier run, and are skipped.  `report`: called with a message for each answer that is not valid.  Raises
     AnswersError if the source is a directory; ConfigError if the address is not valid or in use, or pyzmq is not
     installed.
     """
@@ -36,8 +38,10 @@ class IncomingAnswers(ABC):
     def __init__(self, source: str | Path, report: Callable[[str], None]) -> None:
         self._receiver = AnswerReceiver(source) if isinstance(source, str) and source.startswith(STREAM) else None
         source = Path(source)
-        self._source, self._report = source, report
-        self._ending, self._number = Event(), 0
+        self._source = source
+        self._report = report
+        self._ending = Event()
+        self._number = 0
         self._start = source.stat().st_size if source != STDIN and source.is_file() else 0
         if source != STDIN and source.exists() and not source.is_file():
             raise AnswersError(source, "is no file; pipe answers into --answers -")
@@ -54,7 +58,7 @@ class IncomingAnswers(ABC):
 
     @abstractmethod
     def take(self, answer: Answer) -> None:
-        """Use an answer; called on the thread; raises AnswersError if it cannot be used; the error is reported."""
+        """Use an answer, on the thread; raises AnswersError, which is reported, if it cannot be used."""
 
     def _run(self) -> None:
         try:
@@ -86,14 +90,15 @@ class IncomingAnswers(ABC):
             yield from self._appended(file)
 
     def _appended(self, file: IO[str]) -> Iterator[str]:
-        begun = ""
+        """Yield complete lines until `_ending` is set and no more of the file can be read."""
+        line = ""
         while True:
             is_over = self._ending.is_set()
             while part := file.readline():
-                begun += part
-                if begun.endswith("\n"):
-                    yield begun
-                    begun = ""
+                line += part
+                if line.endswith("\n"):
+                    yield line
+                    line = ""
             if is_over:
                 return
             time.sleep(_POLL_S)
@@ -112,8 +117,8 @@ def _stdin_lines() -> Iterator[str]:
 class InjectedAnswers(IncomingAnswers):
     """Answers that are sent to the autopilot.
 
-    `source`: as for `IncomingAnswers`; `exposures`: of the frames that were drawn, by number and by file name;
-    `report`: called with a message for each answer that cannot be sent.
+    `source`: as for `IncomingAnswers`; `exposures`: exposures of the frames that were drawn, by number and by file
+    name; `report`: called with a message for each answer that cannot be sent.
     """
 
     def __init__(
@@ -124,7 +129,8 @@ class InjectedAnswers(IncomingAnswers):
         report: Callable[[str], None],
     ) -> None:
         super().__init__(source, report)
-        self._injector, self._exposures = injector, exposures
+        self._injector = injector
+        self._exposures = exposures
 
     def take(self, answer: Answer) -> None:
         """Send the position of an answer, if it has one; raises AnswersError if it is for no frame that was drawn."""
@@ -145,3 +151,69 @@ class InjectedAnswers(IncomingAnswers):
         utc_s = {"start": exposure.start_utc_s, "middle": exposure.mid_utc_s, "end": exposure.stop_utc_s}
         sigma_m = None if answer.ellipse is None else 1000 * answer.ellipse.sigma_km
         return PositionFix(answer.latitude_rad, answer.longitude_rad, utc_s[answer.instant], sigma_m)
+
+
+def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
+    """Return the solved answers of a file, in the order of their times.
+
+    `answers`: a file as `glstar.score` reads it; `export`: the directory of the frames, with ``truth.jsonl``.  Raises
+    AnswersError if a line is no answer, or is for no frame of the export; ExportError if there is no truth, as in the
+    directory for the navigator that ``--blind`` leaves.
+    """
+    from glstar.export.navigator import NAV  # noqa: PLC0415 - OpenCV
+    from glstar.export.truth.lines import read_truth  # noqa: PLC0415 - only for a replay
+
+    if not (export / "truth.jsonl").is_file() and (export / NAV).is_file():
+        raise ExportError(export, "is for a navigator and has no truth.jsonl; name the directory of --blind")
+    times_s: dict[int | str | None, dict[str, float]] = {}
+    for line in read_truth(export):
+        start_s, middle_s = parse_utc(line["utc_start"]), parse_utc(line["utc_mid"])
+        instants_s = {"start": start_s, "middle": middle_s, "end": 2 * middle_s - start_s}
+        times_s[line["frame"]] = times_s[line["file"]] = instants_s
+    placed = []
+    for answer in read_answers(answers):
+        frame = answer.file if answer.frame is None else answer.frame
+        if frame not in times_s:
+            raise AnswersError(answers, f"line {answer.line} answers frame {frame}, which {export} does not have")
+        if answer.solved:
+            placed.append(_placed(answer, str(frame), times_s[frame][answer.instant]))
+    return sorted(placed, key=lambda answer: answer.utc_s)
+
+
+class ShownAnswers(IncomingAnswers):
+    """Answers that are shown in the window of a live link, at the UTC that they state.
+
+    `source`: as for `IncomingAnswers`; `config`: its clocks relate the UTC of the camera to that of the link; `show`:
+    called on the thread with a `PlacedAnswer`; `report`: called with a message for each answer that cannot be shown.
+    """
+
+    def __init__(
+        self, source: str | Path, config: Config, show: "Callable[[PlacedAnswer], None]", report: Callable[[str], None]
+    ) -> None:
+        super().__init__(source, report)
+        self._clock_offset_s = config.flight.time_offset_s + config.navigator.clock_offset_s
+        self._show = show
+
+    def take(self, answer: Answer) -> None:
+        """Show an answer; raises AnswersError if it has no UTC, because the window has no frames of other programs."""
+        if answer.utc_s is None:
+            raise AnswersError(
+                self._source, f"line {answer.line} has no utc, by which a live window places it; not shown"
+            )
+        if answer.solved:
+            utc_s = answer.utc_s - self._clock_offset_s
+            self._show(_placed(answer, f"of {format_utc(utc_s)[11:21]}", utc_s))
+
+
+def _placed(answer: Answer, frame: str, utc_s: float) -> "PlacedAnswer":
+    from glstar.viewer.overlays.belief import PlacedAnswer  # noqa: PLC0415 - the viewer, only for a window
+
+    latitude_rad, longitude_rad = answer.latitude_rad, answer.longitude_rad
+    ellipse = answer.ellipse
+    return PlacedAnswer(
+        utc_s,
+        frame,
+        answer.C_camera_icrs,
+        None if latitude_rad is None or longitude_rad is None else (latitude_rad, longitude_rad),
+        None if ellipse is None else (ellipse.major_km, ellipse.minor_km, ellipse.azimuth_rad),
+    )

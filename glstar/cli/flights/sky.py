@@ -1,18 +1,12 @@
-"""``glstar sky``: a table of the stars, or of the Sun, the Moon and the planets, above a site.
-
-The table of the Sun, the Moon and the planets of ``glstar sky --bodies``.
-
-The table of satellites of ``glstar sky --satellites``.
-"""
+"""``glstar sky``: a table of the stars above a site, of the Sun, the Moon and the planets, or of satellites."""
 
 import csv
 import io
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -32,7 +26,7 @@ from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.sky.place.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.place.timescale import described_earth_orientation, format_utc, parse_known_utc, tt_julian_date
 
-# The columns, with their decimals in a table.
+# Columns of the Sun, the Moon and the planets, with their decimals in a table.
 _BODY_DECIMALS: Final = {
     "azimuth_deg": 5,
     "altitude_deg": 5,
@@ -46,103 +40,16 @@ _BODY_DECIMALS: Final = {
     "bright_limb_deg": 2,
     "vmag": 2,
 }
-BODY_COLUMNS: Final = ("name", *_BODY_DECIMALS)
-# Decimals of numbers in CSV and JSON: the last one of an angle is 0.00004".
-_BODY_DIGITS: Final = 8
-
-BodyRow = dict[str, Any]
-
-
-def body_rows(sky: Sky, utc_s: float, site: Site) -> list[BodyRow]:
-    """Return the bodies as rows, ready for CSV and JSON.
-
-    `utc_s`: UTC seconds since 1970.  Returns: with the keys `BODY_COLUMNS`: every body, also below the horizon.
-    """
-    return [_row(body) for body in observed_bodies(sky, utc_s, site)]
-
-
-def _row(body: Body) -> BodyRow:
-    angles_rad = (body.azimuth_rad, body.altitude_rad, body.apparent_altitude_rad, *body.ra_dec_rad)
-    numbers: dict[str, float | None] = {
-        **dict(zip(BODY_COLUMNS[1:6], np.rad2deg(angles_rad).tolist(), strict=True)),
-        "distance_km": body.distance_km,
-        "diameter_arcsec": float(np.rad2deg(2 * body.angular_radius_rad)) * 3600,
-        "phase_angle_deg": float(np.rad2deg(body.phase_angle_rad)),
-        "illuminated_fraction": body.illuminated_fraction,
-        "bright_limb_deg": None if body.bright_limb_rad is None else float(np.rad2deg(body.bright_limb_rad)),
-        "vmag": body.vmag,
-    }
-    return {"name": body.name} | {
-        key: None if number is None else round(number, _BODY_DIGITS) for key, number in numbers.items()
-    }
-
-
-def body_table(rows: Sequence[BodyRow], title: str, ut1: str, utc_s: float) -> Table:
-    """Return the rows as a table for a terminal.
-
-    `rows`: the result of `body_rows`; `ut1`: what UT1 - UTC is; `utc_s`: UTC seconds since 1970.
-    """
-    accuracy = "within 1 arcsec of DE421" if is_corrected(tt_julian_date(utc_s)) else "within 90 arcsec (not 1990-2050)"
-    sun, moon = rows[0], rows[1]
-    light = f"the Sun at {sun['altitude_deg']:.1f} deg, the Moon {moon['illuminated_fraction']:.0%} lit"
-    table = Table(title=title, caption=f"{light}; topocentric apparent place of date, {accuracy}; {ut1}")
-    for column in BODY_COLUMNS:
-        header = column.replace("apparent_altitude_deg", "apparent_alt").replace("illuminated_fraction", "lit")
-        table.add_column(header, justify="left" if column == "name" else "right", no_wrap=True)
-    for row in rows:
-        cells = ("" if row[key] is None else f"{row[key]:.{decimals}f}" for key, decimals in _BODY_DECIMALS.items())
-        table.add_row(row["name"], *cells)
-    return table
-
-
-# The columns, with their decimals in a table.
+# Columns of satellites, with their decimals in a table.
 _SATELLITE_DECIMALS: Final = {"azimuth_deg": 4, "altitude_deg": 4, "range_km": 1, "vmag": 1, "lit": 2}
-SATELLITE_COLUMNS: Final = ("name", "satellite_number", *_SATELLITE_DECIMALS)
-# Decimals of numbers in CSV and JSON.
-_SATELLITE_DIGITS: Final = 8
+_ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
+_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
+# Decimals of numbers in CSV and JSON: the last one of an angle in degrees is 0.00004".
+_DIGITS: Final = 8
+# Width of a table that is written to a pipe, characters.
+_PIPE_WIDTH: Final = 180
 
-SatelliteRow = dict[str, Any]
-
-
-def satellite_rows(
-    satellites: Satellites, sky: Sky, utc_s: float, site: Site, *, everything: bool
-) -> list[SatelliteRow]:
-    """Return satellites as rows, the highest first, ready for CSV and JSON.
-
-    `utc_s`: UTC seconds since 1970; `everything`: whether those below the horizon are listed too.  Returns: with the
-    keys `SATELLITE_COLUMNS`; ``vmag`` is that in sunlight, ``lit`` the part of the Sun that it sees.
-    """
-    (sun,) = observed_bodies(sky, utc_s, site, ("Sun",))
-    C_ned_eq = sky.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
-    rows = []
-    for one in satellites.satellites:
-        seen = one.seen(sky, np.array([utc_s]), site.latitude_rad, site.longitude_rad, site.height_m)
-        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_ned_eq @ seen.direction_eq[0])
-        if not (np.isfinite(altitude_rad) and (everything or altitude_rad > 0)):
-            continue
-        vmag, lit = visible_vmag(one, seen, sun.direction_eq)
-        numbers = (np.rad2deg(azimuth_rad), np.rad2deg(altitude_rad), seen.range_km[0], vmag[0], lit[0])
-        named = {"name": one.name, "satellite_number": one.number}
-        rows.append(
-            named
-            | {key: round(float(n), _SATELLITE_DIGITS) for key, n in zip(_SATELLITE_DECIMALS, numbers, strict=True)}
-        )
-    return sorted(rows, key=lambda row: -row["altitude_deg"])
-
-
-def satellite_table(rows: list[SatelliteRow], title: str, note: str) -> Table:
-    """Return the rows as a table for a terminal.
-
-    `rows`: the result of `satellite_rows`; `note`: about the age of the elements; may be empty.
-    """
-    caption = "topocentric, with light time, without refraction; lit: the part of the Sun that it sees"
-    table = Table(title=title, caption=f"{caption}; {note}" if note else caption)
-    for column in SATELLITE_COLUMNS:
-        table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
-    for row in rows:
-        cells = (f"{row[key]:.{decimals}f}" for key, decimals in _SATELLITE_DECIMALS.items())
-        table.add_row(row["name"], str(row["satellite_number"]), *cells)
-    return table
+_Row = dict[str, Any]
 
 
 class _Astrometry(StrEnum):
@@ -154,16 +61,6 @@ class _Format(StrEnum):
     table = "table"
     csv = "csv"
     json = "json"
-
-
-_ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
-_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
-# Decimals of an angle in degrees: the last one is 0.00004".
-_DIGITS: Final = 8
-# Width of a table that is written to a pipe, characters.
-_PIPE_WIDTH: Final = 180
-
-Row = dict[str, Any]
 
 
 def sky(
@@ -216,52 +113,120 @@ def sky(
     echo_catalogue_note(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
     of_date = Sky(chosen, ASTROMETRY[astrometry.value], dut1)
+    ut1 = _ut1_label(dut1, utc_s)
     if satellites is not None:
-        known = Satellites.open(satellites, satellite_mag)
-        listing = _of_satellites(known, of_date, utc_s, site, everything=everything)
+        elements = Satellites.open(satellites, satellite_mag)
+        listing = _of_satellites(elements, of_date, utc_s, site, ut1, everything=everything)
     elif bodies:
-        listing = _of_bodies(of_date, utc_s, site)
+        listing = _of_bodies(of_date, utc_s, site, ut1)
     else:
-        listing = _of_stars(of_date, utc_s, site, vmag, everything=everything)
+        listing = _of_stars(of_date, utc_s, site, vmag, ut1, everything=everything)
     title = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}"
-    _print(listing, _format_of(format_, as_json=as_json), title, _ut1_label(dut1, utc_s))
+    _print(listing, _format_of(format_, as_json=as_json), title)
 
 
 class _Listing(NamedTuple):
-    """What is printed: rows, their columns, a function of title and UT1 to a table, and why there are no rows."""
+    """What is printed: rows and their columns, the table of a terminal, and why there are no rows."""
 
-    rows: list[Row]
+    rows: list[_Row]
     columns: Sequence[str]
-    table: Callable[[str, str], Table]
+    headers: Sequence[str]  # of the table
+    cells: Iterable[Sequence[str]]  # of the table, by row
+    caption: str
     why_none: str
 
 
-def _of_stars(sky: Sky, utc_s: float, site: Site, vmag: float, *, everything: bool) -> _Listing:
-    rows = _rows(sky.observed_places(utc_s, site), everything=everything)
-    return _Listing(rows, _COLUMNS, partial(_star_table, rows), _why_none(len(sky.catalogue), vmag))
+def _of_stars(sky: Sky, utc_s: float, site: Site, vmag: float, ut1: str, *, everything: bool) -> _Listing:
+    rows = _star_rows(sky.observed_places(utc_s, site), everything=everything)
+    cells = (
+        (
+            star_label(row["catalogue"], row["star_id"]),
+            row["name"],
+            f"{row['vmag']:.2f}",
+            *(f"{row[angle]:.5f}" for angle in _ANGLES),
+        )
+        for row in rows
+    )
+    caption = f"{len(rows)} stars; apparent place of date, degrees; {ut1}"
+    return _Listing(rows, _COLUMNS, ("star", *_COLUMNS[2:]), cells, caption, _why_none(len(sky.catalogue), vmag))
 
 
-def _of_bodies(sky: Sky, utc_s: float, site: Site) -> _Listing:
-    rows = body_rows(sky, utc_s, site)
-    return _Listing(rows, BODY_COLUMNS, lambda title, ut1: body_table(rows, title, ut1, utc_s), "")
+def _of_bodies(sky: Sky, utc_s: float, site: Site, ut1: str) -> _Listing:
+    rows = [_body_row(body) for body in observed_bodies(sky, utc_s, site)]
+    accuracy = "within 1 arcsec of DE421" if is_corrected(tt_julian_date(utc_s)) else "within 90 arcsec (not 1990-2050)"
+    sun, moon = rows[0], rows[1]
+    light = f"the Sun at {sun['altitude_deg']:.1f} deg, the Moon {moon['illuminated_fraction']:.0%} lit"
+    short = {"apparent_altitude_deg": "apparent_alt", "illuminated_fraction": "lit"}
+    columns = ("name", *_BODY_DECIMALS)
+    cells = ((row["name"], *_decimal(row, _BODY_DECIMALS)) for row in rows)
+    caption = f"{light}; topocentric apparent place of date, {accuracy}; {ut1}"
+    return _Listing(rows, columns, [short.get(column, column) for column in columns], cells, caption, "")
 
 
-def _of_satellites(known: Satellites, sky: Sky, utc_s: float, site: Site, *, everything: bool) -> _Listing:
-    rows = satellite_rows(known, sky, utc_s, site, everything=everything)
-    none_up = "no satellite is above the horizon; --all shows them too"
-    note = known.age_note(utc_s)
-    return _Listing(rows, SATELLITE_COLUMNS, lambda title, ut1: satellite_table(rows, title, note or ut1), none_up)
+def _body_row(body: Body) -> _Row:
+    angles_rad = (body.azimuth_rad, body.altitude_rad, body.apparent_altitude_rad, *body.ra_dec_rad)
+    numbers = {
+        **dict(zip(_BODY_DECIMALS, np.rad2deg(angles_rad).tolist(), strict=False)),
+        "distance_km": body.distance_km,
+        "diameter_arcsec": float(np.rad2deg(2 * body.angular_radius_rad)) * 3600,
+        "phase_angle_deg": float(np.rad2deg(body.phase_angle_rad)),
+        "illuminated_fraction": body.illuminated_fraction,
+        "bright_limb_deg": None if body.bright_limb_rad is None else float(np.rad2deg(body.bright_limb_rad)),
+        "vmag": body.vmag,
+    }
+    return {"name": body.name} | {key: None if n is None else round(n, _DIGITS) for key, n in numbers.items()}
 
 
-def _print(listing: _Listing, format_: _Format, title: str, ut1: str) -> None:
+def _of_satellites(
+    satellites: Satellites, sky: Sky, utc_s: float, site: Site, ut1: str, *, everything: bool
+) -> _Listing:
+    rows = _satellite_rows(satellites, sky, utc_s, site, everything=everything)
+    columns = ("name", "satellite_number", *_SATELLITE_DECIMALS)
+    cells = ((row["name"], str(row["satellite_number"]), *_decimal(row, _SATELLITE_DECIMALS)) for row in rows)
+    caption = (
+        "topocentric, with light time, without refraction; lit: the part of the Sun that it sees;"
+        f" {satellites.age_note(utc_s) or ut1}"
+    )
+    return _Listing(rows, columns, columns, cells, caption, "no satellite is above the horizon; --all shows them too")
+
+
+def _satellite_rows(satellites: Satellites, sky: Sky, utc_s: float, site: Site, *, everything: bool) -> list[_Row]:
+    """Return satellites, the highest first; ``vmag`` is that in sunlight, ``lit`` the visible part of the Sun."""
+    (sun,) = observed_bodies(sky, utc_s, site, ("Sun",))
+    C_ned_eq = sky.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
+    rows = []
+    for satellite in satellites.satellites:
+        seen = satellite.seen(sky, np.array([utc_s]), site.latitude_rad, site.longitude_rad, site.height_m)
+        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_ned_eq @ seen.direction_eq[0])
+        if not (np.isfinite(altitude_rad) and (everything or altitude_rad > 0)):
+            continue
+        vmag, lit = visible_vmag(satellite, seen, sun.direction_eq)
+        numbers = (np.rad2deg(azimuth_rad), np.rad2deg(altitude_rad), seen.range_km[0], vmag[0], lit[0])
+        row: _Row = {"name": satellite.name, "satellite_number": satellite.number}
+        row |= {key: round(float(n), _DIGITS) for key, n in zip(_SATELLITE_DECIMALS, numbers, strict=True)}
+        rows.append(row)
+    return sorted(rows, key=lambda row: -row["altitude_deg"])
+
+
+def _decimal(row: _Row, decimals: Mapping[str, int]) -> Iterator[str]:
+    """Return the numbers of a row with their decimals; empty where there is none."""
+    return ("" if row[key] is None else f"{row[key]:.{count}f}" for key, count in decimals.items())
+
+
+def _print(listing: _Listing, format_: _Format, title: str) -> None:
     if format_ is _Format.json:
         json.dump(listing.rows, sys.stdout, ensure_ascii=False, indent=1)
         typer.echo()
     elif format_ is _Format.csv:
         typer.echo(_csv(listing.rows, listing.columns), nl=False)
     else:
+        table = Table(title=title, caption=listing.caption)
+        for header in listing.headers:
+            table.add_column(header, justify="left" if header == "name" else "right", no_wrap=True)
+        for cells in listing.cells:
+            table.add_row(*cells)
         # A pipe has no width: use one that is wide enough for all columns.
-        Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(listing.table(title, ut1))
+        Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
     if not listing.rows:
         typer.echo(f"glstar: {listing.why_none}", err=True)
 
@@ -279,16 +244,10 @@ def _why_none(count: int, vmag: float) -> str:
     return f"{below} below the horizon; --all shows them too"
 
 
-def _rows(places: ObservedPlaces, *, everything: bool) -> list[Row]:
+def _star_rows(places: ObservedPlaces, *, everything: bool) -> list[_Row]:
     shown = np.flatnonzero(everything | (places.apparent_altitude_rad >= 0))
     stars = places.stars
-    angles_rad = (
-        places.ra_rad,
-        places.dec_rad,
-        places.azimuth_rad,
-        places.altitude_rad,
-        places.apparent_altitude_rad,
-    )
+    angles_rad = [getattr(places, angle.replace("_deg", "_rad")) for angle in _ANGLES]
     angles_deg = np.round(np.rad2deg(angles_rad), _DIGITS)
     return [
         {
@@ -302,7 +261,7 @@ def _rows(places: ObservedPlaces, *, everything: bool) -> list[Row]:
     ]
 
 
-def _csv(rows: list[Row], columns: Sequence[str]) -> str:
+def _csv(rows: list[_Row], columns: Sequence[str]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
@@ -321,13 +280,3 @@ def _ut1_label(dut1_s: float | None, utc_s: float) -> str:
     if "covers" in table:
         return f"UT1 = UTC assumed ({table['source']} covers {table['covers']} only)"
     return f"UT1 - UTC = {table['dut1_s']:+.4f} s by {table['source']}"
-
-
-def _star_table(rows: list[Row], title: str, ut1: str) -> Table:
-    table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees; {ut1}")
-    for column in ("star", *_COLUMNS[2:]):
-        table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
-    for row in rows:
-        label = star_label(row["catalogue"], row["star_id"])
-        table.add_row(label, row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
-    return table

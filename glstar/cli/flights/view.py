@@ -1,14 +1,9 @@
-"""``glstar view``: the flight-replay viewer.
-
-The fit of clock and mount that the window offers: what ``glstar compare --fit-time-offset --fit-mount`` does.
-
-The residuals that the window shows beside a real image: what ``glstar compare`` measures in it.
-"""
+"""``glstar view``: the flight-replay viewer, with the fit and the residuals of real images by `glstar.compare`."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -29,27 +24,33 @@ from glstar.cli.flights.windowoptions import (
     surface_of,
     write_stats,
 )
-from glstar.errors import ImagesError
 
 if TYPE_CHECKING:
-    from glstar.compare import Alignment, FlightComparison
     from glstar.viewer.loop import Viewer
     from glstar.viewer.picture.fitting import FitRequest, FitResult, ResidualRequest, TrailResiduals
 
-
-# A mount with a larger standard error is not determined, deg.
-_LARGEST_ERROR_DEG = 1.0
-_BY_HAND = "set clock or mount by hand first"
+At = Annotated[float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")]
+Sliding = Annotated[bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")]
+Processed = Annotated[bool, typer.Option("--processed", help="Show the image that [output] makes of the raw one.")]
+Images = Annotated[Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)]
+Play = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
+Answers = Annotated[
+    Path | None,
+    typer.Option(help="Answers of a navigator to draw (CSV or JSON lines); needs --answers-to.", show_default=False),
+]
+AnswersTo = Annotated[
+    Path | None,
+    typer.Option(help="The export of this flight that --answers are for, with its truth.", show_default=False),
+]
 
 
 def fit_images(request: "FitRequest", on_step: Callable[[int, int], None]) -> "FitResult":
-    """Fit clock and mount to real images; see `glstar.viewer.picture.fitting.FitImages`.
+    """Fit clock and mount to real images: see `glstar.viewer.picture.fitting.FitImages`.
 
-    `on_step`: called with the number of images done, and of all.  Raises ImagesError if the images determine neither
-    the clock nor the mount; ConfigError if images are stacked.
+    Raises ImagesError if the images determine neither the clock nor the mount; ConfigError if images are stacked.
     """
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
     from glstar.viewer.picture.fitting import FitResult  # noqa: PLC0415 - OpenCV
 
     with GLRenderer.headless() as renderer:
@@ -61,7 +62,7 @@ def fit_images(request: "FitRequest", on_step: Callable[[int, int], None]) -> "F
             reference=request.reference,
             own_length=request.own_length,
         )
-        fitted = _aligned(job, request, on_step)
+        fitted = job.require_alignment(fit_time=request.fits_time, fit_mount=request.fits_mount, on_step=on_step)
         comparison = job.run(fitted, on_step=on_step)
     centroid = comparison.summary["centroid"]
     return FitResult(
@@ -79,29 +80,13 @@ def fit_images(request: "FitRequest", on_step: Callable[[int, int], None]) -> "F
     )
 
 
-def _aligned(job: "FlightComparison", request: "FitRequest", on_step: Callable[[int, int], None]) -> "Alignment":
-    """Return the fit; raise if the images determine nothing."""
-    folder = request.images[0].path.parent
-    fitted = job.align(fit_time=request.fits_time, fit_mount=request.fits_mount, on_step=on_step)
-    if fitted is None:
-        raise ImagesError(folder, f"no image shows the trails that the flight predicts; {_BY_HAND}")
-    error_deg = float(np.rad2deg(fitted.turn_std_rad.max())) if fitted.fitted_mount else 0.0
-    if not error_deg <= _LARGEST_ERROR_DEG:
-        found = f"{fitted.stars} stars in {fitted.images} images"
-        message = f"{found} determine the mount only to {error_deg:.1f} deg: other stars, by chance; {_BY_HAND}"
-        raise ImagesError(folder, message)
-    if not (fitted.fitted_time or fitted.fitted_mount):
-        raise ImagesError(folder, "; ".join(fitted.notes) or "the images determine neither the clock nor the mount")
-    return fitted
-
-
 def measure_image(request: "ResidualRequest") -> "TrailResiduals":
-    """Measure the trails of a real image; see `glstar.viewer.picture.fitting.MeasureImage`.
+    """Measure the trails of a real image: see `glstar.viewer.picture.fitting.MeasureImage`.
 
     Raises ImagesError if no trail is found; ConfigError if images are stacked.
     """
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
     from glstar.viewer.picture.fitting import TrailResiduals  # noqa: PLC0415 - OpenCV
 
     flight = replace(request.simulator.flight, time_offset_s=request.ahead_s)
@@ -117,61 +102,7 @@ def measure_image(request: "ResidualRequest") -> "TrailResiduals":
     pairs, [image] = comparison.pairs, comparison.images
     shift_px = np.array([[pair.shift_x_px, pair.shift_y_px] for pair in pairs])
     simulated_px = np.array([[pair.x_px, pair.y_px] for pair in pairs])
-    figures = _figures(comparison.summary)
-    return TrailResiduals(simulated_px - shift_px, shift_px, image.predicted, figures)
-
-
-def _figures(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    """Return the paper's measures: what, and its value, simulated minus real."""
-    peak, pixel, centroid, own, shift, trail = (
-        summary[key] for key in ("peak", "brightest_pixel", "centroid", "centroid_in_own_region", "shift", "trail")
-    )
-    rows = [
-        ("centroid distance", _mean_and_median(centroid)),
-        ("of it noise", f"{centroid['noise_px']:.3f} px"),
-        ("each in its own region", _mean_and_median(own)),
-        ("a straight line there", f"mean {own['baseline_mean_px']:.3f}, median {own['baseline_median_px']:.3f} px"),
-        ("shift", f"{shift['x_px']:+.3f}, {shift['y_px']:+.3f} px in the mean"),
-    ]
-    for label, measured in (("peak intensity", peak), ("brightest pixel", pixel)):
-        if measured["pairs"]:
-            rows.append(
-                (
-                    label,
-                    f"{measured['mean_error_dn']:+.1f} DN, absolute {measured['mean_absolute_percentage_error']:.1f} %,"
-                    f" {measured['magnitude_error']:.2f} mag",
-                )
-            )
-    if summary["saturated_pairs"]:
-        rows.append(("saturated, not in these", f"{summary['saturated_pairs']}"))
-    if trail["pairs"]:
-        rows += [
-            (
-                "length",
-                f"{trail['length_difference_px']['mean']:+.2f} px, {trail['length_difference_percent']['mean']:+.1f} %",
-            ),
-            ("direction", f"{trail['direction_difference_deg']['mean']:+.2f}\N{DEGREE SIGN}"),
-        ]
-    return tuple(rows)
-
-
-def _mean_and_median(measured: dict[str, float]) -> str:
-    return f"mean {measured['mean_px']:.3f}, median {measured['median_px']:.3f} px"
-
-
-At = Annotated[float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")]
-Sliding = Annotated[bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")]
-Processed = Annotated[bool, typer.Option("--processed", help="Show the image that [output] makes of the raw one.")]
-Images = Annotated[Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)]
-Play = Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)]
-Answers = Annotated[
-    Path | None,
-    typer.Option(help="Answers of a navigator to draw (CSV or JSON lines); needs --answers-to.", show_default=False),
-]
-AnswersTo = Annotated[
-    Path | None,
-    typer.Option(help="The export of this flight that --answers are for, with its truth.", show_default=False),
-]
+    return TrailResiduals(simulated_px - shift_px, shift_px, image.predicted, comparison.figures)
 
 
 @with_flight_flags()
@@ -204,8 +135,8 @@ def view(
     _refuse_idle(headless=headless, scripted=scripted)
     _refuse_lone_options(answers, answers_to, stats, play)
     require_window_libraries()
-    from glstar.cli.flights.placedanswers import placed_answers  # noqa: PLC0415
-    from glstar.viewer.flight.playhead import Mode  # noqa: PLC0415
+    from glstar.cli.flights.navigatoranswers import placed_answers  # noqa: PLC0415 - the link
+    from glstar.viewer.flight.playhead import Mode  # noqa: PLC0415 - imgui, only if a window is opened
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
 
     overlays, asks = overlays_of(show), not (scripted or leave)
@@ -245,7 +176,7 @@ def _enable_measurements(viewer: "Viewer") -> None:
 
 def _say_if_raw(viewer: "Viewer") -> None:
     """Say why a processed image was asked for and is not shown."""
-    from glstar.viewer.picture.simulated import why_not_processed  # noqa: PLC0415
+    from glstar.viewer.picture.simulated import why_not_processed  # noqa: PLC0415 - OpenCV
 
     session = viewer.session
     if session.shows_processed and session.scene is not None and (reason := why_not_processed(session.scene)):

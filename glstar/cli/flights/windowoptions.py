@@ -1,7 +1,4 @@
-"""Options of the commands that open the viewer's window.
-
-The calibration that the window offers, loaded when it is first used.
-"""
+"""Options of the commands that open the viewer's window, and the calibration that the window offers."""
 
 import json
 import re
@@ -13,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from glstar.errors import ContextError
+from glstar.system.files import write_atomically
 from glstar.system.installation import OPENGL_ON_LINUX, missing_library
 
 if TYPE_CHECKING:
@@ -46,10 +44,7 @@ Headless = Annotated[
 
 
 def size_of(text: str | None, memory: "WindowMemory | None" = None) -> tuple[int, int]:
-    """Parse the size of a window, px.
-
-    `text`: ``"1280x800"``; `memory`: it has the size of the last window, the default.
-    """
+    """Parse the size of a window, such as ``"1280x800"``; the default is the size of the last window in `memory`."""
     if text is None:
         return (memory.size if memory is not None else None) or _DEFAULT_SIZE
     match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text)
@@ -59,18 +54,18 @@ def size_of(text: str | None, memory: "WindowMemory | None" = None) -> tuple[int
 
 
 def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
-    """Parse a list of overlays, separated by commas; returns: none for the default."""
+    """Parse a list of overlays, separated by commas; None, the default overlays, without one."""
     if text is None:
         return None
     from glstar.viewer.overlays.table import Overlay  # noqa: PLC0415 - only if a command opens a window
 
-    known = {overlay.value: overlay for overlay in Overlay} | Overlay.named()
+    overlays = {overlay.value: overlay for overlay in Overlay} | Overlay.named()
     names = {name.strip().lower() for name in text.split(",")} - {"", "nothing"}
-    unknown = names - known.keys()
+    unknown = names - overlays.keys()
     if unknown:
         listed = ", ".join(Overlay.named())
         raise typer.BadParameter(f"{min(unknown)!r} is none of {listed}", param_hint="--show")
-    return frozenset(known[name] for name in names)
+    return frozenset(overlays[name] for name in names)
 
 
 def require_window_libraries() -> None:
@@ -93,23 +88,19 @@ def require_window_libraries() -> None:
 
 
 def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
-    """Return the surface that the viewer draws on.
-
-    `size`: width and height, px; `headless`: whether to draw offscreen instead of in a window.  Returns the caller
-    closes it.
-    """
+    """Return the surface, of a size in px, on which the viewer draws: a window or offscreen; the caller closes it."""
     if headless:
-        from glstar.viewer.loop import HeadlessSurface  # noqa: PLC0415
+        from glstar.viewer.loop import HeadlessSurface  # noqa: PLC0415 - imgui
 
         return HeadlessSurface(size)
-    from glstar.viewer.window import WindowSurface  # noqa: PLC0415
+    from glstar.viewer.window import WindowSurface  # noqa: PLC0415 - GLFW
 
     return WindowSurface(size)
 
 
 def memory_of(name: str) -> "WindowMemory":
-    """Return what the window remembers from its last start; `name`: of the command."""
-    from platformdirs import user_config_path  # noqa: PLC0415
+    """Return the memory of the last window of a command."""
+    from platformdirs import user_config_path  # noqa: PLC0415 - only if a command opens a window
 
     from glstar.viewer.session.memory import WindowMemory  # noqa: PLC0415 - imgui, only if a command opens a window
 
@@ -117,16 +108,15 @@ def memory_of(name: str) -> "WindowMemory":
 
 
 def layout_of(name: str) -> Path:
-    """Return the file that stores the layout of the panels; `name`: of the command."""
-    from platformdirs import user_config_path  # noqa: PLC0415
+    """Return the file that stores the layout of the panels of a command."""
+    from platformdirs import user_config_path  # noqa: PLC0415 - only if a command opens a window
 
     return user_config_path("glstar", ensure_exists=True) / f"{name}.ini"
 
 
 def write_stats(path: Path, report: Mapping[str, Any]) -> None:
     """Write a report as JSON; raises ExportError if it cannot be written."""
-    from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV, which the window has loaded
-    from glstar.system.files import write_atomically  # noqa: PLC0415 - OpenCV, which the window has loaded
+    from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV
 
     with explain_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ from glstar.cli.progress import progress_bar
 from glstar.cli.verbosity import with_verbosity
 from glstar.config import Config
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
+from glstar.system.imagefiles import encode_png
 
 # One frame every 15 s: the launch, turns to both sides, and a roll.
 _START_S: Final = 3.0
@@ -98,8 +99,7 @@ def _contact_sheet(directory: Path, truth: list[dict[str, Any]]) -> bytes:
     names = _names(truth)
     tiles = [_tile(cv2, directory, line, names) for line in truth]
     rows = [np.hstack(tiles[first : first + _COLUMNS]) for first in range(0, len(tiles), _COLUMNS)]
-    _, encoded = cv2.imencode(".png", np.vstack(rows))
-    return bytes(encoded)
+    return encode_png(np.vstack(rows))
 
 
 def _names(truth: list[dict[str, Any]]) -> dict[int, str]:

@@ -6,48 +6,20 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from math import asin, degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
-from glstar.cli.images.exportoptions import (
-    FRAMES_PER_WORKER,
-    MAX_WORKERS,
-    At,
-    Blind,
-    Dask,
-    DryRun,
-    Every,
-    Exif,
-    ExposureTime,
-    Flights,
-    Force,
-    FrameLimit,
-    Json,
-    Masks,
-    NavigatorAttitude,
-    Noiseless,
-    Output,
-    OutputPlace,
-    Seed,
-    ShardText,
-    Start,
-    Stop,
-    Strict,
-    Verify,
-    Video,
-    VideoRate,
-    WorkerCount,
-)
-from glstar.cli.images.exportreport import SummaryFiles, bit_note, light_notes, needing, with_summary_files
-from glstar.cli.images.publishing import FramePublishing, LatestFrame, NavigatorFiles, WithTruth
+from glstar.cli.images import exportoptions as options
 from glstar.cli.progress import progress_bar
 from glstar.cli.verbosity import echo_detail, echo_note, with_verbosity
-from glstar.errors import ExportError
 from glstar.flight import DATA_GAP
+from glstar.render.truth.conditions import conditions_report
+from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.system.process import EXIT_INTERRUPTED, exit_on_interrupt
 
 if TYPE_CHECKING:
@@ -55,52 +27,56 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from glstar.config import Config
-    from glstar.export.frame import EncodedFrame
-    from glstar.export.plan.frames import ExportOptions, SkippedFrame
-    from glstar.export.run.executors import Executor, OnPixels
+    from glstar.export.frame import EncodedFrame, FrameTask
+    from glstar.export.plan.frames import ExportOptions, Frames, Shot, SkippedFrame
+    from glstar.export.run.executors import Checker, Executor, OnPixels
     from glstar.export.run.export import Export, ExportReport, Shard
 
 
 # Frames that a dry run draws to estimate the complete export, spread evenly over it.
-_SAMPLE_FRAMES = 5
-# Settings that decide the size of the images.
-_KEYS_OF_SIZE = {"camera.file", "camera.camera", "camera.preset", "camera.width_px", "camera.height_px"}
+_SAMPLE_FRAMES: Final = 5
+# Frames that are checked for day and ground, spread evenly over an export.
+_CHECKED: Final = 24
+# With the Sun higher than this, deg, the sky hides all but the brightest stars: the end of civil twilight.
+_DAY_DEG: Final = -6.0
+# Bits at which full scale is at most a quarter of a 16-bit file's white.
+_MAX_BITS: Final = 14
 
 
 @with_verbosity
-@with_summary_files
+@options.with_summary_files
 @with_flight_flags()
 def export(
-    output: Output,
-    flights: Flights = None,
+    output: options.Output,
+    flights: options.Flights = None,
     *,
-    exposure: ExposureTime = None,
-    every: Every = None,
-    at: At = None,
+    exposure: options.ExposureTime = None,
+    every: options.Every = None,
+    at: options.At = None,
     flags: FlightFlags,
-    start: Start = 0.0,
-    stop: Stop = None,
-    frames: FrameLimit = None,
+    start: options.Start = 0.0,
+    stop: options.Stop = None,
+    frames: options.FrameLimit = None,
     format_: Format = None,
-    light: Noiseless = False,
-    masks: Masks = False,
-    exif: Exif = False,
-    seed: Seed = 0,
-    video: Video = None,
-    video_fps: VideoRate = 10.0,
-    workers: WorkerCount = None,
-    shard: ShardText = None,
-    dask: Dask = None,
-    strict: Strict = False,
-    navigator: NavigatorAttitude = None,
-    blind: Blind = None,
-    latest_frame: LatestFrame = None,
-    with_truth: WithTruth = False,
-    dry_run: DryRun = False,
-    verify: Verify = False,
-    force: Force = False,
-    as_json: Json = False,
-    summaries: SummaryFiles,
+    light: options.Noiseless = False,
+    masks: options.Masks = False,
+    exif: options.Exif = False,
+    seed: options.Seed = 0,
+    video: options.Video = None,
+    video_fps: options.VideoRate = 10.0,
+    workers: options.WorkerCount = None,
+    shard: options.ShardText = None,
+    dask: options.Dask = None,
+    strict: options.Strict = False,
+    navigator: options.NavigatorAttitude = None,
+    blind: options.Blind = None,
+    latest_frame: options.LatestFrame = None,
+    with_truth: options.WithTruth = False,
+    dry_run: options.DryRun = False,
+    verify: options.Verify = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
+    summaries: options.SummaryFiles,
 ) -> None:
     """Write the long exposures that the camera would have taken on a flight, and where every star is on them.
 
@@ -109,21 +85,35 @@ def export(
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
     _import_libraries()
-    from glstar.export.plan.frames import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.plan.frames import ExportOptions  # noqa: PLC0415 - OpenCV
 
     summaries.check(verify=verify)
     output.check(video=video, verify=verify, blind=blind, **summaries.asked)
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
-    publishing = FramePublishing(latest_frame, with_truth).in_one_process(workers, dask, draws=not (verify or dry_run))
-    when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
-    settings = flags.settings(**when | {"navigator.attitude": navigator})
-    flown = flights_of(settings, flights)
-    part, known = _part_of(shard, force=force), NavigatorFiles(settings, output.directory, blind, flown)
-    wanted = ExportOptions(start, stop, frames, format_, light, seed, masks, known.allows(exif=exif))
+    publishing = options.FramePublishing(latest_frame, with_truth).in_one_process(
+        workers, dask, draws=not (verify or dry_run)
+    )
+    exposures = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
+    settings = flags.settings(**exposures, **{"navigator.attitude": navigator})
+    part = _part_of(shard, force=force)
+    known = options.NavigatorFiles(settings, output.directory, blind, flights_of(settings, flights))
+    exif = known.allows(exif=exif)
+    wanted = ExportOptions(
+        start_s=start,
+        stop_s=stop,
+        frames=frames,
+        image_format=format_,
+        noiseless=light,
+        seed=seed,
+        masks=masks,
+        exif=exif,
+    )
     job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
-    if dry_run or verify:
-        (_estimate if dry_run else _verify)(job, part, workers, as_json=as_json)
+    if dry_run:
+        _estimate(job, part, workers, as_json=as_json)
+    elif verify:
+        _verify(job, part, workers, as_json=as_json)
     else:
         known.begin()
         passed_on = publishing.of_export(job, settings, known)
@@ -135,14 +125,14 @@ def export(
 def _import_libraries() -> None:
     """Import OpenCV and OpenGL, which takes long enough to be interrupted."""
     with exit_on_interrupt():
-        import glstar.export.run.prepare  # noqa: PLC0415 - only when needed
-        import glstar.export.run.processes  # noqa: PLC0415
-        import glstar.render.opengl  # noqa: F401, PLC0415
+        import glstar.export.run.prepare  # noqa: PLC0415 - OpenCV
+        import glstar.export.run.processes  # noqa: PLC0415 - OpenCV
+        import glstar.render.opengl  # noqa: F401, PLC0415 - OpenGL
 
 
 def _part_of(shard: str | None, *, force: bool) -> "Shard":
     """Return the shard that the options name."""
-    from glstar.export.run.export import Shard  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.run.export import Shard  # noqa: PLC0415 - OpenCV
 
     part = Shard() if shard is None else Shard.parse(shard)
     if force and not part.is_all:
@@ -151,21 +141,21 @@ def _part_of(shard: str | None, *, force: bool) -> "Shard":
 
 
 def _prepare(
-    settings: "Config", paths: list[Path], output: Path, options: "ExportOptions", *, strict: bool, video: Path | None
+    settings: "Config", paths: list[Path], output: Path, wanted: "ExportOptions", *, strict: bool, video: Path | None
 ) -> "Export":
     """Read the flights and plan their frames; print notes on how the logs were read."""
-    from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV
 
     if len(paths) > 1 or settings.sweep:
-        job = prepare_data_set(settings, paths, output, options, strict=strict)
+        job = prepare_data_set(settings, paths, output, wanted, strict=strict)
         for log in job.omitted_logs:
             typer.echo(f"glstar: left out: {log.path}: {' '.join(log.reason.split())}", err=True)
     else:
-        job = prepare_export(settings, paths[0], output, options)
+        job = prepare_export(settings, paths[0], output, wanted)
     for name, note in job.notes:
         echo_note(f"{name}: {note}")
     if video is not None:
-        _refuse_video_of_two_sizes(settings, len(paths), video)
+        options.refuse_video_of_two_sizes(settings, len(paths), video)
     return job
 
 
@@ -183,34 +173,17 @@ def _refuse_contradictions(
         )
 
 
-def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) -> None:
-    """Refuse a video, before anything is drawn, if the sweep varies the size of the images."""
-    keys = [axis.key for axis in settings.sweep.axes if axis.key in _KEYS_OF_SIZE]
-    samples: set[tuple[object, ...]] = set()
-    for flight in range(flights if keys else 0):
-        samples |= set(zip(*(settings.sweep.column(key, salt=flight) for key in keys), strict=True))
-    cameras = [settings.at(dict(zip(keys, values, strict=True))).camera() for values in samples]
-    sizes = sorted({(camera.width_px, camera.height_px) for camera in cameras})
-    if len(sizes) > 1:
-        listed = " and ".join(f"{width_px} x {height_px} px" for width_px, height_px in sizes[:3])
-        raise ExportError(
-            video,
-            f"a video has frames of one size, and {', '.join(keys)} of [sweep] makes images of {listed}; leave out"
-            " --video, or export each size to a directory of its own",
-        )
-
-
 def _default_workers(frames: int, part: "Shard") -> int:
     """Return the number of processes for this many frames."""
     if not part.is_all:
         return 1  # the user has divided the processors already
-    from glstar.export.run.executors import available_processors  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.run.executors import available_processors  # noqa: PLC0415 - OpenCV
 
-    return max(1, min(available_processors(), frames // FRAMES_PER_WORKER, MAX_WORKERS))
+    return max(1, min(available_processors(), frames // options.FRAMES_PER_WORKER, options.MAX_WORKERS))
 
 
 def _print_light_notes(job: "Export") -> None:
-    for note in light_notes(job.task.frames):
+    for note in _light_notes(job.task.frames):
         echo_note(f"glstar: {note}")
 
 
@@ -230,7 +203,7 @@ def _with_light_notes(job: "Export", on_frame: Callable[[int, int], None]) -> Ca
 
 def _draw(
     job: "Export",
-    output: OutputPlace,
+    output: options.OutputPlace,
     shard: "Shard",
     workers: int,
     dask: str | None,
@@ -256,9 +229,9 @@ def _draw(
 
 def _finish(
     job: "Export",
-    output: OutputPlace,
-    known: NavigatorFiles,
-    summaries: SummaryFiles,
+    output: options.OutputPlace,
+    known: options.NavigatorFiles,
+    summaries: options.SummaryFiles,
     video: Path | None,
     video_fps: float,
 ) -> tuple[Path, ...]:
@@ -271,49 +244,51 @@ def _finish(
 
 def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw all frames again, list the files that differ, and exit with status 1 if there are any."""
-    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
-    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, only when needed
-    from glstar.export.run.verify import verify  # noqa: PLC0415
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
+    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV
+    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV
+    from glstar.export.run.verify import verify  # noqa: PLC0415 - OpenCV
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     began_s = time.monotonic()
     with ExitStack() as opened:
         on_frame = opened.enter_context(progress_bar("frames"))
         if workers > 1:
-            found = verify(job, opened.enter_context(ProcessExecutor(workers)), shard=shard, on_frame=on_frame)
+            executor: Checker = opened.enter_context(ProcessExecutor(workers))
         else:
-            renderer = opened.enter_context(GLRenderer.headless())
-            found = verify(job, SerialExecutor(renderer), shard=shard, on_frame=on_frame)
-        driver = found.drawn_by
+            executor = SerialExecutor(opened.enter_context(GLRenderer.headless()))
+        outcome = verify(job, executor, shard=shard, on_frame=on_frame)
+        driver = outcome.drawn_by
     if as_json:
         facts = {
-            "directory": str(found.directory),
-            "frames": found.frames,
-            "drawn_again": found.is_redrawn,
+            "directory": str(outcome.directory),
+            "frames": outcome.frames,
+            "drawn_again": outcome.is_redrawn,
             "renderer": driver,
-            "findings": [asdict(finding) for finding in found.findings],
+            "findings": [asdict(finding) for finding in outcome.findings],
             "seconds": round(time.monotonic() - began_s, 3),
         }
         typer.echo(json.dumps(facts))
-    for finding in found.findings if not as_json else ():
+    for finding in outcome.findings if not as_json else ():
         typer.echo(f"{finding.file}: {finding.problem}")
-    if not found.is_redrawn:
+    if not outcome.is_redrawn:
         typer.echo(
             f"the frames were drawn by {driver}, and another driver draws other bytes: they have been decoded and"
             " compared with the truth, not drawn again",
             err=True,
         )
-    if found.findings:
-        files = len({finding.file for finding in found.findings})
+    if outcome.findings:
+        files = len({finding.file for finding in outcome.findings})
         typer.echo(
-            f"glstar: {found.directory}: {files} file{'s are' if files != 1 else ' is'} wrong; remove"
+            f"glstar: {outcome.directory}: {files} file{'s are' if files != 1 else ' is'} wrong; remove"
             f" {'them' if files != 1 else 'it'} and run the same command without --verify: it draws what is missing",
             err=True,
         )
         raise typer.Exit(1)
     if not as_json:
-        how = "byte for byte" if found.is_redrawn else "decoded, and of the size in the truth"
-        typer.echo(f"{_count(found.frames)} verified in {time.monotonic() - began_s:.1f} s, {how}: {found.directory}")
+        how = "byte for byte" if outcome.is_redrawn else "decoded, and of the size in the truth"
+        typer.echo(
+            f"{_count(outcome.frames)} verified in {time.monotonic() - began_s:.1f} s, {how}: {outcome.directory}"
+        )
 
 
 @contextmanager
@@ -321,12 +296,12 @@ def _executor(
     job: "Export", workers: int, dask: str | None, on_pixels: "OnPixels | None" = None
 ) -> "Iterator[Executor]":
     """Open the executor that the options ask for."""
-    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
-    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, only when needed
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
+    from glstar.export.run.executors import SerialExecutor  # noqa: PLC0415 - OpenCV
+    from glstar.export.run.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     if dask is not None:
-        with needing("cluster"):
+        with options.needing("cluster"):
             from glstar.export.run.cluster import DaskExecutor  # noqa: PLC0415 - an extra
         with DaskExecutor(dask, job.task) as cluster:
             yield cluster
@@ -341,7 +316,7 @@ def _executor(
 
 
 def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
-    from glstar.export.imagefiles.formats import write_video  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.imagefiles.formats import write_video  # noqa: PLC0415 - OpenCV
 
     images = [job.task.image_path(number) for number in job.numbers.tolist()]
     write_video(images, video, frames_per_s=frames_per_s, saturation_dn=job.task.frames.saturation_dn)
@@ -350,7 +325,7 @@ def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
 def _report(
     job: "Export", report: "ExportReport", took_s: float, video: Path | None, tables: tuple[Path, ...], *, as_json: bool
 ) -> None:
-    if note := bit_note(job.task):
+    if note := _bit_note(job.task):
         echo_note(f"glstar: {note}")
     if as_json:
         facts = {
@@ -414,7 +389,7 @@ def _image_bytes(frame: "EncodedFrame") -> int:
 
 def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw a few frames in memory, and report the estimated size and time of all."""
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     _print_light_notes(job)
     numbers = shard.select(job.numbers)
@@ -448,3 +423,62 @@ def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> 
         f" and {seconds / 60:.1f} minutes; nothing written"
     )
     _report_skipped(job.task.frames.skipped)
+
+
+def _light_notes(frames: "Frames") -> list[str]:
+    """Return notes on day, on a camera that sees only the ground, on a natural sky, and on old satellites."""
+    if not len(frames.numbers):
+        return []
+    numbers = frames.numbers[np.unique(np.linspace(0, len(frames.numbers) - 1, _CHECKED).astype(np.intp))]
+    checked = [_ground_and_sun(frames.shot(int(number))) for number in numbers]
+    grounded = sum(sees_ground for sees_ground, _ in checked)
+    notes = []
+    if grounded:
+        notes.append(
+            f"{_of_checked(grounded, len(checked))} show only the ground, because the camera points below the horizon:"
+            " [mount] says how it is mounted"
+        )
+    sun_deg = [sun for _, sun in checked]
+    by_day = sum(sun > _DAY_DEG for sun in sun_deg)
+    if by_day:
+        notes.append(
+            f"{_of_checked(by_day, len(checked))} are of day or bright twilight, with the Sun up to"
+            f' {max(sun_deg):.0f} deg high: a camera sees no stars then; [sky] brightness = "natural" shows it'
+        )
+    middle = frames.shot(int(frames.numbers[len(frames.numbers) // 2]))
+    if middle.simulator.sensor.effects.get("sky.brightness") == "natural":
+        notes.append(f"the middle frame: {conditions_report(middle.simulator.scene(middle.exposure))}")
+    satellites = middle.simulator.sky.satellites
+    if satellites is not None and (note := satellites.age_note(middle.exposure.mid_utc_s)):
+        notes.append(note)
+    return notes
+
+
+def _of_checked(count: int, checked: int) -> str:
+    return "all frames" if count == checked else f"{count} of {checked} frames checked"
+
+
+def _ground_and_sun(shot: "Shot") -> tuple[bool, float]:
+    """Return whether a frame shows only the ground, and the altitude of the Sun, deg."""
+    simulator, mid_s = shot.simulator, shot.exposure.mid_utc_s
+    (samples,) = simulator.motion.at(np.array([mid_s]))
+    altitude_rad = asin(float(np.clip(samples.pointing.boresight_eq[0] @ samples.pointing.zenith_eq[0], -1, 1)))
+    highest_rad = altitude_rad + simulator.camera.field_radius_rad
+    return highest_rad < asin(samples.pointing.sine_horizon), degrees(sun_altitude_rad(mid_s, samples.site))
+
+
+def _bit_note(task: "FrameTask") -> str:
+    """Return a note on images of few bits in files of 16; empty for FITS, which astronomical viewers stretch."""
+    from glstar.export.imagefiles.processing import CameraProcessing  # noqa: PLC0415 - OpenCV
+
+    if task.image_format not in {"png16", "tiff"} or not len(task.frames.numbers):
+        return ""
+    sensor = task.frames.shot(int(task.frames.numbers[0])).simulator.sensor
+    processing, largest_dn = CameraProcessing.of(sensor), task.frames.saturation_dn
+    bits = largest_dn.bit_length()
+    if processing.is_active or processing.align == "high" or bits > _MAX_BITS:
+        return ""
+    return (
+        f"pixels hold {bits} bits, 0 to {largest_dn}, in files of 16: image viewers show them almost black. [output]"
+        ' align = "high" shifts them to the highest bits; [output] process = "isp" develops them'
+    )

@@ -1,6 +1,7 @@
 """``glstar score``: a navigator's answers against the truth of an export."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -10,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.score.frames import Limits
+from glstar.score.metrics import METRICS, Metric, Spread
 from glstar.score.scoring import DETECTABLE_SNR, Score
-from glstar.score.summary import RunSpread, Spread, Summary
-from glstar.sky.place.apparent import ARCSEC_RAD
+from glstar.score.summary import RUN_METRICS, Summary
 from glstar.system.files import write_atomically
 
 # Orbits that are printed one by one; score.json has all.
@@ -75,37 +76,29 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
         f"{whole.frames} frames: {whole.solved} solved, {whole.refused} refused, {whole.false} false", highlight=False
     )
     table = Table("error of solved frames", "median", "rms", "90 %", "frames", box=None)
-    rows = (
-        ("boresight, arcsec", _arcsec(whole.boresight_rad)),
-        ("  of a plain rotation fit (floor)", _arcsec(whole.boresight_floor_rad)),
-        ("  above that floor", _arcsec(whole.boresight_above_floor_rad)),
-        ("roll, arcsec", _arcsec(whole.roll_rad)),
-        ("position, km", whole.position_km),
-        ("position, nautical miles", whole.position_nautical_miles),
-        ("centroids, px (rms of a frame)", whole.centroid_px),
-        ("run time, s", whole.run_time_s),
-    )
-    for label, spread in rows:
-        if spread is not None:
-            table.add_row(label, *_numbers(spread))
+    for metric in METRICS:
+        if metric.units and not metric.part_of:
+            for part in (metric, *(other for other in METRICS if other.part_of == metric.name)):
+                _add_errors(table, part, whole)
     console.print(table)
-    if whole.precision is not None:
-        recall = "" if whole.recall is None else f", recall {whole.recall:.1%} of the detectable ones"
-        console.print(f"stars identified: precision {whole.precision:.1%}{recall}", highlight=False)
-    if whole.with_ellipse:
+    precision, recall = whole.number("precision"), whole.number("recall")
+    if precision is not None:
+        of_detectable = "" if recall is None else f", recall {recall:.1%} of the detectable ones"
+        console.print(f"stars identified: precision {precision:.1%}{of_detectable}", highlight=False)
+    if whole.number("with_ellipse"):
         console.print(
-            f"error ellipses: {whole.in_ellipse} of {whole.with_ellipse} contain the truth"
-            f" (stated {whole.stated_confidence:.0%})",
+            f"error ellipses: {whole.number('in_ellipse')} of {whole.number('with_ellipse')} contain the truth"
+            f" (stated {whole.number('stated_confidence'):.0%})",
             highlight=False,
         )
-    if whole.lost_rate is not None:
+    if whole.number("lost_rate") is not None:
         console.print(
-            f"frames with two or more right and no wrong stars {whole.lost_rate:.1%} (LOST),"
-            f" score of right minus twice wrong {whole.kelvins:.3f} (Kelvins)",
+            f"frames with two or more right and no wrong stars {whole.number('lost_rate'):.1%} (LOST),"
+            f" score of right minus twice wrong {whole.number('kelvins'):.3f} (Kelvins)",
             highlight=False,
         )
     if found.spread is not None:
-        _print_runs(found.spread, console)
+        _print_runs(found.spread, len(found.runs), console)
     for number, orbit in enumerate(found.orbits[:_MOST_ORBITS], 1):
         circle = (
             "" if orbit.circle_km is None else f", centre of a {orbit.radius_km:.2f} km circle {orbit.circle_km:.2f} km"
@@ -122,27 +115,29 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
     _print_drawn([(name, groups) for name, groups in found.bins if name in drawn], console)
 
 
-def _print_runs(spread: RunSpread, console: Console) -> None:
-    table = Table(f"spread over {spread.runs} runs", "median", "rms", "90 %", "count", box=None)
-    rows = (
-        ("solved fraction", spread.solved_fraction),
-        ("median boresight, arcsec", _arcsec(spread.boresight_rad)),
-        ("median roll, arcsec", _arcsec(spread.roll_rad)),
-        ("median position, km", spread.position_km),
-        ("mean of an orbit, km", spread.orbit_mean_km),
-        ("mean weighted by heading, km", spread.orbit_weighted_km),
-        ("centre of the circle, km", spread.orbit_circle_km),
-    )
-    for label, one in rows:
-        if one is not None:
-            table.add_row(label, *_numbers(one))
+def _add_errors(table: Table, metric: Metric, summary: Summary) -> None:
+    """Add the rows of an error, one for each of its units."""
+    spread = summary.spread(metric.name)
+    if spread is not None:
+        for unit in metric.units:
+            table.add_row(unit.label, *_numbers(spread.scaled(unit.per_value)))
+
+
+def _print_runs(spreads: Mapping[str, Spread | None], runs: int, console: Console) -> None:
+    table = Table(f"spread over {runs} runs", "median", "rms", "90 %", "count", box=None)
+    for metric in RUN_METRICS:
+        spread = spreads[metric.json_key]
+        if spread is not None:
+            table.add_row(metric.label, *_numbers(spread))
     console.print(table)
 
 
 def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Console) -> None:
-    table = Table(name, "frames", "solved", "refused", "false", "boresight, arcsec", "position, km", box=None)
+    metrics = [metric for metric in METRICS if metric.in_bins]
+    labels = [metric.units[0].label for metric in metrics]
+    table = Table(name, "frames", "solved", "refused", "false", *labels, box=None)
     for label, one in groups:
-        medians = [_median(_arcsec(one.boresight_rad)), _median(one.position_km)]
+        medians = [_median(one, metric) for metric in metrics]
         table.add_row(label, *(str(count) for count in (one.frames, one.solved, one.refused, one.false)), *medians)
     console.print(table)
 
@@ -161,20 +156,18 @@ def _print_drawn(bins: list[tuple[str, tuple[tuple[str, Summary], ...]]], consol
         "arcsec",
         box=None,
     )
+    boresight = next(metric for metric in METRICS if metric.in_bins)
     for name, groups in bins:
         cells = []
         for label, one in (groups[0], groups[-1]):
-            cells += [label, f"{one.solved} of {one.frames}", _median(_arcsec(one.boresight_rad))]
+            cells += [label, f"{one.solved} of {one.frames}", _median(one, boresight)]
         table.add_row(name, *cells)
     console.print(table)
 
 
-def _arcsec(spread: Spread | None) -> Spread | None:
-    return None if spread is None else spread.scaled(1 / ARCSEC_RAD)
-
-
-def _median(spread: Spread | None) -> str:
-    return "" if spread is None else f"{spread.median:.3g}"
+def _median(summary: Summary, metric: Metric) -> str:
+    spread = summary.spread(metric.name)
+    return "" if spread is None else f"{spread.scaled(metric.units[0].per_value).median:.3g}"
 
 
 def _numbers(spread: Spread) -> tuple[str, str, str, str]:

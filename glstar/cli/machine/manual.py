@@ -8,7 +8,6 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from glstar.cli.completion import manual_topics
 from glstar.errors import ConfigError
 from glstar.system.resources import manual_pages
 from glstar.system.userinput import did_you_mean
@@ -17,11 +16,16 @@ from glstar.system.userinput import did_you_mean
 _MAX_COLUMNS = 120
 
 
+def _topics(incomplete: str) -> list[str]:
+    """Return the pages whose names begin with a word, for the completion of the shell."""
+    return [topic for topic in manual_pages() if topic.startswith(incomplete)]
+
+
 def manual(
     topic: Annotated[
         str,
         typer.Argument(
-            metavar="[TOPIC]", help="The page to print; without it, the list of pages.", autocompletion=manual_topics
+            metavar="[TOPIC]", help="The page to print; without it, the list of pages.", autocompletion=_topics
         ),
     ] = "",
 ) -> None:

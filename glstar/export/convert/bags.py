@@ -54,9 +54,9 @@ _UNKNOWN: Final = np.array([-1.0, *[0.0] * 8])
 def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all: None) -> None:
     """Write the frames of an export and their truth as a ROS 2 bag.
 
-    `directory`: the export; `output`: a new ``.mcap`` file, or otherwise the directory of a new ROS 2 bag, with SQLite
-    storage; `on_step`: called with the number of frames written and of all frames.  Raises ExportError if the output
-    exists, a frame is missing, or the bag cannot be written.
+    `output` is a new ``.mcap`` file, or else the directory of a new ROS 2 bag with SQLite storage. `on_step` is called
+    with the number of frames written and of all frames. Raises ExportError if the output exists, a frame is missing, or
+    the bag cannot be written.
     """
     if output.exists():
         raise ExportError(output, "exists already; name another file, or remove it")

@@ -1,15 +1,9 @@
-"""Labels of star trails for detectors: outline, bounding box and key points of each star and body on a frame.
+"""Labels of star trails for detectors, for each star and body on a frame: COCO's JSON, or the directory of YOLO.
 
-Positions are those of COCO and YOLO: (0, 0) is the outer corner of the top left pixel, half a pixel from its centre.
-
-Labels of an export in the JSON format of COCO: an outline, a box and three key points for each star trail.
-
-With trail masks (``glstar export --masks``) a segmentation holds the pixels of the mask, as run lengths, and the box is
-theirs.  Without masks, and of a star that dominates no pixel, it is the outline of `labels_of`.
-
-Run lengths of a trail mask, as COCO counts them: down the columns.
-
-An export as the directory that YOLO trains from: images, a text file of boxes for each, and ``data.yaml``.
+Positions are those of COCO and YOLO: (0, 0) is the outer corner of the top left pixel, half a pixel from its centre. A
+label has an outline, a bounding box and three key points. With trail masks (``glstar export --masks``) the segmentation
+of COCO holds the pixels of the mask, as run lengths down the columns, and the box is theirs. Without masks, and of a
+star that dominates no pixel, it is the outline of `labels_of`.
 """
 
 import os
@@ -86,11 +80,10 @@ class TrailLabel:
 
 
 def labels_of(line: Mapping[str, Any], *, psf_sigma_px: float, least_snr: float) -> Iterator[TrailLabel]:
-    """Yield the labels of a frame.
+    """Yield the labels of a line of truth, in its order, if any part of the outline is on the image.
 
-    `line`: its line of truth; `psf_sigma_px`: width of the point spread function where the line does not say it;
-    `least_snr`: fainter stars have no label; bodies always have one.  Yields: in the order of the truth, if any part of
-    the outline is on the image.
+    `psf_sigma_px` is the width of the point spread function where the line does not say it. Stars fainter than
+    `least_snr` have no label; bodies always have one.
     """
     size = line["camera"]["width_px"], line["camera"]["height_px"]
     sigma_px = _frame_sigma_px(line, psf_sigma_px)
@@ -125,8 +118,8 @@ def _radius_px(entry: Mapping[str, Any]) -> float:
 
 def _keypoints(entry: Mapping[str, Any]) -> Float:
     middle = (entry["x_px"], entry["y_px"])
-    given = [entry["start"] or (None, None), middle, entry["end"] or (None, None)]
-    return np.array(given, dtype=np.float64) + 0.5
+    points = [entry["start"] or (None, None), middle, entry["end"] or (None, None)]
+    return np.array(points, dtype=np.float64) + 0.5
 
 
 def _outlines(entry: Mapping[str, Any], keypoints: Float, half_width_px: float) -> Iterator[Float]:
@@ -136,11 +129,11 @@ def _outlines(entry: Mapping[str, Any], keypoints: Float, half_width_px: float) 
         yield _capsule(ends, half_width_px)
     if segments:
         return
-    known = keypoints[np.isfinite(keypoints).all(axis=1)]
-    if len(known) == 3:
-        yield from _along(_parabola(known), half_width_px)
-    elif len(known):
-        yield _capsule(known, half_width_px)
+    finite = keypoints[np.isfinite(keypoints).all(axis=1)]
+    if len(finite) == 3:
+        yield from _along(_parabola(finite), half_width_px)
+    elif len(finite):
+        yield _capsule(finite, half_width_px)
     elif entry["centroid_x_px"] is not None:
         yield _capsule(np.array([[entry["centroid_x_px"], entry["centroid_y_px"]]]) + 0.5, half_width_px)
 
@@ -267,10 +260,7 @@ class MaskRuns:
         )
 
     def annotation(self, index: int) -> dict[str, Any]:
-        """Return ``segmentation``, ``bbox`` and ``area`` of a star; empty if no pixel shows it.
-
-        `index`: its place in the list of stars, followed by that of bodies, from 0.
-        """
+        """Return ``segmentation``, ``bbox`` and ``area`` by `TrailLabel.index`; empty if no pixel shows it."""
         pixels = self._of(index)
         if not pixels.size:
             return {}
@@ -295,21 +285,21 @@ _OF_CATEGORY: Final = {
 }
 _DIGITS: Final = 3
 # Keys of the truth that an annotation has besides those of COCO.
-_COPIED: Final = ("star_id", "name", "vmag", "camera_mag", "snr", "flux_dn", "saturated", "in_frame")
+COPIED: Final = ("star_id", "name", "vmag", "camera_mag", "snr", "flux_dn", "saturated", "in_frame")
 
 
 def write_coco(source: ConvertedSet, output: Path, *, least_snr: float) -> tuple[Path, ...]:
-    """Write the labels of an export as COCO, one file for each split.
+    """Write the labels of an export as COCO: ``NAME.json``, or with splits ``NAME-train.json`` and so on.
 
-    `output`: ``NAME.json``; with splits ``NAME-train.json`` and so on; `least_snr`: signal-to-noise ratio from which a
-    star has a label.  Raises ExportError if a file exists, or the export cannot be read.
+    Stars have a label from the signal-to-noise ratio `least_snr`. Raises ExportError if a file exists, or the export
+    cannot be read.
     """
     paths = {
         split: output if split == NO_SPLIT else output.with_name(f"{output.stem}-{split}{output.suffix}")
         for split in source.splits
     }
-    if there := next((path for path in paths.values() if path.exists()), None):
-        raise ExportError(there, "exists already; name another file, or remove it")
+    if existing := next((path for path in paths.values() if path.exists()), None):
+        raise ExportError(existing, "exists already; name another file, or remove it")
     with explain_disk_errors(output), ExitStack() as opened:
         files = {split: opened.enter_context(_CocoFile(path)) for split, path in paths.items()}
         for split, line in source.frames():
@@ -395,16 +385,16 @@ def _annotation(label: TrailLabel, number: int, frame: int) -> dict[str, Any]:
         "segmentation": [polygon.round(_DIGITS).ravel().tolist() for polygon in label.polygons],
         "keypoints": keypoints,
         "num_keypoints": int(label.visible.sum()),
-        **{key: label.entry[key] for key in _COPIED if key in label.entry},
+        **{key: label.entry[key] for key in COPIED if key in label.entry},
     }
 
 
 def write_yolo(source: ConvertedSet, output: Path, *, least_snr: float) -> int:
-    """Write the images and labels of an export for YOLO.
+    """Write the images and labels of an export for YOLO, and return the number of frames.
 
-    `output`: a new directory: ``images/SPLIT``, ``labels/SPLIT`` and ``data.yaml``; images are hard links where the
-    file system has them, else copies; `least_snr`: signal-to-noise ratio from which a star has a label.  Returns:
-    number of frames.  Raises ExportError if the directory exists, or the export cannot be read.
+    `output` is a new directory with ``images/SPLIT``, ``labels/SPLIT`` and ``data.yaml``; images are hard links where
+    the file system has them, else copies. Stars have a label from the signal-to-noise ratio `least_snr`. Raises
+    ExportError if the directory exists, or the export cannot be read.
     """
     count = 0
     with new_directory(output) as folder:

@@ -19,12 +19,11 @@ _INDEX: Final = "index.json"
 
 
 def write_shards(source: ConvertedSet, target: Target, *, shard_frames: int) -> dict[str, list[str]]:
-    """Write the frames of an export as tar files.
+    """Write the frames of an export as tar files of `shard_frames` frames; return their names in each split.
 
-    `target`: a directory or a prefix of an object store: ``train-000000.tar`` and so on, ``frames-000000.tar`` of an
-    export that is not split, and ``index.json``, which is written last; `shard_frames`: number of frames of a tar file.
-    Returns: names of the tar files of each split.  Raises ConfigError if a tar file would have no frame; ExportError if
-    the target exists, or the export cannot be read.
+    `target` is a directory or a prefix of an object store. It gets ``train-000000.tar`` and so on,
+    ``frames-000000.tar`` of an export that is not split, and at last ``index.json``. Raises ConfigError if a tar file
+    would have no frame; ExportError if the target exists, or the export cannot be read.
     """
     if shard_frames < 1:
         raise ConfigError(f"--shard-frames {shard_frames} must be 1 or more")

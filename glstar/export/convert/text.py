@@ -1,7 +1,4 @@
-"""The truth of an export as CSV tables: one row per frame, and one row per star, body or satellite and frame.
-
-Subtitles of a video: time, attitude and stars of each frame, as a SubRip file beside it.
-"""
+"""Text made of the truth: CSV tables with a row per frame, star, body or satellite, and the subtitles of a video."""
 
 import csv
 from collections.abc import Iterator
@@ -15,32 +12,30 @@ import numpy as np
 from glstar.errors import ExportError
 from glstar.export.directory import explain_disk_errors
 from glstar.export.truth.lines import read_truth
+from glstar.render.truth.columns import COLUMNS, columns_of
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.system.files import publish, temporary_path
 
-# Names of the parts of lists, by their key; other lists are numbered.
-_PARTS: Final = {"q_body_ned": ("qw", "qx", "qy", "qz"), "start": ("start_x_px", "start_y_px")} | {
-    "end": ("end_x_px", "end_y_px"),
-}
-
-
+# Names of the elements of lists, by their key; those of other lists are numbered.
+_PARTS: Final = {column.name: column.parts for column in COLUMNS if column.parts}
 # Lists of a frame that are tables of their own; the last two are written if there is any.
-_LISTS: Final = ("stars", "bodies", "satellites")
+_LISTS: Final = tuple(column.name for column in columns_of("frame") if column.kind == "table")
+# As many as there are short exposures, each of two positions: in no table.
+_LEFT_OUT: Final = frozenset(column.name for column in COLUMNS if column.kind == "segments")
 
 
 def write_csv(directory: Path, output: Path) -> tuple[Path, ...]:
-    """Write the truth of an export as CSV.
+    """Write the truth of an export as CSV: the frames to ``NAME.csv``, the stars to ``NAME-stars.csv``.
 
-    `directory`: the export; `output`: ``NAME.csv`` for the frames; the stars are written to ``NAME-stars.csv``, and if
-    there are any, bodies to ``NAME-bodies.csv`` and satellites to ``NAME-satellites.csv``.  Raises ExportError if the
-    truth cannot be read, or a table cannot be written.
+    If there are any, bodies are written to ``NAME-bodies.csv`` and satellites to ``NAME-satellites.csv``. Raises
+    ExportError if the truth cannot be read, or a table cannot be written.
     """
     with explain_disk_errors(output):
         columns = _columns(directory)
         paths = {key: output.with_name(f"{output.stem}-{key}{output.suffix}") for key in columns} | {"frames": output}
-        if there := next((path for path in paths.values() if path.exists()), None):
-            raise ExportError(there, "exists already; name another file, or remove it")
+        if existing := next((path for path in paths.values() if path.exists()), None):
+            raise ExportError(existing, "exists already; name another file, or remove it")
         temporary = {key: temporary_path(path) for key, path in paths.items()}
         try:
             for key, path in temporary.items():
@@ -57,10 +52,10 @@ def _columns(directory: Path) -> dict[str, list[str]]:
     """Return the columns of each table, in the order in which the frames of a data set bring them up."""
     columns = {key: dict[str, None]() for key in ("frames", *_LISTS)}
     for line in read_truth(directory):
-        for key, there in columns.items():
+        for key, names in columns.items():
             for row in _rows(line, key):
-                there.update(dict.fromkeys(row))
-    return {key: list(there) for key, there in columns.items() if there or key == "stars"}
+                names.update(dict.fromkeys(row))
+    return {key: list(names) for key, names in columns.items() if names or key == "stars"}
 
 
 def _write(path: Path, columns: list[str], rows: Iterator[dict[str, Any]]) -> None:
@@ -83,10 +78,10 @@ def _flat(record: dict[str, Any]) -> dict[str, Any]:
     """Return a record without nested objects; lists of objects and the segments of stacks are left out."""
     flat: dict[str, Any] = {}
     for key, value in record.items():
+        if key in _LEFT_OUT:
+            continue
         if isinstance(value, dict):
             flat |= _flat(value)
-        elif key == "segments":
-            continue  # as many as there are short exposures, each of two positions
         elif not isinstance(value, list):
             flat[key] = value
         elif not any(isinstance(item, dict) for item in value):
@@ -97,11 +92,10 @@ def _flat(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_subtitles(export: Path, output: Path, *, frames_per_s: float) -> None:
-    """Write the subtitles of the video that ``glstar export --video`` makes of the same frames.
+    """Write the subtitles of the video that ``glstar export --video`` makes of the same frames, as a SubRip file.
 
-    `export`: the directory of an export; `output`: the SubRip file; players show it with a video of the same name;
-    `frames_per_s`: frame rate of the video, 1/s.  Raises ExportError if the directory has no truth, or the file cannot
-    be written.
+    Players show it with a video of the same name, whose frame rate is `frames_per_s`. Raises ExportError if the
+    directory has no truth, or the file cannot be written.
     """
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)

@@ -31,10 +31,10 @@ _Tag = tuple[int, int, int, bytes]
 
 
 def write_photographs(directory: Path, output: Path, kind: str) -> int:
-    """Write the frames of an export as images with EXIF.
+    """Write the frames of an export as images with EXIF to a new directory, and return their number.
 
-    `directory`: the export; `output`: a new directory; `kind` {"png", "jpeg"}: JPEG has 8 bits and loses faint noise.
-    Returns: number of images.  Raises ExportError if the directory exists, or a frame cannot be read or written.
+    JPEG has 8 bits and loses faint noise. Raises ExportError if the directory exists, or a frame cannot be read or
+    written.
     """
     if output.exists():
         raise ExportError(output, "exists already; name another directory, or remove it")
@@ -55,10 +55,9 @@ def write_photographs(directory: Path, output: Path, kind: str) -> int:
 
 
 def with_exif(content: bytes, suffix: str, line: dict[str, Any]) -> bytes:
-    """Return an image file with the EXIF of its frame; pixels stay as they are.
+    """Return a PNG, JPEG or TIFF that glstar encoded with the EXIF of its frame; pixels stay as they are.
 
-    `content`: a PNG, JPEG or TIFF that glstar encoded; `suffix` {".png", ".jpg", ".jpeg", ".tiff"}: suffix of the file
-    name; `line`: the frame's truth.  Returns the same file if it has EXIF already.
+    `line` is the frame's truth. A file that has EXIF already is returned as it is.
     """
     if content[_PNG_EXIF] == b"eXIf" or content[_JPEG_EXIF] == _APP1 or content.endswith(EXIF_END):
         return content
@@ -74,10 +73,9 @@ def with_exif(content: bytes, suffix: str, line: dict[str, Any]) -> bytes:
 
 
 def exif_of(line: dict[str, Any]) -> bytes:
-    """Return the EXIF of a frame, as a TIFF structure.
+    """Return the EXIF of a line of truth, as a TIFF structure.
 
-    `line`: its truth.  Returns: times are the start of the exposure by the camera's clock, in UTC; the height is above
-    the ellipsoid.
+    Times are the start of the exposure by the camera's clock, in UTC; the height is above the ellipsoid.
     """
     stamp, shot, place = _tags(line)
     first = [_text(0x010F, "glstar"), _text(0x0131, "glstar"), _text(0x0132, stamp)]

@@ -1,9 +1,8 @@
 """16-bit FITS files with a header on exposure, sensor, site and world coordinates.
 
-World coordinates of an image: a tangent plane with polynomial distortion (TAN-SIP), fitted to lens and refraction.
-
-The fit relates pixels to astrometric directions: ICRS at the epoch of the image, as a catalogue gives them after proper
-motion and parallax.  It contains the lens, refraction, annual and diurnal aberration, precession and nutation.
+World coordinates are a tangent plane with polynomial distortion (TAN-SIP). The fit relates pixels to astrometric
+directions: ICRS at the epoch of the image, as a catalogue gives them after proper motion and parallax. It contains the
+lens, refraction, annual and diurnal aberration, precession and nutation.
 """
 
 import re
@@ -63,8 +62,8 @@ class TanSip:
 def fit_tan_sip(scene: Scene) -> TanSip | None:
     """Fit the world coordinates of an image in the middle of its exposure, of a rolling shutter that of each row.
 
-    Returns: none if too little of the image lies above the horizon to fit a polynomial.  Shupe et al. 2005, *ASP Conf.
-    Ser.* 347, 491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN).
+    None if too little of the image lies above the horizon to fit a polynomial. Shupe et al. 2005, *ASP Conf. Ser.* 347,
+    491 (SIP); Calabretta & Greisen 2002, *A&A* 395, 1077 (TAN).
     """
     sky = _SkyOfPixels(scene)
     nodes = _grid(scene, np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES))
@@ -75,9 +74,9 @@ def fit_tan_sip(scene: Scene) -> TanSip | None:
     for order in _ORDERS:
         if len(nodes) < 4 * len(_exponents(order)) or not len(tests):
             break
-        made = _fitted(order, nodes, plane, tests, expected, sky)
-        if best is None or made.max_px < best.max_px:
-            best = made
+        fit = _fitted(order, nodes, plane, tests, expected, sky)
+        if best is None or fit.max_px < best.max_px:
+            best = fit
         if best.max_px < _SUFFICIENT_PX:
             break
     return best
@@ -215,13 +214,13 @@ def _fitted(order: int, nodes: Float, plane: Float, tests: Float, expected: Floa
     error_px = np.linalg.norm(np.linalg.solve(jacobian, wrong[..., np.newaxis])[..., 0], axis=1)
     inverse_px = np.linalg.norm(linear_tests + back(linear_tests) - (tests - crpix_px), axis=1)
     return TanSip(
-        crpix_px,
-        sky.crval_rad,
-        cd_rad,
-        a,
-        b,
-        ap,
-        bp,
+        crpix_px=crpix_px,
+        crval_rad=sky.crval_rad,
+        cd_rad=cd_rad,
+        a=a,
+        b=b,
+        ap=ap,
+        bp=bp,
         rms_px=float(np.sqrt(np.mean(error_px**2))),
         max_px=float(error_px.max()),
         inverse_max_px=float(inverse_px.max()),
@@ -267,12 +266,11 @@ Card = tuple[str, Value, str]
 
 
 def encode_fits(scene: Scene, frame: Frame, *, number: int, shift_bits: int = 0) -> bytes:
-    """Return an image as a FITS file of 16 bits.
+    """Return an image as a FITS file of 16 bits: one header and data unit.
 
-    `frame`: its pixels; row 0 of the image is the first row of the file; `number`: the frame's number; `shift_bits`: by
-    how many bits the stored numbers are shifted up; BSCALE and BZERO scale them back.  Returns one header and data
-    unit, without the time of writing, so that equal frames give equal bytes.  FITS standard 4.0, sections 3, 4.4.2.5
-    (BZERO) and 4.4.2.7 (checksums); SIP, Shupe et al. 2005.
+    Row 0 of the image is the first row of the file. The stored numbers are shifted up by `shift_bits`; BSCALE and BZERO
+    scale them back. The time of writing is left out, so that equal frames give equal bytes. FITS standard 4.0, sections
+    3, 4.4.2.5 (BZERO) and 4.4.2.7 (checksums); SIP, Shupe et al. 2005.
     """
     rows, columns = frame.pixels.shape
     stored = ((frame.pixels.astype(np.int32) << shift_bits) - _ZERO).astype(">i2").tobytes()
@@ -295,9 +293,9 @@ def encode_fits(scene: Scene, frame: Frame, *, number: int, shift_bits: int = 0)
 
 
 def without_truth(content: bytes, utc: Mapping[str, str]) -> bytes:
-    """Return a FITS file for a navigator: without coordinates, site and seed, and with the times that its clock states.
+    """Return a file of `encode_fits` for a navigator: without coordinates, site and seed, with the times of its clock.
 
-    `content`: from `encode_fits`; `utc`: UTC at ``start``, ``middle`` and ``end`` of the exposure, as in ``nav.jsonl``.
+    `utc` has the UTC at ``start``, ``middle`` and ``end`` of the exposure, as in ``nav.jsonl``.
     """
     header = _header_of(content)
     assert header is not None
@@ -313,26 +311,10 @@ def without_truth(content: bytes, utc: Mapping[str, str]) -> bytes:
     return _with_checksum(_header([*kept, *stated, *blank]), content[length:])
 
 
-# Keywords of the file's structure, of the camera's settings and of the exposure's length.
-_KNOWN_TO_NAVIGATORS: Final = frozenset(
-    (
-        *(
-            "SIMPLE",
-            "BITPIX",
-            "NAXIS",
-            "NAXIS1",
-            "NAXIS2",
-            "BZERO",
-            "BSCALE",
-            "EXPTIME",
-            "NCOMBINE",
-            "SUBEXP",
-            "SUBGAP",
-        ),
-        *("IMAGETYP", "ROWORDER", "FRAME", "SWCREATE", "SATURATE", "BUNIT", "GAIN", "DNPERE", "CCD-TEMP", "BLKLEVEL"),
-        "BAYERPAT",
-    )
-)
+_STRUCTURE: Final = ("SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "BZERO", "BSCALE", "ROWORDER")
+_LENGTH: Final = ("EXPTIME", "NCOMBINE", "SUBEXP", "SUBGAP")
+_SETTINGS: Final = ("SATURATE", "BUNIT", "GAIN", "DNPERE", "CCD-TEMP", "BLKLEVEL", "BAYERPAT")
+_KNOWN_TO_NAVIGATORS: Final = frozenset(("IMAGETYP", "FRAME", "SWCREATE", *_STRUCTURE, *_LENGTH, *_SETTINGS))
 
 
 def _with_checksum(header: bytes, data: bytes) -> bytes:
@@ -467,10 +449,9 @@ def _encoded_checksum(total: int) -> str:
 
 
 def damage_of_fits(start: bytes, size: int) -> str:
-    """Return a message on the damage of a FITS file that glstar wrote, judged by its beginning and its size.
+    """Return a message on the damage of a FITS file that glstar wrote; empty if there is none.
 
-    `start`: at least its header, or the first `FITS_START` bytes; `size`: size of the file, bytes.  Returns: empty if
-    no damage is found.
+    `start` is at least its header, or its first `FITS_START` bytes; `size` is that of the file, bytes.
     """
     if not start.startswith(b"SIMPLE  ="):
         return "does not begin as a FITS file"
@@ -492,10 +473,9 @@ def _header_of(start: bytes) -> tuple[int, tuple[int, int]] | None:
 
 
 def decode_fits(content: bytes) -> NDArray[Any]:
-    """Decode a FITS file that glstar wrote, and verify its checksums.
+    """Decode a FITS file that glstar wrote, and that `damage_of_fits` accepts, (height, width) uint16.
 
-    `content`: an undamaged file as far as `damage_of_fits` finds.  Returns (height, width) uint16.  Raises ValueError
-    if the checksum of the file is wrong.
+    Raises ValueError if the checksum of the file is wrong.
     """
     header = _header_of(content)
     assert header is not None

@@ -1,7 +1,4 @@
-"""Image files and videos: encoding, decoding, and the detection of damaged files.
-
-Videos that are written frame by frame: complete under their name, or absent.
-"""
+"""Image files and videos: encoding, decoding, and the detection of damaged files."""
 
 import os
 import struct
@@ -24,7 +21,8 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import explain_disk_errors
 from glstar.export.imagefiles.fits import FITS_START, damage_of_fits, decode_fits
-from glstar.export.imagefiles.processing import CameraProcessing, encode_colour_png, encode_jpeg, to_8_bits
+from glstar.export.imagefiles.processing import CameraProcessing, encode_jpeg, to_8_bits
+from glstar.render.effects import scaled_keys
 from glstar.system.files import TEMPORARY, make_directory, publish
 from glstar.system.imagefiles import PNG_SIGNATURE, encode_png
 
@@ -131,19 +129,18 @@ SUFFIX: Final[dict[ImageFormat, str]] = {
 def encode(
     pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_quality: int = 93, shift_bits: int = 0
 ) -> bytes:
-    """Return an image as the bytes of its file.
+    """Return an image as the bytes of its file, except FITS, which needs a scene.
 
-    `pixels` (height, width) or (height, width, 3) uint8 or uint16: digital numbers; red, green and blue of a colour
-    image; `image_format` {"png", "png16", "tiff", "jpeg"}: 8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless; FITS
-    needs a scene: `glstar.export.imagefiles.fits`; `jpeg_quality`: 1 to 100; `shift_bits`: by how many bits the numbers
-    are shifted up in a file of 16 bits, which states it; `decode` undoes it.
+    `pixels` (height, width), or (height, width, 3) red, green and blue, uint8 or uint16, are digital numbers. All
+    formats but JPEG are lossless. `shift_bits` says by how many bits the numbers are shifted up in a file of 16 bits,
+    which states it; `decode` undoes it.
     """
     if image_format == "jpeg":
         return encode_jpeg(pixels, jpeg_quality)
     if image_format == "tiff":
         return tiff(pixels.astype(np.uint16, copy=False), shift_bits=shift_bits)
     if pixels.ndim == 3:
-        return encode_colour_png(pixels)
+        return encode_png(pixels)
     if shift_bits:
         return encode_png(pixels.astype(np.uint16) << shift_bits, significant_bits=16 - shift_bits)
     pixel_type = np.uint16 if image_format == "png16" else np.uint8
@@ -153,11 +150,10 @@ def encode(
 def fit_format(image_format: ImageFormat | None, sensor: Sensor, *, summed: int = 1) -> tuple[ImageFormat, Sensor]:
     """Return an image format for the sensor, and the sensor with the bit depth of that format.
 
-    `image_format` {"png", "png16", "tiff", "fits", "jpeg"} or None: none for 8-bit PNG, or 16-bit PNG if the sensor has
-    more than 8 bits; `summed`: number of short exposures whose sum is written: `Exposure.signal_factor`.  Returns
-    `image_format` {"png", "png16", "tiff", "fits", "jpeg"}; `sensor`: a sensor of at most 8 bits gets 16 in a 16-bit
-    format; its full scale stays full scale; the sensor of a sum keeps its bits.  Raises ConfigError if the sensor, or
-    the sum, has more bits than the format.
+    The format of None is 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits. A sensor of at most 8 bits gets
+    16 in a 16-bit format, and its full scale stays full scale; the sensor of a sum of short exposures (`summed` is
+    `Exposure.signal_factor`) keeps its bits. Raises ConfigError if the sensor, or the sum, has more bits than the
+    format.
     """
     if summed > 1:
         return _fit_sum(image_format, sensor, summed), sensor
@@ -172,7 +168,7 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor, *, summed: int 
             key="sensor.bit_depth",
         )
     if image_format not in {"png", "jpeg"} and sensor.bit_depth <= 8:
-        return image_format, sensor.with_bit_depth(16)
+        return image_format, sensor.with_bit_depth(16, scaled_keys())
     return image_format, sensor
 
 
@@ -200,11 +196,11 @@ def tiff(
     tags: Sequence[tuple[int, int]] = (),
     shift_bits: int = 0,
 ) -> bytes:
-    """Return an array as an uncompressed TIFF.  Without a date equal pixels give equal bytes.
+    """Return an array as an uncompressed TIFF, without a date, so that equal pixels give equal bytes.
 
-    `pixels` (height, width) or (height, width, 3) uint16 or float32; `date_time`: "2024:03:10 11:00:00"; `tags`
-    sequence of (int, int): further tags, each with a number of 32 bits; `shift_bits`: by how many bits uint16 is
-    shifted up; the tag MaxSampleValue states it.
+    `pixels` are (height, width) or (height, width, 3), uint16 or float32; `date_time` is such as "2024:03:10 11:00:00";
+    `tags` are further tags, each with a number of 32 bits. The tag MaxSampleValue states by how many bits uint16 is
+    shifted up.
     """
     target = BytesIO()
     photometric = "rgb" if pixels.ndim == 3 else "minisblack"
@@ -221,8 +217,8 @@ def tiff(
 def find_damage(path: Path) -> str:
     """Return a message on the damage of an image file, judged by its size, beginning and end without decoding it.
 
-    `path`: a PNG, TIFF or FITS file that glstar wrote, with the suffix of its format.  Returns: such damage as a power
-    failure or a full disk leaves; empty if none is found.  Raises OSError if it cannot be read.
+    It finds such damage as a power failure or a full disk leaves in a PNG, TIFF or FITS file that glstar wrote; empty
+    if there is none. Raises OSError if it cannot be read.
     """
     with path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
@@ -268,9 +264,8 @@ def _damage_of_tiff(start: bytes, size: int, file_end: bytes) -> str:
 def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     """Decode an image that glstar wrote, and verify all its checksums.
 
-    `content`: the image file; `suffix` {".png", ".tiff", ".fits", ".jpg"}: suffix of the file name.  Returns (height,
-    width) or (height, width, 3) uint8, uint16 or float32.  Raises ValueError if it is damaged; the message continues
-    "FILE: ".  Numbers that ``[output] align`` has shifted up are shifted back.
+    Returns (height, width) or (height, width, 3) uint8, uint16 or float32; numbers that ``[output] align`` has shifted
+    up are shifted back. Raises ValueError if it is damaged; the message continues "FILE: ".
     """
     if damage := _damage(suffix, len(content), content[:FITS_START], content[-len(_PNG_END) :]):
         raise ValueError(damage)
@@ -325,11 +320,9 @@ def _inflated(deflated: bytes) -> bytes:
 
 
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
-    """Write images as an MPEG-4 video, atomically.
+    """Write image files of one size as an MPEG-4 video, atomically; `path` must end with .mp4.
 
-    `images`: image files of one size, in order; `path`: name of the video; must end with .mp4; `frames_per_s`: frame
-    rate, 1/s; `saturation_dn`: digital number that is shown as white.  Raises ExportError if the video cannot be
-    written.
+    The digital number `saturation_dn` is shown as white. Raises ExportError if the video cannot be written.
     """
     if not images:
         raise ExportError(path, "no frame was drawn, and a video needs one")

@@ -38,10 +38,9 @@ _FLARE_STEPS_PER_DN: Final = 16
 
 
 def saturated_mask(scene: Scene, frame: Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return where an image is saturated.
+    """Return where an image is saturated before the camera's processing, (height, width) uint8: 255 there, else 0.
 
-    `frame`: its image, before the camera's processing.  Returns (height, width) uint8: 255 where the digital number is
-    the largest one (in a stacked image, in one of the short exposures), else 0.
+    A saturated pixel has the largest digital number, of a stacked image in one of the short exposures.
     """
     saturated = frame.saturated
     if saturated is None:
@@ -112,7 +111,7 @@ def encoded_masks(kinds: tuple[MaskKind, ...], scene: Scene, frame: Frame) -> di
 
 
 def masks_of(config: Config, *, masks: bool) -> tuple[MaskKind, ...]:
-    """Return the kinds of masks that an export writes; `masks`: whether masks were asked for."""
+    """Return the kinds of masks that an export writes, if `masks` were requested."""
     if not masks:
         return ()
     active = {effect.name for effect in active_effects(config.sensor())}

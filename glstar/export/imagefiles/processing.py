@@ -64,10 +64,10 @@ class CameraProcessing:
 
         Raises ConfigError if a mosaic is demosaiced that the sensor does not have.
         """
-        made = _of_effects(sensor.effects)
-        if made.is_active and made.demosaic != "none" and sensor.colour.mosaic == "none":
+        steps = _of_effects(sensor.effects)
+        if steps.is_active and steps.demosaic != "none" and sensor.colour.mosaic == "none":
             raise ConfigError('needs a mosaic, such as [sensor] mosaic = "rggb"', key="output.demosaic")
-        return made
+        return steps
 
     @property
     def is_active(self) -> bool:
@@ -75,10 +75,9 @@ class CameraProcessing:
         return self.process == "isp"
 
     def shift_bits(self, full_scale_dn: int) -> int:
-        """Return by how many bits the numbers of a raw image are shifted up in its file.
+        """Return by how many bits the numbers of a raw image up to `full_scale_dn` are shifted up in its file.
 
-        `full_scale_dn`: the largest digital number of the image.  Returns: 0 for a processed image, which fills the
-        pixels of its file.
+        0 for a processed image, which fills the pixels of its file.
         """
         return shift_bits(full_scale_dn) if self.align == "high" and not self.is_active else 0
 
@@ -91,11 +90,9 @@ def _of_effects(effects: Mapping[str, object]) -> CameraProcessing:
 
 
 def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
-    """Return the processed image of a raw one.
+    """Return the processed image of a raw one, with 16 or 8 bits: grey, or (height, width, 3) red, green and blue.
 
-    `pixels` (height, width) uint8 or uint16: raw digital numbers; `sensor`: with the keys of ``[output]`` in its
-    effects; `sixteen_bits`: whether the result has 16 bits instead of 8.  Returns (height, width) or (height, width,
-    3) uint8 or uint16: grey, or red, green and blue.  In the order of libcamera's pipeline: defective pixels, black
+    `sensor` has the keys of ``[output]`` in its effects. In the order of libcamera's pipeline: defective pixels, black
     level, white balance, demosaicing, denoising, colour matrix, tone curve.
     """
     steps, mosaic = CameraProcessing.of(sensor), sensor.colour.mosaic
@@ -122,10 +119,10 @@ def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
 
 
 def shown_as_8_bits(pixels: Pixels, sensor: Sensor, *, summed: int = 1) -> NDArray[np.uint8]:
-    """Return an image for a screen: as ``[output]`` processes it, otherwise with its saturation as white.
+    """Return a raw image for a screen: as ``[output]`` processes it, otherwise with its saturation as white.
 
-    `pixels` (height, width) uint8 or uint16: raw digital numbers; `summed`: number of short exposures whose sum it is:
-    `Exposure.signal_factor`.  Returns (height, width) or (height, width, 3) uint8: grey, or red, green and blue.
+    `summed` is the number of short exposures whose sum it is: `Exposure.signal_factor`. Returns (height, width) or
+    (height, width, 3) uint8: grey, or red, green and blue.
     """
     if CameraProcessing.of(sensor).is_active:
         return np.asarray(process(pixels, sensor, sixteen_bits=False), dtype=np.uint8)
@@ -133,11 +130,7 @@ def shown_as_8_bits(pixels: Pixels, sensor: Sensor, *, summed: int = 1) -> NDArr
 
 
 def to_8_bits(pixels: Pixels, white_dn: int) -> NDArray[np.uint8]:
-    """Return an image with 8 bits.
-
-    `pixels` (height, width) uint8 or uint16; `white_dn`: the digital number that becomes 255.  Returns (height, width)
-    uint8.
-    """
+    """Return an image with 8 bits; the digital number `white_dn` becomes 255."""
     return np.asarray(np.minimum(pixels * (255.0 / white_dn) + 0.5, 255), dtype=np.uint8)
 
 
@@ -177,19 +170,7 @@ def _one_channel(rgb: Float, channel: str) -> Float:
 
 
 def encode_jpeg(pixels: Any, quality: int) -> bytes:
-    """Return an 8-bit image as a JPEG file.
-
-    `pixels` (height, width) or (height, width, 3) uint8: grey, or red, green and blue; `quality`: 0 to 100.
-    """
-    _, encoded = cv2.imencode(".jpg", _as_bgr(pixels), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    """Return an image as a JPEG file: (height, width) uint8, or (height, width, 3) red, green and blue."""
+    bgr = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+    _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return encoded.tobytes()
-
-
-def encode_colour_png(pixels: Any) -> bytes:
-    """Return a colour image as a PNG file; `pixels` (height, width, 3) uint8 or uint16: red, green and blue."""
-    _, encoded = cv2.imencode(".png", _as_bgr(pixels))
-    return encoded.tobytes()
-
-
-def _as_bgr(pixels: Any) -> Any:
-    return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)

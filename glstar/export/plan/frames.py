@@ -1,9 +1,4 @@
-"""Planning of an export: the exposure of each frame, and the frames that are skipped.
-
-The frames of an export: their numbers, and the scene of each.
-
-What to export of a flight, besides the config.
-"""
+"""Planning of an export: its options, the exposure and scene of each frame, and the frames that are skipped."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
@@ -68,12 +63,10 @@ class Plan:
 def plan_frames(
     flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
 ) -> Plan:
-    """Return the frames of a flight: one exposure per interval until the flight ends.
+    """Return the frames of a flight: one exposure per interval until the flight ends, or at most `frames`.
 
-    `exposure`: exposure time, interval and sub-exposures; `start_s`, `stop_s`: the part of the flight, s from its first
-    attitude; to the end of the flight if `stop_s` is None; `frames`: maximum number of frames.  Returns: exposures that
-    span a gap in the attitude track are in `skipped`.  Raises ConfigError if no exposure fits, or more than
-    `MOST_FRAMES` do.
+    `start_s` and `stop_s` are the part of the flight, s from its first attitude. Exposures that span a gap in the
+    attitude track are in `skipped`. Raises ConfigError if no exposure fits, or more than `MOST_FRAMES` do.
     """
     if exposure.at == "camera":
         return _plan_triggered(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
@@ -124,10 +117,10 @@ def count_frames(
     frames: int | None,
     length_s: float | None = None,
 ) -> int:
-    """Return the number of exposures, including those that span a gap.
+    """Return the number of exposures of `plan_frames`, including those that span a gap.
 
-    `flight`, `exposure`, `start_s`, `stop_s`, `frames`: as for `plan_frames`; `length_s`: how long the flight lasts
-    under a sample of a sweep, s.  Raises ConfigError if no exposure fits, or more than `MOST_FRAMES` do.
+    `length_s` is how long the flight lasts under a sample of a sweep, s. Raises ConfigError if no exposure fits, or
+    more than `MOST_FRAMES` do.
     """
     length_s = flight.attitude.last_s - flight.attitude.first_s if length_s is None else length_s
     stop_s = length_s if stop_s is None else min(stop_s, length_s)
@@ -151,9 +144,9 @@ def count_frames(
 
 
 def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float, count: int) -> Iterator[SkippedFrame]:
-    """Yield the exposures of a flight that span a gap in its attitude track.
+    """Yield those of `count` exposures of a flight that span a gap in its attitude track.
 
-    `start_s`: start of the first exposure, s from the flight's first attitude; `count`: number of exposures.
+    The first begins at `start_s`, s from the flight's first attitude.
     """
     attitude = flight.attitude
     for first in range(0, count if attitude.gaps else 0, _BLOCK):

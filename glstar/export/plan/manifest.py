@@ -1,8 +1,7 @@
-"""``manifest.json``: everything that decides the frames of a directory.
+"""``manifest.json``: everything that decides the frames of a directory, and the fingerprint of a process.
 
-Fingerprint of a process: everything besides the task that decides the bytes of its frames.
-
-Processes that share an export must have the same fingerprint.
+The fingerprint is everything besides the task that decides the bytes of the frames of a process. Processes that share
+an export must have the same one.
 """
 
 import errno
@@ -63,11 +62,10 @@ class OmittedLog:
 def describe(
     config: Config, flight_path: Path, flight: Flight, sensor: Sensor, options: ExportOptions, plan: Plan
 ) -> dict[str, Any]:
-    """Return the manifest of an export of one flight, without the renderer.
+    """Return the manifest of an export of one flight, ready for JSON, without the renderer.
 
-    `flight_path`: the log of the flight; `sensor`: as used, which may have more bits than the config's; `options`: with
-    the image format resolved.  Returns: ready to be written as JSON. It has no directory, date or host, so that equal
-    frames have equal manifests.
+    `sensor` is that in use, which may have more bits than the config's; `options` have the image format resolved. The
+    manifest has no directory, date or host, so that equal frames have equal manifests.
     """
     return {
         "command": _command(config, (flight_path,), options),
@@ -88,11 +86,10 @@ def describe_data_set(
     options: ExportOptions,
     omitted_logs: Sequence[OmittedLog] = (),
 ) -> dict[str, Any]:
-    """Return the manifest of a data set, without the renderer.
+    """Return the manifest of a data set, as `describe` does that of a flight.
 
-    `flight_paths`: the logs of the flights; `sensor`: as used, unless the sweep varies it; `options`: with the image
-    format resolved; `omitted_logs`: requested logs that cannot be exported.  Returns: as for `describe`; the number of
-    frames per sample is a setting here, because all frame numbers depend on it.
+    `sensor` is that in use, unless the sweep varies it; `omitted_logs` are requested logs that cannot be exported. The
+    number of frames per sample is a setting here, because all frame numbers depend on it.
     """
     omitted = [{"name": log.path.name, "reason": log.reason} for log in omitted_logs]
     return {
@@ -176,10 +173,10 @@ def described_brightness(config: Config) -> dict[str, Any]:
 
 
 def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
-    """Refuse a directory that holds frames of other settings.
+    """Refuse a directory that holds frames of other settings than those of a manifest.
 
-    `manifest`: the manifest that is about to be written there.  Raises ExportError if its manifest differs in more than
-    the number of frames, or there are frames without a manifest.
+    Raises ExportError if its manifest differs in more than the number of frames, or there are frames without a
+    manifest.
     """
     path = directory / NAME
     # Another process may write its manifest, and then frames, between the two checks.
@@ -207,18 +204,18 @@ def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, An
 
 
 def claim(directory: Path, manifest: dict[str, Any]) -> bool:
-    """Write the manifest, unless another run has written it already.
+    """Write the manifest, unless another run has written it already; the caller has locked the directory.
 
-    If several runs begin at the same time, one creates the manifest.  The others find it and continue only if theirs
-    is the same.  `directory`: locked by the caller, exclusively or shared.  Returns whether Parquet tables were
-    removed because the export has more frames now.  Raises ExportError if the frames there have other settings.
+    If several runs begin at the same time, one creates the manifest. The others find it and continue only if theirs is
+    the same. Returns whether Parquet tables were removed because the export has more frames now. Raises ExportError if
+    the frames there have other settings.
     """
     path = directory / NAME
     if _created(path, to_json(manifest)):
         return False
-    there = _read(path)
-    _refuse_other(directory, there, manifest)
-    if there == manifest:
+    existing = _read(path)
+    _refuse_other(directory, existing, manifest)
+    if existing == manifest:
         return False
     # Remove them before the manifest is written, so that they never have fewer frames than it says.
     removed = [name for name in SUMMARIES if os.path.lexists(directory / name)]
@@ -306,15 +303,15 @@ def _read(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _differences(there: Any, wanted: Any, ignore: set[str], at: str = "") -> list[str]:
+def _differences(existing: Any, wanted: Any, ignore: set[str], at: str = "") -> list[str]:
     """Return messages on the first few differences of two manifests."""
-    if isinstance(there, dict) and isinstance(wanted, dict):
-        found: list[str] = []
-        for key in sorted((there.keys() | wanted.keys()) - ignore):
+    if isinstance(existing, dict) and isinstance(wanted, dict):
+        messages: list[str] = []
+        for key in sorted((existing.keys() | wanted.keys()) - ignore):
             dotted = f"{at}.{key}" if at else key
-            found += _differences(there.get(key), wanted.get(key), set(), dotted)
-        return [*found[:3], "..."] if len(found) > 4 else found
-    return [] if there == wanted else [f"{at} was {_short(there)}, is {_short(wanted)}"]
+            messages += _differences(existing.get(key), wanted.get(key), set(), dotted)
+        return [*messages[:3], "..."] if len(messages) > 4 else messages
+    return [] if existing == wanted else [f"{at} was {_short(existing)}, is {_short(wanted)}"]
 
 
 def _short(value: object) -> str:
@@ -341,10 +338,9 @@ _LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", 
 
 
 def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
-    """Return everything besides the task that decides the bytes of this process's frames.
+    """Return everything besides the task that decides the bytes of this process's frames: versions and hashes by name.
 
-    `driver`: OpenGL driver; `files`: files that are read while frames are drawn.  Returns: versions and hashes by name,
-    the most informative difference first.
+    `files` are read while frames are drawn. The most informative difference is first.
     """
     return {
         "glstar": glstar.__version__,
@@ -359,10 +355,7 @@ def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
 
 
 def differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
-    """Return the differences of two fingerprints.
-
-    `expected`, `found`: from `fingerprint`.  Returns: such as "glstar 0.2.0, not 0.3.0"; empty if they are equal.
-    """
+    """Return the differences of two fingerprints, such as "glstar 0.2.0, not 0.3.0"; empty if they are equal."""
     keys = dict.fromkeys((*expected, *found))
     return "; ".join(
         f"{key} {found.get(key, 'unknown')}, not {expected.get(key, 'unknown')}"

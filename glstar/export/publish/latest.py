@@ -45,7 +45,6 @@ from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from secrets import randbits
 from tempfile import gettempdir
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -194,9 +193,7 @@ class LatestFrameWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -266,9 +263,7 @@ class LatestFrameReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _file(self) -> bytes | None:
@@ -359,14 +354,16 @@ def _memory_for_writing(where: str, size_bytes: int) -> SharedMemory:
             with suppress(FileNotFoundError):
                 if not _is_latest_frame(name):
                     raise ExportError(where, "is shared memory of another program; choose another name")
-                left = SharedMemory(name)
-                if left.size >= size_bytes:
-                    return left
-                size_left = left.size
-                _end(left)
+                existing = SharedMemory(name)
+                if existing.size >= size_bytes:
+                    return existing
+                existing_bytes = existing.size
+                _end(existing)
                 if time.monotonic() > until_s:
                     # Windows keeps it while any process has it open.
-                    message = f"{size_left} bytes are held open by readers, {size_bytes} are needed; close the readers"
+                    message = (
+                        f"{existing_bytes} bytes are held open by readers, {size_bytes} are needed; close the readers"
+                    )
                     raise ExportError(where, f"{message}, or choose another name")
             time.sleep(_POLL_INTERVAL_S)
     except OSError as error:

@@ -1,21 +1,17 @@
 """Where frames go while they are drawn, besides files: other processes, a browser, a video device.
 
-Frames as an MJPEG stream over HTTP, for browsers and for programs that read a network camera.
-
-``cv2.VideoCapture("http://127.0.0.1:8090")`` reads the stream of ``glstar live LINK --latest-frame
-http://127.0.0.1:8090``; ``/frame.jpg`` is the latest frame alone.  Each part of the stream has its UTC by the camera's
+``cv2.VideoCapture("http://127.0.0.1:8090")`` reads the MJPEG stream of ``glstar live LINK --latest-frame
+http://127.0.0.1:8090``; ``/frame.jpg`` is the latest frame alone. Each part of the stream has its UTC by the camera's
 clock, in seconds since 1970, in the header ``X-Timestamp``.
 
-Frames on a virtual video device, for programs that read a camera by its number or path.
-
-On Linux the device belongs to the kernel module v4l2loopback, on Windows and macOS to OBS.
+A virtual video device is a camera with a number or path. On Linux it belongs to the kernel module v4l2loopback, on
+Windows and macOS to OBS.
 """
 
 import re
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Condition, Thread
-from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
 import cv2
@@ -41,11 +37,11 @@ _POLL_INTERVAL_S: Final = 0.25
 
 
 class MjpegServer:
-    """Serves frames as they are drawn; a context manager.
+    """Serves frames as they are drawn; a context manager. A client that is slower than the frames misses some.
 
-    A client that is slower than the frames misses some.  `where`: ``http://HOST:PORT``, or ``http://PORT`` on this
-    computer only; `sensor`: of the frames: ``[output]`` processes them, otherwise its saturation is white; `summed`:
-    number of short exposures whose sum a frame is.  Raises ConfigError if the address is not valid or in use.
+    `where` is ``http://HOST:PORT``, or ``http://PORT`` on this computer only. Frames are processed by ``[output]`` of
+    the sensor, otherwise its saturation is white; `summed` is the number of short exposures whose sum a frame is.
+    Raises ConfigError if the address is not valid or in use.
     """
 
     def __init__(self, where: str, sensor: Sensor, *, summed: int = 1) -> None:
@@ -79,9 +75,7 @@ class MjpegServer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -134,12 +128,12 @@ class _Client(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND, "the stream is /, the latest frame /frame.jpg")
 
     def _send_one(self) -> None:
-        found = None
-        while found is None and not self.server.latest.has_ended:
-            found = self.server.latest.after(0)
-        if found is not None:
+        frame = None
+        while frame is None and not self.server.latest.has_ended:
+            frame = self.server.latest.after(0)
+        if frame is not None:
             self.send_response(HTTPStatus.OK)
-            self._send_jpeg(*found[1:])
+            self._send_jpeg(*frame[1:])
 
     def _send_stream(self) -> None:
         self.send_response(HTTPStatus.OK)
@@ -148,11 +142,11 @@ class _Client(BaseHTTPRequestHandler):
         self.end_headers()
         number = 0
         while not self.server.latest.has_ended:
-            found = self.server.latest.after(number)
-            if found is not None:
-                number = found[0]
+            frame = self.server.latest.after(number)
+            if frame is not None:
+                number = frame[0]
                 self.wfile.write(f"--{_BOUNDARY}\r\n".encode())
-                self._send_jpeg(*found[1:])
+                self._send_jpeg(*frame[1:])
                 self.wfile.write(b"\r\n")
 
     def _send_jpeg(self, jpeg: bytes, utc_s: float) -> None:
@@ -167,10 +161,10 @@ class _Client(BaseHTTPRequestHandler):
 
 
 def _address(where: str) -> tuple[str, int]:
-    found = _ADDRESS.fullmatch(where)
-    if found is None or not 0 < int(found[2]) < 65536:
+    parts = _ADDRESS.fullmatch(where)
+    if parts is None or not 0 < int(parts[2]) < 65536:
         raise ConfigError(f"{where} is no address; write http://HOST:PORT, or http://PORT for this computer")
-    return (found[1] or _LOOPBACK).strip("[]"), int(found[2])
+    return (parts[1] or _LOOPBACK).strip("[]"), int(parts[2])
 
 
 VIDEO: Final = "video:"
@@ -179,10 +173,9 @@ VIDEO: Final = "video:"
 class VideoDevice:
     """Shows frames on a virtual video device; a context manager.
 
-    `where`: ``video:`` for the first device, ``video:/dev/video10`` for a device on Linux; `sensor`: of the frames:
-    ``[output]`` processes them, otherwise its saturation is white; `frames_per_s`: what the device says of its rate,
-    1/s; `summed`: number of short exposures whose sum a frame is.  Raises ConfigError if pyvirtualcam is not installed,
-    or there is no such device.
+    `where` is ``video:`` for the first device, or ``video:/dev/video10`` for a device on Linux; `frames_per_s` is what
+    the device says of its rate. Frames are shown as by `MjpegServer`. Raises ConfigError if pyvirtualcam is not
+    installed, or there is no such device.
     """
 
     def __init__(self, where: str, camera: Camera, sensor: Sensor, *, frames_per_s: float, summed: int = 1) -> None:
@@ -208,9 +201,7 @@ class VideoDevice:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -241,12 +232,11 @@ class FrameOutput(Protocol):
 def open_frame_output(
     where: str, camera: Camera, sensor: Sensor, *, interval_s: float, summed: int = 1, with_truth: bool = False
 ) -> FrameOutput:
-    """Open an output of frames.
+    """Open an output of frames: ``shm:NAME``, a file, ``zmq://HOST:PORT``, ``http://HOST:PORT`` or ``video:DEVICE``.
 
-    `where`: ``shm:NAME``, a file, ``zmq://HOST:PORT``, ``http://HOST:PORT`` or ``video:DEVICE``; `sensor`: of the
-    frames; `interval_s`: time between frames, s; `summed`: number of short exposures whose sum a frame is;
-    `with_truth`: whether ``zmq://`` sends the truth, too.  Raises ConfigError if the name is not valid, the address is
-    in use, or a library or device is missing; ExportError if another process writes to a name.
+    `interval_s` is the time between frames, s, and `summed` the number of short exposures whose sum a frame is; with
+    `with_truth` ``zmq://`` sends the truth, too. Raises ConfigError if the name is not valid, the address is in use, or
+    a library or device is missing; ExportError if another process writes to a name.
     """
     if where.startswith(STREAM):
         return FrameStream(where, with_truth=with_truth)

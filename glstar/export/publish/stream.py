@@ -20,7 +20,7 @@ A subscriber that is slower than the frames misses some.
 
 import re
 import time
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -41,10 +41,10 @@ _LINGER_MS: Final = 1000
 
 
 class FrameStream:
-    """Publishes frames; a context manager.
+    """Publishes frames, with the truth in the header on request; a context manager.
 
-    `where`: ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only; `with_truth`: whether the header has the
-    truth.  Raises ConfigError if the address is not valid or in use, or pyzmq is not installed.
+    `where` is ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only. Raises ConfigError if the address is not
+    valid or in use, or pyzmq is not installed.
     """
 
     def __init__(self, where: str, *, with_truth: bool = False) -> None:
@@ -80,16 +80,14 @@ class FrameStream:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
 class AnswerReceiver:
     """Receives the answers of navigators as JSON lines; used from one thread.
 
-    `where`: ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only.  Raises ConfigError if the address is not
+    `where` is ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer only. Raises ConfigError if the address is not
     valid or in use, or pyzmq is not installed.
     """
 
@@ -97,7 +95,7 @@ class AnswerReceiver:
         self._socket = _bound(where, _library().PULL, "--answers")
 
     def lines(self, timeout_s: float) -> list[str]:
-        """Return the lines of the next message; none if nothing arrives; `timeout_s`: how long to wait, s."""
+        """Return the lines of the next message; none if nothing arrives within `timeout_s`."""
         if not self._socket.poll(round(timeout_s * 1e3)):
             return []
         return bytes(self._socket.recv()).decode("utf-8", errors="replace").splitlines()
@@ -108,11 +106,10 @@ class AnswerReceiver:
 
 
 def send_answers(where: str, lines: list[str], timeout_s: float) -> None:
-    """Send answers to ``glstar live --answers zmq://...``.
+    """Send JSON lines, as `glstar.score` reads them, to ``glstar live --answers zmq://...``.
 
-    `where`: ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer; `lines`: JSON lines, as `glstar.score` reads them;
-    `timeout_s`: how long to wait for the receiver, s.  Raises ConfigError if the address is not valid, nobody receives
-    there, or pyzmq is not installed.
+    `where` is ``zmq://HOST:PORT``, or ``zmq://PORT`` on this computer; the receiver has `timeout_s` to appear. Raises
+    ConfigError if the address is not valid, nobody receives there, or pyzmq is not installed.
     """
     zmq, address = _library(), _address(where, "answer")
     socket = zmq.Context.instance().socket(zmq.PUSH)
@@ -144,10 +141,10 @@ def _bound(where: str, kind: int, option: str) -> Any:
 
 def _address(where: str, option: str) -> str:
     """Return the address that ZeroMQ takes."""
-    found = _ADDRESS.fullmatch(where)
-    if found is None or not 0 < int(found[2]) < 65536:
+    parts = _ADDRESS.fullmatch(where)
+    if parts is None or not 0 < int(parts[2]) < 65536:
         raise ConfigError(f"{option} {where} is no address; write zmq://HOST:PORT, or zmq://PORT for this computer")
-    return f"tcp://{found[1] or _LOOPBACK}:{found[2]}"
+    return f"tcp://{parts[1] or _LOOPBACK}:{parts[2]}"
 
 
 def _library() -> ModuleType:

@@ -11,7 +11,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -44,11 +43,11 @@ class DaskExecutor:
     """The workers of a Dask scheduler; a context manager, which releases them.
 
     Each worker opens an OpenGL context of its own, on the device that its environment names as GLSTAR_DEVICE, and keeps
-    it for all chunks.  Workers write images and truth directly to the disk, which all of them must see under the same
-    path, and return frame numbers only.  If a worker dies, another draws its chunk again.  A worker whose frames
-    would differ from those of the others (another version of glstar, driver or library) is refused before it draws.
-    `address`: address of the scheduler, as in ``tcp://10.0.0.1:8786``; `task`: the frames to draw.  Raises ExportError
-    if no scheduler answers, it has no workers, or a worker would draw other frames.
+    it for all chunks. Workers write images and truth directly to the disk, which all of them must see under the same
+    path, and return frame numbers only. If a worker dies, another draws its chunk again. A worker whose frames would
+    differ from those of the others (another version of glstar, driver or library) is refused before it draws. The
+    address of the scheduler is such as ``tcp://10.0.0.1:8786``. Raises ExportError if no scheduler answers, it has no
+    workers, or a worker would draw other frames.
     """
 
     writes_parts = True
@@ -88,10 +87,10 @@ class DaskExecutor:
     def _common_fingerprint(self) -> dict[str, str]:
         """Return the fingerprint of all workers; raise if one differs."""
         if not self._fingerprint:
-            found = self._run_on_workers(_fingerprint_of, self._name)
+            fingerprints = self._run_on_workers(_fingerprint_of, self._name)
             # This process draws nothing, so its own driver does not matter.
-            expected = fingerprint(next(iter(found.values()))["OpenGL"], self._files)
-            for worker, theirs in found.items():
+            expected = fingerprint(next(iter(fingerprints.values()))["OpenGL"], self._files)
+            for worker, theirs in fingerprints.items():
                 if differing := differences(expected, theirs):
                     raise self._difference_error(worker, differing)
             self._fingerprint = expected
@@ -182,9 +181,7 @@ class DaskExecutor:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -224,8 +221,8 @@ class _Drawer(WorkerPlugin):  # type: ignore[misc]
 
     def fingerprint(self) -> dict[str, str]:
         """Return everything that decides the bytes of this worker's frames."""
-        found: dict[str, str] = self.on_gl_thread(lambda _, renderer: self.fingerprint_with(renderer))
-        return found
+        values: dict[str, str] = self.on_gl_thread(lambda _, renderer: self.fingerprint_with(renderer))
+        return values
 
     def fingerprint_with(self, renderer: GLRenderer) -> dict[str, str]:
         """Return the same; to be called on the renderer's thread."""
@@ -250,8 +247,8 @@ def _version_of() -> str:
 
 
 def _fingerprint_of(name: str, dask_worker: Worker) -> dict[str, str]:
-    found: dict[str, str] = dask_worker.plugins[name].fingerprint()
-    return found
+    values: dict[str, str] = dask_worker.plugins[name].fingerprint()
+    return values
 
 
 def _preflight(name: str, number: int) -> None:

@@ -1,9 +1,8 @@
 """Executors draw the frames of a task: in this process, in several processes, or on a Dask cluster.
 
 This module has the interface, the executor that uses the calling process only, and the functions with which every
-process draws, writes and checks frames.
-
-A pipeline of threads: while a frame is drawn, the next is composed and earlier ones are encoded and written.
+process draws, writes and checks frames, in a pipeline of threads: while a frame is drawn, the next is composed and
+earlier ones are encoded and written.
 """
 
 import os
@@ -22,7 +21,7 @@ from glstar.errors import ExportError
 from glstar.export.frame import CheckedFrame, EncodedFrame, FrameTask, FrameWriter, check_files
 from glstar.export.plan.frames import ComposedFrame
 from glstar.export.truth.lines import TruthFile
-from glstar.render.scene.scene import Frame, Renderer
+from glstar.render.scene.scene import Frame, PendingFrame, Renderer
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -42,14 +41,13 @@ def pipelined(
     *,
     encoder_threads: int = 1,
 ) -> Generator[D, None, None]:
-    """Take items through three steps that run concurrently.
+    """Take items through three steps that run concurrently, and yield the results in the order of the items.
 
-    `compose`: first step; runs on a thread of its own, one or two items ahead; `begin`, `end`: second step; both run on
-    the caller's thread, which owns the OpenGL context; `begin` is called for an item before `end` is called for the
-    item before it, so that the GPU never waits for a read; `encode`: third step; runs on `encoder_threads` threads;
-    `encoder_threads`: if 0, all steps run on the caller's thread: for processes that share the processors with others.
-    Yields: results of `encode`, in the order of the items; only a few items are in progress at a time.  Raises
-    Exception: the exception of a step, at the position of its item; no further step begins for later items.
+    `compose` runs on a thread of its own, one or two items ahead. `begin` and `end` run on the caller's thread, which
+    owns the OpenGL context; `begin` is called for an item before `end` is called for the item before it, so that the
+    GPU never waits for a read. `encode` runs on `encoder_threads` threads; if 0, all steps run on the caller's thread:
+    for processes that share the processors with others. Only a few items are in progress at a time. Raises the
+    exception of a step at the position of its item; no further step begins for later items.
     """
     if encoder_threads:
         yield from _threaded(items, compose, begin, end, encode, encoder_threads)
@@ -120,10 +118,7 @@ _MAX_CHUNK_FRAMES: Final = 1000
 
 
 def available_processors() -> int:
-    """Return the number of processors that this process may use.
-
-    Returns the processors of its affinity mask, which the scheduler of a cluster may have set.
-    """
+    """Return the number of processors of this process, which the scheduler of a cluster may have limited."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -142,10 +137,7 @@ class Executor(Protocol):
         ...
 
     def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
-        """Draw frames and write them with their truth.
-
-        `numbers` (n,) int64.  Yields: number of each frame, once its files and its line of truth are written.
-        """
+        """Draw frames and write them with their truth; yield the number of each once all of it is written."""
         ...
 
 
@@ -158,10 +150,9 @@ class BlockExecutor(Protocol):
     """An executor whose workers can write frames elsewhere than in a directory that all of them see."""
 
     def draw_blocks(self, work: BlockWork, blocks: Mapping[int, NDArray[np.int64]]) -> Generator[int, None, None]:
-        """Call a function for each block, on a worker.
+        """Call a function that can be pickled for each block, (n,) frame numbers by its index, on a worker.
 
-        `work`: can be pickled; `blocks` mapping of int to (n,) int64: frame numbers by the index of the block.  Yields:
-        number of frames of each block, in any order, once `work` has returned.
+        Yields the number of frames of each block, in any order, once `work` has returned.
         """
         ...
 
@@ -175,18 +166,15 @@ class Checker(Protocol):
         ...
 
     def check(self, task: FrameTask, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
-        """Draw frames again and compare them with the files of the directory; nothing is written.
-
-        `numbers` (n,) int64.  Yields: in any order.
-        """
+        """Draw frames again, in any order, and compare them with the files of the directory; nothing is written."""
         ...
 
 
 class SerialExecutor:
     """Draws in the calling process, on the OpenGL context of the calling thread.
 
-    `on_pixels`: called on this thread, in the order of the frames, with the number, the pixels and the line of truth of
-    each frame that `draw` draws, before it is encoded.
+    `on_pixels` is called on this thread, in the order of the frames, with the number, the pixels and the line of truth
+    of each frame that `draw` draws, before it is encoded.
     """
 
     writes_parts = False
@@ -225,13 +213,12 @@ def draw_frames(
     encoder_threads: int | None = None,
     on_pixels: OnPixels | None = None,
 ) -> Generator[int, None, None]:
-    """Draw frames and write them, with composing, drawing, encoding and writing in a pipeline.
+    """Draw frames and write them, in a pipeline; yield the number of each once its files and its truth are written.
 
-    `renderer`: belongs to the calling thread; `numbers` (n,) int64; `as_part`: whether to write the truth as a part of
-    its own, because other processes write at the same time; `encoder_threads`: threads that encode and write, at most:
-    one for each available processor if None, and 0 for a process that shares the processors with others; small images
-    take fewer; `on_pixels`: called with the number, the pixels and the line of truth of each frame on the thread that
-    encodes it.  Yields: number of each frame, once its files and its line of truth are written.
+    `renderer` belongs to the calling thread. With `as_part` the truth is a part of its own, because other processes
+    write at the same time. `encoder_threads` encode and write, at most: one for each available processor if None, and 0
+    for a process that shares the processors with others; small images take fewer. `on_pixels` is called with the
+    number, the pixels and the line of truth of each frame on the thread that encodes it.
     """
     with ExitStack() as opened:
         with task.writing():
@@ -256,10 +243,7 @@ def draw_frames(
 def check_frames(
     task: FrameTask, renderer: Renderer, numbers: NDArray[np.int64], *, encoder_threads: int | None = None
 ) -> Generator[CheckedFrame, None, None]:
-    """Draw frames again and compare them with the files of the directory, in a pipeline.
-
-    `task`, `renderer`, `numbers`, `encoder_threads`: as for `draw_frames`.
-    """
+    """Draw frames again and compare them with the files of the directory, in the pipeline of `draw_frames`."""
     yield from _pipeline(task, renderer, numbers, partial(check_files, task), encoder_threads)
 
 
@@ -272,14 +256,14 @@ def _pipeline(
     on_pixels: OnPixels | None = None,
 ) -> Generator[T, None, None]:
     """Yield the result of `use` for each frame, which is called on an encoder thread."""
-    in_progress: deque[ComposedFrame] = deque()
+    in_progress: deque[tuple[ComposedFrame, PendingFrame]] = deque()
 
     def begin(composed: ComposedFrame) -> None:
-        task.begin(renderer, composed)
-        in_progress.append(composed)
+        in_progress.append((composed, task.begin(renderer, composed)))
 
     def end() -> tuple[ComposedFrame, Frame]:
-        return in_progress.popleft(), renderer.end_read()
+        composed, pending = in_progress.popleft()
+        return composed, pending.frame()
 
     def encode(rendered: tuple[ComposedFrame, Frame]) -> T:
         publish = None if on_pixels is None else partial(on_pixels, rendered[0].number)
@@ -290,7 +274,8 @@ def _pipeline(
     try:
         yield from pipelined(numbers.tolist(), task.frames.compose, begin, end, encode, encoder_threads=encoder_threads)
     finally:
-        renderer.forget()
+        for _, pending in in_progress:
+            pending.discard()
 
 
 def _useful_encoders(task: FrameTask, numbers: NDArray[np.int64]) -> int:
@@ -305,10 +290,9 @@ def _useful_encoders(task: FrameTask, numbers: NDArray[np.int64]) -> int:
 def split_into_chunks(numbers: NDArray[np.int64], workers: int, firsts: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Divide frames into chunks, each drawn by one worker at a time.
 
-    `numbers` (n,) int64; `workers`: number of workers; `firsts` (m,) int64: `Frames.firsts`; a chunk ends before one of
-    them where it can, because each worker that draws frames of a sample prepares its flight and its stars: with chunks
-    that end elsewhere, two workers prepare each sample.  Returns: list of (m,) int64: in order; half as long to one and
-    a half times as long as equal parts, but for the last.
+    A chunk ends before one of `firsts`, `Frames.firsts`, where it can, because each worker that draws frames of a
+    sample prepares its flight and its stars: with chunks that end elsewhere, two workers prepare each sample. Chunks
+    are half as long to one and a half times as long as equal parts, but for the last.
     """
     size = min(max(1, -(-len(numbers) // (_CHUNKS_PER_WORKER * workers))), _MAX_CHUNK_FRAMES)
     ends = np.unique(np.searchsorted(numbers, firsts))

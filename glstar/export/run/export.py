@@ -1,9 +1,4 @@
-"""An export and its run: the missing frames of a directory are drawn and written.
-
-The files of an export in its directory: which frames are complete, and the removal of files.
-
-One part of an export's frames, for independent jobs that fill one directory together.
-"""
+"""An export and its run: the missing frames of a directory, or of one shard of it, are drawn and written."""
 
 import re
 from collections.abc import Callable, Generator
@@ -43,10 +38,10 @@ _STAGED: Final = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
 
 
 def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
-    """Return the frames that have no intact files or no line of truth.
+    """Return those of the wanted frames that have no intact files or no line of truth, (m,) increasing.
 
-    `manifest`: the manifest that the export would write; `truth`: read by this function; `wanted` (n,) int64:
-    increasing.  Returns (m,) int64.  Raises ExportError if the directory holds frames of other settings, or links.
+    `manifest` is the one that the export would write; `truth` is read by this function. Raises ExportError if the
+    directory holds frames of other settings, or links.
     """
     refuse_links(task.directory)
     refuse_other_settings(task.directory, manifest)
@@ -56,10 +51,7 @@ def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, 
 
 
 def intact_frames(task: FrameTask, numbers: Numbers) -> Numbers:
-    """Return the frames whose files exist and are neither truncated nor damaged.
-
-    `numbers` (n,) int64.  Returns (m,) int64.
-    """
+    """Return those of (n,) frames whose files exist and are neither truncated nor damaged, (m,)."""
     kinds = task.file_kinds
     for suffix in kinds:
         numbers = np.intersect1d(numbers, frame_numbers(task.directory, suffix))
@@ -125,11 +117,7 @@ class Shard:
         return "" if self.is_all else f"shard{self.index}of{self.count}"
 
     def select(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the frames of the shard.
-
-        `numbers` (n,) int64: all frames.  Returns (m,) int64: every `count`-th frame, so that slow parts of a flight
-        are spread over all shards.
-        """
+        """Return every `count`-th of all frames, so that slow parts of a flight are spread over all shards."""
         return numbers[self.index - 1 :: self.count]
 
 
@@ -190,11 +178,10 @@ class Export:
     ) -> ExportReport:
         """Draw and write the missing frames.
 
-        `executor`: `SerialExecutor`, `ProcessExecutor` or `DaskExecutor`; `shard`: the frames to draw; the run that
-        draws the last shard joins the truth of all; `force`: whether to start over: remove the files of an earlier
-        export from the directory; `on_frame`: called with the number of finished frames and the number of all frames,
-        after each frame.  Raises ExportError if the directory cannot be written, the disk is full, or it holds frames
-        of other settings.
+        The run that draws the last shard joins the truth of all. With `force` the files of an earlier export are
+        removed from the directory first. `on_frame` is called with the number of finished frames and of all frames,
+        after each frame. Raises ExportError if the directory cannot be written, the disk is full, or it holds frames of
+        other settings.
         """
         report_progress = on_frame or (lambda *_: None)
         manifest = self.manifest | {"renderer": executor.driver}

@@ -33,11 +33,10 @@ def prepare_export(
 ) -> Export:
     """Read a flight and plan its frames; nothing is drawn or written yet.
 
-    `flight_path`: the log of the flight; `directory`: the output directory; `flight`: the content of the log, if it has
-    been read already; `only`: draw only the frame of this number.  Returns: exposures that span a gap in the log are
-    listed in `Frames.skipped`.  Raises ConfigError if no exposure fits into the flight, the sensor has more bits than
-    the format, or the only frame is skipped; LogFormatError if the log cannot be read; CatalogueError if the star
-    catalogue is unknown.
+    `flight` is the content of the log, if it has been read already; `only` is the number of the only frame to draw.
+    Exposures that span a gap in the log are listed in `Frames.skipped`. Raises ConfigError if no exposure fits into the
+    flight, the sensor has more bits than the format, or the only frame is skipped; LogFormatError if the log cannot be
+    read; CatalogueError if the star catalogue is unknown.
     """
     flight = config.open_flight(flight_path) if flight is None else flight
     plan = plan_frames(flight, config.exposure, start_s=options.start_s, stop_s=options.stop_s, frames=options.frames)
@@ -57,9 +56,8 @@ def prepare_data_set(
 ) -> Export:
     """Read flights and plan the frames of a data set: each flight under each sample of the config's sweep.
 
-    `flight_paths`: the logs of the flights; `directory`: the output directory; `strict`: whether to raise if one of
-    several logs cannot be read or is too short for an exposure; otherwise the log is left out and listed in
-    `Export.omitted_logs` and in the manifest, as long as one log remains.  Raises ConfigError if the exposure of a
+    Unless `strict`, a log that cannot be read or is too short for an exposure is left out and listed in
+    `Export.omitted_logs` and in the manifest, as long as one log remains. Raises ConfigError if the exposure of a
     sample does not fit into its flight, or a sensor has more bits than the format; LogFormatError if a log cannot be
     read; CatalogueError if a star catalogue is unknown.
     """

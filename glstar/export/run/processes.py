@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -75,9 +74,9 @@ class _Worker:
 class ProcessExecutor:
     """Processes that share the frames; a context manager, which stops them.
 
-    Each process opens an OpenGL context of its own.  If GLSTAR_DEVICE lists several devices, as in ``0,1``, the
-    processes are assigned to them in turn.  With a software driver they divide the processors between them.  A worker
-    that dies is replaced, and the frames that it had not finished are drawn again.  `count`: number of processes.
+    Each process opens an OpenGL context of its own. If GLSTAR_DEVICE lists several devices, as in ``0,1``, the
+    processes are assigned to them in turn. With a software driver they divide the processors between them. A worker
+    that dies is replaced, and the frames that it had not finished are drawn again.
     """
 
     writes_parts = True
@@ -221,9 +220,7 @@ class ProcessExecutor:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -59,12 +59,12 @@ class _Directory:
 
 
 class ObjectStore:
-    """A prefix of an object store.
+    """A prefix of an object store, such as ``s3://bucket/night-1``.
 
-    Beside each object lies its SHA-256, ``NAME.sha256``, which is sent after it.  An object with the same one is not
-    sent again, so that an upload that was cut off goes on where it stopped.  `url`: such as ``s3://bucket/night-1``;
-    the file system's own environment variables give keys and hosts.  Raises ExportError if fsspec or the library of
-    this kind of store is missing, or the store does not answer.
+    Beside each object lies its SHA-256, ``NAME.sha256``, which is sent after it. An object with the same one is not
+    sent again, so that an upload that was cut off goes on where it stopped. The file system's own environment variables
+    give keys and hosts. Raises ExportError if fsspec or the library of this kind of store is missing, or the store does
+    not answer.
     """
 
     def __init__(self, url: str) -> None:
@@ -85,20 +85,20 @@ class ObjectStore:
         self.sent += 1
 
     def send(self, name: str, content: bytes) -> None:
-        """Send a file, in place of one of this name; `name`: with forward slashes between folders."""
+        """Send a file, in place of one of this name, which has forward slashes between folders."""
         self.send_all({name: content})
 
     def send_all(self, contents: Mapping[str, bytes]) -> None:
-        """Send files, several at a time where the store can; `contents`: by name, as for `send`."""
+        """Send files by name, several at a time where the store can."""
         by_path = {self._path(name): content for name, content in contents.items()}
         with self._explained():
             self._make_folders(by_path)
             self._files.pipe(by_path)
 
     def join(self, name: str, parts: Sequence[str]) -> bool:
-        """Make a file of others, one after the other, with one of them at a time in memory.
+        """Make a file of others, one after the other, with one of them at a time in memory; it appears when complete.
 
-        `name`: appears when it is complete.  Returns: false, and nothing is made, if one of the parts is missing.
+        Returns False, and makes nothing, if one of the parts is missing.
         """
         path = self._path(name)
         with self._explained():
@@ -128,8 +128,8 @@ class ObjectStore:
     def names(self, beginning: str) -> list[str]:
         """Return the names of the files, outside of folders, that begin with some letters."""
         with self._explained():
-            found = self._files.glob(self._path(f"{beginning}*"))
-        return [str(path).rpartition("/")[2] for path in found]
+            paths = self._files.glob(self._path(f"{beginning}*"))
+        return [str(path).rpartition("/")[2] for path in paths]
 
     def remove(self, name: str) -> None:
         """Remove a file."""
@@ -250,12 +250,12 @@ class StoreExport:
             wanted = shard.select(np.arange(len(blocks))).tolist()
             frames = sum(len(blocks[index]) for index in wanted)
             missing = [] if store.read(_TRUTH) is not None else self._missing(store, wanted)
-            there = frames - sum(len(blocks[index]) for index in missing)
-            report_progress(there, frames)
+            complete_frames = frames - sum(len(blocks[index]) for index in missing)
+            report_progress(complete_frames, frames)
             to_draw = {index: blocks[index] for index in missing}
-            self._draw(executor, to_draw, Path(folder), lambda drawn: report_progress(there + drawn, frames))
+            self._draw(executor, to_draw, Path(folder), lambda drawn: report_progress(complete_frames + drawn, frames))
             complete = self._joined(store, len(blocks))
-        return ExportReport(self.url, frames - there, there, self.job.task.frames.skipped, complete)
+        return ExportReport(self.url, frames - complete_frames, complete_frames, self.job.task.frames.skipped, complete)
 
     def _blocks(self) -> list[Numbers]:
         numbers = self.job.numbers
@@ -263,21 +263,22 @@ class StoreExport:
 
     def _claim(self, store: ObjectStore, folder: Path, manifest: dict[str, Any]) -> None:
         """Send the manifest, or compare it with the one in the store."""
-        there, local = store.read(NAME), folder / NAME
-        if there is not None:
-            local.write_bytes(there)
+        local = folder / NAME
+        stored = store.read(NAME)
+        if stored is not None:
+            local.write_bytes(stored)
         try:
             claim(folder, manifest)
         except ExportError as error:
             raise ExportError(self.url, str(error).removeprefix(f"{folder}: ").removeprefix(f"{local}: ")) from error
-        if there is None:
+        if stored is None:
             store.send(NAME, local.read_bytes())
-        elif local.read_bytes() != there:
+        elif local.read_bytes() != stored:
             raise ExportError(self.url, "holds another number of frames; choose another prefix")
 
     def _missing(self, store: ObjectStore, wanted: list[int]) -> list[int]:
-        there = set(store.names("truth-"))
-        return [index for index in wanted if _lines(index) not in there]
+        complete = set(store.names("truth-"))
+        return [index for index in wanted if _lines(index) not in complete]
 
     def _draw(
         self, executor: Executor, blocks: Mapping[int, Numbers], folder: Path, on_frame: Callable[[int], None]

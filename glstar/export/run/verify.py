@@ -55,11 +55,11 @@ def verify(
 ) -> Verification:
     """Compare a directory with what an export would write there; nothing is written.
 
-    `checker`: `SerialExecutor` or `ProcessExecutor`; if its OpenGL driver is the one that drew the directory, each
-    frame is drawn again, and its files and its line of truth are compared byte by byte; with another driver the images
-    are decoded and compared with their lines of truth; `shard`: the frames to check; `on_frame`: called with the number
-    of checked frames and the number of all frames, after each frame.  Raises ExportError if the directory holds no
-    export or one of other settings, or is being written.
+    If the OpenGL driver of the checker, a `SerialExecutor` or `ProcessExecutor`, is the one that drew the directory,
+    each frame is drawn again, and its files and its line of truth are compared byte by byte. With another driver the
+    images are decoded and compared with their lines of truth. `on_frame` is called with the number of checked frames
+    and of all frames, after each frame. Raises ExportError if the directory holds no export or one of other settings,
+    or is being written.
     """
     task, directory, numbers = export.task, export.directory, shard.select(export.numbers)
     report_progress = on_frame or (lambda *_: None)
@@ -91,8 +91,8 @@ def _check_line(number: int, line: bytes | None, drawn: bytes | None) -> list[Fi
         return [Finding(_TRUTH, f"frame {number} has no complete line", number)]
     if drawn is None or line == drawn:
         return []
-    found, expected = orjson.loads(line), orjson.loads(drawn)
-    keys = [key for key in expected if found.get(key) != expected[key]] or ["its spelling"]
+    written, expected = orjson.loads(line), orjson.loads(drawn)
+    keys = [key for key in expected if written.get(key) != expected[key]] or ["its spelling"]
     return [Finding(_TRUTH, f"the line of frame {number} differs from what is drawn, in {', '.join(keys)}", number)]
 
 

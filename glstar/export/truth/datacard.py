@@ -56,12 +56,10 @@ class _Values:
         else:
             labels = [self._label(value) for value in values]
         rows = list(zip(labels, counts.tolist(), strict=True)) + self.others.most_common(_MOST_VALUES)
-        left = len(self.others) - _MOST_VALUES
-        return (
-            [*rows, (f"{left} other values", self.others.total() - sum(c for _, c in rows[-_MOST_VALUES:]))]
-            if (left > 0)
-            else rows
-        )
+        uncounted = len(self.others) - _MOST_VALUES
+        if uncounted > 0:
+            rows.append((f"{uncounted} other values", self.others.total() - sum(c for _, c in rows[-_MOST_VALUES:])))
+        return rows
 
     def _label(self, value: float) -> str:
         return format_utc(float(value)) if self.is_time else f"{value:.9g}"
@@ -109,10 +107,10 @@ class _Seen:
 
 
 def write_card(directory: Path) -> Path:
-    """Write the data card of a complete export.
+    """Write the data card of a complete export, ``DATACARD.md``, and return its path.
 
-    Returns ``DATACARD.md``; the same frames have the same card: it has no date and no host.  Raises ExportError if the
-    export cannot be read or the card cannot be written.
+    The same frames have the same card: it has no date and no host. Raises ExportError if the export cannot be read or
+    the card cannot be written.
     """
     card = directory / DATA_CARD
     with explain_disk_errors(card):
@@ -212,11 +210,11 @@ def _limits(manifest: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]
 def _licences(manifest: Mapping[str, Any]) -> list[str]:
     catalogues = manifest.get("catalogues") or [manifest["catalogue"]]
     lines = []
-    for one in catalogues:
+    for catalogue in catalogues:
         with suppress(CatalogueError):
-            known = StarCatalogue.open(one["name"]).provenance
-            title, licence = known.get("title", one["name"]), known.get("licence", "not stated")
-            lines.append(f"- star catalogue `{one['name']}`: {title}; licence: {licence}")
+            provenance = StarCatalogue.open(catalogue["name"]).provenance
+            title, licence = provenance.get("title", catalogue["name"]), provenance.get("licence", "not stated")
+            lines.append(f"- star catalogue `{catalogue['name']}`: {title}; licence: {licence}")
     return [
         *lines,
         "- ephemeris of Moon and planets: JPL DE421, public domain",

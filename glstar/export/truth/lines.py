@@ -1,7 +1,4 @@
-"""Writing ``truth.jsonl``: one line per frame, complete or not at all.
-
-The ground truth of an export, read back.
-"""
+"""``truth.jsonl`` of an export: written with one line per frame, complete or not at all, and read back."""
 
 import os
 import re
@@ -33,11 +30,10 @@ _BLOCK_BYTES: Final = 1 << 22
 class TruthFile:
     """The truth of a directory of frames.
 
-    Lines are appended to ``truth.jsonl.partial``.  If several processes draw, each appends to a part of its own,
-    ``truth.jsonl.LABEL-HEX.partial``.  When every frame has its line, the file is renamed to ``truth.jsonl``, after
-    the parts have been joined.  An incomplete line of a killed run is cut off; if a frame was drawn twice, one of its
-    two equal lines is kept.  `directory`: the directory of the export; `shard_label`: `Shard.label`: only parts of
-    this shard are read and written; all parts if it is empty.
+    Lines are appended to ``truth.jsonl.partial``. If several processes draw, each appends to a part of its own,
+    ``truth.jsonl.LABEL-HEX.partial``. When every frame has its line, the file is renamed to ``truth.jsonl``, after the
+    parts have been joined. An incomplete line of a killed run is cut off; if a frame was drawn twice, one of its two
+    equal lines is kept. With a `shard_label`, `Shard.label`, only parts of this shard are read and written.
     """
 
     def __init__(self, directory: Path, shard_label: str = "") -> None:
@@ -105,10 +101,9 @@ class TruthFile:
 
     @contextmanager
     def open_for_append(self, *, as_part: bool = False) -> Iterator[IO[bytes]]:
-        """Open the truth after its last complete line, or a new part.
+        """Open the truth after its last complete line, or a new part, for `append`.
 
-        `as_part`: whether to write a new part, because other processes write at the same time; a shard always does.
-        Yields: for `append`.
+        A new part is for processes that write at the same time; a shard always writes one.
         """
         if as_part or self.shard_label:
             part = self._directory / f"truth.jsonl.{self.shard_label or 'part'}-{token_hex(6)}.partial"
@@ -130,10 +125,7 @@ class TruthFile:
             self._final.replace(self._partial)
 
     def append(self, truth: IO[bytes], number: int, line: bytes) -> None:
-        """Write a frame's line.
-
-        `truth`: from `open_for_append`; `number`: frame number; `line`: one line of JSON with its newline.
-        """
+        """Write the line of JSON of a frame, with its newline, to the file of `open_for_append`."""
         self._lines.extend((number, self._appended, truth.tell(), len(line)))
         truth.write(line)
         truth.flush()
@@ -218,10 +210,10 @@ def _is_terminated(line: bytes) -> bool:
 def _is_valid(line: bytes) -> bool:
     """Return whether a line is a JSON object with every key: a fragment of a line may be valid JSON too."""
     try:
-        found = orjson.loads(line)
+        parsed = orjson.loads(line)
     except ValueError:
         return False
-    return isinstance(found, dict) and found.keys() >= set(KEYS)
+    return isinstance(parsed, dict) and parsed.keys() >= set(KEYS)
 
 
 def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:

@@ -4,7 +4,7 @@ The first columns of each table are the same for every export.  What a setting a
 rolling shutter, a stack, the settings of a data set) is a column if any line of the truth has it, empty for the others.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from itertools import chain, islice
 from pathlib import Path
@@ -16,69 +16,72 @@ from pyarrow.parquet import ParquetWriter
 
 from glstar.errors import ExportError
 from glstar.export.directory import TABLES, explain_disk_errors
+from glstar.render.truth.columns import Column, columns_of
 from glstar.system.files import publish, temporary_path
 
 # Frames per row group, which are in memory at a time: some 100,000 stars at most.
 _FRAMES_PER_GROUP: Final = 256
 
-_ENDS: Final = ("start_x_px", "start_y_px", "end_x_px", "end_y_px")
+_TYPES: Final = {
+    "float": pa.float64(),
+    "int32": pa.int32(),
+    "int64": pa.int64(),
+    "string": pa.string(),
+    "bool": pa.bool_(),
+    "utc": pa.timestamp("us", tz="UTC"),
+    "float[]": pa.list_(pa.float64()),
+    **{f"float[{length}]": pa.list_(pa.float64(), length) for length in (3, 4, 9)},
+}
+# Keys of a frame that are not columns of the frames.
+_NO_COLUMN: Final = frozenset({"schema", "catalogue"})
+_POSITIONS: Final = tuple(column for column in columns_of("star") if column.kind == "position")
+_TIMES: Final = tuple(column.name for column in columns_of("frame") if column.kind == "utc")
+
+
+def _fields(columns: Iterable[Column]) -> Iterator[tuple[str, pa.DataType]]:
+    """Yield the name and type of each column; a position has two."""
+    for column in columns:
+        if column.kind == "position":
+            yield from ((part, pa.float64()) for part in column.parts)
+        else:
+            yield column.name.rpartition(".")[2], _TYPES[column.kind]
+
+
+_FRAMES: Final = pa.schema(
+    _fields(
+        column
+        for column in columns_of("frame")
+        if not column.when and column.kind in {*_TYPES} and column.name not in _NO_COLUMN
+    )
+)
+# Schema 1 had no ``camera_mag``: its column follows the others.
 _STARS: Final = pa.schema(
     [
         ("frame", pa.int64()),
         ("catalogue", pa.string()),
-        ("star_id", pa.int32()),
-        ("vmag", pa.float64()),
-        *((name, pa.float64()) for name in ("x_px", "y_px", "centroid_x_px", "centroid_y_px")),
-        *((name, pa.float64()) for name in _ENDS),
-        *((name, pa.float64()) for name in ("peak_dn", "flux_dn", "in_frame")),
-        ("saturated", pa.bool_()),
-        *((name, pa.float64()) for name in ("trail_peak_dn", "snr")),
+        *_fields(column for column in columns_of("star") if not column.when and column.name != "camera_mag"),
     ]
 )
-_TIMES: Final = ("utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid")
-_FRAMES: Final = pa.schema(
-    [
-        ("frame", pa.int64()),
-        ("file", pa.string()),
-        *((name, pa.timestamp("us", tz="UTC")) for name in _TIMES),
-        ("duration_s", pa.float64()),
-        ("seed", pa.int64()),
-        ("sub_exposures", pa.int64()),
-        *((name, pa.float64()) for name in ("latitude_deg", "longitude_deg", "height_m")),
-        ("q_body_ned", pa.list_(pa.float64(), 4)),
-        ("C_camera_body", pa.list_(pa.float64(), 9)),
-        ("C_camera_icrs", pa.list_(pa.float64(), 9)),
-        ("up_camera", pa.list_(pa.float64(), 3)),
-        ("K", pa.list_(pa.float64(), 9)),
-        ("width_px", pa.int32()),
-        ("height_px", pa.int32()),
-        ("lens", pa.string()),
-        ("distortion", pa.list_(pa.float64())),
-    ]
-)
+_OBJECT_KEYS: Final = frozenset({"name", "x_px", "y_px", "start", "end"})
 _OBJECTS: Final = pa.schema(
-    [
-        ("frame", pa.int64()),
-        ("name", pa.string()),
-        *((name, pa.float64()) for name in ("x_px", "y_px", *_ENDS)),
-    ]
+    [("frame", pa.int64()), *_fields(column for column in columns_of("body") if column.name in _OBJECT_KEYS)]
 )
 # By the name of the table; those of bodies and of satellites are written if there is any.
 _SCHEMAS: Final = dict(zip(TABLES, (_FRAMES, _STARS, _OBJECTS, _OBJECTS), strict=True))
 _ALWAYS: Final = TABLES[:2]
-# Keys of a frame that are tables or columns of their own.
-_ELSEWHERE: Final = frozenset({"schema", "site", "camera", "stars", "bodies", "satellites", "settings"})
+_LISTS: Final = tuple(column.name for column in columns_of("frame") if column.kind == "table")
+# Keys of a frame that are tables, or whose own keys are columns without a prefix.
+_ELSEWHERE: Final = frozenset({"schema", "site", "camera", "settings", *_LISTS})
 
 Row = dict[str, Any]
 
 
 def write_parquet(directory: Path) -> tuple[Path, ...]:
-    """Write the tables of the truth from ``truth.jsonl``, atomically.
+    """Write the tables of the truth of a complete export from ``truth.jsonl``, atomically, and return their paths.
 
-    `directory`: directory of a complete export.  Returns ``frames.parquet``, one row per frame, with a column for each
-    setting that the data set varies, and ``stars.parquet``, one row per star and frame; with bodies or satellites
-    ``bodies.parquet`` and ``satellites.parquet``.  Raises ExportError if they cannot be written, or the values of a key
-    have no common type.
+    ``frames.parquet`` has one row per frame, with a column for each setting that the data set varies, and
+    ``stars.parquet`` one row per star and frame; bodies and satellites have ``bodies.parquet`` and
+    ``satellites.parquet``. Raises ExportError if they cannot be written, or the values of a key have no common type.
     """
     truth = directory / "truth.jsonl"
     with explain_disk_errors(directory):
@@ -128,8 +131,8 @@ def _extended(truth: Path, schema: pa.Schema, rows: list[Row], fixed: pa.Schema)
     """Add the columns that rows have beyond the fixed ones; integers and fractions of one column become floats."""
     names = [name for name in dict.fromkeys(chain.from_iterable(rows)) if name not in fixed.names]
     try:
-        found = pa.schema([(name, pa.array([row.get(name) for row in rows]).type) for name in names])
-        return pa.unify_schemas([schema, found], promote_options="permissive")
+        further = pa.schema([(name, pa.array([row.get(name) for row in rows]).type) for name in names])
+        return pa.unify_schemas([schema, further], promote_options="permissive")
     except pa.ArrowException as error:
         raise ExportError(truth, f"the values of one key have different types: {error}") from error
 
@@ -139,14 +142,10 @@ def _groups(truth: Path) -> Iterator[dict[str, list[Row]]]:
     with truth.open("rb") as file:
         while lines := [orjson.loads(line) for line in islice(file, _FRAMES_PER_GROUP)]:
             frames = [_frame_row(line) for line in lines]
-            stars = [
-                _object_row(line, star) | {"catalogue": line["catalogue"]} for line in lines for star in line["stars"]
-            ]
-            bodies, satellites = (
-                [_object_row(line, one) for line in lines for one in line.get(key, ())]
-                for key in ("bodies", "satellites")
+            stars, *objects = (
+                [_object_row(line, entry) for line in lines for entry in line.get(key, ())] for key in _LISTS
             )
-            yield dict(zip(TABLES, (frames, stars, bodies, satellites), strict=True))
+            yield dict(zip(TABLES, (frames, stars, *objects), strict=True))
 
 
 def _frame_row(line: Row) -> Row:
@@ -174,8 +173,11 @@ def _flat(record: Row) -> Row:
     return flat
 
 
-def _object_row(line: Row, one: Row) -> Row:
+def _object_row(line: Row, entry: Row) -> Row:
     """Return the row of a star, a body or a satellite."""
-    positions = chain.from_iterable(one.get(name) or (None, None) for name in ("start", "end"))
-    ends = dict(zip(_ENDS, positions, strict=True))
-    return {"frame": line["frame"], **{key: value for key, value in one.items() if key not in {"start", "end"}}, **ends}
+    row = {"frame": line["frame"], **entry}
+    for column in _POSITIONS:
+        row |= dict(zip(column.parts, row.pop(column.name) or (None, None), strict=True))
+    if "star_id" in entry:
+        row["catalogue"] = line["catalogue"]
+    return row

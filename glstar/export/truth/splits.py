@@ -1,10 +1,9 @@
 """Splits of an export for learning: every flight belongs to training, validation or test with all of its frames.
 
 Frames of one flight show the same stars under almost the same attitude: divided frame by frame, a model would be tested
-with what it has seen.  The split of a flight follows from a hash of the flight and a seed.  It does not depend on the
-other flights, so that it stays as it is when flights are added, in whatever order, and in other exports.
-
-An export that is read to be written in the format of another tool, frame by frame.
+with what it has seen. The split of a flight follows from a hash of the flight and a seed. It does not depend on the
+other flights, so that it stays as it is when flights are added, in whatever order, and in other exports. `ConvertedSet`
+is an export that is read, split by split, to be written in the format of another tool.
 """
 
 import hashlib
@@ -38,28 +37,24 @@ class SplitRule:
 
     @classmethod
     def parse(cls, shares: str, seed: int = 0) -> "SplitRule":
-        """Return the rule of a text such as ``80,10,10``; two numbers leave out the validation.
+        """Return the rule of a text such as ``80,10,10``, shares or percentages; two numbers leave out the validation.
 
-        `shares`: shares or percentages of training, validation and test.  Raises ConfigError if these are not two or
-        three numbers, none negative, with a positive sum.
+        Raises ConfigError if these are not two or three numbers, none negative, with a positive sum.
         """
         try:
-            given = [float(part) for part in shares.replace("/", ",").split(",")]
+            weights = [float(part) for part in shares.replace("/", ",").split(",")]
         except ValueError:
-            given = []
-        if len(given) == 2:
-            given.insert(1, 0.0)
-        total = sum(given)
-        if len(given) != 3 or not 0 < total < float("inf") or min(given) < 0:
+            weights = []
+        if len(weights) == 2:
+            weights.insert(1, 0.0)
+        total = sum(weights)
+        if len(weights) != 3 or not 0 < total < float("inf") or min(weights) < 0:
             raise ConfigError(f"--split-shares {shares}: give the shares of training, validation, test, as in 80,10,10")
-        train, validation, test = (share / total for share in given)
+        train, validation, test = (share / total for share in weights)
         return cls((train, validation, test), seed)
 
     def split_of(self, identity: str) -> str:
-        """Return the split of a flight.
-
-        `identity`: `FlightIdentity.digest`.  Returns: {"train", "validation", "test"}.
-        """
+        """Return the split of a flight by `FlightIdentity.digest`."""
         digest = hashlib.sha256(f"{self.seed}:{identity}".encode()).hexdigest()
         number = int(digest[:_HASH_DIGITS], 16) / 16**_HASH_DIGITS
         bound = 0.0
@@ -108,13 +103,12 @@ class _Flights:
 
 
 def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
-    """Write ``splits.json`` and the lists ``train.txt``, ``validation.txt`` and ``test.txt`` of a complete export.
+    """Write ``splits.json``, ``train.txt``, ``validation.txt`` and ``test.txt``; return the frames of each split.
 
-    Returns: number of frames of each split.  Raises ExportError if the export cannot be read or the files cannot be
-    written.
+    Raises ExportError if the export cannot be read or the files cannot be written.
     """
     flights = _Flights(_manifest(directory))
-    found: dict[str, dict[str, Any]] = {}
+    entries: dict[str, dict[str, Any]] = {}
     counts = dict.fromkeys(SPLITS, 0)
     paths = [directory / f"{split}.txt" for split in SPLITS]
     temporary = [temporary_path(path) for path in paths]
@@ -130,7 +124,7 @@ def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
                     split = rule.split_of(flight.digest)
                     lists[split].write(f"{line['file']}\n")
                     counts[split] += 1
-                    entry = found.setdefault(flight.digest, _entry(flight, split))
+                    entry = entries.setdefault(flight.digest, _entry(flight, split))
                     entry["frames"] += 1
             # The index is written last and removed first: it says that the lists are complete.
             with suppress(FileNotFoundError):
@@ -146,7 +140,7 @@ def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
             "shares": dict(zip(SPLITS, rule.shares, strict=True)),
             "seed": rule.seed,
             "frames": counts,
-            "flights": list(found.values()),
+            "flights": list(entries.values()),
         }
         write_atomically(directory / SPLIT_INDEX, (json.dumps(index, indent=1) + "\n").encode())
     return counts
@@ -190,21 +184,21 @@ def read_splits(directory: Path) -> dict[str, Any] | None:
 
 
 def splits_by_file(directory: Path) -> dict[str, str]:
-    """Return the split of each image of an export; empty if it has none.
+    """Return the split of each image of an export by its ``file`` in the truth; empty if the export has none.
 
-    Returns: by the ``file`` of a line of truth.  Raises ExportError if a list cannot be read.
+    Raises ExportError if a list cannot be read.
     """
     if read_splits(directory) is None:
         return {}
-    found: dict[str, str] = {}
+    split_of_file: dict[str, str] = {}
     for split in SPLITS:
         path = directory / f"{split}.txt"
         try:
             names = path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError) as error:
             raise ExportError(path, f"cannot be read ({error})") from error
-        found.update(dict.fromkeys(names, split))
-    return found
+        split_of_file.update(dict.fromkeys(names, split))
+    return split_of_file
 
 
 Step = Callable[[int, int], object]

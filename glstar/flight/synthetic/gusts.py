@@ -1,9 +1,7 @@
-"""Dryden gusts: wind that fluctuates with the spectra of MIL-F-8785C.
+"""Dryden gusts with the spectra of MIL-F-8785C, the response of an aircraft's attitude to them, and vibration.
 
 The six gust components are outputs of linear filters driven by white noise.  The filters are discretised exactly
 (Van Loan), so that their variance is right at any sample rate.
-
-The response of an aircraft's attitude to gusts, and the vibration of its propellers.
 """
 
 from collections.abc import Sequence
@@ -46,11 +44,9 @@ class LinearSystem:
         return (covariance + covariance.T) / 2
 
     def discretised(self, step_s: float) -> tuple[Float, Float]:
-        """Return the exact transition over a time step and the covariance of the noise that it adds.
+        """Return the exact transition F of x(t + step) = F x(t) + noise, and the covariance of the noise, (k, k) both.
 
-        `step_s`: time step, s.  Returns `transition` (k, k): F of x(t + step) = F x(t) + noise; `noise_covariance` (k,
-        k).  C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23
-        (1978).
+        C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automatic Control 23 (1978).
         """
         from scipy.linalg import expm  # noqa: PLC0415 - slow to import, rarely needed
 
@@ -65,10 +61,7 @@ class LinearSystem:
         return transition, (covariance + covariance.T) / 2
 
     def simulated(self, samples: int, step_s: float, rng: np.random.Generator) -> Float:
-        """Return a random history of the outputs, stationary from its first sample.
-
-        `step_s`: time between samples, s.  Returns (samples, o).
-        """
+        """Return a random history of the outputs, (samples, o), stationary from its first sample."""
         transition, noise_covariance = self.discretised(step_s)
         noise = rng.standard_normal((samples, len(self.A))) @ _root(noise_covariance).T
         state = _root(self.stationary_covariance()) @ rng.standard_normal(len(self.A))
@@ -82,8 +75,7 @@ class LinearSystem:
 def _root(covariance: Float) -> Float:
     """Return a square root of a covariance that may be singular: R R^T = covariance."""
     variances, axes = np.linalg.eigh(covariance)
-    root: Float = axes * np.sqrt(np.maximum(variances, 0.0))
-    return root
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +122,7 @@ class DrydenGusts:
         return min(max(self.height_m * _FEET_PER_M, _LOWEST_FT), highest_ft)
 
     def system(self) -> LinearSystem:
-        """Return the filters of all six components, in the order of `GUST_NAMES`.
-
-        Returns: eight states, four noises.
-        """
+        """Return the filters of all six components, in the order of `GUST_NAMES`: eight states, four noises."""
         speed = self.airspeed_m_per_s
         (sigma_u, sigma_v, sigma_w), (length_u, length_v, length_w) = self.sigmas_m_per_s, self.lengths_m
         A, B, C = np.zeros((8, 8)), np.zeros((8, 4)), np.zeros((6, 8))
@@ -187,11 +176,10 @@ class AttitudeResponse:
             )
 
     def to(self, gusts: DrydenGusts) -> LinearSystem:
-        """Return the system from white noise to roll, pitch and yaw, rad.
+        """Return the system from white noise to turns about the body's axes forward, right and down, rad.
 
-        Returns: three outputs: turns about the body's axes forward, right and down, rad.  On each axis d2x/dt2 + 2 z w
-        (dx/dt - rate) + w^2 (x - k angle) = 0 with w the natural frequency, z the damping, and k = -0.2, 0.25, 0.25 for
-        roll, pitch and yaw.
+        On each axis d2x/dt2 + 2 z w (dx/dt - rate) + w^2 (x - k angle) = 0 with w the natural frequency, z the damping,
+        and k = -0.2, 0.25, 0.25 for roll, pitch and yaw.
         """
         wind = gusts.system()
         states = len(wind.A)
@@ -228,10 +216,7 @@ class VibrationLine:
 
 
 def vibration_turns(lines: Sequence[VibrationLine], t_s: Float, rng: np.random.Generator) -> Float:
-    """Return the turns of vibration lines, each with a random phase.
-
-    `t_s` (n,): times, s.  Returns (n, 3) turns about the body's axes forward, right and down, rad.
-    """
+    """Return turns by vibration lines of random phase about the body's axes forward, right and down, (n, 3) rad."""
     turns = np.zeros((t_s.size, 3))
     for line in lines:
         phase = rng.uniform(0, 2 * np.pi)

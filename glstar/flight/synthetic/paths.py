@@ -26,7 +26,7 @@ _ROLL_RATE_RAD_PER_S: Final = np.deg2rad(30.0)
 _BANK_TIME_S: Final = 0.4
 _CLIMB_TIME_S: Final = 1.0
 _MOST_CLIMB_RAD: Final = np.deg2rad(15.0)
-# A leg that takes this many times its length, and this much longer, is never finished.
+# A leg is never finished that takes longer than this many times its length at the slowest speed, plus this time, s.
 _LEG_SLACK: Final = 3.0
 _LEG_SLACK_S: Final = 120.0
 # Look-ahead of the guidance to a leg, s of flight (Park, Deyst and How 2004 recommend 3 to 5).
@@ -42,10 +42,7 @@ class Wind:
 
     @classmethod
     def from_direction(cls, speed_m_per_s: float, from_rad: float) -> "Wind":
-        """Return a wind that blows from a direction.
-
-        `from_rad`: direction from which it blows, rad from north through east.
-        """
+        """Return a wind that blows from a direction, rad from north through east."""
         return cls(-speed_m_per_s * float(np.cos(from_rad)), -speed_m_per_s * float(np.sin(from_rad)))
 
     @property
@@ -83,8 +80,7 @@ def _speed_over_ground(wind: Wind, course_rad: Float, airspeed_m_per_s: float) -
             f"a wind of {wind.speed_m_per_s:g} m/s carries an aircraft of {airspeed_m_per_s:g} m/s away:"
             " it cannot follow a path over the ground; fly faster, or take less wind"
         )
-    speed: Float = wind.along(course_rad) + np.sqrt(airspeed_m_per_s**2 - across**2)
-    return speed
+    return np.asarray(wind.along(course_rad) + np.sqrt(airspeed_m_per_s**2 - across**2))
 
 
 def ground_orbit_period_s(*, radius_m: float, airspeed_m_per_s: float, wind: Wind) -> float:
@@ -103,8 +99,8 @@ def orbit_over_ground(
     """Return a circle over the ground, flown at constant airspeed: heading, bank and ground speed follow the wind.
 
     `t_s` (n,): times from 0, rising, s; `clockwise`: seen from above; `bearing_rad`: direction from the centre to the
-    start, rad from north through east.  Returns: positions from the centre of the circle.  Raises ConfigError if the
-    wind is as fast as the aircraft.
+    start, rad from north through east.  Positions are relative to the centre.  Raises ConfigError if the wind is as
+    fast as the aircraft.
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, rarely needed
 
@@ -117,24 +113,24 @@ def orbit_over_ground(
     elapsed = CubicSpline(angle, pace, bc_type="periodic").antiderivative()
     period_s = ground_orbit_period_s(radius_m=radius_m, airspeed_m_per_s=airspeed_m_per_s, wind=wind)
     turns, rest_s = np.divmod(t_s, period_s)
-    flown = np.interp(rest_s, elapsed(angle), angle)
+    angle = np.interp(rest_s, elapsed(angle), angle)
     for _ in range(2):  # Newton's method, to rounding errors
-        here = bearing_rad + sign * (flown + np.pi / 2)
-        flown += (rest_s - elapsed(flown)) * _speed_over_ground(wind, here, airspeed_m_per_s) / radius_m
-    flown = flown + 2 * np.pi * turns
-    course = bearing_rad + sign * (flown + np.pi / 2)
+        course = bearing_rad + sign * (angle + np.pi / 2)
+        angle += (rest_s - elapsed(angle)) * _speed_over_ground(wind, course, airspeed_m_per_s) / radius_m
+    angle = angle + 2 * np.pi * turns
+    course = bearing_rad + sign * (angle + np.pi / 2)
     air_along = np.sqrt(airspeed_m_per_s**2 - wind.across(course) ** 2)
     over_ground = _speed_over_ground(wind, course, airspeed_m_per_s)
     yaw_rate = sign * over_ground / radius_m * over_ground / air_along
-    bearing = bearing_rad + sign * flown
+    bearing = bearing_rad + sign * angle
     return FlownPath(
-        t_s,
-        radius_m * np.cos(bearing),
-        radius_m * np.sin(bearing),
-        np.zeros_like(t_s),
-        course - np.arcsin(wind.across(course) / airspeed_m_per_s),
-        np.arctan(airspeed_m_per_s * yaw_rate / GRAVITY_M_PER_S2),
-        np.zeros_like(t_s),
+        t_s=t_s,
+        north_m=radius_m * np.cos(bearing),
+        east_m=radius_m * np.sin(bearing),
+        up_m=np.zeros_like(t_s),
+        yaw_rad=course - np.arcsin(wind.across(course) / airspeed_m_per_s),
+        bank_rad=np.arctan(airspeed_m_per_s * yaw_rate / GRAVITY_M_PER_S2),
+        climb_rad=np.zeros_like(t_s),
     )
 
 
@@ -143,21 +139,21 @@ def held_orbit(
 ) -> FlownPath:
     """Return circles through the air, flown with constant bank and airspeed; over the ground they drift with the wind.
 
-    `t_s`, `radius_m`, `airspeed_m_per_s`, `wind`, `clockwise`, `bearing_rad`: see `orbit_over_ground`; the radius is
-    that of the circle through the air.  Returns: positions from the centre of the first circle.
+    Parameters as for `orbit_over_ground`; the radius is that of the circle through the air, and positions are relative
+    to the centre of the first circle.
     """
     sign = 1.0 if clockwise else -1.0
     yaw_rate = sign * airspeed_m_per_s / radius_m
     bearing = bearing_rad + yaw_rate * t_s
     bank = np.arctan(airspeed_m_per_s * yaw_rate / GRAVITY_M_PER_S2)
     return FlownPath(
-        t_s,
-        radius_m * np.cos(bearing) + wind.north_m_per_s * t_s,
-        radius_m * np.sin(bearing) + wind.east_m_per_s * t_s,
-        np.zeros_like(t_s),
-        bearing + sign * np.pi / 2,
-        np.full_like(t_s, bank),
-        np.zeros_like(t_s),
+        t_s=t_s,
+        north_m=radius_m * np.cos(bearing) + wind.north_m_per_s * t_s,
+        east_m=radius_m * np.sin(bearing) + wind.east_m_per_s * t_s,
+        up_m=np.zeros_like(t_s),
+        yaw_rad=bearing + sign * np.pi / 2,
+        bank_rad=np.full_like(t_s, bank),
+        climb_rad=np.zeros_like(t_s),
     )
 
 
@@ -173,13 +169,13 @@ def straight(
     course = np.full_like(t_s, course_rad)
     speed = _speed_over_ground(wind, course, level_m_per_s)
     return FlownPath(
-        t_s,
-        speed * t_s * np.cos(course),
-        speed * t_s * np.sin(course),
-        airspeed_m_per_s * np.sin(climb_rad) * t_s,
-        course - np.arcsin(wind.across(course) / level_m_per_s),
-        np.zeros_like(t_s),
-        np.full_like(t_s, climb_rad),
+        t_s=t_s,
+        north_m=speed * t_s * np.cos(course),
+        east_m=speed * t_s * np.sin(course),
+        up_m=airspeed_m_per_s * np.sin(climb_rad) * t_s,
+        yaw_rad=course - np.arcsin(wind.across(course) / level_m_per_s),
+        bank_rad=np.zeros_like(t_s),
+        climb_rad=np.full_like(t_s, climb_rad),
     )
 
 
@@ -190,7 +186,8 @@ def stationary(t_s: Float, *, yaw_rad: float = 0.0, yaw_rate_rad_per_s: float = 
     rad/s.
     """
     zero = np.zeros_like(t_s)
-    return FlownPath(t_s, zero, zero, zero, yaw_rad + yaw_rate_rad_per_s * t_s, zero, zero)
+    yaw = yaw_rad + yaw_rate_rad_per_s * t_s
+    return FlownPath(t_s, north_m=zero, east_m=zero, up_m=zero, yaw_rad=yaw, bank_rad=zero, climb_rad=zero)
 
 
 def through_waypoints(
@@ -199,10 +196,10 @@ def through_waypoints(
     """Return the path of an autopilot that flies straight legs between waypoints.
 
     The bank follows the guidance within 45 deg and rolls in at up to 30 deg/s, so that corners are rounded as real
-    aircraft round them.  The path ends abeam of the last waypoint.  `step_s`: time between samples, s; `waypoints_m`
-    sequence of (north_m, east_m, up_m): two or more; the first is the start.  Raises ConfigError if there are fewer
-    than two waypoints, two neighbours coincide, or the wind is as fast as the aircraft.  S. Park, J. Deyst and J. How,
-    "A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900.
+    aircraft round them.  The path, sampled every `step_s`, begins at the first of two or more waypoints (north_m,
+    east_m, up_m) and ends abeam of the last.  Raises ConfigError if there are fewer than two waypoints, two neighbours
+    coincide, or the wind is as fast as the aircraft.  S. Park, J. Deyst and J. How, "A new nonlinear guidance logic for
+    trajectory tracking", AIAA 2004-4900.
     """
     legs = _legs(waypoints_m)
     _speed_over_ground(wind, np.array([leg.course_rad for leg in legs]), airspeed_m_per_s)
@@ -254,7 +251,9 @@ class _Autopilot:
     """A point mass with bank and climb loops, integrated by the midpoint of each step."""
 
     def __init__(self, first: _Leg, airspeed_m_per_s: float, wind: Wind, step_s: float) -> None:
-        self._airspeed, self._wind, self._step_s = airspeed_m_per_s, wind, step_s
+        self._airspeed = airspeed_m_per_s
+        self._wind = wind
+        self._step_s = step_s
         self._north, self._east, self._up = first.start_m
         across = float(wind.across(np.array(first.course_rad)))
         self._yaw = first.course_rad - float(np.arcsin(across / airspeed_m_per_s))
@@ -280,13 +279,13 @@ class _Autopilot:
         to_east = leg.start_m[1] + ahead * np.sin(course) - self._east
         off = _wrapped(np.arctan2(to_east, to_north) - np.arctan2(velocity_east, velocity_north))
         acceleration = 2 * speed**2 * np.sin(np.clip(off, -np.pi / 2, np.pi / 2)) / float(np.hypot(to_north, to_east))
-        wanted_bank = np.clip(np.arctan(acceleration / GRAVITY_M_PER_S2), -_MOST_BANK_RAD, _MOST_BANK_RAD)
-        roll_rate = np.clip((wanted_bank - self._bank) / _BANK_TIME_S, -_ROLL_RATE_RAD_PER_S, _ROLL_RATE_RAD_PER_S)
+        target_bank = np.clip(np.arctan(acceleration / GRAVITY_M_PER_S2), -_MOST_BANK_RAD, _MOST_BANK_RAD)
+        roll_rate = np.clip((target_bank - self._bank) / _BANK_TIME_S, -_ROLL_RATE_RAD_PER_S, _ROLL_RATE_RAD_PER_S)
         fraction = min(max(1 - self.to_go_m(leg) / leg.length_m, 0.0), 1.0)
         height = leg.start_m[2] + fraction * (leg.end_m[2] - leg.start_m[2])
         slope = (leg.end_m[2] - leg.start_m[2]) / leg.length_m * speed / self._airspeed
-        wanted_climb = np.clip(slope + (height - self._up) / (_LOOKAHEAD_S * speed), -_MOST_CLIMB_RAD, _MOST_CLIMB_RAD)
-        climb_rate = (wanted_climb - self._climb) / _CLIMB_TIME_S
+        target_climb = np.clip(slope + (height - self._up) / (_LOOKAHEAD_S * speed), -_MOST_CLIMB_RAD, _MOST_CLIMB_RAD)
+        climb_rate = (target_climb - self._climb) / _CLIMB_TIME_S
 
         middle_bank = self._bank + roll_rate * step / 2
         yaw_rate = GRAVITY_M_PER_S2 * np.tan(middle_bank) / self._airspeed

@@ -42,9 +42,8 @@ _LEAST_HEIGHT_M: Final = 3.0
 class SyntheticFlight:
     """A flight that is described instead of logged; raises ConfigError if a number is impossible."""
 
-    # {"orbit", "transit", "waypoints", "hover", "spin", "still"}: ``orbit``: circles; ``transit``: a straight line;
-    # ``waypoints``: legs with rounded corners; ``hover``: above one point, shaken by gusts; ``spin``: the same, turning
-    # at `yaw_rate_rad_per_s`; ``still``: no motion, no gusts.
+    # ``orbit``: circles; ``transit``: a straight line; ``waypoints``: legs with rounded corners; ``hover``: above one
+    # point, shaken by gusts; ``spin``: the same, turning at `yaw_rate_rad_per_s`; ``still``: no motion, no gusts.
     path: FlightPath
     site: Site  # Centre of an orbit, else the start; for ``waypoints`` their first
     start_utc_s: float  # UTC of the first attitude, seconds since 1970
@@ -85,7 +84,7 @@ class SyntheticFlight:
             raise ConfigError(f"a synthetic flight needs duration_s above 0, not {self.duration_s:g}")
         if self.path == "waypoints" and len(self.waypoints) < 2:
             raise ConfigError(f"a flight through waypoints needs two or more of them, not {len(self.waypoints)}")
-        if self.path not in {"waypoints"} and self._duration_s() * self.rate_hz > _MOST_SAMPLES:
+        if self.path != "waypoints" and self._duration_s() * self.rate_hz > _MOST_SAMPLES:
             raise ConfigError(
                 f"{self._duration_s():g} s at {self.rate_hz:g} Hz are more than {_MOST_SAMPLES:,} attitudes;"
                 " fly shorter, or at a lower rate_hz"
@@ -181,11 +180,8 @@ class SyntheticFlight:
         """Return a waypoint in metres north, east and above the origin."""
         origin, (north_m, east_m) = self._origin(), self._radii_m()
         east_rad = (site.longitude_rad - origin.longitude_rad + pi) % (2 * pi) - pi
-        return (
-            (site.latitude_rad - origin.latitude_rad) * north_m,
-            east_rad * east_m,
-            site.height_m - origin.height_m,
-        )
+        north_rad = site.latitude_rad - origin.latitude_rad
+        return north_rad * north_m, east_rad * east_m, site.height_m - origin.height_m
 
     def _positions(self, path: FlownPath, utc_s: Float) -> PositionTrack:
         origin, (north_m, east_m) = self._origin(), self._radii_m()

@@ -43,6 +43,8 @@ __all__ = [
     "Values",
     "active_effects",
     "effects_truth",
+    "light_keys",
+    "scaled_keys",
 ]
 
 
@@ -75,24 +77,24 @@ EFFECTS: tuple[Effect, ...] = (
 
 
 def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple[Effect, ...]:
-    """Return the effects that change the image of a sensor, in the order in which they are applied.
+    """Return the effects that change the image of a sensor, sorted by stage; those of a stage keep their order."""
+    of_model = [effect for effect in effects if effect.noise_model in (None, sensor.noise)]
+    active = [effect for effect in of_model if effect.is_active(effect.values(sensor))]
+    return tuple(sorted(active, key=lambda effect: effect.stage))
 
-    Returns: sorted by stage; effects of one stage keep their order.
-    """
-    return tuple(
-        sorted(
-            (
-                effect
-                for effect in effects
-                if effect.noise_model in (None, sensor.noise) and effect.is_active(effect.values(sensor))
-            ),
-            key=lambda effect: effect.stage,
-        )
-    )
+
+def scaled_keys(effects: Iterable[Effect] = EFFECTS) -> frozenset[str]:
+    """Return the dotted keys whose values are in DN, for `Sensor.with_bit_depth`."""
+    return frozenset(effect.dotted(key) for effect in effects for key in effect.keys if key.scales)
+
+
+def light_keys(effects: Iterable[Effect] = EFFECTS) -> frozenset[str]:
+    """Return the dotted keys that change the noiseless signal of stars, for `Sensor.leaves_same_signal`."""
+    return frozenset(effect.dotted(key) for effect in effects for key in effect.keys if key.changes_light)
 
 
 def effects_truth(scene: Scene, effects: Iterable[Effect] = EFFECTS) -> Mapping[str, Any]:
-    """Return the keys that the active effects add to a frame's line of truth; returns: ready for JSON."""
+    """Return the keys that the active effects add to a frame's line of truth, ready for JSON."""
     truth: dict[str, Any] = {}
     for effect in active_effects(scene.sensor, effects):
         truth |= effect.truth(effect.values(scene.sensor), scene)

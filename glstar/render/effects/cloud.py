@@ -1,17 +1,13 @@
-"""Cloud: keys of a sheet of cloud, through which stars and the natural sky are seen.
+"""Cloud: keys of a sheet through which stars and the natural sky are seen, and its transmission towards pixels."""
 
-What a sheet of cloud transmits in the directions of pixels, in the middle of the exposure.
-"""
-
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.effects.effect import Control, Effect, Key, Stage, Values
+from glstar.render.effects.effect import Control, Effect, Key, Stage
 from glstar.render.scene.clouds import CLOUD_DEFAULTS, cloud_sheet, sheet_crossing
 from glstar.render.scene.scene import Scene
 from glstar.sky.air.clouds import SheetCrossing
@@ -23,10 +19,10 @@ _SAMPLES: Final = (49, 37)
 
 
 def crossing_at(scene: Scene, time: int, direction_eq: Float) -> SheetCrossing | None:
-    """Return where lines of sight cross the scene's sheet of cloud.
+    """Return where lines of sight cross the scene's sheet of cloud; None without cloud.
 
-    `time`: 0, 1, 2: the start, the middle, the end of the exposure; `direction_eq` (..., 3): apparent unit vectors,
-    true equator and equinox, with refraction.  Returns: none without cloud.
+    `time` is 0, 1 or 2 for the start, the middle or the end of the exposure; `direction_eq` (..., 3) are apparent unit
+    vectors, true equator and equinox, with refraction.
     """
     sheet = cloud_sheet(scene.sensor, scene.motion)
     if sheet is None or scene.motion is None:
@@ -40,9 +36,9 @@ def crossing_at(scene: Scene, time: int, direction_eq: Float) -> SheetCrossing |
 
 
 def transmission_at(scene: Scene, xy_px: Float) -> Float:
-    """Return the transmission for the sky behind pixels, in the middle of the exposure.
+    """Return the transmission for the sky behind pixels, (..., 2), in the middle of the exposure, (...).
 
-    `xy_px` (..., 2).  Returns (...) 1 without cloud, below the horizon, and for a sheet below the aircraft.
+    It is 1 without cloud, below the horizon, and for a sheet below the aircraft.
     """
     rays = scene.camera.unit_vectors(xy_px.reshape(-1, 2))
     return _transmission(scene, rays).reshape(xy_px.shape[:-1])
@@ -55,10 +51,10 @@ def _transmission(scene: Scene, rays: Float) -> Float:
 
 
 def transmission_towards(scene: Scene, direction_eq: Float) -> Float:
-    """Return the transmission in some directions above the horizon, in the middle of the exposure.
+    """Return the transmission in directions above the horizon, (n,), in the middle of the exposure.
 
-    `direction_eq` (n, 3): apparent unit vectors, true equator and equinox, with refraction.  Returns (n,) 1 without
-    cloud, and for a sheet below the aircraft.
+    `direction_eq` (n, 3) are apparent unit vectors, true equator and equinox, with refraction.  The transmission is 1
+    without cloud, and for a sheet below the aircraft.
     """
     crossing = crossing_at(scene, 1, direction_eq) if is_below_cloud(scene) else None
     return np.ones(len(direction_eq)) if crossing is None else crossing.transmission
@@ -71,9 +67,9 @@ def is_below_cloud(scene: Scene) -> bool:
 
 
 def frame_transmission(scene: Scene) -> float | None:
-    """Return the mean transmission of cloud over the part of the image that shows the sky.
+    """Return the mean transmission of cloud over the sky on the image, in the middle of the exposure.
 
-    Returns: in the middle of the exposure; 1 for a sheet below the aircraft, None if the image shows no sky.
+    It is 1 for a sheet below the aircraft, and None if the image shows no sky.
     """
     rays = _rays(scene.camera)
     is_sky = scene.above_horizon(rays @ scene.shutter.C_camera_eq[1]) >= 0
@@ -81,10 +77,7 @@ def frame_transmission(scene: Scene) -> float | None:
 
 
 def sky_fraction(scene: Scene) -> float:
-    """Return the fraction of the image that shows the sky, not the ground, in the middle of the exposure.
-
-    Returns: to about 1 %.
-    """
+    """Return the fraction of the image that shows the sky in the middle of the exposure, to about 1 %."""
     is_sky = scene.above_horizon(_rays(scene.camera) @ scene.shutter.C_camera_eq[1]) >= 0
     return round(float(is_sky.mean()), 4)
 
@@ -92,7 +85,7 @@ def sky_fraction(scene: Scene) -> float:
 def axis_transmission(scene: Scene) -> float:
     """Return the transmission of cloud on the optical axis in the middle of the exposure.
 
-    Returns: 1 without cloud, below the horizon, and for a sheet below the aircraft.
+    It is 1 without cloud, below the horizon, and for a sheet below the aircraft.
     """
     return float(_transmission(scene, np.array([[0.0, 0.0, 1.0]]))[0])
 
@@ -106,64 +99,37 @@ def _rays(camera: Camera) -> Float:
     return camera.unit_vectors(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
 
 
-def _is_active(values: Values) -> bool:
-    return bool(values["coverage"]) and bool(values["optical_depth"])
-
-
-def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
-    return {"cloud_transmission": frame_transmission(scene)}
+def _key(
+    name: str,
+    allowed: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    control: Control | None = None,
+) -> Key:
+    return Key(name, CLOUD_DEFAULTS[name], allowed, control, minimum, maximum, changes_light=True)
 
 
 CLOUD = Effect(
     name="cloud",
     section="cloud",
     keys=(
-        Key(
-            "coverage",
-            CLOUD_DEFAULTS["coverage"],
-            allowed="a fraction from 0 to 1; 0 is no cloud",
-            minimum=0.0,
-            maximum=1.0,
-            control=Control("Cloud cover", 0.0, 1.0, "%.2f"),
-        ),
-        Key(
-            "optical_depth",
-            CLOUD_DEFAULTS["optical_depth"],
-            allowed="a number from 0 to 5",
-            minimum=0.0,
-            maximum=5.0,
-            control=Control("Cloud optical depth", 0.0, 5.0, "%.2f"),
-        ),
-        Key(
-            "height_m",
-            CLOUD_DEFAULTS["height_m"],
-            allowed="a height from 0 to 20000 m",
-            minimum=0.0,
-            maximum=20000.0,
-            control=Control("Cloud height", 0.0, 12000.0, "%.0f m"),
-        ),
-        Key(
+        _key("coverage", "a fraction from 0 to 1; 0 is no cloud", 0.0, 1.0, Control("Cloud cover", 0.0, 1.0, "%.2f")),
+        _key("optical_depth", "a number from 0 to 5", 0.0, 5.0, Control("Cloud optical depth", 0.0, 5.0, "%.2f")),
+        _key("height_m", "a height from 0 to 20000 m", 0.0, 2e4, Control("Cloud height", 0.0, 12000.0, "%.0f m")),
+        _key(
             "scale_m",
-            CLOUD_DEFAULTS["scale_m"],
-            allowed="a size from 10 to 100000 m",
-            minimum=10.0,
-            maximum=100000.0,
-            control=Control("Cloud size", 100.0, 10000.0, "%.0f m", logarithmic=True),
+            "a size from 10 to 100000 m",
+            10.0,
+            1e5,
+            Control("Cloud size", 100.0, 10000.0, "%.0f m", logarithmic=True),
         ),
-        Key("edge", CLOUD_DEFAULTS["edge"], allowed="a width from 0.01 to 10", minimum=0.01, maximum=10.0),
-        Key(
-            "wind_m_s",
-            CLOUD_DEFAULTS["wind_m_s"],
-            allowed="a speed from 0 to 150 m/s",
-            minimum=0.0,
-            maximum=150.0,
-            control=Control("Wind in the cloud", 0.0, 60.0, "%.0f m/s"),
-        ),
-        Key("wind_from_deg", CLOUD_DEFAULTS["wind_from_deg"], allowed="an azimuth in degrees"),
-        Key("seed", CLOUD_DEFAULTS["seed"], allowed="a whole number, 0 or more", minimum=0),
+        _key("edge", "a width from 0.01 to 10", 0.01, 10.0),
+        _key("wind_m_s", "a speed from 0 to 150 m/s", 0.0, 150.0, Control("Wind in the cloud", 0.0, 60.0, "%.0f m/s")),
+        _key("wind_from_deg", "an azimuth in degrees"),
+        _key("seed", "a whole number, 0 or more", 0),
     ),
     stage=Stage.STARS,
-    truth=_truth,
-    is_active=_is_active,
+    truth=lambda _values, scene: {"cloud_transmission": frame_transmission(scene)},
+    is_active=lambda values: bool(values["coverage"] and values["optical_depth"]),
     glsl="",
 )

@@ -68,8 +68,7 @@ class Key:
     Attributes
     ----------
     name : str
-        With its unit as suffix, such as ``sky_mean_dn``.  A key that ends in ``_dn`` is scaled when a frame is written
-        with more bits than ``bit_depth``.
+        With its unit as suffix, such as ``sky_mean_dn``.
     default : float, int, bool or str
         Its type is the type of the key.
     allowed : str
@@ -86,6 +85,10 @@ class Key:
         Whether a number from `minimum` to `maximum` is allowed besides the choices.
     or_points : bool
         Whether a list of points is allowed besides a string; `Sensor.effects` has it as a string.
+    scales : bool
+        Whether its value is in DN, and scaled when a frame is written with more bits than ``bit_depth``.
+    changes_light : bool
+        Whether it changes the noiseless signal of stars, which the renderer then sums again.
     """
 
     name: str
@@ -98,6 +101,8 @@ class Key:
     choices: tuple[str, ...] = ()
     or_number: bool = False
     or_points: bool = False
+    scales: bool = False
+    changes_light: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,32 +146,19 @@ class ChargeTransfer:
     moved: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
-def quads_of(pixels: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return an image with the four pixels of each ``quad`` in a texel.
+def electron_model(scene: Scene) -> ElectronModel:
+    """Return the electron model of a scene's sensor, for effects with ``noise_model="electrons"``."""
+    model = scene.sensor.electrons
+    assert model is not None
+    return model
 
-    `pixels` (rows, columns) float32 or float64.  Returns (rows, columns / 4, 4) float32: with 0 beyond the last column.
-    """
+
+def quads_of(pixels: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return an image, (rows, columns), as (rows, columns / 4, 4): a ``quad`` a texel, 0 beyond the last column."""
     height, width = pixels.shape
     padded = np.zeros((height, -(-width // 4) * 4), np.float32)
     padded[:, :width] = pixels
     return padded.reshape(height, -1, 4)
-
-
-def _always(_values: Values) -> bool:
-    return True
-
-
-def _no_truth(_values: Values, _scene: Scene) -> Mapping[str, Any]:
-    return {}
-
-
-def no_uniforms(_values: Values, _scene: Scene) -> Mapping[str, UniformValue]:
-    """Return no uniforms: for effects whose keys decide their textures only."""
-    return {}
-
-
-def _no_options(_values: Values, _scene: Scene) -> Mapping[str, int]:
-    return {}
 
 
 def _numbers(values: Values, _scene: Scene) -> Mapping[str, UniformValue]:
@@ -220,11 +212,11 @@ class Effect:
     glsl: str
     uniforms: Callable[[Values, Scene], Mapping[str, UniformValue]] = _numbers
     textures: tuple[EffectTexture, ...] = ()
-    truth: Callable[[Values, Scene], Mapping[str, Any]] = _no_truth
-    is_active: Callable[[Values], bool] = _always
+    truth: Callable[[Values, Scene], Mapping[str, Any]] = lambda _values, _scene: {}
+    is_active: Callable[[Values], bool] = lambda _values: True
     noise_model: NoiseModel | None = None
     reads: tuple[Key, ...] = ()
-    options: Callable[[Values, Scene], Mapping[str, int]] = _no_options
+    options: Callable[[Values, Scene], Mapping[str, int]] = lambda _values, _scene: {}
     only_at: Callable[[Values, Scene], NDArray[np.int64] | None] | None = None
     transfer: Callable[[Values, Scene], ChargeTransfer] | None = None
 
@@ -243,6 +235,19 @@ class Effect:
         """
         return {key.name: self._value(key, sensor) for key in (*self.keys, *self.reads)}
 
+    def dotted(self, key: Key) -> str:
+        """Return the name of a key with its section, as `Sensor.effects` has it.
+
+        Parameters
+        ----------
+        key : Key
+
+        Returns
+        -------
+        str
+        """
+        return f"{self.section}.{key.name}"
+
     def _value(self, key: Key, sensor: Sensor) -> EffectValue:
         owner: Sensor | ElectronModel | None = None
         if self.section == "sensor" and key.name in _SENSOR_FIELDS:
@@ -250,6 +255,6 @@ class Effect:
         elif self.section == "sensor" and key.name in _ELECTRON_FIELDS:
             owner = sensor.electrons
         if owner is None:
-            return sensor.effects.get(f"{self.section}.{key.name}", key.default)
+            return sensor.effects.get(self.dotted(key), key.default)
         value: EffectValue = getattr(owner, key.name)
         return value

@@ -1,12 +1,7 @@
-"""Dark current, by temperature and exposure time.
+"""From electrons to digital numbers: dark current, full well, blooming, black level and quantisation.
 
-The full well: pixels hold no more electrons.
-
-Blooming: charge above the full well that spills into the neighbouring pixels of the column or row.
-
-The black level: what the converter adds so that noise below zero is not cut off.
-
-Saturation and rounding of the analogue-digital converter.
+Blooming is charge above the full well that spills into the neighbouring pixels of the column or row.  The converter
+adds the black level so that noise below zero is not cut off.
 """
 
 from collections.abc import Mapping
@@ -17,16 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.sensor.sensor import ElectronModel, Sensor
-from glstar.render.effects.effect import ChargeTransfer, Control, Effect, Key, Stage, UniformValue, Values, no_uniforms
+from glstar.render.effects.effect import ChargeTransfer, Control, Effect, Key, Stage, Values, electron_model
 from glstar.render.scene.scene import Scene
 
-_DEFAULT_ELECTRONS = ElectronModel()
+_MODEL = ElectronModel()
 
 
-def _dark_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    model = scene.sensor.electrons
-    assert model is not None
-    return {"dark_dn": model.dn_per_e * model.dark_e_per_s * scene.exposure.duration_s}
+def _dark_dn(scene: Scene) -> float:
+    model = electron_model(scene)
+    return model.dn_per_e * model.dark_e_per_s * scene.exposure.duration_s
 
 
 DARK_CURRENT = Effect(
@@ -35,29 +29,24 @@ DARK_CURRENT = Effect(
     keys=(
         Key(
             "dark_current_e_per_s",
-            default=_DEFAULT_ELECTRONS.dark_current_e_per_s,
-            allowed="a number of electrons per second, 0 or more",
+            _MODEL.dark_current_e_per_s,
+            "a number of electrons per second, 0 or more",
+            Control("Dark current", 0.0, 100.0, "%.2f e/s at 25 C", logarithmic=True),
             minimum=0.0,
-            control=Control("Dark current", 0.0, 100.0, "%.2f e/s at 25 C", logarithmic=True),
         ),
-        Key(
-            "dark_doubling_c",
-            default=_DEFAULT_ELECTRONS.dark_doubling_c,
-            allowed="a positive number of degrees Celsius",
-            above=0.0,
-        ),
+        Key("dark_doubling_c", _MODEL.dark_doubling_c, "a positive number of degrees Celsius", above=0.0),
         Key(
             "temperature_c",
-            default=_DEFAULT_ELECTRONS.temperature_c,
-            allowed="degrees Celsius, from -100 to 150",
+            _MODEL.temperature_c,
+            "degrees Celsius, from -100 to 150",
+            Control("Temperature", -20.0, 80.0, "%.1f C"),
             minimum=-100.0,
             maximum=150.0,
-            control=Control("Temperature", -20.0, 80.0, "%.1f C"),
         ),
     ),
     stage=Stage.DARK_CURRENT,
     noise_model="electrons",
-    uniforms=_dark_uniforms,
+    uniforms=lambda _values, scene: {"dark_dn": _dark_dn(scene)},
     glsl="""\
 uniform float dark_dn;
 
@@ -68,10 +57,9 @@ vec4 dark_current(vec4 signal_dn, uvec2 quad) {
 )
 
 
-def _full_well_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    model = scene.sensor.electrons
-    assert model is not None
-    return {"full_well_dn": model.dn_per_e * model.full_well_e}
+def _full_well_dn(scene: Scene) -> float:
+    model = electron_model(scene)
+    return model.dn_per_e * model.full_well_e
 
 
 FULL_WELL = Effect(
@@ -80,15 +68,15 @@ FULL_WELL = Effect(
     keys=(
         Key(
             "full_well_e",
-            default=ElectronModel().full_well_e,
-            allowed="a positive number of electrons",
+            _MODEL.full_well_e,
+            "a positive number of electrons",
+            Control("Full well", 100.0, 200_000.0, "%.0f e", logarithmic=True),
             above=0.0,
-            control=Control("Full well", 100.0, 200_000.0, "%.0f e", logarithmic=True),
         ),
     ),
     stage=Stage.FULL_WELL,
     noise_model="electrons",
-    uniforms=_full_well_uniforms,
+    uniforms=lambda _values, scene: {"full_well_dn": _full_well_dn(scene)},
     glsl="""\
 uniform float full_well_dn;
 
@@ -100,32 +88,22 @@ vec4 full_well(vec4 signal_dn, uvec2 quad) {
 
 
 _BLOOMING_CHOICES: Final = Key(
-    "blooming",
-    default="none",
-    allowed="one of none, columns, rows",
-    choices=("none", "columns", "rows"),
-    control=Control("Blooming"),
+    "blooming", "none", "one of none, columns, rows", Control("Blooming"), choices=("none", "columns", "rows")
 )
 _FRACTION: Final = Key(
-    "blooming_fraction",
-    default=1.0,
-    allowed="a number from 0 to 1",
-    minimum=0.0,
-    maximum=1.0,
-    control=Control("Blooming charge"),
+    "blooming_fraction", 1.0, "a number from 0 to 1", Control("Blooming charge"), minimum=0.0, maximum=1.0
 )
 
 Float = NDArray[np.float64]
 
 
 def bloomed(lines: Float, full_well: float, fraction: float = 1.0) -> Float:
-    """Return columns of pixels after blooming.
+    """Return lines of pixels after blooming, (lines, pixels), in the unit of `lines`.
 
-    `lines` (lines, pixels): charge of each pixel, in any unit; `full_well`: most charge of a pixel, in the same unit;
-    `fraction`: fraction of the excess that spills; an antiblooming drain takes the rest.  Returns (lines, pixels) at
-    most `full_well`; charge that reaches the end of a line leaves it.  Half of the excess moves towards each end of
-    the line, as in CHEOPSim (Futyan et al. 2020, A&A 635, A23), and fills pixel after pixel.  Where charge from both
-    sides meets, the room is divided evenly: the mean of the two results in which one or the other side comes first.
+    `fraction` of the charge above `full_well` spills; an antiblooming drain takes the rest.  Charge that reaches the
+    end of a line leaves it.  Half of the excess moves towards each end of the line, as in CHEOPSim (Futyan et al. 2020,
+    A&A 635, A23), and fills pixel after pixel.  Where charge from both sides meets, the free capacity is divided
+    evenly: the mean of the two results in which one or the other side comes first.
     """
     half = 0.5 * fraction * np.maximum(lines - full_well, 0.0)
     room = np.maximum(full_well - lines, 0.0)
@@ -153,9 +131,7 @@ def _received(excess: Float, room: Float) -> Float:
 
 
 def _transfer(values: Values, scene: Scene) -> ChargeTransfer:
-    model = scene.sensor.electrons
-    assert model is not None
-    full_well_dn = model.dn_per_e * model.full_well_e
+    full_well_dn = _full_well_dn(scene)
     along: Literal["columns", "rows"] = "rows" if values["blooming"] == "rows" else "columns"
     moved = partial(bloomed, full_well=full_well_dn, fraction=float(values["blooming_fraction"]))
     return ChargeTransfer(along, full_well_dn, moved)
@@ -171,7 +147,7 @@ BLOOMING: Final = Effect(
     keys=(_BLOOMING_CHOICES, _FRACTION),
     stage=Stage.FULL_WELL,
     noise_model="electrons",
-    uniforms=no_uniforms,
+    uniforms=lambda _values, _scene: {},
     truth=_blooming_truth,
     is_active=lambda values: values["blooming"] != "none" and float(values["blooming_fraction"]) > 0,
     transfer=_transfer,
@@ -183,27 +159,22 @@ vec4 blooming(vec4 signal_dn, uvec2 quad) {
 )
 
 
-def _black_level_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    model = scene.sensor.electrons
-    assert model is not None
-    return {"black_level_dn": model.black_level_dn}
-
-
 BLACK_LEVEL = Effect(
     name="black_level",
     section="sensor",
     keys=(
         Key(
             "black_level_dn",
-            default=ElectronModel().black_level_dn,
-            allowed="a number of DN, 0 or more",
+            _MODEL.black_level_dn,
+            "a number of DN, 0 or more",
+            Control("Black level", 0.0, 4096.0, "%.1f DN", logarithmic=True),
             minimum=0.0,
-            control=Control("Black level", 0.0, 4096.0, "%.1f DN", logarithmic=True),
+            scales=True,
         ),
     ),
     stage=Stage.QUANTISATION,
     noise_model="electrons",
-    uniforms=_black_level_uniforms,
+    uniforms=lambda _values, scene: {"black_level_dn": electron_model(scene).black_level_dn},
     glsl="""\
 uniform float black_level_dn;
 
@@ -214,25 +185,21 @@ vec4 black_level(vec4 signal_dn, uvec2 quad) {
 )
 
 
-def _saturation_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    return {"saturation_dn": float(scene.sensor.saturation_dn)}
-
-
 QUANTISATION = Effect(
     name="quantisation",
     section="sensor",
     keys=(
         Key(
             "bit_depth",
-            default=Sensor().bit_depth,
-            allowed="a whole number from 1 to 16",
+            Sensor().bit_depth,
+            "a whole number from 1 to 16",
+            Control("Bits", 1, 16),
             minimum=1,
             maximum=16,
-            control=Control("Bits", 1, 16),
         ),
     ),
     stage=Stage.QUANTISATION,
-    uniforms=_saturation_uniforms,
+    uniforms=lambda _values, scene: {"saturation_dn": float(scene.sensor.saturation_dn)},
     glsl="""\
 uniform float saturation_dn;
 

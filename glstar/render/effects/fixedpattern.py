@@ -1,7 +1,7 @@
 """The fixed pattern of a sensor, from a camera's seed or from measured maps."""
 
 from collections.abc import Hashable, Mapping
-from dataclasses import fields
+from dataclasses import asdict
 from functools import lru_cache
 from typing import Any, Final
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.sensor.pixelpattern import PixelPattern, read_map
-from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms, quads_of
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, electron_model, quads_of
 from glstar.render.scene.scene import Scene
 
 _DEFAULT: Final = PixelPattern()
@@ -18,63 +18,49 @@ _FRACTION: Final = "a number from 0 to 1"
 _DENSITY: Final = "a number per million pixels, 0 or more"
 
 _DARK_KEYS: Final = (
-    Key("camera_seed", default=_DEFAULT.camera_seed, allowed="a whole number, 0 or more", minimum=0),
+    Key("camera_seed", _DEFAULT.camera_seed, "a whole number, 0 or more", minimum=0),
     Key(
         "hot_pixels_per_mpx",
-        default=_DEFAULT.hot_pixels_per_mpx,
-        allowed=_DENSITY,
+        _DEFAULT.hot_pixels_per_mpx,
+        _DENSITY,
+        Control("Hot pixels", 0.0, 10_000.0, "%.0f /Mpx", logarithmic=True),
         minimum=0.0,
         maximum=100_000.0,
-        control=Control("Hot pixels", 0.0, 10_000.0, "%.0f /Mpx", logarithmic=True),
     ),
-    Key("stuck_fraction", default=_DEFAULT.stuck_fraction, allowed=_FRACTION, minimum=0.0, maximum=1.0),
+    Key("stuck_fraction", _DEFAULT.stuck_fraction, _FRACTION, minimum=0.0, maximum=1.0),
     Key(
-        "dsnu_fraction",
-        default=_DEFAULT.dsnu_fraction,
-        allowed=_FRACTION,
-        minimum=0.0,
-        maximum=1.0,
-        control=Control("DSNU", 0.0, 1.0, "%.3f"),
+        "dsnu_fraction", _DEFAULT.dsnu_fraction, _FRACTION, Control("DSNU", 0.0, 1.0, "%.3f"), minimum=0.0, maximum=1.0
     ),
-    Key("dark_frame", default=_DEFAULT.dark_frame, allowed=_PATH),
+    Key("dark_frame", _DEFAULT.dark_frame, _PATH),
 )
 _RESPONSE_KEYS: Final = (
     Key(
         "dead_pixels_per_mpx",
-        default=_DEFAULT.dead_pixels_per_mpx,
-        allowed=_DENSITY,
+        _DEFAULT.dead_pixels_per_mpx,
+        _DENSITY,
+        Control("Dead pixels", 0.0, 1000.0, "%.0f /Mpx", logarithmic=True),
         minimum=0.0,
         maximum=100_000.0,
-        control=Control("Dead pixels", 0.0, 1000.0, "%.0f /Mpx", logarithmic=True),
     ),
     Key(
-        "prnu_fraction",
-        default=_DEFAULT.prnu_fraction,
-        allowed=_FRACTION,
-        minimum=0.0,
-        maximum=1.0,
-        control=Control("PRNU", 0.0, 0.1, "%.4f"),
+        "prnu_fraction", _DEFAULT.prnu_fraction, _FRACTION, Control("PRNU", 0.0, 0.1, "%.4f"), minimum=0.0, maximum=1.0
     ),
-    Key("flat_field", default=_DEFAULT.flat_field, allowed=_PATH),
-    Key("defect_map", default=_DEFAULT.defect_map, allowed=_PATH),
+    Key("flat_field", _DEFAULT.flat_field, _PATH),
+    Key("defect_map", _DEFAULT.defect_map, _PATH),
 )
 
 
-def pattern_of(values: Mapping[str, Any]) -> PixelPattern:
-    """Return the fixed pattern of a sensor.
-
-    `values`: keys of ``[sensor]``, dotted or not; others are ignored, and missing ones have their defaults.
-    """
-    given = {key.removeprefix("sensor."): value for key, value in values.items()}
-    return PixelPattern(**{f.name: given[f.name] for f in fields(PixelPattern) if f.name in given})
+def _pattern(values: Values) -> PixelPattern:
+    """Return the fixed pattern of some of its keys, the others having their defaults."""
+    keys: dict[str, Any] = dict(values)
+    return PixelPattern(**keys)
 
 
 def _dark_dn(_values: Values, scene: Scene) -> NDArray[np.float32]:
-    model, pattern = scene.sensor.electrons, pattern_of(scene.sensor.effects)
-    assert model is not None
+    model = electron_model(scene)
+    pattern = PixelPattern.of(scene.sensor.effects)
     dark_e = model.dark_e_per_s * scene.exposure.duration_s
-    size = scene.camera.width_px, scene.camera.height_px
-    above_dn = model.dn_per_e * pattern.dark_e(*size, dark_e)
+    above_dn = model.dn_per_e * pattern.dark_e(scene.camera.width_px, scene.camera.height_px, dark_e)
     if pattern.dark_frame:
         measured_dn = read_map(pattern.dark_frame)
         above_dn = above_dn + (measured_dn - np.median(measured_dn))
@@ -82,11 +68,10 @@ def _dark_dn(_values: Values, scene: Scene) -> NDArray[np.float32]:
 
 
 def _dark_depends_on(_values: Values, scene: Scene) -> Hashable:
-    model = scene.sensor.electrons
-    assert model is not None
+    model = electron_model(scene)
     dark_e = model.dark_e_per_s * scene.exposure.duration_s
     size = scene.camera.width_px, scene.camera.height_px
-    return pattern_of(scene.sensor.effects), model.dn_per_e, dark_e, size
+    return PixelPattern.of(scene.sensor.effects), model.dn_per_e, dark_e, size
 
 
 @lru_cache(maxsize=2)
@@ -97,24 +82,23 @@ def _defects_px(pattern: PixelPattern, width_px: int, height_px: int) -> NDArray
 
 def _hot_px(_values: Values, scene: Scene) -> NDArray[np.int64] | None:
     """Return the pixels that differ in the dark; None if all do."""
-    pattern = pattern_of(scene.sensor.effects)
+    pattern = PixelPattern.of(scene.sensor.effects)
     if pattern.dsnu_fraction or pattern.dark_frame:
         return None
     return _defects_px(pattern, scene.camera.width_px, scene.camera.height_px)
 
 
 def _response(_values: Values, scene: Scene) -> NDArray[np.float32]:
-    pattern = pattern_of(scene.sensor.effects)
+    pattern = PixelPattern.of(scene.sensor.effects)
     return quads_of(pattern.response(scene.camera.width_px, scene.camera.height_px))
 
 
 def _response_depends_on(_values: Values, scene: Scene) -> Hashable:
-    return pattern_of(scene.sensor.effects), (scene.camera.width_px, scene.camera.height_px)
+    return PixelPattern.of(scene.sensor.effects), (scene.camera.width_px, scene.camera.height_px)
 
 
 def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
-    pattern = pattern_of(scene.sensor.effects)
-    return {"pixel_pattern": {field.name: getattr(pattern, field.name) for field in fields(pattern)}}
+    return {"pixel_pattern": asdict(PixelPattern.of(scene.sensor.effects))}
 
 
 DARK_PATTERN = Effect(
@@ -123,10 +107,10 @@ DARK_PATTERN = Effect(
     keys=_DARK_KEYS,
     stage=Stage.DARK_CURRENT,
     noise_model="electrons",
-    uniforms=no_uniforms,
+    uniforms=lambda _values, _scene: {},
     textures=(EffectTexture("dark_pattern_dn", _dark_dn, _dark_depends_on, per_quad=True),),
     truth=_truth,
-    is_active=lambda values: pattern_of(values).has_dark,
+    is_active=lambda values: _pattern(values).has_dark,
     only_at=_hot_px,
     glsl="""\
 uniform sampler2D dark_pattern_dn;
@@ -143,10 +127,10 @@ RESPONSE_PATTERN = Effect(
     keys=_RESPONSE_KEYS,
     stage=Stage.FIXED_PATTERN,
     noise_model="electrons",
-    uniforms=no_uniforms,
+    uniforms=lambda _values, _scene: {},
     textures=(EffectTexture("response_deviation", _response, _response_depends_on, per_quad=True),),
     truth=_truth,
-    is_active=lambda values: pattern_of(values).has_response,
+    is_active=lambda values: _pattern(values).has_response,
     glsl="""\
 uniform sampler2D response_deviation;
 

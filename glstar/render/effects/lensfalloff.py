@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.vignetting import VIGNETTINGS, Vignetting, image_grid
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.sky import UNIFORM_SKY, uniform_sky_dn
 from glstar.render.scene.scene import Scene
 
 _DEFAULT: Final = Vignetting()
@@ -21,27 +22,24 @@ _COEFFICIENT: Final = "a number from -10 to 10"
 _KEYS: Final = (
     Key(
         "vignetting",
-        default=_DEFAULT.vignetting,
-        allowed='"none", "cos4", "polynomial" or "flat"',
+        _DEFAULT.vignetting,
+        '"none", "cos4", "polynomial" or "flat"',
+        Control("Vignetting"),
         choices=VIGNETTINGS,
-        control=Control("Vignetting"),
     ),
     *(
-        Key(name, default=0.0, allowed=_COEFFICIENT, minimum=-10.0, maximum=10.0)
+        Key(name, 0.0, _COEFFICIENT, minimum=-10.0, maximum=10.0)
         for name in ("vignetting_r2", "vignetting_r4", "vignetting_r6")
     ),
-    Key("vignetting_file", default="", allowed="the path of a flat field: PNG, TIFF, FITS or NPY"),
+    Key("vignetting_file", "", "the path of a flat field: PNG, TIFF, FITS or NPY"),
 )
 
 
 def _sky_dn(scene: Scene) -> float:
-    """Return the level of the uniform sky, which has been added with that on the axis; 0 for a map of the sky."""
-    model = scene.sensor.electrons
-    return (
-        0.0
-        if model is None or scene.sensor.effects.get("sensor.sky_map")
-        else model.dn_per_e * model.sky_e_per_s * scene.exposure.duration_s
-    )
+    """Return the level of the uniform sky in front of the lens, which has been added with that on the axis; or 0."""
+    sensor = scene.sensor
+    is_added = sensor.noise == UNIFORM_SKY.noise_model and UNIFORM_SKY.is_active(UNIFORM_SKY.values(sensor))
+    return uniform_sky_dn(scene) if is_added else 0.0
 
 
 def _two_vectors(coefficients: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -52,7 +50,8 @@ def _two_vectors(coefficients: tuple[float, ...]) -> tuple[tuple[float, ...], tu
 
 def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     camera = scene.camera
-    fit, sky_dn = Vignetting.of(scene.sensor.effects).fit(camera), _sky_dn(scene)
+    fit = Vignetting.of(scene.sensor.effects).fit(camera)
+    sky_dn = _sky_dn(scene)
     sky = tuple(sky_dn * (of_sky - of_star) for of_star, of_sky in zip(fit.star, fit.sky, strict=True))
     star_low, star_high = _two_vectors(fit.star)
     sky_low, sky_high = _two_vectors(sky)
@@ -71,8 +70,9 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
 
 def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
     """Return how many terms the polynomials have, and whether their second derivatives matter within a fragment."""
-    camera, sensor = scene.camera, scene.sensor
-    fit, half_px = Vignetting.of(sensor.effects).fit(camera), 4 if sensor.bit_depth > 8 else 8
+    camera = scene.camera
+    fit = Vignetting.of(scene.sensor.effects).fit(camera)
+    half_px = 4 if scene.sensor.bit_depth > 8 else 8
     change = fit.curvature * (half_px / min(camera.fx_px, camera.fy_px)) ** 2 / 2
     return {"FALLOFF_TERMS": len(fit.star), "FALLOFF_CURVED": int(change > _TOLERANCE)}
 
@@ -82,9 +82,10 @@ def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
 
 
 def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
-    vignetting, xy = Vignetting.of(scene.sensor.effects), image_grid(scene.camera, *_TEXELS)
-    both = [vignetting.of_stars(scene.camera, xy), vignetting.of_sky(scene.camera, xy)]
-    return np.stack(both, axis=-1).astype(np.float32)
+    vignetting = Vignetting.of(scene.sensor.effects)
+    xy = image_grid(scene.camera, *_TEXELS)
+    star, sky = vignetting.of_stars(scene.camera, xy), vignetting.of_sky(scene.camera, xy)
+    return np.stack([star, sky], axis=-1).astype(np.float32)
 
 
 def _depends_on(_values: Values, scene: Scene) -> Hashable:

@@ -9,9 +9,16 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.effects.cloud import transmission_towards
-from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
-from glstar.render.effects.skylight import FINE_GRID, bodies_of, interpolates_by_quads, node_positions, node_rays
-from glstar.render.scene.clouds import cloud_sheet, horizontal_axes
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
+from glstar.render.effects.sky import (
+    FINE_GRID,
+    has_natural_sky,
+    interpolates_by_quads,
+    lighting_of,
+    node_positions,
+    node_rays,
+)
+from glstar.render.scene.clouds import horizontal_axes
 from glstar.render.scene.scene import Scene
 from glstar.sky.photometry import brightness_ratio
 
@@ -27,16 +34,17 @@ _GHOST_REACH: Final = 1.5
 # Width of the soft edge of a ghost, over its radius.
 _GHOST_EDGE: Final = 0.15
 # Half width at half maximum of a streak across its direction and along it, over the height of the image.
-_STREAK_ACROSS, _STREAK_ALONG = 0.012, 0.15
+_STREAK_ACROSS: Final = 0.012
+_STREAK_ALONG: Final = 0.15
 # Farther across than this, in standard deviations, it has less than 1e-14 of its light.
 _STREAK_REACH: Final = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Source:
-    """A source of flare: its direction in the camera frame, a unit vector, and its flux, DN."""
+    """A source of flare."""
 
-    direction: Float
+    direction: Float  # (3,) unit vector, camera frame
     flux_dn: float
 
 
@@ -45,10 +53,7 @@ def _is_active(values: Values) -> bool:
 
 
 def flare_dn(scene: Scene, xy_px: Float) -> Float:
-    """Return the flare at some pixels, in the middle of the exposure.
-
-    `xy_px` (..., 2).  Returns (...) DN a pixel above the sky; 0 without flare.
-    """
+    """Return the flare at pixels, (..., 2), in the middle of the exposure, (...) DN a pixel above the sky."""
     if not _is_active(FLARE.values(scene.sensor)):
         return np.zeros(xy_px.shape[:-1])
     return _flare_dn(scene, xy_px, scene.camera.unit_vectors(xy_px))
@@ -56,7 +61,8 @@ def flare_dn(scene: Scene, xy_px: Float) -> Float:
 
 def _flare_dn(scene: Scene, xy_px: Float, rays: Float) -> Float:
     """Return the flare at pixels and their directions, (...) DN."""
-    values, camera = FLARE.values(scene.sensor), scene.camera
+    values = FLARE.values(scene.sensor)
+    camera = scene.camera
     flare = np.zeros(xy_px.shape[:-1])
     # Projected solid angles: those of a pinhole's pixels, cos^3, times the cosine of their direction.
     pixel_sr = rays[..., 2] ** 4 / (camera.fx_px * camera.fy_px)
@@ -76,9 +82,9 @@ def _flare_dn(scene: Scene, xy_px: Float, rays: Float) -> Float:
 
 def _sources(values: Values, scene: Scene) -> list[_Source]:
     """Return the bodies above the horizon, and the lamp."""
-    found: list[_Source] = []
+    sources: list[_Source] = []
     mag_0_dn = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
-    bodies = bodies_of(scene, _SOURCES)
+    bodies = scene.observed_bodies(_SOURCES)
     directions_eq = np.array([body.direction_eq for body in bodies]).reshape(-1, 3)
     in_camera = scene.shutter[1:2].to_camera(directions_eq)[0]
     passed = transmission_towards(scene, directions_eq)
@@ -88,7 +94,7 @@ def _sources(values: Values, scene: Scene) -> list[_Source]:
         extinction = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
         mag = body.vmag + (0.0 if extinction is None else float(extinction))
         flux_dn = mag_0_dn * float(brightness_ratio(mag)) * float(passed[k])
-        found.append(_Source(in_camera[k] / np.linalg.norm(in_camera[k]), flux_dn))
+        sources.append(_Source(in_camera[k] / np.linalg.norm(in_camera[k]), flux_dn))
     lamp_mag = float(values["lamp_mag"])
     if lamp_mag < _NO_LAMP_MAG:
         azimuth, altitude = (np.deg2rad(float(values[f"lamp_{name}_deg"])) for name in ("azimuth", "altitude"))
@@ -96,8 +102,8 @@ def _sources(values: Values, scene: Scene) -> list[_Source]:
         east, north = horizontal_axes(zenith)
         level = np.sin(azimuth) * east + np.cos(azimuth) * north
         direction = scene.shutter.C_camera_eq[1] @ (np.cos(altitude) * level + np.sin(altitude) * zenith)
-        found.append(_Source(direction, mag_0_dn * float(brightness_ratio(lamp_mag))))
-    return found
+        sources.append(_Source(direction, mag_0_dn * float(brightness_ratio(lamp_mag))))
+    return sources
 
 
 def _scattered(values: Values, cosine: Float) -> Float:
@@ -114,7 +120,7 @@ def _source_px(camera: Camera, direction: Float) -> Float:
 
 def _ghosts(values: Values, camera: Camera, direction: Float, xy_px: Float) -> Float:
     """Return the light of the ghosts of a source, per pixel: soft discs on the line through source and axis."""
-    fraction, count = float(values["ghost_fraction"]), int(values["ghosts"])
+    fraction = float(values["ghost_fraction"])
     axis_px = np.array([camera.cx_px, camera.cy_px])
     offset_px = _source_px(camera, direction) - axis_px
     light = np.zeros(xy_px.shape[:-1])
@@ -122,7 +128,7 @@ def _ghosts(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
     if fraction == 0 or not np.linalg.norm(offset_px) < _GHOST_REACH * half_diagonal_px:
         return light
     chance = np.random.default_rng(int(values["ghost_seed"]))
-    for _ in range(count):
+    for _ in range(int(values["ghosts"])):
         place, size = chance.uniform(-1.2, 0.8), chance.uniform(0.3, 1.0)
         radius_px = size * float(values["ghost_size"]) * camera.height_px / 2
         x, y = axis_px + place * offset_px
@@ -137,7 +143,8 @@ def _ghosts(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
 
 def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> Float:
     """Return the light of the streak through a source, per pixel: Lorentzian along it, Gaussian across."""
-    fraction, angle = float(values["streak_fraction"]), np.deg2rad(float(values["streak_deg"]))
+    fraction = float(values["streak_fraction"])
+    angle = np.deg2rad(float(values["streak_deg"]))
     if fraction == 0:
         return np.zeros(xy_px.shape[:-1])
     x_px, y_px = _source_px(camera, direction)
@@ -153,12 +160,12 @@ def _streak(values: Values, camera: Camera, direction: Float, xy_px: Float) -> F
 
 
 def flare_at_nodes(scene: Scene, *, step: int = 1) -> Float:
-    """Return the flare at the nodes of `FINE_GRID`, in the middle of the exposure.
+    """Return the flare at every `step`-th node of `FINE_GRID`, (rows, columns) DN a pixel above the sky.
 
-    `step`: of every how many columns and rows.  Returns (rows, columns) DN a pixel above the sky.
+    It is that of the middle of the exposure.
     """
-    each = np.s_[::step, ::step]
-    return _flare_dn(scene, node_positions(scene.camera, FINE_GRID)[each], node_rays(scene.camera, FINE_GRID)[each])
+    positions_px, rays = node_positions(scene.camera, FINE_GRID), node_rays(scene.camera, FINE_GRID)
+    return _flare_dn(scene, positions_px[::step, ::step], rays[::step, ::step])
 
 
 def has_flare(scene: Scene) -> bool:
@@ -175,21 +182,14 @@ def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
 def _depends_on(values: Values, scene: Scene) -> Hashable:
     return (
         *values.items(),
-        cloud_sheet(scene.sensor, scene.motion),
-        scene.exposure.mid_utc_s,
-        scene.site,
-        scene.camera,
-        scene.shutter.C_camera_eq.tobytes(),
-        scene.extinction,
-        scene.sine_horizon,
-        scene.shutter.profile,
+        *lighting_of(scene),
         float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s)),
     )
 
 
 def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
     return {
-        "FLARE_WITH_SKY": int(scene.sensor.effects.get("sky.brightness") == "natural"),
+        "FLARE_WITH_SKY": int(has_natural_sky(scene.sensor)),
         "FLARE_BY_QUADS": int(interpolates_by_quads(scene.camera, FINE_GRID)),
     }
 
@@ -206,39 +206,39 @@ FLARE = Effect(
         Key(
             "scatter",
             0.0,
-            allowed="a fraction of the light from 0 to 0.5; 0 is none",
+            "a fraction of the light from 0 to 0.5; 0 is none",
+            Control("Scattered light", 0.0, 0.05, "%.4f"),
             minimum=0.0,
             maximum=0.5,
-            control=Control("Scattered light", 0.0, 0.05, "%.4f"),
         ),
-        Key("scatter_deg", 0.5, allowed="an angle from 0.01 to 45 deg", minimum=0.01, maximum=45.0),
-        Key("hood_deg", 90.0, allowed="an angle from 1 to 90 deg", minimum=1.0, maximum=90.0),
+        Key("scatter_deg", 0.5, "an angle from 0.01 to 45 deg", minimum=0.01, maximum=45.0),
+        Key("hood_deg", 90.0, "an angle from 1 to 90 deg", minimum=1.0, maximum=90.0),
         Key(
             "ghost_fraction",
             0.0,
-            allowed="a fraction of the light from 0 to 0.1; 0 is none",
+            "a fraction of the light from 0 to 0.1; 0 is none",
+            Control("Ghosts", 0.0, 0.002, "%.5f"),
             minimum=0.0,
             maximum=0.1,
-            control=Control("Ghosts", 0.0, 0.002, "%.5f"),
         ),
-        Key("ghosts", 4, allowed="a whole number from 1 to 20", minimum=1, maximum=20),
-        Key("ghost_size", 0.15, allowed="a part of the image's height from 0.01 to 2", minimum=0.01, maximum=2.0),
-        Key("ghost_seed", 0, allowed="a whole number, 0 or more", minimum=0),
+        Key("ghosts", 4, "a whole number from 1 to 20", minimum=1, maximum=20),
+        Key("ghost_size", 0.15, "a part of the image's height from 0.01 to 2", minimum=0.01, maximum=2.0),
+        Key("ghost_seed", 0, "a whole number, 0 or more", minimum=0),
         Key(
             "streak_fraction",
             0.0,
-            allowed="a fraction of the light from 0 to 0.1; 0 is none",
+            "a fraction of the light from 0 to 0.1; 0 is none",
+            Control("Streak", 0.0, 0.005, "%.5f"),
             minimum=0.0,
             maximum=0.1,
-            control=Control("Streak", 0.0, 0.005, "%.5f"),
         ),
-        Key("streak_deg", 0.0, allowed="an angle in degrees"),
-        Key("lamp_mag", _NO_LAMP_MAG, allowed="a magnitude from -30 to 30; 30 is no lamp", minimum=-30.0, maximum=30.0),
-        Key("lamp_azimuth_deg", 0.0, allowed="an azimuth in degrees"),
-        Key("lamp_altitude_deg", 0.0, allowed="an altitude from -90 to 90 deg", minimum=-90.0, maximum=90.0),
+        Key("streak_deg", 0.0, "an angle in degrees"),
+        Key("lamp_mag", _NO_LAMP_MAG, "a magnitude from -30 to 30; 30 is no lamp", minimum=-30.0, maximum=30.0),
+        Key("lamp_azimuth_deg", 0.0, "an azimuth in degrees"),
+        Key("lamp_altitude_deg", 0.0, "an altitude from -90 to 90 deg", minimum=-90.0, maximum=90.0),
     ),
     stage=Stage.SKY,
-    uniforms=no_uniforms,
+    uniforms=lambda _values, _scene: {},
     textures=(EffectTexture("flare_signal", _texels, _depends_on),),
     truth=_truth,
     is_active=_is_active,

@@ -11,34 +11,15 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.errors import RenderError
+from glstar.render.effects import sky as skylight
 from glstar.render.effects.cloud import crossing_at, is_below_cloud
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
 from glstar.render.effects.lensflare import FLARE, flare_at_nodes, has_flare
-from glstar.render.effects.skylight import (
-    FINE_GRID,
-    SMOOTH_GRID,
-    bodies_of,
-    interpolates_by_quads,
-    node_positions,
-    node_rays,
-    softened,
-    with_halfway_nodes,
-)
 from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.scene.scene import Scene
+from glstar.sky.air import skybrightness
 from glstar.sky.air.clouds import CloudLights, cloud_from_above, cloud_from_below
 from glstar.sky.air.extinction import Extinction, air_mass
-from glstar.sky.air.skybrightness import (
-    S10_MAG_ARCSEC2,
-    STARLIGHT_IN_DARK_SKY_S10,
-    ZODIACAL_IN_DARK_SKY_S10,
-    SkyLights,
-    SkyState,
-    SkyView,
-    beyond_the_air_s10,
-    diffuse_transmission,
-    sky_radiance,
-)
 from glstar.sky.observed.solarsystem import Body
 from glstar.sky.photometry import brightness_ratio, magnitude_difference
 
@@ -55,19 +36,15 @@ _AZIMUTHS: Final = 24
 # Town glow of no town.
 NO_TOWN_MAG: Final = 30.0
 _ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
-_DEFAULT: Final = SkyLights()
+_DEFAULT: Final = skybrightness.SkyLights()
 # The airglow is at least this fraction of the dark sky at the zenith.
 _LEAST_AIRGLOW: Final = 0.3
 # Magnitudes down to which the catalogues have all stars.
 _COMPLETE_MAG: Final = {"bsc5": 6.5, "hipparcos": 7.5, "gaia": 10.0, "tycho2": 11.0}
 
 
-def _is_active(values: Values) -> bool:
-    return values["brightness"] == "natural"
-
-
-def _lights(values: Values) -> SkyLights:
-    return SkyLights(
+def _lights(values: Values) -> skybrightness.SkyLights:
+    return skybrightness.SkyLights(
         zenith_mag_arcsec2=float(values["zenith_mag_arcsec2"]),
         moonlight=bool(values["moonlight"]),
         twilight=bool(values["twilight"]),
@@ -78,11 +55,10 @@ def _lights(values: Values) -> SkyLights:
 
 
 def sky_radiance_at(values: Values, scene: Scene, time: int, direction_eq: Float) -> Float:
-    """Return the brightness of the sky, without the ground, in some directions.
+    """Return the brightness of the sky without the ground, (...) flux per arcsec^2 over that of magnitude 0.
 
-    `values`: the effect's keys; `time`: 0, 1, 2: the start, the middle, the end of the exposure; `direction_eq` (...,
-    3): apparent unit vectors, true equator and equinox, with refraction.  Returns (...) flux per square arcsecond over
-    that of magnitude 0.
+    `values` are the effect's keys, and `time` is 0, 1 or 2 for the start, the middle or the end of the exposure.
+    `direction_eq` (..., 3) are apparent unit vectors, true equator and equinox, with refraction.
     """
     zenith = scene.shutter.zenith_eq[time]
     sun, moon = _sun_and_moon(scene)
@@ -90,32 +66,39 @@ def sky_radiance_at(values: Values, scene: Scene, time: int, direction_eq: Float
     # North is the pole's direction without its vertical part.
     north = np.array([0.0, 0.0, 1.0]) - zenith[2] * zenith
     east = np.cross(north, zenith)
-    view = SkyView(
+    view = skybrightness.SkyView(
         sine_altitude=sine,
         azimuth_rad=np.arctan2(direction_eq @ east, direction_eq @ north),
         moon_separation_rad=erfa.sepp(direction_eq, moon.direction_eq),
         sun_separation_rad=erfa.sepp(direction_eq, sun.direction_eq),
     )
-    lights, state = _lights(values), _state(scene)
+    lights = _lights(values)
+    state = _state(scene)
     if not values["zodiacal_light"] and not values["galaxy"]:
-        return sky_radiance(view, lights, state)
+        return skybrightness.sky_radiance(view, lights, state)
     zenith_mag = state.extinction.zenith_mag(state.height_m)
-    beyond = beyond_the_air_s10(
+    beyond = skybrightness.beyond_the_air_s10(
         direction_eq @ scene.stars.C_eq_icrs,
         sun.direction_eq @ scene.stars.C_eq_icrs,
         zodiacal=bool(values["zodiacal_light"]),
         galaxy=bool(values["galaxy"]),
         drawn_mag=_drawn_mag(scene),
     )
-    arriving = beyond * diffuse_transmission(zenith_mag, air_mass(sine)) * brightness_ratio(S10_MAG_ARCSEC2)
-    return sky_radiance(view, _without_space(values, lights, zenith_mag), state) + arriving
+    arriving = (
+        beyond
+        * skybrightness.diffuse_transmission(zenith_mag, air_mass(sine))
+        * brightness_ratio(skybrightness.S10_MAG_ARCSEC2)
+    )
+    return skybrightness.sky_radiance(view, _without_space(values, lights, zenith_mag), state) + arriving
 
 
-def _without_space(values: Values, lights: SkyLights, zenith_mag: float) -> SkyLights:
+def _without_space(values: Values, lights: skybrightness.SkyLights, zenith_mag: float) -> skybrightness.SkyLights:
     """Return the lights with the dark sky less its usual zodiacal light and starlight, which are drawn by direction."""
-    usual_s10 = ZODIACAL_IN_DARK_SKY_S10 if values["zodiacal_light"] else 0.0
-    usual_s10 += STARLIGHT_IN_DARK_SKY_S10 if values["galaxy"] else 0.0
-    usual = usual_s10 * float(diffuse_transmission(zenith_mag, 1.0) * brightness_ratio(S10_MAG_ARCSEC2))
+    usual_s10 = skybrightness.ZODIACAL_IN_DARK_SKY_S10 if values["zodiacal_light"] else 0.0
+    usual_s10 += skybrightness.STARLIGHT_IN_DARK_SKY_S10 if values["galaxy"] else 0.0
+    usual = usual_s10 * float(
+        skybrightness.diffuse_transmission(zenith_mag, 1.0) * brightness_ratio(skybrightness.S10_MAG_ARCSEC2)
+    )
     whole = float(brightness_ratio(lights.zenith_mag_arcsec2))
     return replace(lights, zenith_mag_arcsec2=float(magnitude_difference(max(whole - usual, _LEAST_AIRGLOW * whole))))
 
@@ -126,9 +109,9 @@ def _drawn_mag(scene: Scene) -> float:
     return min(faintest, _COMPLETE_MAG.get(scene.stars.catalogue, np.inf))
 
 
-def _state(scene: Scene) -> SkyState:
+def _state(scene: Scene) -> skybrightness.SkyState:
     sun, moon = _sun_and_moon(scene)
-    return SkyState(
+    return skybrightness.SkyState(
         extinction=scene.extinction or Extinction(),
         height_m=scene.site.height_m,
         sun_altitude_rad=sun.altitude_rad,
@@ -140,14 +123,14 @@ def _state(scene: Scene) -> SkyState:
 def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
     if scene.observing_sky is None:
         raise RenderError("the brightness of the sky needs a scene of a simulator, which knows where the Sun is")
-    sun, moon = bodies_of(scene, ("Sun", "Moon"))
+    sun, moon = scene.observed_bodies(("Sun", "Moon"))
     return sun, moon
 
 
 @lru_cache(maxsize=8)
 def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
     """Return the solid angles of pixels at the texture's nodes, (rows, columns)."""
-    centres = node_positions(camera, grid)
+    centres = skylight.node_positions(camera, grid)
 
     def unit(offset: tuple[float, float]) -> Float:
         return camera.unit_vectors(centres + np.array(offset))
@@ -160,28 +143,30 @@ def _solid_angle_arcsec2(camera: Camera, grid: tuple[int, int]) -> Float:
 def _grid(scene: Scene) -> tuple[int, int]:
     """Return the columns and rows of the texture."""
     is_fine = has_flare(scene) or cloud_sheet(scene.sensor, scene.motion) is not None
-    return FINE_GRID if is_fine else SMOOTH_GRID
+    return skylight.FINE_GRID if is_fine else skylight.SMOOTH_GRID
 
 
 def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     """Return sky and ground, DN a pixel, the sine of the altitude above the horizon, and flare, (rows, columns, 4)."""
     grid = _grid(scene)
-    rays = node_rays(scene.camera, grid)
+    rays = skylight.node_rays(scene.camera, grid)
     boresight = scene.shutter.boresight_eq
     still = boresight[0] @ boresight[2] > np.cos(_STILL_RAD)
     times = {1: 1.0} if still else dict(enumerate(_TIME_WEIGHTS))
-    radiance, ground = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2])
+    radiance = np.zeros(rays.shape[:2])
+    ground = np.zeros(rays.shape[:2])
     for time, weight in times.items():
         direction = rays @ scene.shutter.C_camera_eq[time]
         sky, below = _sky_and_ground(values, scene, time, direction)
-        radiance, ground = radiance + weight * sky, ground + weight * below
+        radiance += weight * sky
+        ground += weight * below
     if cloud_sheet(scene.sensor, scene.motion) is not None:
-        radiance, ground = softened(radiance), softened(ground)
+        radiance, ground = skylight.softened(radiance), skylight.softened(ground)
     flare = flare_at_nodes(scene) if has_flare(scene) else np.zeros_like(radiance)
     while scene.shutter.profile is not None and scene.camera.width_px > _RIDGE_PX * (grid[0] - 1):
-        radiance, ground, flare = (with_halfway_nodes(nodes) for nodes in (radiance, ground, flare))
+        radiance, ground, flare = (skylight.with_halfway_nodes(nodes) for nodes in (radiance, ground, flare))
         grid = 2 * grid[0] - 1, 2 * grid[1] - 1
-    sine = scene.above_horizon(node_rays(scene.camera, grid) @ scene.shutter.C_camera_eq[1])
+    sine = scene.above_horizon(skylight.node_rays(scene.camera, grid) @ scene.shutter.C_camera_eq[1])
     dn_of_mag_0 = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
     per_pixel = dn_of_mag_0 * _solid_angle_arcsec2(scene.camera, grid)
     return np.stack([per_pixel * radiance, per_pixel * ground, sine, flare], axis=-1).astype(np.float32)
@@ -190,7 +175,8 @@ def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
 def _row_texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     """Return sky and flare at the first columns of spans of pixels and of the next spans, DN, (rows, spans, 4)."""
     texels = _texels(values, scene)
-    span_px, width_px = _span_px(scene), scene.camera.width_px
+    span_px = _span_px(scene)
+    width_px = scene.camera.width_px
     first_px = np.arange(0.0, width_px, span_px)
     last_px = np.minimum(first_px + span_px, width_px - 0.5)
     ends = []
@@ -213,17 +199,17 @@ def _sky_and_ground(values: Values, scene: Scene, time: int, direction_eq: Float
     ground = _ground_radiance(values, scene, time)
     crossing = crossing_at(scene, time, direction_eq)
     # The sky itself is smooth: every second node suffices.
-    is_fine = direction_eq.shape[:2] == FINE_GRID[::-1]
+    is_fine = direction_eq.shape[:2] == skylight.FINE_GRID[::-1]
     coarse = direction_eq[::2, ::2] if is_fine else direction_eq
     if crossing is None:
         sky = sky_radiance_at(values, scene, time, coarse)
-        return with_halfway_nodes(sky) if is_fine else sky, np.full(direction_eq.shape[:-1], ground)
+        return skylight.with_halfway_nodes(sky) if is_fine else sky, np.full(direction_eq.shape[:-1], ground)
     without_towns = {**values, "town_mag_arcsec2": NO_TOWN_MAG}
     sky = sky_radiance_at(without_towns, scene, time, coarse)
     has_towns = float(values["town_mag_arcsec2"]) < NO_TOWN_MAG
     town = sky_radiance_at(values, scene, time, coarse) - sky if has_towns else np.zeros_like(sky)
     if is_fine:
-        sky, town = with_halfway_nodes(sky), with_halfway_nodes(town)
+        sky, town = skylight.with_halfway_nodes(sky), skylight.with_halfway_nodes(town)
     lights = _cloud_lights(without_towns, scene, time)
     if not is_below_cloud(scene):
         return sky + town, cloud_from_above(crossing, ground, lights)
@@ -261,19 +247,18 @@ def _ring(zenith: Float, sine: float) -> Float:
 def _radiance_on_axis(values: Values, scene: Scene) -> float:
     """Return the brightness of the sky, or of the ground, on the optical axis in the middle of the exposure."""
     boresight = scene.shutter.boresight_eq[1]
-    if scene.above_horizon(boresight) < 0:
-        return float(_sky_and_ground(values, scene, 1, boresight[np.newaxis])[1][0])
-    return float(_sky_and_ground(values, scene, 1, boresight[np.newaxis])[0][0])
+    sky, ground = _sky_and_ground(values, scene, 1, boresight[np.newaxis])
+    return float((ground if scene.above_horizon(boresight) < 0 else sky)[0])
 
 
 def natural_sky_dn(scene: Scene) -> float:
-    """Return the signal of the natural sky in a pixel on the optical axis.
+    """Return the signal of the natural sky in a pixel on the optical axis, in the middle of the exposure, DN.
 
-    Returns: DN in the middle of the exposure; 0 without ``[sky] brightness = "natural"``.
+    It is 0 without ``[sky] brightness = "natural"``.
     """
-    values = NATURAL_SKY.values(scene.sensor)
-    if not _is_active(values):
+    if not skylight.has_natural_sky(scene.sensor):
         return 0.0
+    values = NATURAL_SKY.values(scene.sensor)
     solid_angle_arcsec2 = _ARCSEC2_PER_SR / (scene.camera.fx_px * scene.camera.fy_px)
     mag_0_dn = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
     return mag_0_dn * solid_angle_arcsec2 * _radiance_on_axis(values, scene)
@@ -282,15 +267,8 @@ def natural_sky_dn(scene: Scene) -> float:
 def _depends_on(values: Values, scene: Scene) -> Hashable:
     return (
         *values.items(),
-        cloud_sheet(scene.sensor, scene.motion),
-        scene.exposure.mid_utc_s,
+        *skylight.lighting_of(scene),
         scene.exposure.duration_s,
-        scene.site,
-        scene.camera,
-        scene.shutter.C_camera_eq.tobytes(),
-        scene.extinction,
-        scene.sine_horizon,
-        scene.shutter.profile,
         _drawn_mag(scene) if values["galaxy"] else None,
         float(scene.sensor.flux_of_magnitude_dn(0.0, 1.0)),
         tuple(FLARE.values(scene.sensor).items()),
@@ -298,18 +276,27 @@ def _depends_on(values: Values, scene: Scene) -> Hashable:
 
 
 def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
-    by_quads = _grid(scene) == FINE_GRID and interpolates_by_quads(scene.camera, FINE_GRID)
+    by_quads = _grid(scene) == skylight.FINE_GRID and skylight.interpolates_by_quads(scene.camera, skylight.FINE_GRID)
     return {"SKY_BY_QUADS": int(by_quads), "SKY_SPAN_PX": _span_px(scene)}
 
 
 def _span_px(scene: Scene) -> int:
     """Return the width of the spans of pixels between two values of the texture of rows, or 0 with ground in view."""
-    if _grid(scene) != FINE_GRID or scene.shutter.profile is not None:
+    if _grid(scene) != skylight.FINE_GRID or scene.shutter.profile is not None:
         return 0
-    lowest = (node_rays(scene.camera, FINE_GRID) @ (scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1])).min()
+    lowest = (
+        skylight.node_rays(scene.camera, skylight.FINE_GRID)
+        @ (scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1])
+    ).min()
     if lowest <= scene.sine_horizon:
         return 0
-    return 4 if interpolates_by_quads(scene.camera, FINE_GRID) else 16 if scene.sensor.bit_depth <= 8 else 8
+    return (
+        4
+        if skylight.interpolates_by_quads(scene.camera, skylight.FINE_GRID)
+        else 16
+        if scene.sensor.bit_depth <= 8
+        else 8
+    )
 
 
 def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
@@ -328,43 +315,32 @@ NATURAL_SKY = Effect(
     name="natural_sky",
     section="sky",
     keys=(
-        Key(
-            "brightness",
-            default="flat",
-            allowed='"flat" or "natural"',
-            choices=("flat", "natural"),
-            control=Control("Sky brightness"),
-        ),
+        skylight.SKY_BRIGHTNESS,
         Key(
             "zenith_mag_arcsec2",
-            default=_DEFAULT.zenith_mag_arcsec2,
-            allowed="a magnitude per square arcsecond from 0 to 30",
+            _DEFAULT.zenith_mag_arcsec2,
+            "a magnitude per square arcsecond from 0 to 30",
+            Control("Dark sky", 16.0, 23.0, "V %.2f"),
             minimum=0.0,
             maximum=30.0,
-            control=Control("Dark sky", 16.0, 23.0, "V %.2f"),
         ),
-        Key("moonlight", default=True, allowed="true or false", control=Control("Moonlight")),
-        Key("twilight", default=True, allowed="true or false", control=Control("Twilight")),
-        Key("zodiacal_light", default=False, allowed="true or false", control=Control("Zodiacal light")),
-        Key("galaxy", default=False, allowed="true or false", control=Control("Galaxy")),
+        Key("moonlight", True, "true or false", Control("Moonlight")),
+        Key("twilight", True, "true or false", Control("Twilight")),
+        Key("zodiacal_light", False, "true or false", Control("Zodiacal light")),
+        Key("galaxy", False, "true or false", Control("Galaxy")),
         Key(
             "town_mag_arcsec2",
-            default=_DEFAULT.town_mag_arcsec2,
-            allowed="a magnitude per square arcsecond from 0 to 30; 30 is no town",
+            _DEFAULT.town_mag_arcsec2,
+            "a magnitude per square arcsecond from 0 to 30; 30 is no town",
+            Control("Town glow", 16.0, 30.0, "V %.2f"),
             minimum=0.0,
             maximum=30.0,
-            control=Control("Town glow", 16.0, 30.0, "V %.2f"),
         ),
-        Key(
-            "town_azimuth_deg",
-            default=-1.0,
-            allowed="an azimuth in degrees up to 360; negative for towns all around",
-            maximum=360.0,
-        ),
+        Key("town_azimuth_deg", -1.0, "an azimuth in degrees up to 360; negative for towns all around", maximum=360.0),
         Key(
             "ground_fraction",
-            default=_DEFAULT.ground_fraction,
-            allowed="a number, 0 or more: the ground's brightness over that of the sky at the horizon",
+            _DEFAULT.ground_fraction,
+            "a number, 0 or more: the ground's brightness over that of the sky at the horizon",
             minimum=0.0,
         ),
     ),
@@ -374,7 +350,7 @@ NATURAL_SKY = Effect(
         EffectTexture("sky_of_spans", _row_texels, _depends_on),
     ),
     truth=_truth,
-    is_active=_is_active,
+    is_active=lambda values: values["brightness"] == "natural",
     options=_options,
     glsl="""\
 #if SKY_SPAN_PX

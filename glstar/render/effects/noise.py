@@ -1,16 +1,11 @@
-"""Gaussian noise of sky and sensor together.
-
-Shot noise and read noise of the electron model.
-
-Noise that all pixels of a row share, and the drift of the black level from frame to frame.
-"""
+"""Noise: Gaussian in the paper's model; shot noise, read noise, row noise and black drift in that of electrons."""
 
 from collections.abc import Mapping
 from math import sqrt
 from typing import Any, Final
 
 from glstar.camera.sensor.sensor import ElectronModel, Sensor
-from glstar.render.effects.effect import Control, Effect, Key, Stage, UniformValue, Values
+from glstar.render.effects.effect import Control, Effect, Key, Stage, UniformValue, Values, electron_model
 from glstar.render.scene.scene import Scene
 
 NOISE = Effect(
@@ -19,10 +14,11 @@ NOISE = Effect(
     keys=(
         Key(
             "sky_std_dn",
-            default=Sensor().sky_std_dn,
-            allowed="a number of DN, 0 or more",
+            Sensor().sky_std_dn,
+            "a number of DN, 0 or more",
+            Control("Noise", 0.0, 1024.0, "%.2f DN", logarithmic=True),
             minimum=0.0,
-            control=Control("Noise", 0.0, 1024.0, "%.2f DN", logarithmic=True),
+            scales=True,
         ),
     ),
     stage=Stage.NOISE,
@@ -38,14 +34,13 @@ vec4 noise(vec4 signal_dn, uvec2 quad) {
 )
 
 
-_DEFAULT_ELECTRONS = ElectronModel()
+_MODEL = ElectronModel()
 # Skewness up to which a shorter formula has the third moment of the noise to 5e-4.
 _LITTLE_SKEWNESS: Final = 0.3
 
 
 def _shot_noise_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    model = scene.sensor.electrons
-    assert model is not None
+    model = electron_model(scene)
     return {
         "shot_dn_per_e": model.dn_per_e,
         "shot_read_variance_dn2": (model.dn_per_e * model.read_noise_e) ** 2 + 1e-9,
@@ -54,14 +49,11 @@ def _shot_noise_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformV
 
 def _shot_noise_options(_values: Values, scene: Scene) -> Mapping[str, int]:
     """Return whether pixels of some signal are skewed: m / (m + r^2)^1.5 is largest where m is 2 r^2, in electrons."""
-    model = scene.sensor.electrons
-    assert model is not None
-    return {"SHOT_SKEWED": int(2 / sqrt(27) > _LITTLE_SKEWNESS * model.read_noise_e)}
+    return {"SHOT_SKEWED": int(2 / sqrt(27) > _LITTLE_SKEWNESS * electron_model(scene).read_noise_e)}
 
 
 def _electron_model_truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
-    model, duration_s = scene.sensor.electrons, scene.exposure.duration_s
-    assert model is not None
+    model = electron_model(scene)
     return {
         "sensor": {
             "noise": "electrons",
@@ -71,8 +63,8 @@ def _electron_model_truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
             "read_noise_e": model.read_noise_e,
             "full_well_e": model.full_well_e,
             "temperature_c": model.temperature_c,
-            "sky_e": model.sky_e_per_s * duration_s,
-            "dark_e": model.dark_e_per_s * duration_s,
+            "sky_e": model.sky_e_per_s * scene.exposure.duration_s,
+            "dark_e": model.dark_e_per_s * scene.exposure.duration_s,
         }
     }
 
@@ -83,31 +75,31 @@ SHOT_NOISE = Effect(
     keys=(
         Key(
             "read_noise_before_gain_e",
-            default=_DEFAULT_ELECTRONS.read_noise_before_gain_e,
-            allowed="a number of electrons, 0 or more",
+            _MODEL.read_noise_before_gain_e,
+            "a number of electrons, 0 or more",
+            Control("Read noise", 0.0, 50.0, "%.2f e", logarithmic=True),
             minimum=0.0,
-            control=Control("Read noise", 0.0, 50.0, "%.2f e", logarithmic=True),
         ),
         Key(
             "read_noise_after_gain_e",
-            default=_DEFAULT_ELECTRONS.read_noise_after_gain_e,
-            allowed="a number of electrons, 0 or more",
+            _MODEL.read_noise_after_gain_e,
+            "a number of electrons, 0 or more",
+            Control("Read noise after gain", 0.0, 50.0, "%.2f e", logarithmic=True),
             minimum=0.0,
-            control=Control("Read noise after gain", 0.0, 50.0, "%.2f e", logarithmic=True),
         ),
         Key(
             "gain_dn_per_e",
-            default=_DEFAULT_ELECTRONS.gain_dn_per_e,
-            allowed="a positive number of DN per electron",
+            _MODEL.gain_dn_per_e,
+            "a positive number of DN per electron",
+            Control("Conversion", 0.001, 100.0, "%.4f DN/e", logarithmic=True),
             above=0.0,
-            control=Control("Conversion", 0.001, 100.0, "%.4f DN/e", logarithmic=True),
         ),
         Key(
             "analogue_gain",
-            default=_DEFAULT_ELECTRONS.analogue_gain,
-            allowed="a positive factor",
+            _MODEL.analogue_gain,
+            "a positive factor",
+            Control("Analogue gain", 1.0, 64.0, "x %.2f", logarithmic=True),
             above=0.0,
-            control=Control("Analogue gain", 1.0, 64.0, "x %.2f", logarithmic=True),
         ),
     ),
     stage=Stage.NOISE,
@@ -141,10 +133,8 @@ vec4 shot_noise(vec4 signal_dn, uvec2 quad) {
 
 
 def _row_noise_uniforms(values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    model = scene.sensor.electrons
-    assert model is not None
     return {
-        "row_noise_dn": model.dn_per_e * float(values["row_noise_e"]),
+        "row_noise_dn": electron_model(scene).dn_per_e * float(values["row_noise_e"]),
         "black_drift_dn": float(values["black_drift_dn"]),
     }
 
@@ -155,17 +145,18 @@ ROW_NOISE = Effect(
     keys=(
         Key(
             "row_noise_e",
-            default=0.0,
-            allowed="a number of electrons, 0 or more",
+            0.0,
+            "a number of electrons, 0 or more",
+            Control("Row noise", 0.0, 10.0, "%.2f e", logarithmic=True),
             minimum=0.0,
-            control=Control("Row noise", 0.0, 10.0, "%.2f e", logarithmic=True),
         ),
         Key(
             "black_drift_dn",
-            default=0.0,
-            allowed="a number of DN, 0 or more",
+            0.0,
+            "a number of DN, 0 or more",
+            Control("Black drift", 0.0, 16.0, "%.2f DN", logarithmic=True),
             minimum=0.0,
-            control=Control("Black drift", 0.0, 16.0, "%.2f DN", logarithmic=True),
+            scales=True,
         ),
     ),
     stage=Stage.NOISE,

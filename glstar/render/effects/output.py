@@ -11,11 +11,11 @@ from glstar.render.scene.scene import Scene
 
 
 def _fraction(name: str, default: float, maximum: float = 1.0) -> Key:
-    return Key(name, default, allowed=f"a number from 0 to {maximum:g}", minimum=0.0, maximum=maximum)
+    return Key(name, default, f"a number from 0 to {maximum:g}", minimum=0.0, maximum=maximum)
 
 
 def _choice(name: str, *choices: str) -> Key:
-    return Key(name, choices[0], allowed=f"one of {', '.join(choices)}", choices=choices)
+    return Key(name, choices[0], f"one of {', '.join(choices)}", choices=choices)
 
 
 def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
@@ -32,28 +32,28 @@ CAMERA_PROCESSING = Effect(
     section="output",
     keys=(
         _choice("process", "raw", "isp"),
-        Key("subtract_black", default=True, allowed="true or false"),
-        Key("defect_correction", default=False, allowed="true or false"),
-        Key("defect_ratio", 1.5, allowed="a number from 1 to 100", minimum=1.0, maximum=100.0),
+        Key("subtract_black", True, "true or false"),
+        Key("defect_correction", False, "true or false"),
+        Key("defect_ratio", 1.5, "a number from 1 to 100", minimum=1.0, maximum=100.0),
         _fraction("defect_threshold", 0.01),
         _choice("demosaic", "none", "bilinear", "edges"),
-        Key("red_gain", 3.2, allowed="a number from 0.1 to 20", minimum=0.1, maximum=20.0),
-        Key("blue_gain", 1.4, allowed="a number from 0.1 to 20", minimum=0.1, maximum=20.0),
+        Key("red_gain", 3.2, "a number from 0.1 to 20", minimum=0.1, maximum=20.0),
+        Key("blue_gain", 1.4, "a number from 0.1 to 20", minimum=0.1, maximum=20.0),
         _choice("colour_matrix", "none", "rpi"),
         _fraction("denoise", 0.0),
         Key(
             "gamma",
             "linear",
-            allowed='"linear", "srgb", "rpi", or a number from 0.1 to 10',
+            '"linear", "srgb", "rpi", or a number from 0.1 to 10',
             minimum=0.1,
             maximum=10.0,
             choices=GAMMAS,
             or_number=True,
         ),
-        Key("tone_curve", "", allowed="a list of [input, output] from 0 to 1, or a CSV or JSON file", or_points=True),
+        Key("tone_curve", "", "a list of [input, output] from 0 to 1, or a CSV or JSON file", or_points=True),
         _choice("channel", "rgb", "luma", "max", "green"),
         _choice("align", "low", "high"),
-        Key("jpeg_quality", 93, allowed="a whole number from 1 to 100", minimum=1, maximum=100),
+        Key("jpeg_quality", 93, "a whole number from 1 to 100", minimum=1, maximum=100),
     ),
     stage=Stage.PROCESSING,
     glsl="",

@@ -1,30 +1,43 @@
-"""The background level of the sky.
+"""The background of the sky: one level in DN, one in electrons, or a measured map of its brightness over the image.
 
-The uniform sky of the electron model.
-
-A measured map of the sky's brightness over the image: gradients, vignetting and glow in place of one level.
+A map has gradients, vignetting and glow in place of one level.  The light of a sky whose brightness depends on
+direction, and that of the lens, is computed at nodes over the image, and is linear between them.
 """
 
 from collections.abc import Hashable, Mapping
-from typing import Any
+from functools import lru_cache
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.model import Camera
 from glstar.camera.sensor.pixelpattern import read_map, resampled
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import ConfigError
-from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values, quads_of
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, quads_of
+from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.scene.scene import Scene
 
-SKY_MAP_KEY = Key("sky_map", default="", allowed="the path of an image: PNG, TIFF, FITS or NPY")
+Float = NDArray[np.float64]
+
+SKY_MAP_KEY = Key("sky_map", "", "the path of an image: PNG, TIFF, FITS or NPY")
+SKY_BRIGHTNESS: Final = Key(
+    "brightness", "flat", '"flat" or "natural"', Control("Sky brightness"), choices=("flat", "natural")
+)
+# Columns and rows for the smooth sky: at most 1.5 % off beyond 3 deg of the Moon.
+SMOOTH_GRID: Final = (97, 73)
+# For edges of cloud and for flare: every second node is one of the smooth sky.
+FINE_GRID: Final = (193, 145)
+# Pixels of a fragment of the develop pass, at most: develop.frag.
+_SPAN_PX: Final = 16.0
 
 
 def relative_sky(file: str) -> NDArray[np.float32]:
-    """Return the brightness of the sky over its mean.
+    """Return the brightness of the sky over its mean, (rows, columns) float32, row 0 the top.
 
-    `file`: a map of any size that covers the image.  Returns (rows, columns) float32: of mean 1; row 0 is the top.
-    Raises ConfigError if it cannot be read, or is not brighter than 0 on the mean.
+    `file`: a map of any size that covers the image.  Raises ConfigError if it cannot be read, is negative anywhere, or
+    is 0 everywhere.
     """
     try:
         level = read_map(file).astype(np.float64)
@@ -39,11 +52,10 @@ def relative_sky(file: str) -> NDArray[np.float32]:
     return np.asarray(level / level.mean(), dtype=np.float32)
 
 
-def _mean_of_map(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    sensor = scene.sensor
-    if sensor.electrons is None:
-        return {"sky_map_dn": sensor.sky_mean_dn}
-    return {"sky_map_dn": sensor.electrons.dn_per_e * sensor.electrons.sky_e_per_s * scene.exposure.duration_s}
+def uniform_sky_dn(scene: Scene) -> float:
+    """Return the mean signal of the sky of a scene in a pixel on the optical axis, in both noise models."""
+    model = scene.sensor.electrons
+    return scene.sensor.sky_mean_dn if model is None else model.dn_per_e * model.sky_e_per_s * scene.exposure.duration_s
 
 
 def _map_texels(values: Values, scene: Scene) -> NDArray[np.float32]:
@@ -65,7 +77,7 @@ SKY_MAP = Effect(
     section="sensor",
     keys=(SKY_MAP_KEY,),
     stage=Stage.SKY,
-    uniforms=_mean_of_map,
+    uniforms=lambda _values, scene: {"sky_map_dn": uniform_sky_dn(scene)},
     textures=(EffectTexture("relative_sky", _map_texels, _map_depends_on),),
     truth=_map_truth,
     is_active=lambda values: bool(values["sky_map"]),
@@ -86,10 +98,11 @@ SKY_LEVEL = Effect(
     keys=(
         Key(
             "sky_mean_dn",
-            default=Sensor().sky_mean_dn,
-            allowed="a number of DN, 0 or more",
+            Sensor().sky_mean_dn,
+            "a number of DN, 0 or more",
+            Control("Sky", 0.0, 4096.0, "%.1f DN", logarithmic=True),
             minimum=0.0,
-            control=Control("Sky", 0.0, 4096.0, "%.1f DN", logarithmic=True),
+            scales=True,
         ),
     ),
     stage=Stage.SKY,
@@ -107,12 +120,6 @@ vec4 sky_level(vec4 signal_dn, uvec2 quad) {
 )
 
 
-def _uniform_sky_level(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
-    model = scene.sensor.electrons
-    assert model is not None
-    return {"uniform_sky_dn": model.dn_per_e * model.sky_e_per_s * scene.exposure.duration_s}
-
-
 # Its key, sensor.sky_e_per_s, may be left out of a config and has no default of its own: see SensorSection.
 UNIFORM_SKY = Effect(
     name="uniform_sky",
@@ -120,7 +127,7 @@ UNIFORM_SKY = Effect(
     keys=(),
     stage=Stage.SKY_RADIANCE,
     noise_model="electrons",
-    uniforms=_uniform_sky_level,
+    uniforms=lambda _values, scene: {"uniform_sky_dn": uniform_sky_dn(scene)},
     reads=(SKY_MAP_KEY,),
     is_active=lambda values: not values["sky_map"],
     glsl="""\
@@ -131,3 +138,64 @@ vec4 uniform_sky(vec4 signal_dn, uvec2 quad) {
 }
 """,
 )
+
+
+def has_natural_sky(sensor: Sensor) -> bool:
+    """Return whether the brightness of a sensor's sky depends on direction."""
+    return sensor.effects.get("sky.brightness", SKY_BRIGHTNESS.default) == "natural"
+
+
+def lighting_of(scene: Scene) -> tuple[Hashable, ...]:
+    """Return what the light of the sky and of the lens of a scene depends on, besides the keys of effects."""
+    return (
+        cloud_sheet(scene.sensor, scene.motion),
+        scene.exposure.mid_utc_s,
+        scene.site,
+        scene.camera,
+        scene.shutter.C_camera_eq.tobytes(),
+        scene.extinction,
+        scene.sine_horizon,
+        scene.shutter.profile,
+    )
+
+
+def interpolates_by_quads(camera: Camera, grid: tuple[int, int]) -> bool:
+    """Return whether nodes are closer to each other than the pixels of a fragment: each quad then reads its own."""
+    return camera.width_px / (grid[0] - 1) < _SPAN_PX
+
+
+@lru_cache(maxsize=8)
+def node_positions(camera: Camera, grid: tuple[int, int]) -> Float:
+    """Return the positions of columns and rows of nodes from edge to edge of the image, (rows, columns, 2) px."""
+    columns, rows = grid
+    x = np.linspace(-0.5, camera.width_px - 0.5, columns)
+    y = np.linspace(-0.5, camera.height_px - 0.5, rows)
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+@lru_cache(maxsize=8)
+def node_rays(camera: Camera, grid: tuple[int, int]) -> Float:
+    """Return the directions of columns and rows of nodes, (rows, columns, 3) unit vectors in the camera frame."""
+    return camera.unit_vectors(node_positions(camera, grid))
+
+
+def with_halfway_nodes(nodes: Float) -> Float:
+    """Return values at nodes, (r, c), and their means halfway between them, (2 r - 1, 2 c - 1)."""
+    for axis in (0, 1):
+        nodes = np.moveaxis(nodes, axis, 0)
+        finer = np.empty((2 * len(nodes) - 1, *nodes.shape[1:]))
+        finer[::2], finer[1::2] = nodes, (nodes[1:] + nodes[:-1]) / 2
+        nodes = np.moveaxis(finer, 0, axis)
+    return nodes
+
+
+def softened(nodes: Float) -> Float:
+    """Return values at nodes, (r, c), blurred so that edges do not show the grid, (r, c).
+
+    Each is the mean with its neighbours, weighted 1 : 2 : 1 along both axes; the sum stays except for the border.
+    """
+    for axis in (0, 1):
+        nodes = np.moveaxis(nodes, axis, 0)
+        wider = np.concatenate([nodes[:1], nodes, nodes[-1:]])
+        nodes = np.moveaxis((wider[:-2] + 2 * nodes + wider[2:]) / 4, 0, axis)
+    return nodes

@@ -1,8 +1,6 @@
-"""Profile, wings, halo, ellipticity and varying width of stars: keys of what the star passes draw.
+"""Keys of what the star passes draw: point spread functions, colours and scintillation of stars.
 
-Colours of stars and of the sky: keys of the camera's band and of its mosaic.
-
-Scintillation of stars: keys of a process that multiplies the light of each star along its trail.
+The mosaic of the colour filters also has GLSL in the develop pass, for the colour of the sky.
 """
 
 from collections.abc import Mapping
@@ -20,10 +18,6 @@ from glstar.sky.photometry import USUAL_BV, star_colours
 _PLAIN_POINT_SPREAD = PointSpread()
 
 
-def _is_no_gaussian(values: Values) -> bool:
-    return not PointSpread.of({f"sensor.{key}": value for key, value in values.items()}).is_gaussian
-
-
 def _point_spread_truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
     sensor = scene.sensor
     components = sensor.point_spread.circular(sensor.psf_sigma_px)
@@ -31,9 +25,22 @@ def _point_spread_truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
         "psf": {
             "psf_sigma_px": sensor.psf_sigma_px,
             **sensor.point_spread.keys,
-            "gaussians": [[one.flux_fraction, one.sigma_px] for one in components],
+            "gaussians": [[component.flux_fraction, component.sigma_px] for component in components],
         }
     }
+
+
+def _psf_key(name: str, allowed: str, minimum: float, maximum: float, control: Control) -> Key:
+    """Return a key that is a number, with the default of `PointSpread`; angles, which it has in radians, are 0."""
+    return Key(
+        name,
+        getattr(_PLAIN_POINT_SPREAD, name, 0.0),
+        allowed,
+        control,
+        minimum=minimum,
+        maximum=maximum,
+        changes_light=True,
+    )
 
 
 POINT_SPREAD = Effect(
@@ -43,103 +50,57 @@ POINT_SPREAD = Effect(
         Key(
             "psf",
             _PLAIN_POINT_SPREAD.psf,
-            allowed="'gaussian' or 'moffat'",
+            "'gaussian' or 'moffat'",
+            Control("Star profile"),
             choices=("gaussian", "moffat"),
-            control=Control("Star profile"),
+            changes_light=True,
         ),
-        Key(
-            "psf_beta",
-            _PLAIN_POINT_SPREAD.psf_beta,
-            allowed="an exponent from 2 to 20",
-            minimum=2.0,
-            maximum=20.0,
-            control=Control("Moffat beta", 2.0, 8.0, "%.2f"),
+        _psf_key("psf_beta", "an exponent from 2 to 20", 2.0, 20.0, Control("Moffat beta", 2.0, 8.0, "%.2f")),
+        _psf_key(
+            "psf_wing_fraction", "a fraction from 0 to 0.9", 0.0, 0.9, Control("Wings", 0.0, 0.5, "%.3f of the flux")
         ),
-        Key(
-            "psf_wing_fraction",
-            _PLAIN_POINT_SPREAD.psf_wing_fraction,
-            allowed="a fraction from 0 to 0.9",
-            minimum=0.0,
-            maximum=0.9,
-            control=Control("Wings", 0.0, 0.5, "%.3f of the flux"),
-        ),
-        Key(
+        _psf_key(
             "psf_wing_sigma_px",
-            _PLAIN_POINT_SPREAD.psf_wing_sigma_px,
-            allowed="a number of pixels from 0.1 to 40",
-            minimum=0.1,
-            maximum=40.0,
-            control=Control("Wing sigma", 1.0, 20.0, "%.2f px"),
+            "a number of pixels from 0.1 to 40",
+            0.1,
+            40.0,
+            Control("Wing sigma", 1.0, 20.0, "%.2f px"),
         ),
-        Key(
-            "psf_halo_fraction",
-            _PLAIN_POINT_SPREAD.psf_halo_fraction,
-            allowed="a fraction from 0 to 0.5",
-            minimum=0.0,
-            maximum=0.5,
-            control=Control("Halo", 0.0, 0.1, "%.4f of the flux"),
+        _psf_key(
+            "psf_halo_fraction", "a fraction from 0 to 0.5", 0.0, 0.5, Control("Halo", 0.0, 0.1, "%.4f of the flux")
         ),
-        Key(
+        _psf_key(
             "psf_halo_radius_px",
-            _PLAIN_POINT_SPREAD.psf_halo_radius_px,
-            allowed="a number of pixels from 1 to 40",
-            minimum=1.0,
-            maximum=40.0,
-            control=Control("Halo radius", 1.0, 40.0, "%.1f px"),
+            "a number of pixels from 1 to 40",
+            1.0,
+            40.0,
+            Control("Halo radius", 1.0, 40.0, "%.1f px"),
         ),
-        Key(
-            "psf_growth",
-            _PLAIN_POINT_SPREAD.psf_growth,
-            allowed="a fraction from 0 to 4",
-            minimum=0.0,
-            maximum=4.0,
-            control=Control("Growth to the corners", 0.0, 2.0, "%.3f"),
+        _psf_key("psf_growth", "a fraction from 0 to 4", 0.0, 4.0, Control("Growth to the corners", 0.0, 2.0, "%.3f")),
+        _psf_key("psf_ellipticity", "a number from 0 to 0.4", 0.0, 0.4, Control("Ellipticity", 0.0, 0.4, "%.3f")),
+        _psf_key(
+            "psf_angle_deg", "degrees from -360 to 360", -360.0, 360.0, Control("Major axis", -90.0, 90.0, "%.0f deg")
         ),
-        Key(
-            "psf_ellipticity",
-            _PLAIN_POINT_SPREAD.psf_ellipticity,
-            allowed="a number from 0 to 0.4",
-            minimum=0.0,
-            maximum=0.4,
-            control=Control("Ellipticity", 0.0, 0.4, "%.3f"),
-        ),
-        Key(
-            "psf_angle_deg",
-            0.0,
-            allowed="degrees from -360 to 360",
-            minimum=-360.0,
-            maximum=360.0,
-            control=Control("Major axis", -90.0, 90.0, "%.0f deg"),
-        ),
-        Key(
-            "psf_tilt",
-            _PLAIN_POINT_SPREAD.psf_tilt,
-            allowed="a fraction from 0 to 0.9",
-            minimum=0.0,
-            maximum=0.9,
-            control=Control("Tilt of the sensor", 0.0, 0.9, "%.3f"),
-        ),
-        Key(
+        _psf_key("psf_tilt", "a fraction from 0 to 0.9", 0.0, 0.9, Control("Tilt of the sensor", 0.0, 0.9, "%.3f")),
+        _psf_key(
             "psf_tilt_angle_deg",
-            0.0,
-            allowed="degrees from -360 to 360",
-            minimum=-360.0,
-            maximum=360.0,
-            control=Control("Wider towards", -180.0, 180.0, "%.0f deg"),
+            "degrees from -360 to 360",
+            -360.0,
+            360.0,
+            Control("Wider towards", -180.0, 180.0, "%.0f deg"),
         ),
-        Key(
+        _psf_key(
             "psf_colour_growth",
-            _PLAIN_POINT_SPREAD.psf_colour_growth,
-            allowed="a fraction from -0.5 to 0.5",
-            minimum=-0.5,
-            maximum=0.5,
-            control=Control("Growth with B - V", -0.5, 0.5, "%.3f"),
+            "a fraction from -0.5 to 0.5",
+            -0.5,
+            0.5,
+            Control("Growth with B - V", -0.5, 0.5, "%.3f"),
         ),
     ),
     stage=Stage.STARS,
     glsl="",
     truth=_point_spread_truth,
-    is_active=_is_no_gaussian,
+    is_active=lambda values: not PointSpread.of_keys(values).is_gaussian,
 )
 
 
@@ -147,17 +108,25 @@ _PLAIN_BAND = ColourBand()
 _MOSAIC = Key(
     "mosaic",
     _PLAIN_BAND.mosaic,
-    allowed="one of none, rggb, bggr, grbg, gbrg",
+    "one of none, rggb, bggr, grbg, gbrg",
+    Control("Mosaic"),
     choices=MOSAIC_CHOICES,
-    control=Control("Mosaic"),
+    changes_light=True,
 )
 
 
 def _colour_truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
-    colour, stars = scene.sensor.colour, scene.stars
+    colour = scene.sensor.colour
+    stars = scene.stars
     unknown = stars.star_id[scene.visible][np.isnan(star_colours(stars))[scene.visible]]
-    band = {"band": colour.band, "mosaic": colour.mosaic, "assumed_bv": USUAL_BV, "without_bv": unknown.tolist()}
-    return {"colour": band}
+    return {
+        "colour": {
+            "band": colour.band,
+            "mosaic": colour.mosaic,
+            "assumed_bv": USUAL_BV,
+            "without_bv": unknown.tolist(),
+        }
+    }
 
 
 COLOUR_BAND = Effect(
@@ -167,14 +136,24 @@ COLOUR_BAND = Effect(
         Key(
             "band",
             _PLAIN_BAND.band,
-            allowed=f"one of {', '.join(BAND_CHOICES)}",
+            f"one of {', '.join(BAND_CHOICES)}",
+            Control("Band"),
             choices=BAND_CHOICES,
-            control=Control("Band"),
+            changes_light=True,
         ),
-        Key("band_slope", _PLAIN_BAND.band_slope, allowed="a number of magnitudes", minimum=-3.0, maximum=3.0),
-        Key("band_curvature", _PLAIN_BAND.band_curvature, allowed="a number of magnitudes", minimum=-3.0, maximum=3.0),
+        *(
+            Key(
+                name,
+                getattr(_PLAIN_BAND, name),
+                "a number of magnitudes",
+                minimum=-3.0,
+                maximum=3.0,
+                changes_light=True,
+            )
+            for name in ("band_slope", "band_curvature")
+        ),
         _MOSAIC,
-        Key("sky_bv", _PLAIN_BAND.sky_bv, allowed="a colour from -0.3 to 1.7", minimum=-0.3, maximum=1.7),
+        Key("sky_bv", _PLAIN_BAND.sky_bv, "a colour from -0.3 to 1.7", minimum=-0.3, maximum=1.7),
     ),
     stage=Stage.STARS,
     glsl="",
@@ -194,8 +173,8 @@ def _mosaic_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue
     return {"mosaic_even_row": rows[0], "mosaic_odd_row": rows[1]}
 
 
-# The sky is uniform between these two: its level in each colour multiplies the sum of sky and stars, and stars are
-# divided by it first.
+# The sky is uniform between these two effects: its level in each colour multiplies the sum of sky and stars, and stars
+# are divided by it first.
 MOSAIC_OF_STARS = Effect(
     name="mosaic_of_stars",
     section="sensor",
@@ -232,25 +211,21 @@ vec4 mosaic_of_sky(vec4 signal_dn, uvec2 quad) {
 )
 
 
-def _scintillates(values: Values) -> bool:
-    return bool(values["scintillation"])
-
-
 SCINTILLATION = Effect(
     name="scintillation",
     section="sky",
     keys=(
         Key(
             "scintillation",
-            default=0.0,
-            allowed="a relative standard deviation from 0 to 1; 0 is none",
+            0.0,
+            "a relative standard deviation from 0 to 1; 0 is none",
+            Control("Scintillation", 0.0, 2 * SMALL_LENS_RMS, "%.2f"),
             minimum=0.0,
             maximum=1.0,
-            control=Control("Scintillation", 0.0, 2 * SMALL_LENS_RMS, "%.2f"),
         ),
-        Key("scintillation_seed", default=0, allowed="a whole number, 0 or more", minimum=0),
+        Key("scintillation_seed", 0, "a whole number, 0 or more", minimum=0),
     ),
     stage=Stage.STARS,
-    is_active=_scintillates,
+    is_active=lambda values: bool(values["scintillation"]),
     glsl="",
 )

@@ -1,8 +1,7 @@
-"""Orientation of the camera with respect to the sky, and of the air above it, at several times.
+"""Orientation of the camera with respect to the sky and the zenith.
 
-Motion of the camera over a flight: attitude, position, mount and sky combined into camera orientations.
-
-The camera's orientation during one exposure in a table, for many times that are different for every star.
+`Pointing` holds it at several times; `CameraMotion` composes it from attitude, position, mount and sky; `MotionTable`
+interpolates it during one exposure, for many times that are different for every star.
 """
 
 from collections.abc import Iterator
@@ -68,11 +67,12 @@ class Pointing:
     def to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
         """Return the observed directions of stars in the camera frame, as `projection.glsl` does in float32.
 
-        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `below_horizon`: whether
-        directions below the apparent horizon are returned too, for lines that are clipped there later.  Returns (n, m,
-        3) vectors right, down and along the optical axis, of nearly unit length; NaN below the apparent horizon unless
-        `below_horizon`.  Teague & Chahl, eqs (22)-(32), without trigonometric functions: diurnal aberration,
-        refraction towards the zenith, rotation.  Departs from the paper, which also draws stars below the horizon.
+        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m, 3) vectors
+        right, down and along the optical axis, of nearly unit length; NaN below the apparent horizon unless
+        `below_horizon`, for lines that are clipped there later.
+
+        Teague & Chahl, eqs (22)-(32), without trigonometric functions: diurnal aberration, refraction towards the
+        zenith, rotation.  Departs from the paper, which also draws stars below the horizon.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self._sine_altitude(direction)
@@ -95,18 +95,15 @@ class Pointing:
         return in_camera.transpose(1, 2, 0)
 
     def sine_apparent_altitude(self, direction_eq: ArrayLike) -> Float:
-        """Return the sines of the altitudes of stars, with refraction.
-
-        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m).
-        """
+        """Return the sines of the altitudes of stars with refraction, (n, m); `direction_eq` as for `to_camera`."""
         s = self.zenith_eq @ np.asarray(direction_eq, dtype=np.float64).T
         return _sine_apparent(s, refraction_displacement(s, self.refraction_scale))
 
     def clearance(self, direction_eq: ArrayLike) -> Float:
         """Return how far stars are above the horizon, with its profile.
 
-        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m) sines of
-        their apparent altitudes less those of the horizon below them; positive where a star is seen.
+        `direction_eq` as for `to_camera`.  Returns (n, m) sines of their apparent altitudes less those of the horizon
+        below them; positive where a star is seen.
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
         pole = None if self.pole_eq is None else self.pole_eq[:, np.newaxis]
@@ -117,7 +114,7 @@ class Pointing:
         """Return how far directions are above the horizon, with its profile.
 
         `direction_eq`, `zenith_eq` (..., 3): unit vectors, true equator and equinox; `sine` (...): sines of the
-        apparent altitudes of the directions; `pole_eq` (..., 3) or None: as of the attribute.  Returns (...) sines of
+        directions' apparent altitudes; `pole_eq` (..., 3) or None: see the attribute.  Returns (...) sines of
         altitudes less those of the horizon below them.
         """
         if self.profile is None:
@@ -137,8 +134,8 @@ class Pointing:
     def heights(self, direction_eq: ArrayLike) -> Float:
         """Return how high stars are above the apparent horizon, or above the bound of its profile.
 
-        `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (n, m) approximately
-        sines; negative where `to_camera` returns NaN, but for a profile.
+        `direction_eq` as for `to_camera`.  Returns (n, m) approximately sines; negative where `to_camera` returns NaN,
+        but for a profile.
         """
         sine_altitude = self._sine_altitude(np.asarray(direction_eq, dtype=np.float64))
         return self._height(sine_altitude, refraction_displacement(sine_altitude, self.refraction_scale))
@@ -158,9 +155,8 @@ class Pointing:
     def each_to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
         """Return the observed direction of each of n stars at one of the n times, as `to_camera` does.
 
-        `direction_eq` (n, 3): geocentric apparent unit vectors, true equator and equinox: one per time;
-        `below_horizon`: whether directions below the apparent horizon are returned too.  Returns (n, 3) vectors right,
-        down and along the optical axis; NaN below the apparent horizon unless `below_horizon`.
+        `direction_eq` (n, 3): geocentric apparent unit vectors, true equator and equinox, one per time.  Returns (n, 3)
+        vectors right, down and along the optical axis; NaN below the apparent horizon unless `below_horizon`.
         """
         direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
         sine_altitude = np.einsum("ni,ni->n", self.zenith_eq, direction)
@@ -177,8 +173,7 @@ class Pointing:
     def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Yield a few times at a time, to bound the memory that a long exposure of many stars takes.
 
-        `star_count`: number of stars that are evaluated at each time; `overlap`: number of times that consecutive
-        blocks share.
+        Consecutive blocks share `overlap` times.
         """
         block = times_per_block(star_count)
         for first in range(0, max(1, len(self) - overlap), block):
@@ -210,15 +205,11 @@ class CameraMotion:
     temperature_c: float
 
     def pointings(self, *utc_s: Float) -> list[Pointing]:
-        """Return the camera's orientation for several arrays of times; one call takes little longer than one array.
-
-        `*utc_s` (n,): UTC seconds since 1970, all within minutes of each other.  Raises TrackRangeError if a time lies
-        outside the flight.
-        """
+        """Return the camera's orientation for several arrays of times: see `at`."""
         return [samples.pointing for samples in self.at(*utc_s)]
 
     def at(self, *utc_s: Float) -> list[MotionSamples]:
-        """Return orientation, attitude and site for several arrays of times.
+        """Return orientation, attitude and site for several arrays of times; one call costs little more than one array.
 
         `*utc_s` (n,): UTC seconds since 1970, all within minutes of each other.  Raises TrackRangeError if a time lies
         outside the flight.  Teague & Chahl, eqs (22), (30)-(32), composed in float64.
@@ -231,19 +222,19 @@ class CameraMotion:
         samples = []
         first = 0
         for times_s in utc_s:
-            these, middle = slice(first, first + len(times_s)), first + len(times_s) // 2
+            times, middle = slice(first, first + len(times_s)), first + len(times_s) // 2
             latitude, longitude, height = (float(of[middle]) for of in (latitude_rad, longitude_rad, height_m))
             site = Site(latitude, longitude, height, self.pressure_hpa, self.temperature_c)
             pointing = Pointing(
-                C_camera_eq=C_camera_eq[these],
-                zenith_eq=-C_ned_eq[these, 2],
-                velocity_eq=diurnal_aberration_rad(latitude, height) * C_ned_eq[these, 1],
+                C_camera_eq=C_camera_eq[times],
+                zenith_eq=-C_ned_eq[times, 2],
+                velocity_eq=diurnal_aberration_rad(latitude, height) * C_ned_eq[times, 1],
                 refraction_scale=self.sky.refraction_scale(site),
                 sine_horizon=self.sky.sine_horizon(height),
                 profile=self.sky.profile,
             )
-            samples.append(MotionSamples(pointing, q_body_ned[these], site))
-            first = these.stop
+            samples.append(MotionSamples(pointing, q_body_ned[times], site))
+            first = times.stop
         return samples
 
 
@@ -284,7 +275,8 @@ class MotionTable:
         if attitude.interpolation != "slerp":
             ends_s = np.sort(np.append(ends_s, (ends_s[1:] + ends_s[:-1]) / 2))
         times_s = np.empty(2 * len(ends_s) - 1)
-        times_s[::2], times_s[1::2] = ends_s, (ends_s[1:] + ends_s[:-1]) / 2
+        times_s[::2] = ends_s
+        times_s[1::2] = (ends_s[1:] + ends_s[:-1]) / 2
         around_s = _around_middle_s(exposure)
         times_s = np.minimum(exposure.start_utc_s + times_s, exposure.stop_utc_s)
         pointing, around = motion.pointings(times_s, around_s)
@@ -319,9 +311,9 @@ class MotionTable:
 
 
 def rates_rad_per_s(motion: CameraMotion, exposure: Exposure) -> Float:
-    """Return the angular rate of the camera in the middle of an exposure, with respect to the stars.
+    """Return the camera's angular rate with respect to the stars in the middle of an exposure, (3,) rad/s.
 
-    Returns (3,) about its right, down and forward axes, rad/s.
+    About its right, down and forward axes.
     """
     around_s = _around_middle_s(exposure)
     return _rates_rad_per_s(motion.pointings(around_s)[0], around_s)
@@ -340,7 +332,7 @@ def _rates_rad_per_s(around: Pointing, times_s: Float) -> Float:
 
 def _fastest_rad_per_s(attitude: AttitudeTrack, first: int, last: int) -> float:
     """Return the largest turn rate between samples, from the one before the first to the last."""
-    some = slice(max(first - 1, 0), last + 1)
-    q = attitude.q_body_ned[some]
+    samples = slice(max(first - 1, 0), last + 1)
+    q = attitude.q_body_ned[samples]
     half_rad = np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", q[1:], q[:-1])), 1.0))
-    return float((2 * half_rad / np.diff(attitude.utc_s[some])).max(initial=0.0))
+    return float((2 * half_rad / np.diff(attitude.utc_s[samples])).max(initial=0.0))

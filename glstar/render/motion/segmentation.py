@@ -74,7 +74,7 @@ SHAPE_LIMITS: Final = ShapeLimits()
 # RATE_CHANGE^2 there.
 _CHANGE_VARIANCE: Final = 0.0187834 * 2.3282816**2
 REFINEMENT: Final = Refinement()
-# Of a segment: what changes during less of it leaves no light.
+# Fraction of a segment in which a change leaves no light.
 _SHORTEST: Final = 1e-5
 
 
@@ -87,17 +87,18 @@ def segment_times(
     sprite_cost: SpriteCost | SegmentLimit | None = None,
     position_px: float = TOLERANCES.position_px,
 ) -> Float | None:
-    """Return the ends and the middles of the segments of an exposure.
+    """Return the ends and the middles of the segments of an exposure, (2 m + 1,) UTC seconds since 1970.
 
-    `motion`: the camera's orientation as a function of time; `nodes_s` (n,): the exposure's start and end, and between
-    them the times at which the turn rate may change discontinuously: the samples of the log; a segment that has to be
-    divided is divided at a rate discontinuity, or evenly if it contains none; `camera`: errors are evaluated at nine
-    points of its field: corners, middles of the sides and centre; behind a lens trails are drawn in the undistorted
-    image plane and distorted afterwards; `sigma_px`: standard deviation of a star as the pixels record it, px;
-    `sprite_cost`: cost of drawing the exposure as sub-exposures instead, where that is an option; or the most segments;
-    `position_px`: largest distance between a star's true and drawn positions at the same time, px.  Returns (2 m + 1,)
-    or None: UTC seconds since 1970: the start, the middle and the end of the first segment, which is the start of the
-    second, and so on; none if the motion is so rough that it needs more segments than that.
+    They are the start, the middle and the end of the first segment, which is the start of the second, and so on; None
+    if the motion is so rough that sprites cost less.
+
+    - `nodes_s` (n,): start and end of the exposure, and between them the samples of the log, where the turn rate may
+      change discontinuously.  A segment is divided at a rate discontinuity, or evenly if it contains none.
+    - `camera`: errors are evaluated at nine points of its field: corners, middles of the sides and centre.  Behind a
+      lens trails are drawn in the undistorted image plane and distorted afterwards.
+    - `sigma_px`: standard deviation of a star as the pixels record it, px.
+    - `sprite_cost`: cost of drawing the exposure as sub-exposures instead, or the maximum number of segments.
+    - `position_px`: largest distance between a star's true and drawn positions at the same time, px.
     """
     evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px, position_px)
     segments = nodes_s[:1], nodes_s[-1:]
@@ -223,8 +224,7 @@ class _SegmentEvaluator:
         rate = turn_from_matrix(rotations) / np.diff(self._nodes_s)[:, np.newaxis]
         change = np.linalg.norm(np.diff(rate, axis=0), axis=1)
         discontinuous = change > REFINEMENT.rate_change * np.linalg.norm(rate, axis=1).max()
-        breaks_s: Float = self._nodes_s[np.concatenate([[True], discontinuous, [True]])]
-        return breaks_s
+        return np.asarray(self._nodes_s[np.concatenate([[True], discontinuous, [True]])])
 
 
 def _times_s(begins: Float, ends: Float, elapsed: Float) -> Float:

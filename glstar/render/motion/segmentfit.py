@@ -3,8 +3,6 @@
 Within a segment the vector to a star is a quadratic function of time, as in `segmentation`, and consecutive segments
 share their ends.  Here the orientations at the starts, middles and ends are fitted to the interpolated attitude by
 least squares, so that no star anywhere on the image is farther than a tolerance from its true position at any time.
-
-Least squares of continuous segments: the corrections of their starts, middles and ends.
 """
 
 from dataclasses import dataclass, replace
@@ -30,17 +28,19 @@ STIFFNESS: Final = 1e-7
 
 
 def node_corrections(basis: Float, segment: NDArray[np.intp], turn: Float, weight: Float, count: int) -> Float:
-    """Return the corrections of nodes that minimise the weighted squares of what they leave of rotations.
+    """Return the corrections of nodes, (count, 3) rotation vectors, rad, that minimise weighted squared residuals.
 
-    `basis` (n, 3): weight of the start, the middle and the end of its segment in each sample; `segment` (n,) intp: the
-    segment that contains each sample, increasing; each has at least one; `turn` (n, 3): rotation vectors that the
-    corrections shall add up to, rad; `weight` (n,): weights of the samples; `count`: number of nodes: the start, the
-    middle and the end of the first segment, which is the start of the second, and so on.  Returns (count, 3) rotation
-    vectors, rad.  A sample depends on the three nodes of its segment.  The middle one has no other samples, and is
-    eliminated first; the equations of the ends have three diagonals.  They are solved in a time proportional to the
-    number of nodes, and on one thread: NumPy's dense products and solver would keep all threads of OpenBLAS busy, and
-    round differently with another number of them.  SciPy's banded solver would take a worker longer to load than ten
-    images to draw.
+    The nodes are the start, the middle and the end of the first segment, which is the start of the second, and so on.
+
+    - `basis` (n, 3): weight of the start, the middle and the end of its segment in each sample.
+    - `segment` (n,) intp: the segment that contains each sample, increasing; each has at least one.
+    - `turn` (n, 3): rotation vectors that the corrections shall add up to, rad.
+    - `weight` (n,): weights of the samples.
+
+    A sample depends on the three nodes of its segment.  The middle one has no other samples, and is eliminated first;
+    the equations of the ends have three diagonals.  They are solved in a time proportional to the number of nodes, on
+    one thread: NumPy's dense solver would keep all threads of OpenBLAS busy, and round differently with another number
+    of them.  SciPy's banded solver would take a worker longer to load than ten images to draw.
     """
     weighted = basis * weight[:, np.newaxis]
     first, second = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)]).T
@@ -59,8 +59,8 @@ def node_corrections(basis: Float, segment: NDArray[np.intp], turn: Float, weigh
     beside = sums[:, 5:] - to_start * to_end / middle
     corrections = np.empty((count, 3))
     corrections[::2] = _tridiagonal_solution(ends[:, 0].tolist(), beside[:, 0].tolist(), ends[:, 1:].T.tolist()).T
-    known = to_start * corrections[:-2:2] + to_end * corrections[2::2]
-    corrections[1::2] = (of_middle - known) / middle
+    of_ends = to_start * corrections[:-2:2] + to_end * corrections[2::2]
+    corrections[1::2] = (of_middle - of_ends) / middle
     return corrections
 
 
@@ -132,18 +132,19 @@ def fitted_segments(
     position_px: float = TOLERANCES.position_px,
     readout_s: float = 0.0,
 ) -> AnalyticSegments | None:
-    """Return segments of an exposure that follow the attitude within a tolerance.
+    """Return segments of an exposure that follow the attitude within a tolerance; None if that takes too short ones.
 
-    `motion`: the camera's orientation as a function of time; `nodes_s` (n,): the exposure's start and end, and the
-    samples of the log between them, UTC seconds since 1970; `camera`: errors are evaluated at nine points of its field:
-    corners, middles of the sides and centre; `sigma_px`: standard deviation of a star as the pixels record it, px;
-    `tolerance_px`: largest distance between a star's true and fitted positions at the same time, px; positive;
-    `psf_sigma_px`: standard deviation of a star without the pixel, px; `position_px`: largest distance between its
-    fitted position and where the shaders draw it, px; `readout_s`: while rows open and while they close, trails end:
-    there stars are at most `position_px` from their true positions, too.  Returns: none if the tolerance is not
-    reached: the attitude cannot be followed by segments of useful lengths.  The fit minimises the integral of the
-    squared rotation between the true orientation and the fitted one.  Therefore the mean of that rotation over the
-    exposure is zero, and the mean position of a star on the image is exact to second order.
+    The fit minimises the integral of the squared rotation between the true orientation and the fitted one.  Therefore
+    the mean of that rotation over the exposure is zero, and the mean position of a star on the image is exact to second
+    order.
+
+    - `nodes_s` (n,): the exposure's start and end, and the samples of the log between them, UTC seconds since 1970.
+    - `camera`: errors are evaluated at nine points of its field: corners, middles of the sides and centre.
+    - `sigma_px`, `psf_sigma_px`: standard deviation of a star as the pixels record it, and without the pixel, px.
+    - `tolerance_px`: largest distance between a star's true and fitted positions at the same time, px; positive.
+    - `position_px`: largest distance between its fitted position and where the shaders draw it, px.
+    - `readout_s`: while rows open and while they close, trails end; there stars are at most `position_px` from their
+      true positions, too.
     """
     at_ends = max(1.0, tolerance_px / position_px) if readout_s else 1.0
     # Narrower stars show smaller displacements.
@@ -334,10 +335,7 @@ class SegmentFit:
 
     @classmethod
     def of(cls, motion: CameraMotion, samples: SampledMotion, knots_s: Float) -> Self:
-        """Return the least-squares segments between given knots.
-
-        `samples`: the true orientation at n times; `knots_s` (m + 1,): ends of the segments, UTC seconds since 1970.
-        """
+        """Return the least-squares segments between knots, (m + 1,) UTC seconds since 1970, from n samples."""
         times_s, sampled = samples.times_s, samples.pointing
         node_times_s = np.empty(2 * len(knots_s) - 1)
         node_times_s[::2] = knots_s

@@ -49,10 +49,10 @@ class SampledPaths:
         return np.stack([self.time_fraction @ coordinate for coordinate in self.xy_px])
 
     def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
-        """Yield the positions of some of the stars, a block of times at a time.
+        """Yield positions of the stars with some indices, (k,), a block of times at a time.
 
-        `stars` (k,) intp: indices into the m stars.  Yields `xy_px` (n, k, 2): positions (x, y), px; NaN behind the
-        camera and below the horizon; `time_fraction` (n,): fraction of the exposure that each sample represents.
+        Yields `xy_px` (n, k, 2): positions (x, y), px, NaN behind the camera and below the horizon; and
+        `time_fraction` (n,): fraction of the exposure that each sample represents.
         """
         if stars.size:
             yield np.moveaxis(self.xy_px.take(stars, axis=2), 0, -1), self.time_fraction
@@ -85,9 +85,9 @@ class ConicPaths:
         return np.asarray(counts, dtype=np.intp)
 
     def pieces(self) -> Iterator["ConicPaths"]:
-        """Yield the same paths a few segments at a time, so that most stars are inside or outside the image in each.
+        """Yield the paths of all stars over parts of the exposure: about 200 samples, or one segment with more.
 
-        Yields: all stars over the next part of the exposure: about two hundred samples, or one segment with more.
+        Most stars are inside or outside the image in each.
         """
         piece = np.cumsum(self.sample_counts) // (2 * _MIN_SAMPLES)
         if piece[-1] == 0:
@@ -96,15 +96,15 @@ class ConicPaths:
         first = np.flatnonzero(np.diff(piece, prepend=-1))
         for start, stop in zip(first, [*first[1:], len(piece)], strict=True):
             nodes, segments = slice(2 * start, 2 * stop + 1), slice(start, stop)
-            piece_of = replace(
+            paths = replace(
                 self,
                 nodes=self.nodes[:, nodes],
                 weight=self.weight[segments],
                 time_fraction=self.time_fraction[segments],
             )
-            # What is known of the whole is not computed again.
-            vars(piece_of).update(nodes_px=self.nodes_px[:, nodes], sample_counts=self.sample_counts[segments])
-            yield piece_of
+            # Cached properties of the whole are not computed again.
+            vars(paths).update(nodes_px=self.nodes_px[:, nodes], sample_counts=self.sample_counts[segments])
+            yield paths
 
     @property
     def bounds_px(self) -> Float:
@@ -123,8 +123,8 @@ class ConicPaths:
     def integral_between(self, begin: Float, end: Float) -> Float:
         """Return the integral of the position of each star between two times of its own, (2, m) px.
 
-        `begin`, `end` (m,): elapsed fractions of the exposure since the start of the first segment.  Returns (2, m) of
-        what is in these segments of the time between them; in the undistorted image plane.
+        `begin`, `end` (m,): elapsed fractions of the exposure since the start of the first segment.  Only the time
+        within the segments counts; positions are in the undistorted image plane.
         """
         since_start_px = np.zeros((2, len(self.time_fraction) + 1, len(begin)))
         np.cumsum(self._ninetieths_px * (self.time_fraction[:, np.newaxis] / 90), axis=1, out=since_start_px[:, 1:])
@@ -167,8 +167,8 @@ class ConicPaths:
     def positions(self, segment: NDArray[np.intp], elapsed: Float) -> Float:
         """Return the positions of all stars at some times.
 
-        `segment` (n,) intp: the segment that contains each time; `elapsed` (n,): fraction of the segment that has
-        elapsed, 0 to 1.  Returns (n, m, 2) positions (x, y), px; NaN behind the camera and below the horizon.
+        `segment` (n,) intp contains each time; `elapsed` (n,): fraction of the segment that has elapsed, 0 to 1.
+        Returns (n, m, 2) positions (x, y), px; NaN behind the camera and below the horizon.
         """
         parameter = parameter_at(elapsed, self.weight[segment])
         return self.camera.project(_quadratic(self._quadratics(), segment, parameter).transpose(1, 2, 0))
@@ -211,32 +211,29 @@ class ConicPaths:
 
 
 def end_weights(starts: Float, ends: Float) -> Float:
-    """Return the projective weight of the ends of rotations, relative to their middles.
+    """Return the projective weights of the ends of rotations relative to their middles, (n,).
 
-    With it, the quadratic through the weighted ends and the middle follows the rotation exactly on a pinhole's image.
-    `starts`, `ends` (n, 3, 3): rotation matrices into the camera frame at the start and the end of each of n
-    rotations.  Returns (n,).  A vector that rotates by an angle is a + b cos + c sin of that angle.  Multiplied by 1
-    + t^2, t the tangent of half the angle, it is a quadratic function of t, and t is nearly proportional to time.  A
-    pinhole is insensitive to the factor, which is 1 / cos^2(rotation / 4) at the ends if the angle is measured from the
-    middle.
+    `starts`, `ends` (n, 3, 3): rotation matrices into the camera frame at the start and the end of each rotation.
+
+    The quadratic through the weighted ends and the middle follows the rotation exactly on a pinhole's image: a vector
+    that rotates by an angle is a + b cos + c sin of that angle.  Multiplied by 1 + t^2, t the tangent of half the
+    angle, it is a quadratic function of t, and t is nearly proportional to time.  A pinhole is insensitive to the
+    factor, which is 1 / cos^2(rotation / 4) at the ends if the angle is measured from the middle.
     """
     chord = ends - starts
     sine2 = np.einsum("nij,nij->n", chord, chord) / 8  # of half the rotation
-    weights: Float = 2 / (1 + np.sqrt(np.maximum(1 - sine2, 0.0)))
-    return weights
+    return np.asarray(2 / (1 + np.sqrt(np.maximum(1 - sine2, 0.0))))
 
 
 def parameter_at(elapsed: Float, weight: Float) -> Float:
-    """Return the parameters of the quadratics through weighted ends at some times.
+    """Return the parameters of the quadratics through weighted ends at elapsed fractions of rotations, all (n,).
 
-    `elapsed` (n,): elapsed fractions of rotations, 0 to 1; `weight` (n,): of the ends of each: see `end_weights`.
-    Returns (n,) 0 to 1: (1 + tan(x A) / tan(A)) / 2, x = 2 elapsed - 1 and A the angle whose squared tangent is weight
-    - 1.  The angle of a uniform rotation is proportional to time, and the quadratic's parameter to the tangent of half
-    of it: with the one for the other, a path of 16 degrees is up to 0.09 px off at f = 968 px.
+    They are (1 + tan(x A) / tan(A)) / 2, 0 to 1, with x = 2 elapsed - 1 and A the angle whose squared tangent is weight
+    - 1 (`end_weights`).  The angle of a uniform rotation is proportional to time, and the quadratic's parameter to the
+    tangent of half of it: with the one for the other, a path of 16 degrees is up to 0.09 px off at f = 968 px.
     """
     tangent = np.sqrt(np.maximum(weight - 1, 1e-12))
-    parameters: Float = 0.5 + 0.5 * np.tan((2 * elapsed - 1) * np.arctan(tangent)) / tangent
-    return parameters
+    return np.asarray(0.5 + 0.5 * np.tan((2 * elapsed - 1) * np.arctan(tangent)) / tangent)
 
 
 def _quadratics(start: Float, middle: Float, end: Float) -> tuple[Float, Float, Float]:
@@ -247,8 +244,8 @@ def _quadratics(start: Float, middle: Float, end: Float) -> tuple[Float, Float, 
 def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.intp], parameter: Float) -> Float:
     """Evaluate quadratics, (3, n, m), with coefficients (3, s, m) each, at parameters in segments, both (n,)."""
     u = parameter[:, np.newaxis]
-    k = segment[:1] if segment[0] == segment[-1] else segment
-    start, rate, curvature = (of.take(k, axis=1) for of in coefficients)
+    used = segment[:1] if segment[0] == segment[-1] else segment
+    start, rate, curvature = (coefficient.take(used, axis=1) for coefficient in coefficients)
     vectors = u * curvature
     vectors += rate
     vectors *= u

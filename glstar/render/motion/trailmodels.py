@@ -1,14 +1,9 @@
 """The two trail models: an exposure is summed from sub-exposures, or integrated analytically over segments.
 
 A `TrailModel` holds the camera's orientation over one exposure in the form that its renderer pass consumes, and
-computes from the same numbers where each star is drawn: truth and overlays use that.
-
-Relative cost of the two trail models, with which ``trail = "auto"`` chooses one.
-
-The cost is a fixed number, measured on software OpenGL, and not measured at run time: output must not depend on the
-computer that draws it.
-
-The path of the camera over an exposure in pieces: the mean and the covariance of its motion during each.
+computes from the same numbers where each star is drawn: truth and overlays use that.  ``trail = "auto"`` chooses one by
+a fixed relative cost: output must not depend on the computer that draws it.  `CameraPath` divides segments into pieces,
+each with the mean and the covariance of the motion during it.
 """
 
 from collections.abc import Iterator
@@ -88,17 +83,17 @@ class SubExposures:
         return camera.project(self.pointing.to_camera(direction_eq))[index]
 
     def for_sigma(self, camera: Camera, sigma_px: float) -> "SubExposures":
-        """Return fewer sub-exposures that suffice for a wide point spread function.
+        """Return fewer sub-exposures, spaced by at most 1.5 sigma, that suffice for a wide point spread function.
 
-        `sigma_px`: standard deviation of a star in the image, px.  Returns the middle of each group of equal number;
-        neighbouring ones differ by at most 1.5 sigma.
+        They are the middles of groups of equal number; `sigma_px`: standard deviation of a star in the image, px.
         """
         path_px = np.concatenate([[0.0], np.cumsum(self.pointing.rotation_rad)]) * camera.max_px_per_rad
         limit_px = SAMPLE_SPACING_SIGMA * sigma_px
         group = 1
-        for k in (k for k in range(2, len(self) + 1) if len(self) % k == 0):
-            within_px = path_px[k - 1 :: k] - path_px[::k]
-            group = k if within_px.max() <= limit_px * (k - 1) / k else group
+        for size in (size for size in range(2, len(self) + 1) if len(self) % size == 0):
+            within_px = path_px[size - 1 :: size] - path_px[::size]
+            if within_px.max() <= limit_px * (size - 1) / size:
+                group = size
         return self if group == 1 else SubExposures(self._middles(group))
 
     def _middles(self, group: int) -> Pointing:
@@ -194,10 +189,7 @@ class SubExposureRule:
     spacing_px: float  # Maximum distance between sub-exposures along a trail, px
 
     def count(self, trail_px: float) -> int:
-        """Return the number of sub-exposures: max(min_count, ceil(trail / spacing)).
-
-        `trail_px`: length of the longest trail on the image, px.
-        """
+        """Return the number of sub-exposures for the longest trail: max(min_count, ceil(trail / spacing))."""
         return max(self.min_count, ceil(trail_px / self.spacing_px))
 
 
@@ -213,10 +205,7 @@ class SpriteCost:
     sub_exposures_per_segment: float  # Cost of one analytic segment, in sub-exposures
 
     def in_segments(self, trail_px: float) -> float:
-        """Return the number of analytic segments that cost as much.
-
-        `trail_px`: length of the longest trail on the image, px.
-        """
+        """Return the number of analytic segments that cost as much, given the longest trail on the image, px."""
         return self.sub_exposures.count(trail_px) / self.sub_exposures_per_segment
 
 
@@ -244,7 +233,7 @@ class TrailPieces:
     pointing: Pointing  # The mean orientation during each piece: n times
     covariance_rad2: Float  # (n, 3, 3) covariance of the rotation vector from the mean orientation, camera frame
     time_fraction: Float  # (n,) duration of each piece as a fraction of the exposure
-    of_segments: Float  # (m, n) which fraction of each piece lies in each segment of the trails
+    of_segments: Float  # (m, n) fraction of each piece that lies in each segment of the trails
     bounds: Float  # (n + 1,) where pieces begin and end, numbers of segments
 
     def __len__(self) -> int:
@@ -289,9 +278,9 @@ class CameraPath:
         return np.concatenate([[0.0], np.cumsum(chords_px)])
 
     def bounds_of_equal_lengths(self, length_px: float, fewest: int = 1) -> Float:
-        """Return the ends of pieces in which the fastest star of the image moves by at most a length.
+        """Return the ends of pieces in which the fastest star moves by at most a length, (n + 1,).
 
-        `fewest`: number of pieces, at least.  Returns (n + 1,).
+        There are at least `fewest` pieces.
         """
         elapsed_px = self._elapsed_px
         pieces = max(fewest, int(np.ceil(elapsed_px[-1] / length_px)))
@@ -303,10 +292,9 @@ class CameraPath:
         return np.asarray(np.interp(bounds, np.arange(len(self) + 1), self._trails.marks))
 
     def pointings(self, begins: Float, ends: Float) -> Pointing:
-        """Return orientations during some parts of segments.
+        """Return orientations at the start, the middle and the end of n parts of segments, 3 n times.
 
-        `begins`, `ends` (n,): numbers of segments; each part lies within one.  Returns: at the start, the middle and
-        the end of each part: 3 n times; the matrices have a factor of nearly 1.
+        `begins`, `ends` (n,): numbers of segments; each part lies within one.  The matrices have a factor of nearly 1.
         """
         at = np.stack([begins, (begins + ends) / 2, ends], axis=1)
         segment = np.repeat(at[:, 1].astype(np.intp), 3)
@@ -332,10 +320,10 @@ class CameraPath:
         return TrailPieces(replace(pointing, C_camera_eq=C_mean), covariance_rad2, nodes.duration, of_segments, bounds)
 
     def errors(self, moments: "PieceMoments", sigma_px: float) -> tuple[Float, Float]:
-        """Return estimates of the errors of the flux of each piece.
+        """Return estimates of the flux errors of each piece, relative to its height, (n,) each.
 
-        `sigma_px`: standard deviation of a star as the pixels record it, px.  Returns (n,) from the third moments,
-        relative to the height of the piece; (n,) from the fourth cumulants.
+        The first is from the third moments, the second from the fourth cumulants; `sigma_px`: standard deviation of a
+        star as the pixels record it, px.
         """
         x, y = (moments.turn_rad @ along / sigma_px for along in _px_per_turn(self._camera))
         xx, xy, yy = x * x, x * y, y * y

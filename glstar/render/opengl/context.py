@@ -1,7 +1,4 @@
-"""Creation and adoption of OpenGL contexts; nothing else in glstar creates one.
-
-The EGL devices of this machine.
-"""
+"""OpenGL contexts, which nothing else in glstar creates, and the EGL devices of this machine."""
 
 import ctypes.util
 import os
@@ -34,11 +31,11 @@ _SOFTWARE = "LIBGL_ALWAYS_SOFTWARE=1 draws with Mesa's software renderer instead
 
 
 def headless_context(device_index: int | None = None) -> "moderngl.Context":
-    """Return a new OpenGL context that needs no display.
+    """Return a new OpenGL context, which needs no display and belongs to the caller.
 
-    `device_index`: index of the EGL device, as listed by ``glstar doctor``; by default that of the environment variable
-    GLSTAR_DEVICE, or else the driver's choice.  Returns: owned by the caller.  Raises ContextError if there is no
-    OpenGL 3.3; the message names what to install.
+    `device_index` of an EGL device is as listed by ``glstar doctor``; by default it is that of the environment variable
+    GLSTAR_DEVICE, or else the driver's choice.  Raises ContextError if there is no OpenGL 3.3; the message names what
+    to install.
     """
     import moderngl  # noqa: PLC0415 - importing glstar loads no OpenGL
 
@@ -112,9 +109,8 @@ class EGLDevice:
 
 
 def egl_devices() -> list[EGLDevice]:
-    """Return the EGL devices of this machine.
+    """Return the EGL devices of this machine; none if EGL cannot enumerate them, and on macOS and Windows.
 
-    Returns: empty if EGL does not support device enumeration, and on macOS and Windows, whose OpenGL does not use EGL.
     Raises ContextError if the EGL library is missing.
     """
     if sys.platform in {"darwin", "win32"}:

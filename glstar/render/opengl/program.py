@@ -22,13 +22,12 @@ def linked(
     generated: Mapping[str, str] = _NONE,
     **constants: float,
 ) -> moderngl.Program:
-    """Return the program of a vertex and a fragment shader.
+    """Return the program of a vertex and a fragment shader, files of ``shaders/``; it belongs to the caller.
 
-    A line ``#include "NAME"`` in a shader is replaced by that file of ``shaders/``, or by the generated source of that
-    name, unless it has been included before.  `vertices`, `fragments`: file names inside ``shaders/``; `generated`:
-    GLSL to include, by name; `**constants`: preprocessor constants; software OpenGL executes both branches of an
-    ``if``, but skips those of an ``#if``.  Returns: owned by the caller.  Raises ShaderError if the driver rejects
-    one of the shaders.
+    A line ``#include "NAME"`` in a shader is replaced by that file of ``shaders/``, or by the source of that name in
+    `generated`, unless it has been included before.  `constants` are preprocessor constants: software OpenGL executes
+    both branches of an ``if``, but skips those of an ``#if``.  Raises ShaderError if the driver rejects one of the
+    shaders.
     """
     try:
         program = context.program(
@@ -40,12 +39,12 @@ def linked(
         file = fragments if "fragment_shader" in log else vertices
         # Some drivers list warnings too.  NVIDIA writes "0(7) : error", Mesa "0:7(1): error", others "ERROR: 0:7:".
         errors = [line for line in log.splitlines() if "error" in line.lower()]
-        found = re.search(r"\b0[:(](\d+)", "\n".join(errors))
+        position = re.search(r"\b0[:(](\d+)", "\n".join(errors))
         # Drivers count lines after includes; their source string numbers are not reliable.
         lines = _expanded(file, generated)
-        if found is None or int(found[1]) > len(lines):
+        if position is None or int(position[1]) > len(lines):
             raise ShaderError(file, None, log) from error
-        origin = lines[int(found[1]) - 1]
+        origin = lines[int(position[1]) - 1]
         raise ShaderError(origin.file, origin.number, log) from error
     program.extra = {}  # values of the uniforms set already
     return program
@@ -71,29 +70,26 @@ def _expanded(file: str, generated: Mapping[str, str], included: set[str] | None
     included = set() if included is None else included
     lines = []
     for number, text in enumerate((generated[file] if file in generated else shader(file)).splitlines(), start=1):
-        found = _INCLUDE.fullmatch(text)
-        if found is None:
+        include = _INCLUDE.fullmatch(text)
+        if include is None:
             lines.append(_Line(text, file, number))
-        elif found[1] not in included:
-            included.add(found[1])
-            lines += _expanded(found[1], generated, included)
+        elif include[1] not in included:
+            included.add(include[1])
+            lines += _expanded(include[1], generated, included)
     return lines
 
 
 def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
     """Set uniforms of a program returned by `linked`; values that have not changed are not sent again.
 
-    `**uniforms`: values by name; setting a uniform that the driver has optimised away is an error.
+    Setting a uniform that the driver has optimised away is an error.
     """
-    given = program.extra
+    sent = program.extra
     for name, value in uniforms.items():
-        if name not in given or given[name] != value:
-            program[name] = given[name] = value
+        if name not in sent or sent[name] != value:
+            program[name] = sent[name] = value
 
 
 def set_used_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
-    """Set those uniforms that a program has: variants of a shader use some of them.
-
-    `program`, `**uniforms`: as for `set_uniforms`.
-    """
+    """Set those uniforms that a program has: variants of a shader use some of them."""
     set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})

@@ -1,6 +1,6 @@
 """Scenes drawn with OpenGL: flux summed into a float target, then developed to digital numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
 from typing import Self
@@ -9,7 +9,7 @@ import moderngl
 
 from glstar.camera.sensor.colourband import Channel
 from glstar.errors import RenderError
-from glstar.render.effects import EFFECTS, Effect
+from glstar.render.effects import EFFECTS, Effect, light_keys
 from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.passes.develop import DevelopPass
@@ -17,8 +17,9 @@ from glstar.render.opengl.passes.lensdistortion import DistortionPass
 from glstar.render.opengl.passes.path import drawn_together
 from glstar.render.opengl.passes.subexposure import SubExposurePass, with_drawable_sprites
 from glstar.render.opengl.passes.trail import DrawQueue, TrailPass
-from glstar.render.opengl.targets import GuardBands, Readback, SignalTarget, StackTexture, Targets
-from glstar.render.opengl.textures import ReadoutClock, pinhole_clock
+from glstar.render.opengl.targets import FrameReadback, GuardBands, Readback, SignalTarget, Targets
+from glstar.render.opengl.textures import ImageTexture, ReadoutClock, StarTarget, pinhole_clock
+from glstar.render.readout.stacking import stacked_frame
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.scene.starcomponents import channel_scenes, gaussian_scenes
 
@@ -27,8 +28,7 @@ class GLRenderer:
     """Draws scenes on one OpenGL context, on the thread that created it.
 
     `expose` sums the flux of the stars, `develop` converts it to digital numbers in a texture, `read` copies them to
-    NumPy; `render` does all three.  A window shows the texture and never reads.  Between `begin_read` and `end_read`
-    further scenes can be drawn: use `begin` and `end_read` to draw many.
+    NumPy while further scenes are drawn; `render` does all three and waits.  A window shows `texture` and never reads.
 
     A `StarField` is uploaded once, and targets are created once per image size.  What changes from image to image is a
     small texture of orientations and the indices of the visible stars.
@@ -46,7 +46,7 @@ class GLRenderer:
     ----------
     driver : str
         Name and version of the driver.
-    stack : StackTexture
+    stacked : Frame or None
         The image that was developed last if it is stacked.
 
     Raises
@@ -59,8 +59,11 @@ class GLRenderer:
         self, context: moderngl.Context, *, owns_context: bool = False, effects: Sequence[Effect] = EFFECTS
     ) -> None:
         self.context = context
+        self.stacked: Frame | None = None
         self._owns_context = owns_context
         self._effects = tuple(effects)
+        # The star passes read the keys of glstar's effects, whichever the develop pass has.
+        self._light_keys = light_keys((*EFFECTS, *effects))
         # The caller's context is current already and must stay so: leaving it would make none current.
         self._current: AbstractContextManager[object] = context if owns_context else nullcontext()
         self._owned = ExitStack()
@@ -69,12 +72,12 @@ class GLRenderer:
         self._closed = False
         try:
             with self._current:
-                self._make()
+                self._create_passes()
         except BaseException:
             self.close()
             raise
 
-    def _make(self) -> None:
+    def _create_passes(self) -> None:
         """Create what serves every scene."""
         context, owned = self.context, self._owned
         # The window's framebuffer, or an empty one: bound between images, because a bound target cannot be released.
@@ -85,9 +88,9 @@ class GLRenderer:
         owned.callback(self._trail_pass.release)
         self._develop_pass = DevelopPass(context, self._effects)
         owned.callback(self._develop_pass.release)
-        self._readback = Readback(context)
-        self.stack = StackTexture(context)
-        owned.callback(self.stack.release)
+        self._readback = Readback(context, self._current)
+        self._stack_texture = ImageTexture(context)
+        owned.callback(self._stack_texture.release)
         owned.callback(self._drop_targets)
         owned.callback(self._readback.release)
         owned.callback(self._drop_distortion_pass)
@@ -138,31 +141,8 @@ class GLRenderer:
             If a star's sprite or the image is larger than the driver can draw, the seed is invalid, or the renderer is
             closed.
         """
-        if scene.shorts:
-            return self.stack.drawn(self._drawn, scene, seed=seed, light=light)
-        return self._drawn(scene, seed=seed, light=light)
-
-    def _drawn(self, scene: Scene, *, seed: int, light: bool = False, noiseless: bool = False) -> Frame:
-        self._developed(scene, seed, noiseless=noiseless)
-        return self.read(light=light)
-
-    def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
-        """Start to draw a scene, waiting for stacks and blooming only; `end_read` returns the frame.
-
-        Parameters
-        ----------
-        scene, seed, light
-            As for `render`.
-
-        Raises
-        ------
-        RenderError
-            As `render`.
-        """
-        if scene.shorts:
-            return self._readback.add(self.render(scene, seed=seed, light=light))
-        self._developed(scene, seed)
-        return self.begin_read(light=light)
+        self.develop(scene, seed=seed, light=light)
+        return self.stacked or self._frame()
 
     def expose(self, scene: Scene) -> None:
         """Sum the flux of all stars, unless the target holds it already.
@@ -180,151 +160,133 @@ class GLRenderer:
         """
         self._exposed(scene)
 
-    def develop(self, scene: Scene, *, seed: int) -> moderngl.Texture:
+    def develop(self, scene: Scene, *, seed: int, light: bool = False, noiseless: bool = False) -> None:
         """Convert a scene's flux to digital numbers, after exposing it if necessary; a stacked image is drawn complete.
+
+        On a GPU only a stacked image and blooming are waited for.
 
         Parameters
         ----------
         scene : Scene
         seed : int
             Seed of the noise, 0 to 2**32 - 1.
-
-        Returns
-        -------
-        moderngl.Texture
-            The image, one unsigned integer of 8 or 16 bits per pixel, row 0 its top.  The renderer owns it and
-            overwrites it with the next image.
+        light : bool
+            Whether the frame that `read` returns includes its noiseless signal, `Frame.light_dn`.
+        noiseless : bool
+            Whether to leave out the effects of `Stage.NOISE`.
 
         Raises
         ------
         RenderError
             As `expose`, or if the seed is invalid.
         """
-        self.begin_develop(scene, seed=seed)
-        return self.developed_texture()
+        if scene.shorts:
+            draw = partial(self._drawn, light=light, noiseless=noiseless)
+            self.stacked = stacked_frame(draw, scene, seed=seed)
+            return
+        if not 0 <= seed < 2**32:
+            raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
+        targets = self._exposed(scene)
+        with self._current:
+            self._develop_pass.draw(scene, targets, seed=seed, noiseless=noiseless)
+            targets.seed = seed
+            targets.reads_light = light
+            self._screen.use()
 
-    def begin_develop(self, scene: Scene, *, seed: int | None, noiseless: bool = False) -> bool:
-        """Start to develop a scene (without a seed: to expose it); stacks and blooming wait: see `developed_texture`.
+    def _drawn(self, scene: Scene, *, seed: int, light: bool, noiseless: bool) -> Frame:
+        self.develop(scene, seed=seed, light=light, noiseless=noiseless)
+        return self._frame()
+
+    def read(self) -> FrameReadback:
+        """Start to copy the image that was developed last, without waiting for it.
+
+        On a GPU drawing and copying continue in the background; each image that is being copied takes its size in
+        memory.  The noiseless signal is copied at once.
 
         Returns
         -------
-        bool
-            Whether the texture of the previous image is still valid: not if the images differ in size or type.
-        """
-        before = self._targets
-        draw = partial(self.stack.drawn, self._drawn) if scene.shorts else self._developed
-        self._exposed(scene) if seed is None else draw(scene, seed=seed, noiseless=noiseless)
-        return self._targets is before
+        FrameReadback
+            Its `frame` waits for the image.
 
-    def developed_texture(self) -> moderngl.Texture:
+        Raises
+        ------
+        RenderError
+            If nothing has been developed yet.
+        """
+        if self.stacked is not None and not self._closed:
+            return FrameReadback(self._readback, self.stacked)
+        targets = self._developed_last()
+        with self._current:
+            pending = self._readback.start(targets)
+            self._screen.use()
+        return pending
+
+    def texture(self) -> moderngl.Texture:
         """Return the image that was developed last as a texture, after waiting for it.
 
         Returns
         -------
         moderngl.Texture
-            As `develop` returns it.
-        """
-        targets = None if self.stack.frame is not None and not self._closed else self._developed_last()
-        with self._current:
-            texture = self.stack.uploaded() if targets is None else targets.display_texture()
-            self._screen.use()
-            return texture
-
-    def _developed(self, scene: Scene, seed: int, *, noiseless: bool = False) -> Targets:
-        if not 0 <= seed < 2**32:
-            raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
-        targets = self._exposed(scene)
-        with self._current:
-            drawn = targets.light_texture, targets.guard_band_px, targets.image, targets.dtype
-            self._develop_pass.draw(scene, *drawn, seed=seed, noiseless=noiseless)
-            targets.seed = seed
-            self._screen.use()
-        return targets
-
-    def _exposed(self, scene: Scene) -> Targets:
-        _require_single(scene, is_closed=self._closed)
-        self.stack.frame = None
-        with self._current:
-            targets = self._targets_for(scene)
-            if targets.scene is None or not _have_same_light(scene, targets.scene):
-                self._expose_all(scene, targets)
-            targets.scene, targets.seed = scene, None
-            self._screen.use()
-        return targets
-
-    def read(self, *, light: bool = False) -> Frame:
-        """Return the image that was developed last.
-
-        Parameters
-        ----------
-        light : bool
-            Whether the frame includes its noiseless signal, `Frame.light_dn`.
-
-        Returns
-        -------
-        Frame
+            One unsigned integer of 8 or 16 bits per pixel, row 0 its top.  The renderer owns it and overwrites it with
+            the next image.
 
         Raises
         ------
         RenderError
             If nothing has been developed yet.
         """
+        targets = None if self.stacked is not None and not self._closed else self._developed_last()
+        with self._current:
+            if targets is None:
+                assert self.stacked is not None
+                texture = self._stack_texture.of(self.stacked.pixels)
+            else:
+                texture = targets.display_texture()
+            self._screen.use()
+        return texture
+
+    def holds(self, texture: moderngl.Texture | None) -> bool:
+        """Return whether the `texture` of an earlier image still exists: until an image differs in size or type.
+
+        Parameters
+        ----------
+        texture : moderngl.Texture or None
+
+        Returns
+        -------
+        bool
+            False for None.
+        """
+        if texture is None or self._targets is None:
+            return False
+        return texture is self._stack_texture.texture or self._targets.holds(texture)
+
+    def _frame(self) -> Frame:
+        """Return the image that was developed last, after waiting for it; it does not pass through a buffer."""
         targets = self._developed_last()
-        assert targets.scene is not None
-        assert targets.seed is not None
         with self._current:
             pixels = targets.padded()
             targets.read_image_into(pixels)
-            light_dn = targets.read_light() if light else None
+            frame = targets.frame(pixels, targets.read_light() if targets.reads_light else None)
             self._screen.use()
-            return Frame(targets.cropped(pixels), targets.scene.exposure, targets.seed, light_dn)
+        return frame
 
-    def begin_read(self, *, light: bool = False) -> None:
-        """Start to copy the image that was developed last without waiting for it.
-
-        The next scenes can be rendered immediately; `end_read` returns the frames in the order of the calls.  On a GPU
-        drawing and copying continue in the background.  Each image in between takes its size in memory.
-
-        Parameters
-        ----------
-        light : bool
-            Whether the frame includes its noiseless signal, `Frame.light_dn`, which is copied at once.
-
-        Raises
-        ------
-        RenderError
-            If nothing has been developed yet.
-        """
-        targets = self._developed_last()
+    def _exposed(self, scene: Scene) -> Targets:
+        _require_single(scene, is_closed=self._closed)
+        self.stacked = None
         with self._current:
-            self._readback.begin(targets, light=light)
+            targets = self._targets_for(scene)
+            if targets.scene is None or not _have_same_light(scene, targets.scene, self._light_keys):
+                self._expose_all(scene, targets)
+            targets.scene = scene
+            targets.seed = None
             self._screen.use()
-
-    def end_read(self) -> Frame:
-        """Return the earliest image that `begin_read` was called for and that has not been returned.
-
-        Returns
-        -------
-        Frame
-
-        Raises
-        ------
-        RenderError
-            If there is none.
-        """
-        with self._current:
-            return self._readback.end()
-
-    def forget(self) -> None:
-        """Discard all images that were started and not yet returned."""
-        self._readback.forget()
+        return targets
 
     def _developed_last(self) -> Targets:
         targets = self._targets
         if self._closed or targets is None or targets.scene is None or targets.seed is None:
             raise RenderError("nothing has been developed yet")
-        if self.stack.frame is not None:
-            raise RenderError("a stacked image is not read from the GPU; GLRenderer.stack.frame has it")
         return targets
 
     def _expose_all(self, scene: Scene, targets: Targets) -> None:
@@ -355,26 +317,27 @@ class GLRenderer:
 
     def _drawable(self, gaussians: Sequence[Scene], whole: Scene) -> list[Scene]:
         """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws."""
-        return [with_drawable_sprites(one, whole.sensor.core.psf_sigma_px, self._point_size_px) for one in gaussians]
+        core_px = whole.sensor.core.psf_sigma_px
+        return [with_drawable_sprites(gaussian, core_px, self._point_size_px) for gaussian in gaussians]
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
-        queue = DrawQueue(target.light)
+        queue = DrawQueue(StarTarget(target.light, target.guard_band_px, clock))
         for scenes in drawn_together(gaussians, clock):
-            self._add(scenes, queue, target.guard_band_px, clock)
+            self._add(scenes, queue)
         queue.run()
 
-    def _add(self, scenes: Sequence[Scene], queue: DrawQueue, guard_band_px: int, clock: ReadoutClock) -> None:
+    def _add(self, scenes: Sequence[Scene], queue: DrawQueue) -> None:
         """Add the flux of scenes of `drawn_together`."""
         scene, *others = scenes
         match scene.trails:
             case AnalyticSegments() if others:
-                self._trail_pass.draw_components(scenes, queue, guard_band_px, clock)
+                self._trail_pass.draw_components(scenes, queue)
             case AnalyticSegments() as segments:
-                self._trail_pass.draw(scene, segments, queue, guard_band_px, clock)
+                self._trail_pass.draw(scene, segments, queue)
             case SubExposures() as sub_exposures:
                 queue.run()
-                self._sub_exposure_pass.draw(scene, sub_exposures, queue.light, guard_band_px, clock)
+                self._sub_exposure_pass.draw(scene, sub_exposures, queue.target)
             case other:
                 raise TypeError(f"no render pass draws {type(other).__name__}")
 
@@ -433,7 +396,7 @@ def _require_single(scene: Scene, *, is_closed: bool) -> None:
         raise RenderError("a stacked image has no flux of its own; expose each of Scene.shorts, or call render")
 
 
-def _have_same_light(one: Scene, other: Scene) -> bool:
+def _have_same_light(one: Scene, other: Scene, light_keys: Collection[str]) -> bool:
     """Return whether two scenes have the same flux; a scene that changes has new arrays, so identity is sufficient."""
     if one is other:
         return True
@@ -441,5 +404,5 @@ def _have_same_light(one: Scene, other: Scene) -> bool:
         all(getattr(one, name) is getattr(other, name) for name in ("stars", "draw_list", "trails", "bodies"))
         and one.camera == other.camera
         and all(getattr(one.exposure, n) == getattr(other.exposure, n) for n in ("duration_s", "readout_s", "readout"))
-        and one.sensor.leaves_same_signal(other.sensor)
+        and one.sensor.leaves_same_signal(other.sensor, light_keys)
     )

@@ -1,30 +1,22 @@
-"""Render targets: the noiseless signal with its guard band, and the developed image.
+"""Render targets and readback: the noiseless signal with its guard band, the developed image, and copies of it.
 
-Widths of the border around an image from which stars contribute with a part of their sprite.
-
-A stacked image as a texture, for a window: its short exposures are added outside of the GPU.
-
-Reading images back from the GPU without waiting: one buffer per image that has been started.
-
-Waiting for the GPU without keeping Python's other threads from running.
+Images are copied to NumPy through one buffer per image in progress; a stacked image is added outside of the GPU and
+uploaded for a window.  Waiting for the GPU does not keep Python's other threads from running.
 """
 
 import ctypes
 import sys
-from collections import deque
-from collections.abc import Callable
-from functools import cache, partial
+from contextlib import AbstractContextManager
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.render.readout.stacking import stacked_frame
 from glstar.render.scene.scene import Frame, Scene
 
 
@@ -33,7 +25,6 @@ class SignalTarget:
 
     A point whose centre lies outside the target is clipped entirely, so the target extends beyond the image by a guard
     band, from which stars contribute with a part of their sprite.  Half-float would lose single sub-exposures.
-    `width_px`, `height_px`: size of the image; `guard_band_px`: width of the border around it.
     """
 
     def __init__(self, context: moderngl.Context, width_px: int, height_px: int, guard_band_px: int) -> None:
@@ -53,11 +44,7 @@ class SignalTarget:
 
 
 class Targets(SignalTarget):
-    """The signal target of an image, and the image that is developed from it.
-
-    `width_px`, `height_px`: size of the image; `guard_band_px`: width of the signal's border around it; `sixteen_bits`:
-    whether the image has 16 bits per pixel instead of 8.
-    """
+    """The signal target of an image, and the image that is developed from it, with 8 or 16 bits per pixel."""
 
     def __init__(
         self, context: moderngl.Context, width_px: int, height_px: int, guard_band_px: int, sixteen_bits: bool
@@ -66,8 +53,10 @@ class Targets(SignalTarget):
         self.key = (width_px, height_px, guard_band_px, sixteen_bits)
         # The seed that the scene was developed with; None before that.
         self.seed: int | None = None
+        # Whether frames include the noiseless signal.
+        self.reads_light = False
         self.dtype: type[np.uint8] | type[np.uint16] = np.uint16 if sixteen_bits else np.uint8
-        columns = -(-width_px // self._pixels_per_texel)
+        columns = -(-width_px // self.pixels_per_texel)
         self._image_texture = context.texture((columns, height_px), 4, dtype="u4")
         self.image = context.framebuffer([self._image_texture])
         self._display_texture: _DisplayTexture | None = None
@@ -75,21 +64,27 @@ class Targets(SignalTarget):
         self._size = width_px, height_px
 
     @property
-    def _pixels_per_texel(self) -> int:
+    def pixels_per_texel(self) -> int:
+        """Number of pixels side by side in a texel of 16 bytes."""
         return 16 // np.dtype(self.dtype).itemsize
 
     def padded(self) -> NDArray[Any]:
         """Return an array for the image as it lies in its target: rows padded to a multiple of 16 bytes."""
         columns, rows = self.image.size
-        return np.empty((rows, self._pixels_per_texel * columns), self.dtype)
+        return np.empty((rows, self.pixels_per_texel * columns), self.dtype)
 
     def read_image_into(self, destination: NDArray[Any] | moderngl.Buffer) -> None:
         """Copy the padded image to an array or a buffer."""
         self.image.read_into(destination, components=4, dtype="u4")
 
-    def cropped(self, padded: NDArray[Any]) -> NDArray[Any]:
-        """Return the image without the padding of its rows: a view, because copying takes longer than reading."""
-        return padded[:, : self._size[0]]
+    def frame(self, padded: NDArray[Any], light_dn: NDArray[np.float32] | None) -> Frame:
+        """Return the frame that was developed last, given the padded image and its noiseless signal.
+
+        Its pixels are a view without the padding, because copying takes longer than reading.
+        """
+        assert self.scene is not None
+        assert self.seed is not None
+        return Frame(padded[:, : self._size[0]], self.scene.exposure, self.seed, light_dn)
 
     def display_texture(self) -> moderngl.Texture:
         """Return the image as a texture with one integer per texel, for a window."""
@@ -97,6 +92,10 @@ class Targets(SignalTarget):
             self._display_texture = _DisplayTexture(self._context, self._size, self.padded())
         self.read_image_into(self._display_texture.buffer)
         return self._display_texture.unpacked()
+
+    def holds(self, texture: moderngl.Texture) -> bool:
+        """Return whether a texture is what `display_texture` returns."""
+        return self._display_texture is not None and texture is self._display_texture.image
 
     def read_light(self) -> NDArray[np.float32]:
         """Return the noiseless signal without its guard band, (height, width), DN."""
@@ -124,14 +123,14 @@ class _DisplayTexture:
         textures = [context.texture(of, 1, dtype=f"u{padded.itemsize}") for of in ((padded_px, height_px), size)]
         self._padded, self._image = (context.framebuffer([texture]) for texture in textures)
         self._textures = textures
+        self.image = textures[1]
         textures[1].filter = moderngl.NEAREST, moderngl.NEAREST
 
     def unpacked(self) -> moderngl.Texture:
         """Return the texture with the content of `buffer`."""
-        padded, image = self._textures
-        padded.write(self.buffer)
+        self._textures[0].write(self.buffer)
         self._context.copy_framebuffer(self._image, self._padded)
-        return image
+        return self.image
 
     def release(self) -> None:
         """Release its resources."""
@@ -143,35 +142,27 @@ class _DisplayTexture:
 
 
 class GuardBands:
-    """Widths of guard bands; that of the previous scene is kept, because a flight's scenes have the same sensor.
-
-    `context`: its driver limits the size of images.
-    """
+    """Widths of guard bands; that of the previous scene is kept, because a flight's scenes have the same sensor."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
-        self._last: _Known | None = None
+        self._last: _GuardBand | None = None
 
     def of(self, scene: Scene) -> int:
-        """Return the width of the guard band around a pinhole's image.
+        """Return the width of the guard band around a pinhole's image, px, for the brightest star, visible or not.
 
-        Returns: px, for the brightest star, whether visible or not.  Raises RenderError if the image is larger than the
-        driver draws.
+        Raises RenderError if the image is larger than the driver draws.
         """
         largest = _largest(scene)
-        known = self._last
-        if (
-            known is None
-            or known.sensor is not scene.sensor
-            or known.depends_on != (scene.exposure.duration_s, *largest)
-        ):
-            depends_on = scene.exposure.duration_s, *largest
-            self._last = known = _Known(scene.sensor, depends_on, _wide_guard_band_px(scene, *largest))
-        _refuse_large_image(scene.camera, known.guard_band_px, self._texture_size_px)
-        return known.guard_band_px
+        depends_on = scene.exposure.duration_s, *largest
+        last = self._last
+        if last is None or last.sensor is not scene.sensor or last.depends_on != depends_on:
+            self._last = last = _GuardBand(scene.sensor, depends_on, _wide_guard_band_px(scene, *largest))
+        _refuse_large_image(scene.camera, last.guard_band_px, self._texture_size_px)
+        return last.guard_band_px
 
 
-class _Known(NamedTuple):
+class _GuardBand(NamedTuple):
     """The guard band of a sensor; it depends on the exposure time and on what `_largest` returns."""
 
     sensor: Sensor
@@ -189,7 +180,7 @@ def _largest(scene: Scene) -> tuple[float, float]:
 def _wide_guard_band_px(scene: Scene, radius_px: float, brightest_mag: float) -> int:
     """Return a width for the brightest star, whether visible or not.
 
-    It is a multiple of 8 px: neither playback nor a slider creates new targets for every image.
+    It is a multiple of 8 px, so that neither playback nor a slider creates new targets for every image.
     """
     brightest_dn = scene.sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
     return 8 * int(np.ceil((max(radius_px, float(scene.sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
@@ -204,114 +195,88 @@ def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int
         )
 
 
-class StackTexture:
-    """The stacked image that was developed last, and the texture that shows it.
+class FrameReadback:
+    """A frame whose pixels are copied from the GPU while further scenes are drawn.
 
-    `frame`: the image; None if the one developed last is a single exposure.
+    They are a view of `padded`, whose content is in `buffer`; without these, `frame` is complete.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
-        self.frame: Frame | None = None
-        self._context = context
-        self._texture: moderngl.Texture | None = None
+    def __init__(
+        self,
+        readback: "Readback",
+        frame: Frame,
+        padded: NDArray[Any] | None = None,
+        buffer: moderngl.Buffer | None = None,
+    ) -> None:
+        self._readback = readback
+        self._frame: Frame | None = frame
+        self._padded = padded
+        self._buffer = buffer
 
-    def drawn(
-        self, render: Callable[..., Frame], scene: Scene, *, seed: int, light: bool = False, noiseless: bool = False
-    ) -> Frame:
-        """Draw a stacked image.
+    def frame(self) -> Frame:
+        """Return the frame, after waiting for it; raises RenderError if it was discarded."""
+        if self._frame is None:
+            raise RenderError("this frame has been discarded")
+        if self._buffer is not None and self._padded is not None:
+            self._readback.copy_into(self._padded, self._buffer)
+            self._buffer = None
+        return self._frame
 
-        `render`: draws a single exposure: ``render(scene, seed=seed, light=light, noiseless=noiseless)``; `scene`: with
-        `Scene.shorts`; `light`, `noiseless`: for `render`.  Returns `frame`, from now on.
-        """
-        self.frame = stacked = stacked_frame(partial(render, light=light, noiseless=noiseless), scene, seed=seed)
-        return stacked
-
-    def uploaded(self) -> moderngl.Texture:
-        """Return `frame` as a texture with one integer per texel; that of the previous image is overwritten."""
-        assert self.frame is not None
-        pixels: NDArray[Any] = np.ascontiguousarray(self.frame.pixels)
-        size, dtype = pixels.shape[::-1], f"u{pixels.itemsize}"
-        if self._texture is None or (self._texture.size, self._texture.dtype) != (size, dtype):
-            self.release()
-            self._texture = self._context.texture(size, 1, dtype=dtype, alignment=1)
-            self._texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        self._texture.write(pixels, alignment=1)
-        return self._texture
-
-    def release(self) -> None:
-        """Release the texture."""
-        if self._texture is not None:
-            self._texture.release()
-        self._texture = None
-
-
-class _Pending(NamedTuple):
-    """An image that is being copied."""
-
-    buffer: moderngl.Buffer
-    targets: Targets
-    exposure: Exposure
-    seed: int
-    light_dn: NDArray[np.float32] | None
+    def discard(self) -> None:
+        """Give up the frame without waiting for it."""
+        if self._buffer is not None:
+            self._readback.recycle(self._buffer)
+        self._buffer = None
+        self._frame = None
 
 
 class Readback:
-    """Images that are being copied to buffers, in the order in which they were started."""
+    """Buffers that images are copied to in the background; `current` makes the context current."""
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, current: AbstractContextManager[object]) -> None:
         self._context = context
-        self._pending: deque[_Pending | Frame] = deque()
+        self._current = current
+        self._busy: list[moderngl.Buffer] = []
         self._idle: list[moderngl.Buffer] = []
 
-    def begin(self, targets: Targets, *, light: bool) -> None:
-        """Start to copy a developed image; the noiseless signal is copied at once.
-
-        `targets`: with a scene and a seed; `light`: whether to copy the noiseless signal too.
-        """
-        assert targets.scene is not None
-        assert targets.seed is not None
-        buffer = self._buffer_of(targets.padded().nbytes)
+    def start(self, targets: Targets) -> FrameReadback:
+        """Start to copy a developed image; the noiseless signal is copied at once."""
+        padded = targets.padded()
+        buffer = self._buffer_of(padded.nbytes)
         targets.read_image_into(buffer)
-        light_dn = targets.read_light() if light else None
-        self._pending.append(_Pending(buffer, targets, targets.scene.exposure, targets.seed, light_dn))
+        frame = targets.frame(padded, targets.read_light() if targets.reads_light else None)
+        return FrameReadback(self, frame, padded, buffer)
 
-    def add(self, frame: Frame) -> None:
-        """Add an image that has been read already, in the order of those that were started."""
-        self._pending.append(frame)
+    def copy_into(self, padded: NDArray[Any], buffer: moderngl.Buffer) -> None:
+        """Wait for the image in a buffer, and copy it to an array."""
+        if buffer not in self._busy:
+            raise RenderError("this renderer is closed; make another")
+        with self._current:
+            buffer.read_into(padded)
+        self.recycle(buffer)
 
-    def end(self) -> Frame:
-        """Return the earliest image that was started and not yet returned; raises RenderError if there is none."""
-        if not self._pending:
-            raise RenderError("no image is being read: call begin_read first")
-        pending = self._pending.popleft()
-        if isinstance(pending, Frame):
-            return pending
-        pixels = pending.targets.padded()
-        pending.buffer.read_into(pixels)
-        self._idle.append(pending.buffer)
-        return Frame(pending.targets.cropped(pixels), pending.exposure, pending.seed, pending.light_dn)
-
-    def forget(self) -> None:
-        """Discard all images that were started."""
-        while self._pending:
-            pending = self._pending.popleft()
-            if not isinstance(pending, Frame):
-                self._idle.append(pending.buffer)
+    def recycle(self, buffer: moderngl.Buffer) -> None:
+        """Keep the buffer of a frame for another one."""
+        if buffer in self._busy:
+            self._busy.remove(buffer)
+            self._idle.append(buffer)
 
     def _buffer_of(self, size: int) -> moderngl.Buffer:
         buffer = next((buffer for buffer in self._idle if buffer.size == size), None)
-        if buffer is not None:
+        if buffer is None:
+            while self._idle:  # of another image size
+                self._idle.pop().release()
+            buffer = self._context.buffer(reserve=size)
+        else:
             self._idle.remove(buffer)
-            return buffer
-        while self._idle:  # of another image size
-            self._idle.pop().release()
-        return self._context.buffer(reserve=size)
+        self._busy.append(buffer)
+        return buffer
 
     def release(self) -> None:
         """Release all buffers."""
-        self.forget()
-        for buffer in self._idle:
+        for buffer in (*self._busy, *self._idle):
             buffer.release()
+        self._busy.clear()
         self._idle.clear()
 
 
@@ -327,7 +292,7 @@ def wait_until_drawn(context: moderngl.Context) -> None:
     """Wait until everything that was drawn on the current context is complete.
 
     ModernGL holds Python's lock while it waits, so that a scene could not be composed meanwhile; a function that is
-    called through ctypes does not.  `context`: the current one.
+    called through ctypes does not.
     """
     library = _library()
     if library is None:
@@ -353,6 +318,7 @@ def _library() -> ctypes.CDLL | None:
         except (OSError, AttributeError):
             continue
         for function in functions:
-            function.restype, function.argtypes = None, []
+            function.restype = None
+            function.argtypes = []
         return library
     return None

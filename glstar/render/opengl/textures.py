@@ -1,17 +1,12 @@
-"""A star field on the GPU, as vertices of the sub-exposure pass.
+"""What the passes read: stars as vertices and textures, times as a texture of orientations, cloud, and opening times.
 
-Star fields on the GPU, as textures from which the passes of analytic trails read stars by number.
-
-The texture of what cloud transmits of each star during each part of an exposure.
-
-What `projection.glsl` reads: uniforms, and a texture of orientations with five texels of four float32 per time.
-
-When the pixels of a target open under a rolling shutter, as `readout.glsl` reads it.
+`projection.glsl` reads five texels of four float32 per time.  `readout.glsl` reads when the pixels of a target open
+under a rolling shutter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import moderngl
 import numpy as np
@@ -27,24 +22,50 @@ from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.photometry import brightness_ratio
 
 # Star fields that stay uploaded: the stars, which stay for a flight, and the bodies of a scene; and satellites.
-_MOST_FIELDS, _MOST_SINGLE_STARS = 2, 8
+_MOST_FIELDS: Final = 2
+_MOST_SINGLE_STARS: Final = 8
 
 
-def superseded_field(uploaded: Sequence[StarField], stars: StarField) -> int | None:
-    """Return which of the uploaded fields makes place for another.
+class _Resource(Protocol):
+    def release(self) -> object: ...
 
-    `uploaded`: the one drawn longest ago first; `stars`: the other one.  Returns: its index; None if none has to.
-    """
-    alike = [number for number, field in enumerate(uploaded) if (len(field) == 1) == (len(stars) == 1)]
-    most = _MOST_SINGLE_STARS if len(stars) == 1 else _MOST_FIELDS
-    return alike[0] if len(alike) == most else None
+
+_Uploaded = TypeVar("_Uploaded", bound=_Resource)
+
+
+class RecentFields(Generic[_Uploaded]):
+    """What `upload` returns for those star fields that were drawn last."""
+
+    def __init__(self, upload: Callable[[StarField], _Uploaded]) -> None:
+        self._upload = upload
+        # The one drawn longest ago first.
+        self._uploaded: list[tuple[StarField, _Uploaded]] = []
+
+    def of(self, stars: StarField) -> _Uploaded:
+        """Return the resource of a field; it is valid until a few others have been used."""
+        same = [number for number, (field, _) in enumerate(self._uploaded) if field is stars]
+        if same:
+            self._uploaded.append(self._uploaded.pop(same[0]))
+            return self._uploaded[-1][1]
+        is_single = len(stars) == 1
+        alike = [number for number, (field, _) in enumerate(self._uploaded) if (len(field) == 1) == is_single]
+        if len(alike) == (_MOST_SINGLE_STARS if is_single else _MOST_FIELDS):
+            self._uploaded.pop(alike[0])[1].release()
+        resource = self._upload(stars)
+        self._uploaded.append((stars, resource))
+        return resource
+
+    def release(self) -> None:
+        """Release the resources."""
+        while self._uploaded:
+            self._uploaded.pop()[1].release()
 
 
 def packed_stars(stars: StarField, *, multiple: int = 1) -> NDArray[np.float32]:
-    """Return directions and brightness of stars, as the shaders read them.
+    """Return directions and brightness of stars as the shaders read them, (rows, 4) float32.
 
-    `multiple`: the number of rows is rounded up to a multiple of this, and at least this.  Returns (rows, 4) float32:
-    geocentric apparent unit vector, and 10^(-0.4 V); zeros after the last star.
+    Each row is a geocentric apparent unit vector and 10^(-0.4 V).  The number of rows is rounded up to a multiple, at
+    least one, with zeros after the last star.
     """
     rows = max(-(-len(stars) // multiple), 1) * multiple
     packed = np.zeros((rows, 4), np.float32)
@@ -57,7 +78,6 @@ class StarBuffers:
     """The vertex buffers of one star field, and the indices of those stars that the next image shows."""
 
     def __init__(self, context: moderngl.Context, stars: StarField) -> None:
-        self.stars = stars
         self._context = context
         self._stars = context.buffer(packed_stars(stars))
         # Truncation radius, px, transmission of the air, and number among the stars that are drawn.
@@ -106,34 +126,12 @@ class StarBuffers:
 STARS_PER_ROW: Final = 1024
 
 
-class StarTextures:
-    """The textures of those star fields that were drawn last."""
-
-    def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
-        self._uploaded: list[tuple[StarField, moderngl.Texture]] = []
-
-    def of(self, stars: StarField) -> moderngl.Texture:
-        """Return the texture of a field: directions and brightness in rows of `STARS_PER_ROW`.
-
-        Returns: until two other fields have been asked for.
-        """
-        known = [number for number, (field, _) in enumerate(self._uploaded) if field is stars]
-        if known:
-            self._uploaded.append(self._uploaded.pop(known[0]))
-            return self._uploaded[-1][1]
-        if (oldest := superseded_field([field for field, _ in self._uploaded], stars)) is not None:
-            self._uploaded.pop(oldest)[1].release()
-        packed = packed_stars(stars, multiple=STARS_PER_ROW)
-        texture = self._context.texture((STARS_PER_ROW, len(packed) // STARS_PER_ROW), 4, packed, dtype="f4")
-        texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        self._uploaded.append((stars, texture))
-        return texture
-
-    def release(self) -> None:
-        """Release the textures."""
-        while self._uploaded:
-            self._uploaded.pop()[1].release()
+def star_texture(context: moderngl.Context, stars: StarField) -> moderngl.Texture:
+    """Return directions and brightness of stars as a texture, in rows of `STARS_PER_ROW`."""
+    packed = packed_stars(stars, multiple=STARS_PER_ROW)
+    texture = context.texture((STARS_PER_ROW, len(packed) // STARS_PER_ROW), 4, packed, dtype="f4")
+    texture.filter = moderngl.NEAREST, moderngl.NEAREST
+    return texture
 
 
 # Columns of a list of numbers that is folded into a texture.
@@ -141,11 +139,11 @@ PASSAGE_COLUMNS: Final = 1024
 
 
 class PassageTexture:
-    """A texture of one float32 per texel that grows with its content."""
+    """A texture of one float32 per texel that grows with its content: the transmission of cloud for each star."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self.texture = self._made((1, 1))
+        self.texture = self._created((1, 1))
         self.write_table(np.ones((1, 1), np.float32))
 
     def write_table(self, table: NDArray[np.float32]) -> None:
@@ -153,11 +151,11 @@ class PassageTexture:
         size = table.shape[1], table.shape[0]
         if size != self.texture.size:
             self.texture.release()
-            self.texture = self._made(size)
+            self.texture = self._created(size)
         self.texture.write(np.ascontiguousarray(table, dtype=np.float32))
 
     def write(self, values: NDArray[np.float32]) -> None:
-        """Fold the rows of a table, one after the other, into `PASSAGE_COLUMNS` columns; nothing of an empty one."""
+        """Fold a table, row after row, into `PASSAGE_COLUMNS` columns; an empty one changes nothing."""
         if not values.size:
             return
         rows = -(-values.size // PASSAGE_COLUMNS)
@@ -165,7 +163,7 @@ class PassageTexture:
         folded[: values.size] = values.ravel()
         self.write_table(folded.reshape(rows, PASSAGE_COLUMNS))
 
-    def _made(self, size: tuple[int, int]) -> moderngl.Texture:
+    def _created(self, size: tuple[int, int]) -> moderngl.Texture:
         texture = self._context.texture(size, 1, dtype="f4")
         texture.filter = moderngl.NEAREST, moderngl.NEAREST
         return texture
@@ -180,24 +178,21 @@ TEXELS_PER_TIME: Final = 5
 
 
 def pointing_texels(pointing: Pointing, *, multiple: int = 1) -> NDArray[np.float32]:
-    """Return a pointing packed into texels.
+    """Return a pointing at n times as texels, (rows, 5, 4) float32.
 
-    `pointing`: at n times; `multiple`: the number of rows is rounded up to a multiple of this; rows of zeros are behind
-    the camera.  Returns (rows, 5, 4) float32: the fourth components are 0 and free for other data.
+    The number of rows is rounded up to a multiple; rows of zeros are behind the camera.  The fourth components are 0
+    and free for other data.
     """
-    n = len(pointing)
-    texels = np.zeros((-(-n // multiple) * multiple, TEXELS_PER_TIME, 4), np.float32)
-    texels[:n, :3, :3] = pointing.C_camera_eq
-    texels[:n, 3, :3] = pointing.zenith_eq
-    texels[:n, 4, :3] = pointing.velocity_eq
+    times = len(pointing)
+    texels = np.zeros((-(-times // multiple) * multiple, TEXELS_PER_TIME, 4), np.float32)
+    texels[:times, :3, :3] = pointing.C_camera_eq
+    texels[:times, 3, :3] = pointing.zenith_eq
+    texels[:times, 4, :3] = pointing.velocity_eq
     return texels
 
 
 def projection_uniforms(camera: Camera, pointing: Pointing, guard_band_px: int) -> dict[str, Any]:
-    """Return the uniforms of `projection.glsl` that do not depend on time.
-
-    `camera`: a pinhole; `guard_band_px`: width of the target's border around the image.
-    """
+    """Return the uniforms of `projection.glsl` that do not depend on time, for a pinhole and a guard band."""
     return {
         "refraction_scale": pointing.refraction_scale,
         "focal_px": (camera.fx_px, camera.fy_px),
@@ -205,6 +200,38 @@ def projection_uniforms(camera: Camera, pointing: Pointing, guard_band_px: int) 
         "skew_px": camera.skew_px,
         "guard_band_px": guard_band_px,
     }
+
+
+class ImageTexture:
+    """A texture with the pixels of an array, which is uploaded again only if it is another array."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self.texture: moderngl.Texture | None = None
+        self._context = context
+        self._pixels: NDArray[Any] | None = None
+
+    def of(self, pixels: NDArray[Any]) -> moderngl.Texture:
+        """Return the texture of (height, width) or (height, width, components) uint8 or uint16."""
+        size = pixels.shape[1], pixels.shape[0]
+        dtype = f"u{pixels.itemsize}"
+        components = 1 if pixels.ndim == 2 else pixels.shape[2]
+        texture = self.texture
+        if texture is None or (texture.size, texture.dtype, texture.components) != (size, dtype, components):
+            self.release()
+            texture = self.texture = self._context.texture(size, components, dtype=dtype, alignment=1)
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            texture.repeat_x = texture.repeat_y = False
+        if self._pixels is not pixels:
+            texture.write(np.ascontiguousarray(pixels), alignment=1)
+            self._pixels = pixels
+        return texture
+
+    def release(self) -> None:
+        """Release the texture; a second call does nothing."""
+        if self.texture is not None:
+            self.texture.release()
+        self.texture = None
+        self._pixels = None
 
 
 Float = NDArray[np.float64]
@@ -231,10 +258,9 @@ class ReadoutClock:
     resampling_px2: float = 0.0  # Behind a lens: variance that resampling will add to what is drawn, px^2 of the target
 
     def openings(self, guard_band_px: int, sigma_px: float) -> PixelOpenings | None:
-        """Return when the pixels of the image open that the target is drawn for.
+        """Return when the pixels of the image open that the target is drawn for; None for a global shutter.
 
-        `guard_band_px`: width of the target's border around that image; `sigma_px`: standard deviation of the stars
-        that are drawn, px of the target.  Returns: none for a global shutter.
+        `sigma_px` is the standard deviation of the stars that are drawn, px of the target.
         """
         if not self.rows:
             return None
@@ -242,23 +268,21 @@ class ReadoutClock:
         return PixelOpenings(1 / self.span, self.per_px, reach, lambda xy_px: self._at(xy_px + (guard_band_px + 0.5)))
 
     def _at(self, position_px: Float) -> Float:
-        """Return the opening times at positions as of gl_FragCoord, (n,): opening_at of readout.glsl."""
+        """Return the opening times at positions of gl_FragCoord, (n,), as opening_at of readout.glsl does."""
         if self.times is None:
             return np.asarray(position_px @ self.opening[:2] + self.opening[2])
         last = np.array(self.times.shape)[::-1] - 1
         at = np.nan_to_num(position_px / _STEP_PX).clip(0, last)
         column, row = np.minimum(at.astype(np.intp), last - 1).T
-        right, down = at[:, 0] - column, at[:, 1] - row
+        right = at[:, 0] - column
+        down = at[:, 1] - row
         upper, lower = (
             (1 - right) * self.times[row + k, column] + right * self.times[row + k, column + 1] for k in (0, 1)
         )
         return np.asarray((1 - down) * upper + down * lower)
 
     def bind(self, program: moderngl.Program, sigma_px: float) -> None:
-        """Set those uniforms of readout.glsl that a program has, and use the texture.
-
-        `sigma_px`: standard deviation of the stars that it draws, px of the target.
-        """
+        """Set those uniforms of readout.glsl that a program of stars of this width has, and use the texture."""
         if not self.rows:
             return
         uniforms: dict[str, float | tuple[float, ...]] = {"open_time": 1 / self.span}
@@ -274,11 +298,16 @@ class ReadoutClock:
 GLOBAL_SHUTTER: Final = ReadoutClock()
 
 
-def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> ReadoutClock:
-    """Return when the pixels of a pinhole's target open.
+class StarTarget(NamedTuple):
+    """What stars are drawn to."""
 
-    `guard_band_px`: width of the target's border around the image.
-    """
+    light: moderngl.Framebuffer  # one component of 32-bit float
+    guard_band_px: int  # width of its border around the image, px
+    clock: ReadoutClock  # when its pixels open
+
+
+def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> ReadoutClock:
+    """Return when the pixels of a pinhole's target open, given the width of its guard band."""
     if exposure.readout_s == 0:
         return GLOBAL_SHUTTER
     per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
@@ -290,10 +319,7 @@ def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> Rea
 
 
 class LensOpenings:
-    """Opening times behind a lens: those of the distorted rows, over the target of the undistorted signal.
-
-    `camera`: with a lens.
-    """
+    """Opening times behind a camera's lens: those of the distorted rows, over the undistorted target."""
 
     def __init__(self, context: moderngl.Context, camera: Camera) -> None:
         self._context = context
@@ -302,22 +328,21 @@ class LensOpenings:
         self._clock = GLOBAL_SHUTTER
 
     def clock(self, exposure: Exposure, undistorted: Camera, guard_band_px: int, resampling_px2: float) -> ReadoutClock:
-        """Return when the pixels of the undistorted target open.
+        """Return when the pixels of the undistorted target open; valid until the next call.
 
-        `undistorted`: the pinhole that draws the target; `guard_band_px`: width of the target's border around the
-        pinhole's image; `resampling_px2`: variance that resampling adds to the undistorted signal, px^2 of its target.
-        Returns: valid until the next call.
+        `undistorted` is the pinhole that draws the target, and `resampling_px2` the variance that resampling adds to
+        the undistorted signal, px^2 of its target.
         """
         if exposure.readout_s == 0:
             return ReadoutClock(resampling_px2=resampling_px2)
         key = undistorted, guard_band_px, exposure.duration_s, exposure.readout_s, exposure.readout
         if self._key != key:
             self.release()
-            self._clock = self._made(exposure, undistorted, guard_band_px)
+            self._clock = self._created(exposure, undistorted, guard_band_px)
             self._key = key
         return replace(self._clock, resampling_px2=resampling_px2)
 
-    def _made(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
+    def _created(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
         camera = self._camera
         size_px = (side + 2 * guard_band_px for side in (undistorted.width_px, undistorted.height_px))
         columns, rows = (np.arange(-(-side // _STEP_PX) + 1) * _STEP_PX for side in size_px)
@@ -351,4 +376,5 @@ class LensOpenings:
         """Release the texture."""
         if self._clock.texture is not None:
             self._clock.texture.release()
-        self._clock, self._key = GLOBAL_SHUTTER, None
+        self._clock = GLOBAL_SHUTTER
+        self._key = None

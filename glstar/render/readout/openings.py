@@ -1,9 +1,7 @@
-"""Which pieces of a star's trail a rolling shutter records in full, and what remains near its opening and closing.
+"""Which pieces of a star's trail a rolling shutter records in full, and which in part, near its opening and closing.
 
 A piece during which all rows that it lights are open contributes as under a global shutter.  Where a row opens or
-closes during a piece, the fragment has to find the limits of its own row: `endpieces`.
-
-The ends of trails under a rolling shutter: pieces during which a row opens or closes that their star lights.
+closes during a piece, the fragment has to find the limits of its own row (`EndPieces`).
 """
 
 from collections.abc import Callable
@@ -21,11 +19,11 @@ from glstar.render.scene.scene import Scene
 
 Float = NDArray[np.float64]
 
-# Times, at least, between which the meeting of a star with an opening row is found by a line.
+# Minimum number of times between which the meeting of a star with an opening row is found by a line.
 _ZONE_TIMES: Final = 12
-# Further than a star is drawn, px: what a quadratic between the times of segments may be off.
+# Margin around a drawn star, px: the error of a quadratic between the times of segments.
 _PATH_PX: Final = 0.5
-# Of times, fractions of an exposure.
+# Rounding error of times, fractions of an exposure.
 _ROUNDING: Final = 1e-12
 # Speed of stars relative to that of the readout above which no trail is divided.
 _FASTEST: Final = 0.9
@@ -40,7 +38,7 @@ class PixelOpenings:
     open_time: float  # How long each pixel is open
     per_px: float  # Upper bound of the change of the opening time per pixel
     reach: float  # How far from a star the pixels are whose rows matter, in truncation radii: 1, and more behind a lens
-    # Returns the opening times, (n,), of positions on the image, (n, 2) px; of those beside it any.
+    # Opening times, (n,), at positions on the image, (n, 2) px; beside the image any.
     at: Callable[[Float], Float]
 
     @property
@@ -74,7 +72,7 @@ class SegmentColumns:
     """Parts of trails that are drawn in segments."""
 
     star: NDArray[np.intp]  # (c,) intp: index into the draw list
-    rises_and_sets: Float  # (c, 2) when a part begins and ends, as `horizoncrossing.rise_and_set` has it
+    rises_and_sets: Float  # (c, 2) when a part begins and ends: see `occlusion.rise_and_set`
 
     def of(self, columns: slice | NDArray[np.bool_]) -> "SegmentColumns":
         """Return some of the parts."""
@@ -103,12 +101,13 @@ class OpenSpans(NamedTuple):
 
 
 def open_spans(scene: Scene, reach_px: Float, openings: PixelOpenings) -> OpenSpans | None:
-    """Return when all rows are open that the stars of a scene light.
+    """Return when all rows are open that the stars of a scene light; None where stars may be as fast as the readout.
 
-    `scene`: its stars are up throughout the exposure; `reach_px` (k,): how far from its position each star is drawn.
-    Returns: none where stars may be as fast as the readout.  A star at p(t) meets an opening row at t = o(p(t)).
-    Where it is slower than the readout, o(p(t)) is a contraction: there is one solution, and a row that opens by d
-    later meets the star by d / (1 - r) later at most, r the ratio of the speeds.
+    The stars are up throughout the exposure; `reach_px` (k,): how far from its position each is drawn.
+
+    A star at p(t) meets an opening row at t = o(p(t)).  Where it is slower than the readout, o(p(t)) is a contraction:
+    there is one solution, and a row that opens by d later meets the star by d / (1 - r) later at most, r the ratio of
+    the speeds.
     """
     trails = scene.trails
     assert isinstance(trails, AnalyticSegments)
@@ -169,11 +168,7 @@ def _meeting(times: Float, is_inner: NDArray[np.bool_], opens: Float, last: floa
 
 
 def open_pieces(spans: OpenSpans, ends: Float) -> OpenPieces:
-    """Return which pieces of trails are recorded in full.
-
-    `spans`: when all rows are open that the stars light; `ends` (n + 1,): where pieces begin and end, fractions of the
-    exposure.
-    """
+    """Return which pieces of trails, with ends (n + 1,) at fractions of the exposure, are recorded in full."""
     first = np.searchsorted(ends, np.nan_to_num(spans.begin, nan=1.0) - _ROUNDING)
     last = np.searchsorted(ends, np.nan_to_num(spans.end, nan=0.0) + _ROUNDING, side="right") - 1
     return OpenPieces(first, np.maximum(first, last), spans.opens, spans.closes)
@@ -205,11 +200,10 @@ def end_pieces(
     recorded: OpenPieces,
     passage: NDArray[np.float32] | None = None,
 ) -> EndPieces:
-    """Return the pieces of trails that are recorded in part.
+    """Return the pieces of the trails of stars, (k,) indices into the draw list, that are recorded in part.
 
-    `bounds` (n + 1,): where the pieces begin and end that are recorded in full, numbers of segments; `stars` (k,) intp:
-    indices into the draw list; `recorded`: which of those pieces are recorded: of each star at least one; `passage` (m,
-    s) float32: what cloud transmits of each star of the draw list during each segment.
+    `bounds` (n + 1,): ends of the pieces, numbers of segments; `recorded`: which of them are recorded in full, of each
+    star at least one; `passage` (m, s) float32: transmission of each star of the draw list during each segment.
     """
     ends = np.union1d(bounds, np.arange(len(path) + 1))
     times = path.times(ends)

@@ -41,20 +41,18 @@ class PieceLimits:
     def widening(self) -> float:
         """How much wider a piece may be than a star at rest.
 
-        The variance of a position on a path of length l is at most l^2 / 4: of a star that is half of the time at
-        either end.
+        The variance of a position on a path of length l is at most l^2 / 4, of a star half of the time at either end.
         """
         return float(np.sqrt(1 + self.length_sigma**2 / 4))
 
     def reach_px(self, radius_px: Float, sigma_px: float) -> Float:
-        """Return how far from any position during a piece a star is drawn, (k,) px: parameters as of `sprite_px`."""
+        """Return how far from any position during a piece stars are drawn, (k,) px; parameters as for `sprite_px`."""
         return np.asarray(radius_px * self.widening + self.length_sigma * sigma_px + SNAPPING_PX)
 
     def sprite_px(self, radius_px: Float, sigma_px: float) -> Float:
-        """Return the largest side of the sprites of stars, px.
+        """Return the largest side of the sprites of stars, (k,) px.
 
         `radius_px` (k,): truncation radii; `sigma_px`: standard deviation of a star as the pixels record it, px.
-        Returns (k,).
         """
         path_px = PIECES_PER_SPRITE * self.length_sigma * sigma_px
         return np.asarray(2 * radius_px * self.widening + path_px + 2 * SNAPPING_PX)
@@ -102,7 +100,7 @@ class DividedScene:
     """A scene whose stars are drawn in pieces, but for some."""
 
     parts: tuple[ScenePart, ...]  # The stars that are drawn in pieces: all of them, or bright and faint ones
-    # Those that are drawn in segments: stars that rise or set during the exposure, or that are never up, and stars
+    # The stars that are drawn in segments: those that rise or set during the exposure, or that are never up, and those
     # whose sprites would be larger than the driver draws.
     rest: Scene
 
@@ -117,8 +115,8 @@ def in_pieces(
 ) -> DividedScene | None:
     """Return a scene whose stars are plain Gaussians divided into pieces; None where segments cost less.
 
-    `trails`: the scene's; `largest_point_px`: the largest point sprite of the driver, px; `openings`: of a rolling
-    shutter.  Returns: none too for stars so narrow that the area of a pixel is integrated over.
+    None, too, for stars so narrow that they are integrated over the area of a pixel.  `trails`: those of the scene;
+    `largest_point_px`: the largest point sprite of the driver, px; `openings`: those of a rolling shutter.
     """
     sensor, drawn = scene.sensor, scene.draw_list
     if sensor.needs_erf or len(trails) < costs.min_segments:
@@ -155,7 +153,7 @@ def _classes(
     if np.count_nonzero(is_up & is_faint) * trail_px * saved_per_px < costs.min_faint_sprites:
         return [(is_up, PIECE_LIMITS)]
     classes = [(is_up & ~is_faint, PIECE_LIMITS), (is_up & is_faint, FAINT_LIMITS)]
-    return [one for one in classes if one[0].any()]
+    return [(stars, limits) for stars, limits in classes if stars.any()]
 
 
 def _are_faint(scene: Scene) -> NDArray[np.bool_]:
@@ -188,9 +186,9 @@ def _recorded(
     limits: PieceLimits,
     openings: PixelOpenings,
 ) -> tuple[ScenePart, NDArray[np.bool_]] | None:
-    """Return the stars of a part of which pieces are recorded in full, with those recorded in part, and which they are.
+    """Return the part with the stars of which pieces are recorded in full, and which of its stars these are.
 
-    `passage` is by segment.  None where stars may be as fast as a rolling shutter.
+    `passage`: transmission of its stars by segment.  None where stars may be as fast as a rolling shutter.
     """
     scene, pieces, sigma_px = part.scene, part.pieces, part.scene.sensor.effective_sigma_px
     reach_px = openings.reach * limits.reach_px(scene.draw_list.truncation_radius_px, sigma_px)
@@ -198,17 +196,16 @@ def _recorded(
     if spans is None:
         return None
     recorded = open_pieces(spans, path.times(pieces.bounds))
-    some = recorded.last > recorded.first
-    recorded, drawn = recorded.of(some), scene.draw_list[some]
-    ends = end_pieces(
-        path, pieces.bounds, np.arange(len(drawn)), recorded, passage if passage is None else passage[some]
-    )
+    is_recorded = recorded.last > recorded.first
+    recorded, drawn = recorded.of(is_recorded), scene.draw_list[is_recorded]
+    passage = None if passage is None else passage[is_recorded]
+    ends = end_pieces(path, pieces.bounds, np.arange(len(drawn)), recorded, passage)
     full = np.stack([recorded.first, recorded.last])
-    return ScenePart(replace(scene, draw_list=drawn), pieces, full, ends), some
+    return ScenePart(replace(scene, draw_list=drawn), pieces, full, ends), is_recorded
 
 
 def _unlike_segments(passage: NDArray[np.float32] | None) -> NDArray[np.intp]:
-    """Return the segments that cloud dims otherwise than the segment before."""
+    """Return the segments in which cloud transmits another fraction than in the segment before."""
     if passage is None or not len(passage):
         return np.zeros(0, np.intp)
     return 1 + np.flatnonzero(np.abs(np.diff(passage, axis=1)).max(axis=0) > _PASSAGE_STEP)
@@ -223,11 +220,10 @@ def trail_pieces(
     most: float = np.inf,
     divided_at: NDArray[np.intp] = _NONE,
 ) -> TrailPieces | None:
-    """Return the pieces of the trails of an exposure.
+    """Return the pieces of the trails of an exposure; None if there are more than `most`.
 
     `camera`: behind a lens trails are drawn in the undistorted image plane; `sigma_px`: standard deviation of a star
-    there as the pixels record it, px; `most`: the most pieces; `divided_at` (k,) intp: segments before which pieces
-    end.  Returns: none if there are more than `most`.
+    there as the pixels record it, px; `divided_at` (k,) intp: segments before which pieces end.
     """
     return _divided(CameraPath(trails, camera), sigma_px, limits, most, divided_at)
 

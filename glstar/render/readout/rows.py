@@ -1,7 +1,4 @@
-"""When a rolling shutter records each star: its own opening, middle and closing, and its positions then.
-
-The paths of stars while a rolling shutter records them.
-"""
+"""When a rolling shutter records each star (its own opening, middle and closing), and its path during that time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,7 +26,8 @@ _GRID: Final = 65
 _ZONE_GRID: Final = 6
 # A star is slow if it needs for a row more than twice the time after which the next one opens.
 _SLOW: Final = 0.5
-# Steps of the search, at most.  When all stars are this near, s, the last one is a line: it leaves 1e-9 s and 1e-5 px.
+# Maximum number of steps of the search.  Once all stars are this near, s, the last step is a line: it leaves 1e-9 s and
+# 1e-5 px.
 _STEPS: Final = 6
 _NEARLY_S: Final = 1e-6
 # A closing and the next opening that differ by less are the same time, s: twenty times the error of the search.
@@ -64,20 +62,16 @@ class RecordedTimes:
 
 
 def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
-    """Return when a rolling shutter records stars.
+    """Return when a rolling shutter records stars of a scene, single or stacked.
 
-    `scene`: with a readout time; of a single exposure or of a stacked image; `direction_eq` (k, 3): geocentric apparent
-    unit vectors, true equator and equinox.  A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows
-    beyond the border count as the first or the last one.
+    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox.  A star at row y(t) is open while
+    0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the first or the last one.
     """
     return RowTimeSearch(scene).times(direction_eq)
 
 
 class RowTimeSearch:
-    """Finds when a rolling shutter records stars of a scene.
-
-    `scene`: with a readout time; of a single exposure or of a stacked image.
-    """
+    """Finds when a rolling shutter records stars of a scene, single or stacked, with a readout time."""
 
     def __init__(self, scene: Scene) -> None:
         assert scene.motion is not None
@@ -121,22 +115,23 @@ class RowTimeSearch:
 
     @property
     def frame_keys(self) -> dict[str, Any]:
-        """What `frame_truth` lists of a frame of a rolling shutter.
+        """What `frame_truth` lists of a frame of a rolling shutter: ``readout_s``, ``readout``, ``rates_rad_per_s``.
 
-        ``readout_s``, ``readout`` and ``rates_rad_per_s``: the angular rate of the camera at ``utc_mid`` about its
-        right, down and forward axes, with respect to the stars.
+        The last is the angular rate of the camera with respect to the stars at ``utc_mid``, about its right, down and
+        forward axes.
         """
         exposure = self._scene.exposure
         rates = None if self._shorts or self._table is None else self._table.rates_rad_per_s
-        rates = rates_rad_per_s(self._motion, exposure) if rates is None else rates
+        if rates is None:
+            rates = rates_rad_per_s(self._motion, exposure)
         return {"readout_s": exposure.readout_s, "readout": exposure.readout, "rates_rad_per_s": rates.tolist()}
 
     def times(self, direction_eq: Float) -> RecordedTimes:
         """Return when stars are recorded: see `recorded_times`."""
         shorts = tuple(short.times(direction_eq) for short in self._shorts)
         if not len(direction_eq):
-            none = np.zeros(0)
-            return RecordedTimes(none, none, none, np.zeros((3, 0, 2)), none, shorts)
+            empty = np.zeros(0)
+            return RecordedTimes(empty, empty, empty, np.zeros((3, 0, 2)), empty, shorts)
         if shorts:
             return self._joined(direction_eq, shorts)
         exposure = self._scene.exposure
@@ -192,10 +187,9 @@ class RowTimeSearch:
         return self._grids_s[:, :, np.newaxis] - delay_s.reshape(*self._grids_s.shape, len(direction_eq))
 
     def _crossings(self, direction_eq: Float, since_opening_s: Float) -> tuple[Float, Float]:
-        """Return when the row of each star opens for the first and closes for the last time, and where the star is.
+        """Return when the row of each star first opens and last closes, and where the star is then.
 
-        `direction_eq` (k, 3); `since_opening_s` (2, n, k).  Returns `crossing_s` (2, k): opening and closing, s after
-        the start of the exposure; `xy_px` (2, k, 2): positions then.
+        `direction_eq` (k, 3); `since_opening_s` (2, n, k).  Returns (2, k) s after the start, and (2, k, 2) px.
         """
         stars = len(direction_eq)
         duration_s = self._scene.exposure.duration_s
@@ -230,14 +224,15 @@ class RowTimeSearch:
         `exposed_s` is the time from its opening to its closing, and `since_opening_s` that of the grid, (n, k).
         """
         is_monotonic = (since_opening_s[1:] > since_opening_s[:-1]).all(axis=0)
-        others, duration_s = np.flatnonzero(~is_monotonic), self._scene.exposure.duration_s
-        since = since_opening_s[:, others]
+        repeated = np.flatnonzero(~is_monotonic)
+        duration_s = self._scene.exposure.duration_s
+        since = since_opening_s[:, repeated]
         low, high = np.minimum(since[:-1], since[1:]), np.maximum(since[:-1], since[1:])
         overlap = np.minimum(high, duration_s) - np.maximum(low, 0.0)
         inside = np.where(high > low, overlap / np.where(high > low, high - low, 1.0), (low >= 0) & (low <= duration_s))
         summed_s = inside.clip(0.0, 1.0).sum(axis=0) * (self._grids_s[0, 1] - self._grids_s[0, 0])
         exposed_s = exposed_s.copy()
-        exposed_s[others] = summed_s
+        exposed_s[repeated] = summed_s
         return exposed_s
 
     def _delay_s(self, xy_px: Float) -> Float:
@@ -315,22 +310,22 @@ def recorded_rows(scene: Scene, index: NDArray[np.int32], rows: RowTimeSearch | 
 
 
 def exposed_fraction(exposure: Exposure, recorded: RecordedTimes | None) -> Float | float:
-    """Return how long stars are recorded over the exposure time of all short exposures, (k,); 1 for a global shutter.
-
-    `recorded`: when each star is recorded; None for a global shutter.
-    """
+    """Return how long stars are recorded over the time of all short exposures, (k,); 1 for a global shutter."""
     return 1.0 if recorded is None else recorded.exposed_s / (exposure.duration_s * exposure.frames)
 
 
 def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) -> dict[str, Float]:
-    """Return the columns of stars in the truth of a rolling shutter.
+    """Return the columns of stars in the truth of a rolling shutter; empty for a global shutter.
 
-    `recorded`: when each star is recorded; `flux_dn` (k,): flux of each star on the image if it did not move, DN.
-    Returns ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``;
-    ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between rows,
-    and the sum of the short exposures of a stacked image; ``light_dn``: the flux that it leaves, ``flux_dn`` times
-    ``exposed_s`` over the exposure time of all short exposures; position, ``start``, ``end``, centroid and ``in_frame``
-    of the star belong to the same time; empty for a global shutter.
+    `flux_dn` (k,): flux of each star on the image if it did not move, DN.
+
+    - ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``.
+    - ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between rows;
+      of a stacked image the sum of its short exposures.
+    - ``light_dn``: the flux that it leaves, ``flux_dn`` times ``exposed_s`` over the exposure time of all short
+      exposures.
+
+    Position, ``start``, ``end``, centroid and ``in_frame`` of the star belong to the same time.
     """
     if recorded is None:
         return {}
@@ -387,13 +382,15 @@ def recorded_parts(scene: Scene, direction_eq: Float, recorded: RecordedTimes | 
 def recorded_samples(
     scene: Scene, direction_eq: Float, recorded: RecordedTimes | None = None
 ) -> Iterator[tuple[Float, Float, Float]]:
-    """Yield the true paths of stars while a rolling shutter records them.
+    """Yield the true paths of stars while a rolling shutter records them, a block of n times at a time.
 
-    `scene`: with a readout time; of a single exposure or of a stacked image; `direction_eq` (k, 3): geocentric apparent
-    unit vectors, true equator and equinox; `recorded`: `recorded_times` of the same, if known.  Yields `xy_px` (n, k,
-    2): positions at n times; NaN behind the camera and below the horizon; `time_fraction` (n,): the parts of the time
-    from the first opening to the last closing; `weight` (n, k): the parts of the exposure time in which the row of each
-    star is open: their sum over all times is `RecordedTimes.exposed_s` over the exposure time of all short exposures.
+    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `recorded`: the `recorded_times`
+    of the same stars, if known.  Yields
+
+    - `xy_px` (n, k, 2): positions; NaN behind the camera and below the horizon;
+    - `time_fraction` (n,): parts of the time from the first opening to the last closing;
+    - `weight` (n, k): parts of the exposure time in which the row of each star is open.  Their sum over all times is
+      `RecordedTimes.exposed_s` over the exposure time of all short exposures.
     """
     for part in recorded_parts(scene, direction_eq, recorded):
         yield from part.samples(np.arange(len(direction_eq)))
@@ -402,10 +399,9 @@ def recorded_samples(
 def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float, Float]:
     """Return the paths of stars while a rolling shutter records them.
 
-    `scene`: with a readout time; `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox;
-    `count`: number of times, n: the middles of equal parts of the time during which each star is recorded.  Returns
-    `in_camera` (n, k, 3): vectors in the camera frame; NaN below the horizon; `exposed_s` (k,): how long each star is
-    recorded, s.
+    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `count`: number of times, n, the
+    middles of equal parts of the time during which each star is recorded.  Returns vectors in the camera frame, (n, k,
+    3), NaN below the horizon; and how long each star is recorded, (k,) s.
     """
     return _recorded(scene, direction_eq, (np.arange(count) + 0.5) / count)
 
@@ -413,18 +409,18 @@ def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float
 def recorded_positions(scene: Scene, direction_eq: Float, fractions: Float) -> Float:
     """Return where stars are at fractions of the time during which each is recorded, by any shutter.
 
-    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `fractions` (n,): 0 as a star's
-    own row opens, or a global shutter; 1 as it closes; of a stacked image, of the time during which the shutter is
-    open.  Returns (n, k, 2) positions (x, y), px; NaN behind the camera and below the horizon.
+    `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `fractions` (n,): 0 as the
+    shutter opens, of a rolling one the star's own row, 1 as it closes; of a stacked image, fractions of the open time.
+    Returns (n, k, 2) positions (x, y), px; NaN behind the camera and below the horizon.
     """
     if scene.exposure.readout_s == 0 or scene.motion is None:
         return scene.positions(direction_eq, fractions)
     if not scene.shorts:
         return scene.camera.project(_recorded(scene, direction_eq, fractions)[0])
     count, xy_px = len(scene.shorts), np.empty((len(fractions), len(direction_eq), 2))
-    which = np.minimum((fractions * count).astype(np.intp), count - 1)
-    for k in np.unique(which).tolist():
-        xy_px[which == k] = recorded_positions(scene.shorts[k], direction_eq, fractions[which == k] * count - k)
+    short = np.minimum((fractions * count).astype(np.intp), count - 1)
+    for k in np.unique(short).tolist():
+        xy_px[short == k] = recorded_positions(scene.shorts[k], direction_eq, fractions[short == k] * count - k)
     return xy_px
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +15,7 @@ from glstar.render.motion.starpaths import ConicPaths, SampledPaths
 from glstar.render.motion.trailmodels import TrailModel
 from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.culling import DrawList
-from glstar.render.scene.scene import Frame, Scene
+from glstar.render.scene.scene import Frame, Scene, StarListing
 
 Float = NDArray[np.float64]
 
@@ -31,22 +32,21 @@ class StackedTrails:
     @property
     def pointing(self) -> Pointing:
         """The camera's orientation at the times of all short exposures."""
-        each = [trails.pointing for trails in self.shorts]
+        pointings = [trails.pointing for trails in self.shorts]
         return replace(
-            each[0],
-            C_camera_eq=np.concatenate([one.C_camera_eq for one in each]),
-            zenith_eq=np.concatenate([one.zenith_eq for one in each]),
-            velocity_eq=np.concatenate([one.velocity_eq for one in each]),
+            pointings[0],
+            C_camera_eq=np.concatenate([pointing.C_camera_eq for pointing in pointings]),
+            zenith_eq=np.concatenate([pointing.zenith_eq for pointing in pointings]),
+            velocity_eq=np.concatenate([pointing.velocity_eq for pointing in pointings]),
         )
 
     def positions(self, camera: Camera, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are drawn at some fractions of the open time: see `TrailModel.positions`."""
         count = len(self.shorts)
-        which = np.minimum((np.asarray(time) * count).astype(np.intp), count - 1)
-        xy_px = np.empty((len(which), len(np.asarray(direction_eq)), 2))
-        for k in np.unique(which).tolist():
-            here = which == k
-            xy_px[here] = self.shorts[k].positions(camera, direction_eq, np.asarray(time)[here] * count - k)
+        short = np.minimum((np.asarray(time) * count).astype(np.intp), count - 1)
+        xy_px = np.empty((len(short), len(np.asarray(direction_eq)), 2))
+        for k in np.unique(short).tolist():
+            xy_px[short == k] = self.shorts[k].positions(camera, direction_eq, np.asarray(time)[short == k] * count - k)
         return xy_px
 
     def star_paths(
@@ -62,29 +62,41 @@ class StackedTrails:
 
 
 def union(draw_lists: Sequence[DrawList]) -> DrawList:
-    """Return the stars of several draw lists, each once with its largest truncation radius.
+    """Return the stars of the draw lists of short exposures, each once with its largest truncation radius.
 
-    `draw_lists`: of short exposures in their order.  Returns: in the order of the star field; extinction is that of the
-    short exposure nearest to the middle.
+    They are in the order of the star field; extinction is that of the short exposure nearest to the middle.
     """
     middle = (len(draw_lists) - 1) / 2
     ordered = sorted(range(len(draw_lists)), key=lambda k: abs(k - middle))
     lists = [draw_lists[k] for k in ordered]
-    index, first, inverse = np.unique(
-        np.concatenate([one.index for one in lists]), return_index=True, return_inverse=True
-    )
+    indices = np.concatenate([stars.index for stars in lists])
+    index, first, inverse = np.unique(indices, return_index=True, return_inverse=True)
     radius_px = np.zeros(len(index))
-    np.maximum.at(radius_px, inverse.ravel(), np.concatenate([one.truncation_radius_px for one in lists]))
-    mags = [one.extinction_mag for one in lists if one.extinction_mag is not None]
+    np.maximum.at(radius_px, inverse.ravel(), np.concatenate([stars.truncation_radius_px for stars in lists]))
+    mags = [stars.extinction_mag for stars in lists if stars.extinction_mag is not None]
     extinction_mag = np.concatenate(mags)[first] if len(mags) == len(lists) else None
     return DrawList(index, radius_px, extinction_mag=extinction_mag)
 
 
-def short_seed(seed: int, number: int) -> int:
-    """Return the noise seed of one short exposure of a stacked image.
+@dataclass(frozen=True, eq=False)
+class StackedListing:
+    """The stars that several short exposures list, along the paths of all: a `StarListing`."""
 
-    `seed`: the seed of the image; `number`: number of the short exposure, from 0.  Returns: 0 to 2**32 - 1.
-    """
+    listings: Sequence[StarListing]
+
+    @cached_property
+    def stars(self) -> DrawList:
+        """The stars whose paths may touch one of the images."""
+        return union([listing.stars for listing in self.listings])
+
+    @cached_property
+    def trails(self) -> StackedTrails:
+        """The true motion of the stars over all short exposures."""
+        return StackedTrails([listing.trails for listing in self.listings])
+
+
+def short_seed(seed: int, number: int) -> int:
+    """Return the noise seed, 0 to 2**32 - 1, of the short exposure with a number, from 0, of a stacked image."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
@@ -95,12 +107,10 @@ class _Render(Protocol):
 
 
 def stacked_frame(render: _Render, scene: Scene, *, seed: int) -> Frame:
-    """Draw the short exposures of a scene one after the other, and return their sum or mean.
+    """Draw the short exposures of a scene one after the other, each with its `short_seed`; return their sum or mean.
 
-    `render`: draws one scene with a seed; `scene`: with `Scene.shorts`; `seed`: the seed of the image, from which
-    `short_seed` derives that of each short exposure.  Returns: 16 bits per pixel of a sum; a mean is rounded to whole
-    numbers, halves up, and has the bits of the sensor; `Frame.saturated` says where one of the short exposures is
-    saturated.
+    A sum has 16 bits per pixel; a mean is rounded to whole numbers, halves up, and has the bits of the sensor.
+    `Frame.saturated` says where one of the short exposures is saturated.
     """
     exposure, count = scene.exposure, len(scene.shorts)
     exposure.full_scale_dn(scene.sensor.saturation_dn)  # raises if it does not fit
@@ -127,21 +137,16 @@ def stacked_frame_keys(exposure: Exposure) -> dict[str, Any]:
     """Return what `frame_truth` lists of the exposure of a stacked image; empty for a single exposure."""
     if exposure.frames == 1:
         return {}
-    return {
-        "frames": exposure.frames,
-        "gap_s": exposure.gap_s,
-        "stack": exposure.stack,
-        "total_s": exposure.span_s,
-    }
+    return {"frames": exposure.frames, "gap_s": exposure.gap_s, "stack": exposure.stack, "total_s": exposure.span_s}
 
 
 def stacked_segments(scene: Scene, index: NDArray[np.int32], recorded: RecordedTimes | None) -> dict[str, Float]:
-    """Return the column of stars in the truth of a stacked image.
+    """Return the column of stars in the truth of a stacked image; empty for a single exposure.
 
     `index` (m,) int32: the stars, in the scene's star field; `recorded`: when a rolling shutter records them; None for
-    a global shutter.  Returns ``segments``, (m, frames, 2, 2): [x, y] as each short exposure begins and ends, px; NaN
-    behind the camera and below the horizon; without a gap each begins exactly where the one before it ends; with a
-    rolling shutter they are those of the star's own rows; empty for a single exposure.
+    a global shutter.  ``segments`` is (m, frames, 2, 2): [x, y] as each short exposure begins and ends, px, for a
+    rolling shutter as the star's own row opens and closes; NaN behind the camera and below the horizon.  Without a gap
+    each begins exactly where the one before it ends.
     """
     if recorded is not None and recorded.shorts:
         ends = np.array([short.positions[[0, 2]] for short in recorded.shorts])

@@ -22,7 +22,7 @@ BODIES: Final = "bodies"
 # Distance between the sources of a disc, in sigma of a star's image.  At 0.75 the sum of Gaussians has no ripple; what
 # remains is the disc's edge, 1 % of its brightest pixel.
 _SPACING_SIGMA: Final = 0.75
-# A disc of a smaller radius, in sigma, is one point.
+# Radius of a disc, in sigma, below which it is one point.
 _POINT_SIGMA: Final = 0.25
 # Samples across a disc, and across each of its cells: a cell's brightness is their mean.
 _SAMPLES_ACROSS: Final = 240
@@ -42,17 +42,16 @@ class BodySources:
     draw_list: DrawList  # The sources that may touch the image
 
     def magnified(self, magnification: float) -> Self:
-        """Return the same with larger truncation radii, for an oversampled image."""
+        """Return the same sources with larger truncation radii, for an oversampled image."""
         radius_px = magnification * self.draw_list.truncation_radius_px
         return replace(self, draw_list=replace(self.draw_list, truncation_radius_px=radius_px))
 
 
 def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, near: NDArray[np.bool_]) -> StarField:
-    """Return the sources of some bodies.
+    """Return the sources of n bodies, in their order, in the frame of the stars of the scene.
 
-    `stars`: the stars of the scene, whose frame the sources share; `sigma_rad`: standard deviation of a star's image on
-    the optical axis, rad; `near` (n,) bool: which bodies may touch the image; the others are single points, to save
-    time.  Returns: in the order of the bodies.
+    `sigma_rad`: standard deviation of a star's image on the optical axis, rad; `near` (n,) bool: which bodies may touch
+    the image; the others are single points, to save time.
     """
     parts = [
         disc_sources(body, sigma_rad) if is_near else (body.direction_eq[np.newaxis], np.array([body.vmag]))
@@ -62,7 +61,7 @@ def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, nea
     return StarField(
         catalogue=BODIES,
         star_id=number,
-        name=tuple(bodies[k].name for k in number),
+        name=tuple(bodies[index].name for index in number),
         vmag=np.concatenate([vmag for _, vmag in parts]),
         direction_eq=np.concatenate([directions for directions, _ in parts]),
         epoch_utc_s=stars.epoch_utc_s,
@@ -71,21 +70,17 @@ def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, nea
 
 
 def centre_source(body: Body, stars: StarField) -> BodySources:
-    """Return the centre of a body as the only source of a scene, which touches the image where its centre does.
-
-    `stars`: the stars of the scene.
-    """
+    """Return the centre of a body as the only source of the scene of some stars."""
     field = body_field((body,), stars, 0.0, np.zeros(1, dtype=np.bool_))
     return BodySources((body,), field, DrawList(np.zeros(1, dtype=np.int32), np.zeros(1)))
 
 
 def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
-    """Return point sources that together look like the disc of a body.
+    """Return the directions, (n, 3), and magnitudes, (n,), of point sources that look like the disc of a body.
 
-    `sigma_rad`: standard deviation of a star's image, rad.  Returns `direction_eq` (n, 3): unit vectors as in
-    `Body.direction_eq`: the centroid of the light of each cell of the disc; `vmag` (n,): magnitudes; their sum is the
-    body's.  Brightness by Lommel and Seeliger, mu0 / (mu0 + mu), zero beyond the terminator; of the Sun, linear limb
-    darkening.
+    Each is at the centroid of the light of a cell of the disc; their light adds up to the body's.  Brightness by Lommel
+    and Seeliger, mu0 / (mu0 + mu), zero beyond the terminator; of the Sun, linear limb darkening.  `sigma_rad`:
+    standard deviation of a star's image, rad.
     """
     radius_rad = body.angular_radius_rad
     if radius_rad < _POINT_SIGMA * sigma_rad:
@@ -109,11 +104,11 @@ def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
 
 
 def disc_on_image(camera: Camera, pointing: Pointing, body: Body) -> tuple[float | None, float | None]:
-    """Return the size of a body's disc on the image, and where its bright limb is, at one time.
+    """Return the diameter of a body's disc on the image, px, and the direction of its bright limb, deg, at one time.
 
-    `pointing`: at this time.  Returns `diameter_px`: of the circle of the same area; None if the centre is not on the
-    plane of the image; `bright_limb_deg`: direction from the centre to the middle of the bright limb, from right (0)
-    towards down (90), -180 to 180; None for the Sun.
+    The diameter is that of the circle of the same area.  The direction is from the centre to the middle of the bright
+    limb, from right (0) towards down (90), -180 to 180; None for the Sun.  Both are None if the centre is not on the
+    plane of the image.
     """
     across, up = _disc_axes(body)
     sine = np.sin(body.angular_radius_rad)

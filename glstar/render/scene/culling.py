@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import acos, asin, atan, cos, hypot, sin, sqrt
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +42,10 @@ class DrawList:
     truncation_radius_px: Float
     # (k,) lower bound of the length of each star's trail at its slowest rate, px; 0 by default.
     min_trail_px: Float = field(default_factory=lambda: np.zeros(0))
-    # (k,) or None: what the air takes from each star in the middle of the exposure, mag; None without extinction.
+    # (k,) or None: extinction of each star in the middle of the exposure, mag; None without extinction.
     extinction_mag: Float | None = None
-    # (k, s) float32 or None: what cloud transmits of each star in each of the s segments or sub-exposures; None without
-    # cloud.
+    # (k, s) float32 or None: fraction of the light that arrives of each star in each of the s segments or
+    # sub-exposures: behind cloud and ridges, and by scintillation; None without.
     passage: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -71,10 +72,9 @@ class DrawList:
         return DrawList(self.index[stars], radius_px, trail_px, extinction_mag, passage)
 
     def passage_of_groups(self, size: int) -> NDArray[np.float32]:
-        """Return what cloud transmits of each star in groups of neighbouring sub-exposures.
+        """Return the mean passage of groups of neighbouring sub-exposures, (k, ceil(s / size)); (0, 0) without cloud.
 
-        `size`: sub-exposures of a group; the last group may have fewer.  Returns (k, ceil(s / size)) float32: the
-        means; (0, 0) without cloud.
+        Each group has `size` sub-exposures; the last one may have fewer.
         """
         if self.passage is None:
             return np.zeros((0, 0), np.float32)
@@ -96,8 +96,7 @@ class StarCuller:
         """Return the stars that may touch an image.
 
         `pointing`: at n times from the start to the end of the exposure; of a horizon profile only the bound counts;
-        `time_fraction` (n - 1,): fraction of the exposure between consecutive times; `duration_s`: length of the
-        exposure, s.
+        `time_fraction` (n - 1,): fraction of the exposure between consecutive times.
         """
         # A star may be above a horizon profile between two times.
         pointing = replace(pointing, profile=None)
@@ -176,7 +175,7 @@ class StarCuller:
     def _within_sides(self, pointing: Pointing, step_rad: float, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those candidates that lie between the image's four sides at some time: a bound.
 
-        `step_rad` is the largest rotation of the camera between consecutive times.
+        `step_rad`: largest rotation of the camera between consecutive times.
         """
         if self.camera.lens is not None:  # its sides are not planes
             return candidates
@@ -201,13 +200,13 @@ class StarCuller:
 class TouchingStars:
     """The stars that may touch an image."""
 
-    culler: StarCuller  # What found them
+    culler: StarCuller
     index: NDArray[np.int32]  # (k,) int32: indices into the `StarField`
     peak_dn: Float  # (k,) amplitudes of their point spread functions if they did not move, DN
     slowest_px: Float  # (k,) lengths of their trails if they moved at their slowest rate all the time, px
     # The longest step of one of them between consecutive times, in the undistorted image plane, px.
     longest_step_px: float
-    # (k,) or None: what the air takes from each star in the middle of the exposure, mag; None without extinction.
+    # (k,) or None: extinction of each star in the middle of the exposure, mag; None without extinction.
     extinction_mag: Float | None = None
 
     @property
@@ -223,7 +222,7 @@ class TouchingStars:
     def integrated(self, faintest_dn: float) -> DrawList:
         """Return the stars for analytic trails, whose flux outside the truncation radius is not lost.
 
-        `faintest_dn`: trails that are fainter than this everywhere are left out, the faintest first, up to
+        Trails that are fainter than `faintest_dn` everywhere are left out, the faintest first, up to
         `MAX_FRACTION_LEFT_OUT` of the flux.
         """
         sensor = self.culler.sensor
@@ -244,10 +243,14 @@ class TouchingStars:
 
 
 # Sorting takes 0.3 s for two million stars, whose directions are those of hours.
-@lru_cache(maxsize=2)
+_CELLS: WeakKeyDictionary[StarField, SkyCells] = WeakKeyDictionary()
+
+
 def _cells(stars: StarField) -> SkyCells:
-    """Return the stars of a field sorted into cells."""
-    return SkyCells.of(stars.direction_eq)
+    """Return the stars of a field sorted into cells; the same object for the same field."""
+    if stars not in _CELLS:
+        _CELLS[stars] = SkyCells.of(stars.direction_eq)
+    return _CELLS[stars]
 
 
 # Every scene of a flight has the same camera.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, MotionSamples
-from glstar.render.scene.clouds import CloudPassage
+from glstar.render.scene.transmission import Sources, Transmission
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.observed.satellites import Satellite, SatelliteView, visible_vmag
@@ -35,37 +35,24 @@ class SatelliteMotion(CameraMotion):
     """The camera's orientation with respect to a frame in which a satellite keeps its direction."""
 
     satellite: Satellite
-    # (3,) its direction in the middle of the exposure, true equator and equinox: that of the source at rest.
+    # (3,) direction of the source, true equator and equinox: that of the satellite in the middle of the exposure.
     direction_eq: Float
     sun_eq: Float  # (3,) unit vector to the Sun
-    brightest_mag: float  # Its V magnitude at the brightest time of the exposure: that of the source
+    brightest_mag: float  # V magnitude at the brightest time of the exposure: that of the source
 
     def at(self, *utc_s: Float) -> list[MotionSamples]:
-        """Return orientation, attitude and site for several arrays of times, as of `CameraMotion`."""
+        """Return orientation, attitude and site for several arrays of times: see `CameraMotion.at`."""
         return [
             self._turned(samples, times_s)
             for samples, times_s in zip(CameraMotion.at(self, *utc_s), utc_s, strict=True)
         ]
-
-    def light(self, exposure: Exposure, times: int) -> CloudPassage:
-        """Return the satellite's brightness over that of the source.
-
-        `times`: number of equidistant times.  Returns: of one star.
-        """
-        mag, lit = visible_vmag(self.satellite, self.seen(np.linspace(*_ends_s(exposure), times)), self.sun_eq)
-        return CloudPassage((lit * brightness_ratio(mag - self.brightest_mag))[:, np.newaxis])
-
-    def light_times(self, exposure: Exposure) -> int:
-        """Return at how many times of an exposure its light has to be computed."""
-        start_s, stop_s = _ends_s(exposure)
-        return int(np.clip(ceil((stop_s - start_s) / _LIGHT_STEP_S) + 1, _LEAST_TIMES, _MOST_TIMES))
 
     def seen(self, utc_s: Float) -> SatelliteView:
         """Return how the satellite is seen from the aircraft at some times, UTC seconds since 1970."""
         return self.satellite.seen(self.sky, utc_s, *self.flight.position.coordinates(utc_s))
 
     def field(self, stars: StarField) -> StarField:
-        """Return the satellite as the only star of a field; `stars`: the stars of the scene, whose frame it shares."""
+        """Return the satellite as the only star of a field, in the frame of the stars of the scene."""
         return StarField(
             catalogue="satellites",
             star_id=np.array([self.satellite.number], dtype=np.int32),
@@ -77,7 +64,7 @@ class SatelliteMotion(CameraMotion):
         )
 
     def _turned(self, samples: MotionSamples, utc_s: Float) -> MotionSamples:
-        """Return samples in the frame of the satellite: their vectors less its turn since the middle."""
+        """Return samples in the frame of the satellite: vectors turned back by its motion since the middle."""
         turn = _turns(self.direction_eq, self.seen(utc_s).direction_eq)
         pointing = samples.pointing
         turned = replace(
@@ -88,6 +75,36 @@ class SatelliteMotion(CameraMotion):
             pole_eq=turn[:, 2],
         )
         return samples._replace(pointing=turned)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sunlight:
+    """The brightness of a satellite relative to that of its source during one exposure: an `Attenuator`."""
+
+    motion: SatelliteMotion
+    exposure: Exposure
+    max_change: float = 0.01
+
+    @property
+    def min_times(self) -> int:
+        """Number of times between which the brightness changes little."""
+        start_s, stop_s = _ends_s(self.exposure)
+        return int(np.clip(ceil((stop_s - start_s) / _LIGHT_STEP_S) + 1, _LEAST_TIMES, _MOST_TIMES))
+
+    @property
+    def mean(self) -> float:
+        """Mean brightness over the exposure."""
+        return float(Transmission(self._brightness(self.min_times)).mean[0])
+
+    def fraction(self, sources: Sources, times: int) -> Float:  # noqa: ARG002 - a satellite is the only source
+        """Return the brightness at a number of times, (times, 1)."""
+        return self._brightness(times)
+
+    def _brightness(self, times: int) -> Float:
+        motion = self.motion
+        utc_s = np.linspace(*_ends_s(self.exposure), times)
+        mag, lit = visible_vmag(motion.satellite, motion.seen(utc_s), motion.sun_eq)
+        return np.asarray((lit * brightness_ratio(mag - motion.brightest_mag))[:, np.newaxis])
 
 
 def passing_satellites(motion: CameraMotion, camera: Camera, exposure: Exposure) -> Iterator[SatelliteMotion]:
@@ -111,8 +128,17 @@ def passing_satellites(motion: CameraMotion, camera: Camera, exposure: Exposure)
         mag, lit = visible_vmag(satellite, seen, sun.direction_eq)
         is_up = (np.sum(seen.direction_eq * samples.pointing.zenith_eq[[0, _AXIS_TIMES // 2, -1]], axis=1) > -0.1).any()
         if lit.max() > 0 and is_up and np.isfinite(seen.range_km).all():
-            given = (motion.flight, motion.sky, motion.mount, motion.pressure_hpa, motion.temperature_c)
-            yield SatelliteMotion(*given, satellite, seen.direction_eq[1], sun.direction_eq, float(mag.min()))
+            yield SatelliteMotion(
+                flight=motion.flight,
+                sky=motion.sky,
+                mount=motion.mount,
+                pressure_hpa=motion.pressure_hpa,
+                temperature_c=motion.temperature_c,
+                satellite=satellite,
+                direction_eq=seen.direction_eq[1],
+                sun_eq=sun.direction_eq,
+                brightest_mag=float(mag.min()),
+            )
 
 
 def _ends_s(exposure: Exposure) -> tuple[float, float]:

@@ -1,8 +1,7 @@
 """The inputs of one image (`Scene`), the image (`Frame`), and the interface that draws it (`Renderer`)."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -18,10 +17,12 @@ from glstar.errors import ExportError
 from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.starpaths import ConicPaths, SampledPaths
 from glstar.render.motion.trailmodels import TrailModel
+from glstar.render.scene.attenuation import NO_ATTENUATION, Attenuation
 from glstar.render.scene.bodies import BodySources
 from glstar.render.scene.culling import DrawList
 from glstar.sky.air.extinction import Extinction, air_mass
 from glstar.sky.catalogue.starfield import StarField
+from glstar.sky.observed.solarsystem import Body, observed_bodies
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.site import Site
 from glstar.system.files import write_atomically
@@ -33,25 +34,31 @@ Float = NDArray[np.float64]
 _DISPLAY_STRETCH: Final = 30.0
 
 
-class StarListing:
-    """The stars that truth, labels and overlays list, with their true paths; computed when they are first needed.
+class StarListing(Protocol):
+    """The stars that truth, labels and overlays list, with their true paths; computed when they are first needed."""
 
-    `stars`: returns the stars whose paths may touch the image; `trails`: returns their paths, which are independent of
-    how they are drawn.
-    """
-
-    def __init__(self, stars: Callable[[], DrawList], trails: Callable[[], TrailModel]) -> None:
-        self._find_stars, self._find_trails = stars, trails
-
-    @cached_property
+    @property
     def stars(self) -> DrawList:
         """The stars whose paths may touch the image, and how far from it each is noticed."""
-        return self._find_stars()
+        ...
 
-    @cached_property
+    @property
+    def trails(self) -> TrailModel:
+        """The true motion of the stars over the exposure, however they are drawn."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ListedStars:
+    """A listing of other stars, or of some of the same, along the same true paths."""
+
+    stars: DrawList
+    listing: StarListing
+
+    @property
     def trails(self) -> TrailModel:
         """The true motion of the stars over the exposure."""
-        return self._find_trails()
+        return self.listing.trails
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +91,9 @@ class Scene:
     motion : CameraMotion or None
         The camera's orientation at any time, for the truth of rolling shutters.
     extinction : Extinction or None
-        By the air above the aircraft; None for none.
+        Extinction by the air above the aircraft; None without extinction.
     listing : StarListing or None
-        The stars that truth lists, with their true paths, however the image is drawn; None for those that are drawn.
+        The stars that truth lists, with their true paths, however the image is drawn; None for the drawn stars.
     observing_sky : Sky or None
         The frames that place the Sun and the Moon for the sky's brightness; None in scenes without it.
     shorts : tuple of Scene
@@ -96,6 +103,8 @@ class Scene:
         is that of its platform; None without a gimbal.
     satellites : tuple of Scene
         A scene of each satellite on the image, with its own motion.
+    attenuation : Attenuation
+        What changes the light of stars during the exposure: cloud, scintillation, a horizon profile.
     """
 
     stars: StarField
@@ -117,6 +126,8 @@ class Scene:
     shorts: tuple["Scene", ...] = ()
     q_aircraft_ned: Float | None = None
     satellites: tuple["Scene", ...] = ()
+    attenuation: Attenuation = NO_ATTENUATION
+    _observed_bodies: dict[tuple[str, ...], tuple[Body, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def sine_horizon(self) -> float:
@@ -148,18 +159,20 @@ class Scene:
 
     def with_sensor(self, sensor: Sensor) -> Self:
         """Return the scene with another sensor that leaves the same signal, also in its short exposures."""
-        shorts, satellites = (tuple(one.with_sensor(sensor) for one in of) for of in (self.shorts, self.satellites))
-        return replace(self, sensor=sensor, shorts=shorts, satellites=satellites)
+        return replace(
+            self,
+            sensor=sensor,
+            shorts=tuple(short.with_sensor(sensor) for short in self.shorts),
+            satellites=tuple(satellite.with_sensor(sensor) for satellite in self.satellites),
+        )
 
     @property
     def body_scene(self) -> "Scene | None":
         """The scene with the sources of the bodies as its stars; None without bodies."""
         if self.bodies is None:
             return None
-        sources, listing = self.bodies, self.listing
-        if listing is not None:
-            true_paths = listing.trails
-            listing = StarListing(lambda: sources.draw_list, lambda: true_paths)
+        sources = self.bodies
+        listing = None if self.listing is None else ListedStars(sources.draw_list, self.listing)
         return replace(self, stars=sources.stars, draw_list=sources.draw_list, bodies=None, listing=listing)
 
     @property
@@ -192,6 +205,48 @@ class Scene:
         if self.extinction is None:
             return None
         return self.extinction.zenith_mag(self.site.height_m) * air_mass(sine_apparent_altitude)
+
+    def observed_bodies(self, names: tuple[str, ...]) -> tuple[Body, ...]:
+        """Return some bodies in the middle of the exposure; computed once for each scene.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Keys of `glstar.sky.observed.solarsystem.BODIES`.
+
+        Returns
+        -------
+        tuple of Body
+            In the order of `names`; empty in a scene without `observing_sky`.
+        """
+        if self.observing_sky is None:
+            return ()
+        if names not in self._observed_bodies:
+            # Those that are drawn are known; those of a stack are at the middle of one of its short exposures.
+            known = {} if self.bodies is None or self.shorts else {body.name: body for body in self.bodies.bodies}
+            if known.keys() >= set(names):
+                bodies = tuple(known[name] for name in names)
+            else:
+                bodies = observed_bodies(self.observing_sky, self.exposure.mid_utc_s, self.site, names)
+            self._observed_bodies[names] = bodies
+        return self._observed_bodies[names]
+
+    def mean_scintillation(self, index: NDArray[np.int32]) -> Float | None:
+        """Return the mean relative brightness of stars by scintillation over the exposure; None without.
+
+        Parameters
+        ----------
+        index : (m,) int32
+            Indices into `stars`.
+
+        Returns
+        -------
+        (m,) float64 or None
+            Of a stacked image the mean of its short exposures.
+        """
+        each = [scene.attenuation.mean_scintillation(scene.stars, index) for scene in self.shorts or (self,)]
+        means = [mean for mean in each if mean is not None]
+        return np.asarray(np.mean(means, axis=0)) if means else None
 
     def positions(self, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are drawn at some times of the exposure.
@@ -243,7 +298,7 @@ class Scene:
             return replace(self, draw_list=self.draw_list[stars])
         listed = listing.stars[stars]
         drawn = self.draw_list[np.isin(self.draw_list.index, listed.index)]
-        return replace(self, draw_list=drawn, listing=StarListing(lambda: listed, lambda: listing.trails))
+        return replace(self, draw_list=drawn, listing=ListedStars(listed, listing))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -313,8 +368,25 @@ class Frame:
         return np.asarray(stretched * (255 / np.arcsinh(_DISPLAY_STRETCH)) + 0.5, dtype=np.uint8)
 
 
+class PendingFrame(Protocol):
+    """A frame that is being read while further scenes are drawn."""
+
+    def frame(self) -> Frame:
+        """Return the frame, after waiting for it.
+
+        Returns
+        -------
+        Frame
+        """
+        ...
+
+    def discard(self) -> None:
+        """Give up the frame without waiting for it."""
+        ...
+
+
 class Renderer(Protocol):
-    """Draws scenes: `render` one at a time, or `begin` several and collect them with `end_read`.
+    """Draws scenes: `render` one at a time, or `develop` and `read` each before the frame of the one before is used.
 
     Attributes
     ----------
@@ -341,8 +413,8 @@ class Renderer(Protocol):
         """
         ...
 
-    def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
-        """Start to draw a scene without waiting for it; more can be started before `end_read`.
+    def develop(self, scene: Scene, *, seed: int, light: bool = False) -> None:
+        """Draw a scene without waiting for it.
 
         Parameters
         ----------
@@ -351,17 +423,13 @@ class Renderer(Protocol):
         """
         ...
 
-    def end_read(self) -> Frame:
-        """Return the frame of the earliest scene that was started and not yet returned.
+    def read(self) -> PendingFrame:
+        """Start to read the scene that was drawn last, without waiting for it; more can be drawn meanwhile.
 
         Returns
         -------
-        Frame
+        PendingFrame
         """
-        ...
-
-    def forget(self) -> None:
-        """Discard all frames that were started and not yet returned."""
         ...
 
     def close(self) -> None:

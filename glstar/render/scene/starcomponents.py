@@ -1,7 +1,4 @@
-"""Stars in the band of a camera, and in the colours of its mosaic.
-
-A scene as a sum of scenes whose stars are plain Gaussians: how stars with wings are drawn.
-"""
+"""A scene's stars in the band of a camera, in the colours of its mosaic, and as sums of plain Gaussians."""
 
 from dataclasses import replace
 from math import hypot
@@ -25,33 +22,28 @@ _ALL: Final = slice(None)
 FIRST_CHANNEL: Final = _CHANNELS[0]
 
 
-def colours_used(stars: StarField, some: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
-    """Return the colours that stars are drawn with.
-
-    `some` slice or (n,) int: which of them.  Returns (n,) B - V; 0.65 where it is unknown.
-    """
-    return np.nan_to_num(star_colours(stars, some), nan=USUAL_BV)
+def colours_used(stars: StarField, index: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
+    """Return the colours B - V that some stars are drawn with, (n,); 0.65 where it is unknown."""
+    return np.nan_to_num(star_colours(stars, index), nan=USUAL_BV)
 
 
-# The field of a flight is uploaded once, so each of its scenes has the same object; it lives as long as the field of V
-# magnitudes that it was made of.
+# The field of a flight is uploaded once, so all its scenes share one object, which lives as long as the field of V
+# magnitudes from which it was computed.
 _IN_BANDS: WeakKeyDictionary[StarField, dict[tuple[ColourBand, Channel | None], StarField]] = WeakKeyDictionary()
 
 
 def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None) -> StarField:
-    """Return stars with their magnitudes in the band of a camera.
+    """Return stars with their magnitudes in the band of a camera: the same object for the same arguments.
 
-    `stars`: with V magnitudes, or measured ones, which already are those of the camera's band; of a table of some
-    stars, the others have the magnitudes of the band; `channel` {"r", "g", "b"} or None: a channel of the mosaic: with
-    the brightness in its pixels, for a zero point of the mean of all pixels.  Returns the same object for the same
-    arguments.
+    Measured magnitudes already are those of the camera's band.  With a `channel` of the mosaic, magnitudes are those in
+    its pixels, for a zero point of the mean of all pixels.
     """
     if colour.is_v or (channel is None and stars.measured_mag is not None and stars.is_measured is None):
         return stars
-    made = _IN_BANDS.setdefault(stars, {})
-    if (colour, channel) not in made:
-        made[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel), is_measured=None)
-    return made[colour, channel]
+    fields = _IN_BANDS.setdefault(stars, {})
+    if (colour, channel) not in fields:
+        fields[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel), is_measured=None)
+    return fields[colour, channel]
 
 
 def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -> NDArray[np.float64]:
@@ -68,18 +60,18 @@ _TINTS: WeakKeyDictionary[StarField, dict[ColourBand, NDArray[np.float64]]] = We
 
 def _tints(stars: StarField, colour: ColourBand) -> NDArray[np.float64]:
     """Return the flux of stars in the pixels of each channel over that in the mean of the mosaic's cells, (n, 3)."""
-    made = _TINTS.setdefault(stars, {})
-    if colour not in made:
+    tints = _TINTS.setdefault(stars, {})
+    if colour not in tints:
         magnitudes = np.stack([_magnitudes(stars, colour, channel) for channel in _CHANNELS], axis=-1)
-        made[colour] = brightness_ratio(magnitudes - stars.camera_mag[:, np.newaxis])
-    return made[colour]
+        tints[colour] = brightness_ratio(magnitudes - stars.camera_mag[:, np.newaxis])
+    return tints[colour]
 
 
 def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
-    """Return the flux of all stars in the pixels of a mosaic over that in the mean of its cells.
+    """Return the flux of all stars in the pixels of a mosaic over that in the mean of its cells, (n, 4) float32.
 
-    `guard_band_px`: width of the target's border around the image.  Returns (n, 4) float32 or None: in pixels (even
-    column, even row), (odd, even), (even, odd), (odd, odd) of the target; None without a mosaic.
+    The pixels are (even column, even row), (odd, even), (even, odd), (odd, odd) of the target, which has a border of
+    `guard_band_px` around the image; None without a mosaic.
     """
     colour = scene.sensor.colour
     if colour.mosaic == "none":
@@ -94,10 +86,7 @@ def cell_tints(scene: Scene, guard_band_px: int) -> NDArray[np.float32] | None:
 
 
 def drawn_peak_dn(scene: Scene) -> NDArray[np.float64]:
-    """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN.
-
-    Returns (k,) in the mean of all light without a mosaic.
-    """
+    """Return the amplitudes of a scene's stars in the colour in which each is brightest, (k,), DN."""
     draw_list, sensor = scene.draw_list, scene.sensor
     peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
     if sensor.colour.mosaic == "none":
@@ -114,7 +103,10 @@ def _extinction_over_mean(scene: Scene) -> dict[Channel, float] | None:
     mean_mag = air.zenith_mag(height_m)
     if mean_mag == 0:
         return None
-    return {one: air.at_wavelength(colour.wavelength_nm(one)).zenith_mag(height_m) / mean_mag for one in _CHANNELS}
+    return {
+        channel: air.at_wavelength(colour.wavelength_nm(channel)).zenith_mag(height_m) / mean_mag
+        for channel in _CHANNELS
+    }
 
 
 def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
@@ -122,15 +114,12 @@ def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
     over_mean, extinction_mag = _extinction_over_mean(scene), scene.draw_list.extinction_mag
     if over_mean is None or extinction_mag is None:
         return None
-    more = np.array([over_mean[channel] - 1 for channel in _CHANNELS])
-    return brightness_ratio(extinction_mag[:, np.newaxis] * more)
+    excess = np.array([over_mean[channel] - 1 for channel in _CHANNELS])
+    return brightness_ratio(extinction_mag[:, np.newaxis] * excess)
 
 
 def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
-    """Return the scene as the pixels of each colour of a mosaic see it.
-
-    `scene`: whose sensor has a mosaic.  Returns: by channel; their sensors have no mosaic.
-    """
+    """Return the scene as the pixels of each colour of its sensor's mosaic see it, for sensors without a mosaic."""
     over_mean = _extinction_over_mean(scene)
     return {
         channel: _of_channel(scene, channel, 1.0 if over_mean is None else over_mean[channel]) for channel in _CHANNELS
@@ -156,7 +145,7 @@ def _of_channel(scene: Scene, channel: Channel, over_mean: float) -> Scene:
         sensor=replace(scene.sensor, effects=effects),
         draw_list=replace(draw_list, truncation_radius_px=radius_px),
         bodies=bodies,
-        satellites=tuple(_of_channel(one, channel, over_mean) for one in scene.satellites),
+        satellites=tuple(_of_channel(satellite, channel, over_mean) for satellite in scene.satellites),
     )
 
 
@@ -174,10 +163,10 @@ _WIDTH_STEP: Final = 0.02
 def psf_scale(
     scene: Scene, direction_eq: NDArray[np.float64], bv: NDArray[np.float64] | float = USUAL_BV
 ) -> NDArray[np.float64]:
-    """Return the widths of stars over ``psf_sigma_px``, where they are in the middle of the exposure.
+    """Return the widths of stars over ``psf_sigma_px`` in the middle of the exposure, (k,), as drawn: in steps of 2 %.
 
     `direction_eq` (k, 3): geocentric apparent unit vectors, true equator and equinox; `bv` (k,) or float: colours B -
-    V.  Returns (k,) as drawn: in steps of 2 %.
+    V.
     """
     psf, camera = scene.sensor.point_spread, scene.camera
     if not psf.varies:
@@ -195,14 +184,12 @@ def psf_scale(
 
 
 def gaussian_scenes(scene: Scene) -> list[Scene]:
-    """Return scenes that add up to a scene, each with one circular Gaussian per star.
+    """Return scenes that add up to a scene with its bodies and satellites, each with one circular Gaussian per star.
 
-    Returns the scene itself if its stars are plain Gaussians, and those of its bodies and satellites; an offset of a
-    Gaussian is an offset of the principal point.
+    An offset of a Gaussian is an offset of the principal point.
     """
-    bodies = scene.body_scene
-    others = [*([] if bodies is None else [bodies]), *scene.satellites]
-    return [one for part in (scene, *others) for one in _split(part)]
+    parts = [part for part in (scene, scene.body_scene, *scene.satellites) if part is not None]
+    return [component for part in parts for component in _split(part)]
 
 
 def _split(scene: Scene) -> list[Scene]:
@@ -211,14 +198,13 @@ def _split(scene: Scene) -> list[Scene]:
     if psf.is_gaussian:
         return [scene if scene.sensor.colour.mosaic == "none" else _with_radii(scene)]
     scales = psf_scale(scene, scene.stars.direction_eq[scene.visible], colours_used(scene.stars, scene.visible))
-    made = []
-    for scale in np.unique(scales).tolist():
-        stars = scene.with_visible(scales == scale)
-        for component in psf.components(scene.sensor.psf_sigma_px, scale=scale):
-            one = _of_component(stars, component)
-            if len(one.draw_list):
-                made.append(one)
-    return made
+    groups = [(scale, scene.with_visible(scales == scale)) for scale in np.unique(scales).tolist()]
+    components = [
+        _of_component(stars, component)
+        for scale, stars in groups
+        for component in psf.components(scene.sensor.psf_sigma_px, scale=scale)
+    ]
+    return [component for component in components if len(component.draw_list)]
 
 
 def _with_radii(scene: Scene) -> Scene:

@@ -1,1 +1,1 @@
-"""Labels of a frame: its line of ground truth, statistics and peaks of trails, masks, and viewing conditions."""
+"""Labels of a frame: its line of ground truth and the table of its keys, trails, masks, and viewing conditions."""

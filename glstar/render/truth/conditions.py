@@ -83,8 +83,8 @@ def _up(altitude_rad: float) -> str:
 def viewing_conditions(scene: Scene) -> ViewingConditions:
     """Return the Sun, the Moon and the direction of the camera in the middle of an exposure.
 
-    `scene`: of a simulator.  Returns: altitudes and angles within 0.02 deg: the places of Sun and Moon are computed
-    once a minute.  Raises RenderError if the scene does not know its sky.
+    Altitudes and angles are within 0.02 deg, because Sun and Moon are computed once a minute.  Raises RenderError if
+    the scene is not one of a simulator, which knows its sky.
     """
     if scene.observing_sky is None:
         raise RenderError("the Sun and the Moon need a scene of a simulator, which knows where they are")
@@ -144,10 +144,9 @@ class LimitingMagnitude:
 
 
 def conditions_report(scene: Scene) -> str:
-    """Return the light, the Sun, the Moon, the limiting magnitude and the cloud of an exposure in one line.
+    """Return the light, Sun, Moon, limiting magnitude and cloud of an exposure in one line, with the warnings.
 
-    `scene`: of a simulator.  Returns: with the warnings of `ViewingConditions`.  Raises RenderError if the scene does
-    not know its sky.
+    Raises RenderError if the scene is not one of a simulator, which knows its sky.
     """
     conditions = viewing_conditions(scene)
     parts = [f"{conditions.light}: {conditions.sun_and_moon}", limiting_magnitude(scene).text]
@@ -155,11 +154,7 @@ def conditions_report(scene: Scene) -> str:
 
 
 def limiting_magnitude(scene: Scene) -> LimitingMagnitude:
-    """Return the limiting magnitude of an exposure, above the air.
-
-    Returns: with the sky in the direction of the optical axis, extinction and cloud there, and the length of a trail
-    there.
-    """
+    """Return the limiting magnitude above the air, with the sky, extinction, cloud and trail of the optical axis."""
     zenith, axis = scene.shutter.zenith_eq[1], scene.shutter.boresight_eq[1]
     sine = float(axis @ zenith)
     is_ground = bool(scene.above_horizon(axis) < 0)

@@ -1,7 +1,4 @@
-"""Ground truth of a frame: where every star is, in float64, from the same matrices as the image.
-
-The table of stars in a line of truth, as JSON.
-"""
+"""Ground truth of a frame: where every star is, in float64, from the same matrices as the image."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,11 +16,10 @@ from glstar.render.effects.cloud import sky_fraction
 from glstar.render.readout.rows import RowTimeSearch, exposed_fraction, recorded_rows, row_columns
 from glstar.render.readout.stacking import stacked_frame_keys, stacked_segments
 from glstar.render.scene.bodies import BodySources, centre_source, disc_on_image
-from glstar.render.scene.clouds import CloudPassage
-from glstar.render.scene.occlusion import scene_cloud, scene_passage, scene_scintillation
-from glstar.render.scene.satellites import SatelliteMotion
 from glstar.render.scene.scene import Frame, Scene
 from glstar.render.scene.starcomponents import colours_used, psf_scale
+from glstar.render.scene.transmission import Transmission
+from glstar.render.truth.columns import columns_of
 from glstar.render.truth.peaks import TrailPeaks, trail_peaks
 from glstar.render.truth.statistics import Pixels, TrailStatistics
 from glstar.sky.observed.solarsystem import Body
@@ -32,10 +28,10 @@ from glstar.sky.place.timescale import format_utc
 
 
 def rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return a table as JSON: a list of objects, one per row.
+    """Return a table as JSON: a list of objects, one per row, as orjson writes a list of dictionaries.
 
-    `columns` mapping of str to (n,), (n, 2) or (n, k, 2, 2) array: NaN becomes null, and so does a pair of NaNs.
-    Returns the same as orjson's output for a list of dictionaries, without creating ten thousand Python objects.
+    Columns are arrays (n,), (n, 2) or (n, k, 2, 2): NaN becomes null, and so does a pair of NaNs.  No Python object is
+    made for each of ten thousand stars.
     """
     count, width = len(next(iter(columns.values()))), 2 * len(columns)
     if not count:
@@ -58,11 +54,7 @@ SCHEMA: Final = "glstar-truth-2"
 # Version 1 has ``hr`` instead of ``star_id``, and lacks the catalogue, the mount and the zenith.
 SCHEMAS_READ: Final = ("glstar-truth-1", SCHEMA)
 # The keys of every line, in their order.
-KEYS: Final = (
-    *("schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s", "seed"),
-    *("sub_exposures", "site", "q_body_ned", "C_camera_body", "C_camera_icrs", "up_camera", "camera"),
-    *("catalogue", "stars"),
-)
+KEYS: Final = tuple(c.name for c in columns_of("frame") if not c.when and "." not in c.name)
 
 # Decimal places of pixel coordinates: a millionth of a pixel is less than 0.001" in any camera that sees the sky.
 _DIGITS: Final = 6
@@ -91,35 +83,9 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
     Returns
     -------
     bytes
-        One object and its newline: ``schema, frame, file, utc_start, utc_mid`` (the UTC of the attitude, the position
-        and the sky), ``camera_utc_start, camera_utc_mid`` (the same by the camera's clock: later by ``[flight]
-        time_offset_s``), ``duration_s, seed, sub_exposures`` (their number, or the number of segments of analytic
-        trails), ``site, q_body_ned`` (mid-exposure, w x y z, NED to body), ``C_camera_body`` (the mount),
-        ``C_camera_icrs`` (mid-exposure), ``up_camera`` (unit vector to the zenith in the camera frame, mid-exposure),
-        ``camera`` (``K``, size, ``lens`` and ``distortion`` as in ``[camera]`` of a config), ``catalogue`` (``"bsc5"``
-        or ``"hipparcos"``: the one that numbers the stars) and ``stars``, brightest first: every star whose path
-        touches the image, down to the magnitude limit and however trails are drawn.  Each star has
-
-        ``star_id``
-            its number in the catalogue: HR or HIP;
-        ``vmag, camera_mag``
-            its magnitude in the catalogue and as it is drawn: the same unless ``sensor.star_brightness`` replaces it;
-        ``x_px, y_px``
-            position in the middle of the exposure; null if it is then behind the camera or below the horizon;
-        ``centroid_x_px, centroid_y_px``
-            mean position over the exposure, while its flux touches the image;
-        ``start, end``
-            [x, y] as the shutter opens and closes, or null as above;
-        ``peak_dn, flux_dn``
-            amplitude of its point spread function and sum of its flux if it did not move, DN above the sky; a lens
-            preserves the sum everywhere, and the amplitude on its axis;
-        ``in_frame``
-            the fraction of the exposure during which its centre is on the image, 0 to 1;
-        ``saturated``
-            whether a pixel under its centre is saturated;
-        ``psf_sigma_px``
-            standard deviation that it is drawn with, px; only if widths vary over the image or with colour.
-        Then `_sky_keys`, `_expected`, `row_columns`, `stacked_segments`; with them `_body` and `_satellites`.
+        One object and its newline, with the keys of `glstar.render.truth.columns.COLUMNS` (``glstar manual truth``).
+        ``stars`` has every star whose path touches the image, brightest first, down to the magnitude limit and however
+        trails are drawn.
     """
     rows = RowTimeSearch.of(scene)
     truth = {
@@ -163,7 +129,7 @@ def _frame_keys(scene: Scene, seed: int, rows: RowTimeSearch | None) -> dict[str
 
 
 def camera_keys(camera: Camera) -> dict[str, Any]:
-    """Return a camera as the truth has it; returns ``K, width_px, height_px, lens`` and ``distortion``."""
+    """Return ``camera`` of the truth."""
     return {
         "K": camera.K.tolist(),
         "width_px": camera.width_px,
@@ -173,11 +139,9 @@ def camera_keys(camera: Camera) -> dict[str, Any]:
 
 
 def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a parsed line of truth, of any schema, with the keys of `SCHEMA` that its stars and catalogue have.
+    """Return a parsed line of truth of any schema with ``star_id`` in each star, and ``catalogue``: empty for schema 1.
 
-    `line`: as `frame_truth` writes it, or as glstar wrote it in schema 1.  Returns: with ``star_id`` in each star;
-    ``catalogue`` is empty for schema 1, which does not say it.  Raises KeyError if it lacks a key; ValueError if its
-    schema is unknown.
+    Raises KeyError if it lacks a key; ValueError if its schema is unknown.
     """
     if line["schema"] not in SCHEMAS_READ:
         raise ValueError(f"a line of truth has the schema {line['schema']!r}; known are {', '.join(SCHEMAS_READ)}")
@@ -188,10 +152,9 @@ def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def trail_centroids(scene: Scene, stars: NDArray[np.bool_]) -> Float:
-    """Return the mean positions of stars over the exposure, as `frame_truth` has them.
+    """Return the mean positions (x, y) of stars over the exposure, as `frame_truth` has them, (m, 2) px.
 
-    `stars` (k,) bool: selection among `scene.visible`.  Returns (m, 2) positions (x, y), px; NaN for stars whose flux
-    does not touch the image.
+    `stars` (k,) selects among `scene.visible`; NaN for stars whose flux does not touch the image.
     """
     return TrailStatistics(scene.with_visible(stars)).centroid
 
@@ -208,9 +171,9 @@ def _stars(scene: Scene, frame: Frame, rows: RowTimeSearch | None = None) -> byt
     start, middle, end = _rounded(at_shutter if recorded is None else recorded.positions)
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
-    extinction_mag = scene.listed.extinction_mag
+    extinction_mag, scintillation = scene.listed.extinction_mag, scene.mean_scintillation(index)
     transmission = _transmission(scene, middle, centroid)
-    passage = scene_passage(scene, scene.stars.direction_eq[index])
+    passage = scene.attenuation.steady_transmission(scene.stars.direction_eq[index])
     arriving_dn = peak_dn if transmission is None else peak_dn * transmission
     arriving_dn = arriving_dn * exposed_fraction(scene.exposure, recorded)
     peaks = trail_peaks(
@@ -240,8 +203,8 @@ def _stars(scene: Scene, frame: Frame, rows: RowTimeSearch | None = None) -> byt
             **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn) * factor),
             **{key: _rounded(xy) for key, xy in stacked_segments(scene, index, recorded).items()},
             **_widths(scene, drawn),
-            **_cloud_columns(scene_cloud(scene, scene.stars.direction_eq[index])),
-            **{key: _rounded(values) for key, values in scene_scintillation(scene, index).items()},
+            **_cloud_columns(scene.attenuation.cloud_transmission(scene.stars.direction_eq[index])),
+            **({} if scintillation is None else {"scintillation": _rounded(scintillation)}),
             **({} if transmission is None else {"transmission": _rounded(transmission)}),
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
         }
@@ -262,7 +225,7 @@ def _transmission(scene: Scene, middle_px: Float, centroid_px: Float) -> Float |
     return vignetting.of_stars(camera, np.where(is_on_image, middle_px, nearest_px))
 
 
-def _cloud_columns(passage: CloudPassage | None) -> dict[str, Float]:
+def _cloud_columns(passage: Transmission | None) -> dict[str, Float]:
     """Return what cloud transmits of each star as the shutter opens, in the middle, as it closes, and the mean."""
     if passage is None:
         return {}
@@ -274,14 +237,12 @@ def _cloud_columns(passage: CloudPassage | None) -> dict[str, Float]:
 
 
 def _expected(
-    scene: Scene, trails: TrailPeaks, peak_dn: Float, on_image: Float, passage: CloudPassage | None
+    scene: Scene, trails: TrailPeaks, peak_dn: Float, on_image: Float, passage: Transmission | None
 ) -> dict[str, Float]:
     """Return the columns of the expected brightness of trails.
 
-    ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
-    signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.  In
-    electrons it has the shot noise of the star too, and ``flux_e`` is the flux on the image.  `peak_dn` is that of one
-    short exposure; stacking n of them gives sqrt(n) times the ratio.
+    ``snr`` is that of a matched filter with the noise of the sky and of rounding, and in electrons with the shot noise
+    of the star.  `peak_dn` is that of one short exposure; stacking n of them gives sqrt(n) times the ratio.
     """
     flux_dn, factor = scene.sensor.flux_dn(peak_dn), scene.exposure.signal_factor
     gain = sqrt(scene.exposure.frames)
@@ -290,17 +251,13 @@ def _expected(
     noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)
     area_px2 = trails.area_px2 * np.maximum(on_image, 1e-9)
     model = scene.sensor.electrons
-    if model is not None:
-        flux_e = flux_dn * on_image / model.dn_per_e
-        return {
-            "trail_peak_dn": _rounded(whole_dn * factor * trails.peak_fraction_per_px2),
-            "snr": _rounded(model.signal_to_noise(flux_e, area_px2, scene.exposure.duration_s) * gain),
-            "flux_e": _rounded(flux_e * factor),
-        }
-    return {
-        "trail_peak_dn": _rounded(whole_dn * factor * trails.peak_fraction_per_px2),
-        "snr": _rounded(flux_dn * on_image / (noise_dn * np.sqrt(area_px2)) * gain),
-    }
+    trail_peak_dn = _rounded(whole_dn * factor * trails.peak_fraction_per_px2)
+    if model is None:
+        snr = flux_dn * on_image / (noise_dn * np.sqrt(area_px2)) * gain
+        return {"trail_peak_dn": trail_peak_dn, "snr": _rounded(snr)}
+    flux_e = flux_dn * on_image / model.dn_per_e
+    snr = model.signal_to_noise(flux_e, area_px2, scene.exposure.duration_s) * gain
+    return {"trail_peak_dn": trail_peak_dn, "snr": _rounded(snr), "flux_e": _rounded(flux_e * factor)}
 
 
 def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
@@ -318,32 +275,27 @@ def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
 
 
 def _satellites(scene: Scene, frame: Frame) -> dict[str, Any]:
-    """Return the satellites whose light touches the image, each with the keys of a star; nothing if none is simulated.
-
-    ``range_km``, ``azimuth_deg`` and ``altitude_deg`` (without refraction) are those of the middle of the exposure,
-    ``vmag`` is the brightest of the exposure in sunlight, and ``lit`` the mean of its light over that.
-    """
+    """Return the satellites whose light touches the image; nothing if none is simulated."""
     sky = scene.observing_sky
     if sky is None or sky.satellites is None:
         return {}
     listed = []
     for one in scene.satellites:
-        motion, rows = one.motion, orjson.loads(_stars(one, frame))
-        assert isinstance(motion, SatelliteMotion)
+        sunlight, rows = one.attenuation.sunlight, orjson.loads(_stars(one, frame))
+        assert sunlight is not None
         exposure = scene.exposure
-        seen = motion.seen(np.array([exposure.mid_utc_s]))
+        seen = sunlight.motion.seen(np.array([exposure.mid_utc_s]))
         C_ned_eq = sky.C_ned_eq([exposure.mid_utc_s], scene.site.latitude_rad, scene.site.longitude_rad)[0]
         azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_ned_eq @ seen.direction_eq[0])
-        lit = motion.light(exposure, motion.light_times(exposure)).mean[0]
         about = {
             "range_km": round(float(seen.range_km[0]), 3),
             "azimuth_deg": round(float(np.rad2deg(azimuth_rad)), _DIGITS),
             "altitude_deg": round(float(np.rad2deg(altitude_rad)), _DIGITS),
-            "lit": round(float(lit), _DIGITS),
+            "lit": round(sunlight.mean, _DIGITS),
         }
         for row in rows:
             number = row.pop("star_id")
-            listed.append({"name": motion.satellite.name, "satellite_number": number, **row, **about})
+            listed.append({"name": sunlight.motion.satellite.name, "satellite_number": number, **row, **about})
     return {"satellites": listed}
 
 
@@ -359,11 +311,7 @@ def _bodies(scene: Scene, bodies: BodySources, pixels: Pixels) -> list[dict[str,
 
 
 def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
-    """Return the truth of one body: its centre as of a star, and its disc.
-
-    ``bright_limb_deg`` is the direction from the centre of the disc to the middle of its bright limb on the image, from
-    right (0) towards down (90); None for the Sun.
-    """
+    """Return the truth of one body: its centre as of a star, and its disc."""
     centre_scene = replace(scene, bodies=centre_source(body, scene.stars)).body_scene
     assert centre_scene is not None
     recorded, pointing = recorded_rows(centre_scene, centre_scene.visible), scene.shutter[1:2]

@@ -11,7 +11,6 @@ from glstar.camera.sensor.sensor import Sensor
 from glstar.camera.vignetting import Vignetting
 from glstar.render.effects.naturalsky import natural_sky_dn
 from glstar.render.readout.rows import recorded_samples
-from glstar.render.scene.occlusion import scene_passage
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import colours_used, psf_scale
 from glstar.render.truth.statistics import TrailStatistics
@@ -32,10 +31,10 @@ _SMALL_PART: Final = 0.02
 
 
 def mask_threshold_dn(scene: Scene) -> float:
-    """Return the signal from which on a pixel belongs to a trail: the standard deviation of a pixel without stars.
+    """Return the signal from which on a pixel belongs to a trail, DN of one short exposure.
 
-    Returns: DN of one short exposure: the noise of a stacked image over the square root of their number; sky, dark
-    current, read noise and rounding are in it.
+    It is the standard deviation of a pixel without stars, from sky, dark current, read noise and rounding; of a stacked
+    image over the square root of the number of short exposures.
     """
     sensor, exposure = scene.sensor, scene.exposure
     dn_per_e = 0.0 if sensor.electrons is None else sensor.electrons.dn_per_e
@@ -44,13 +43,13 @@ def mask_threshold_dn(scene: Scene) -> float:
 
 
 def trail_mask(scene: Scene) -> NDArray[np.uint16]:
-    """Return which star dominates each pixel.
+    """Return which star dominates each pixel, (height, width) uint16.
 
-    Returns (height, width) uint16: k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most
-    noiseless signal of all stars, and at least `mask_threshold_dn`; the entries of ``bodies`` are numbered after the
-    stars, and those of ``satellites`` after them. 0 elsewhere; only the first 65535 entries are in the mask.  The
-    signal is the sum of the Gaussians of the point spread function at samples of the star's path, every 1.5 sigma or
-    closer: within 0.1 % of the integral along it.
+    It is k where the k-th entry of ``stars`` in the frame's truth (from 1) has the most noiseless signal of all stars,
+    and at least `mask_threshold_dn`, and 0 elsewhere. The entries of ``bodies`` are numbered after the stars, and those
+    of ``satellites`` after them; only the first 65535 entries are in the mask. The signal is the sum of the Gaussians
+    of the point spread function at samples of the star's path, every 1.5 sigma or closer: within 0.1 % of the integral
+    along it.
     """
     shape = scene.camera.height_px, scene.camera.width_px
     mask, strongest_dn = np.zeros(shape, np.uint16), np.full(shape, mask_threshold_dn(scene), np.float32)
@@ -198,7 +197,7 @@ def _samples(scene: Scene, stars: NDArray[np.intp]) -> tuple[Float, Float]:
             for xy, time_fraction in paths.samples(np.arange(len(stars)))
         )
     xy_px, time_fraction, weight = map(np.concatenate, zip(*samples, strict=True))
-    passage = scene_passage(scene, directions)
+    passage = scene.attenuation.steady_transmission(directions)
     if passage is not None:
         end = np.cumsum(time_fraction)
         weight = weight * passage.at(end - time_fraction / 2)

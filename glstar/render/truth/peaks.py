@@ -1,11 +1,7 @@
 """Expected brightness of star trails: the signal at the brightest point, and the area that its light covers.
 
-Where trails are brightest, and how much their own light overlaps, from the trails of example directions.
-
-Neighbouring stars have similar paths: what each line of a path receives from all others is computed for a grid of
-directions over the image, and interpolated for the stars.
-
-Paths of stars as chains of straight lines, and the signal that they leave on the image.
+Paths are chains of straight lines.  Neighbouring stars have similar paths: what each line receives from all others is
+computed for a grid of example directions over the image, and interpolated for the stars.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,9 +17,9 @@ from glstar.camera.sensor.sensor import Sensor, noise_equivalent_area_px2
 from glstar.render.motion.trailmodels import AnalyticSegments, TrailModel
 from glstar.render.readout.rows import OpenPath, RecordedTimes
 from glstar.render.readout.stacking import StackedTrails
-from glstar.render.scene.clouds import CloudPassage
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import psf_scale
+from glstar.render.scene.transmission import Transmission
 from glstar.sky.photometry import USUAL_BV
 
 Float = NDArray[np.float64]
@@ -88,10 +84,9 @@ class LineChain:
         return weight if self.hidden is None else np.where(self.hidden, 0.0, weight)
 
     def signal_at(self, point_px: Float, sigma_px: float, transmission: Float | None) -> Float:
-        """Return the signal at one point per star, over the flux of the star.
+        """Return the signal of stars with a standard deviation at a point each, over their flux, (m,) 1/px^2.
 
-        `point_px` (m, 2): positions (x, y), px; `sigma_px`: standard deviation of the stars, px; `transmission` (n, m)
-        or None: what reaches the camera during each line; None for 1.  Returns (m,) 1/px^2.
+        `point_px` (m, 2) are positions (x, y); `transmission` (n, m) is what reaches the camera during each line.
         """
         off_px = point_px.T[:, np.newaxis] - self.middle_px
         # Most lines are too far to matter.
@@ -120,9 +115,8 @@ def line_chains(
 ) -> Iterator[LineChain]:
     """Yield the chain of each short exposure of a stacked image, or of the exposure, while its rows are open.
 
-    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `nodes_px` (2, n, m): their
-    `ConicPaths.nodes_px`, if these are known; `recorded`: when a rolling shutter records them; without it the times are
-    those of the lines.
+    `direction_eq` (m, 3) are apparent unit vectors, `nodes_px` (2, n, m) their `ConicPaths.nodes_px` if known, and
+    `recorded` says when a rolling shutter records them.
     """
     trails = scene.trails if scene.listing is None else scene.listing.trails
     if not isinstance(trails, StackedTrails):
@@ -192,10 +186,7 @@ def _density(s: Float, length: Float) -> Float:
 
 
 def normal_cumulative(z: Float) -> Float:
-    """Return the cumulative distribution of the unit Gaussian.
-
-    `z` (...).  Returns (...) to 1e-7.  Abramowitz & Stegun, 26.2.17.
-    """
+    """Return the cumulative distribution of the unit Gaussian to 1e-7: Abramowitz & Stegun, 26.2.17."""
     t = 1 / (1 + 0.2316419 * np.abs(z))
     polynomial = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
     tail = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) * polynomial
@@ -238,10 +229,10 @@ def brightest_points(
 ) -> BrightestPoints:
     """Return where stars leave most light on the image.
 
-    `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `chains`: their paths, of each
-    short exposure; `transmissions` sequence of (n, m) float64 or None: what reaches the camera during each line of each
-    chain.  The square of the signal of a path, summed over the image, is the mean along the path of the signal that
-    stars sqrt(2) times as wide would leave: two Gaussians overlap like one with the sum of their variances.
+    `direction_eq` (m, 3) are apparent unit vectors, `chains` their paths in each short exposure, and `transmissions`
+    what reaches the camera during each line of each chain, (n, m) or None. The square of the signal of a path, summed
+    over the image, is the mean along the path of the signal that stars sqrt(2) times as wide would leave: two Gaussians
+    overlap like one with the sum of their variances.
     """
     lines = _Lines.of(chains)
     outside_px = scene.camera.distance_outside_px(lines.middle_px.transpose(1, 2, 0))
@@ -416,7 +407,7 @@ class TrailPeaks:
 def trail_peaks(
     scene: Scene,
     direction_eq: Float,
-    passage: CloudPassage | None = None,
+    passage: Transmission | None = None,
     nodes_px: Float | None = None,
     recorded: RecordedTimes | None = None,
     *,
@@ -495,7 +486,7 @@ def _area_over_core(sensor: Sensor, scales: Float, peak: Float) -> Float | float
     return np.asarray((along_line + (at_rest - along_line) * concentration) * scales ** (1 + concentration))
 
 
-def _transmissions(chains: Sequence[LineChain], passage: CloudPassage | None) -> list[Float | None]:
+def _transmissions(chains: Sequence[LineChain], passage: Transmission | None) -> list[Float | None]:
     """Return what cloud transmits of the stars during each line of each chain, (n, m); None for all."""
     if passage is None:
         return [None] * len(chains)

@@ -1,7 +1,4 @@
-"""A sheet of cloud: its optical depth over the ground, and what it takes of the light of a direction.
-
-Light of clouds: moonlight, twilight, airglow and town glow that a sheet of cloud scatters.
-"""
+"""A sheet of cloud: its optical depth, its transmission, and the moonlight, sky and town light that it scatters."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +17,17 @@ _PERIOD_SCALES: Final = 16.0
 # Power per area falls as the wave number to minus this power: that of the light of clouds below some 500 m, which is
 # smoother than their water (Davis and others 1997, J. Atmos. Sci. 54, 241).
 _SPECTRAL_SLOPE: Final = 11 / 3
+
+# Asymmetry of scattering by droplets and ice in visible light.
+_ASYMMETRY: Final = 0.85
+# Two-stream approximation of a layer that absorbs nothing: its transmission is 1 / (1 + this times the optical depth).
+_TWO_STREAM: Final = 0.75 * (1 - _ASYMMETRY)
+# A cloud that reflects light R of a town from below brightens the sky of the town by 1 + this R: ten times under an
+# overcast of optical depth 5 (Kyba and others 2011, PLoS ONE 6, e17307: 10.1 in Berlin).
+_TOWN_AMPLIFICATION: Final = 25.0
+_ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
+# The Moon lights no cloud from below this sine of its altitude.
+_LOWEST_SINE: Final = 0.02
 
 
 class SheetCrossing(NamedTuple):
@@ -42,15 +50,15 @@ class CloudSheet:
     coverage: the optical depth is D (1 - exp(-(f - f0) / edge)) where f > f0.  The field repeats after 16 `scale_m`.
     """
 
-    coverage: float  # Fraction of the sheet that is cloud, 0 to 1
-    optical_depth: float  # Vertical optical depth far from an edge
-    height_m: float  # As the height of the aircraft is measured
-    scale_m: float  # Size of the largest structures
-    edge: float  # Width of the edges, in standard deviations of the field that makes the structures
-    wind_m_s: float  # Speed at which it drifts
-    wind_from_rad: float  # Azimuth from which the wind blows
+    coverage: float  # fraction of the sheet that is cloud, 0 to 1
+    optical_depth: float  # vertical optical depth far from an edge
+    height_m: float  # from the same zero as the height of the aircraft
+    scale_m: float  # size of the largest structures
+    edge: float  # width of the edges, in standard deviations of the field that makes the structures
+    wind_m_s: float  # speed at which it drifts
+    wind_from_rad: float  # azimuth from which the wind blows
     seed: int
-    latitude_rad: float = 0.0  # Origin of the coordinates on the sheet
+    latitude_rad: float = 0.0  # origin of the coordinates on the sheet
     longitude_rad: float = 0.0
 
     @property
@@ -59,9 +67,9 @@ class CloudSheet:
         return self.scale_m * _PERIOD_SCALES / _CELLS
 
     def depth_at(self, east_m: ArrayLike, north_m: ArrayLike, utc_s: ArrayLike) -> Float:
-        """Return the vertical optical depth at some places of the sheet.
+        """Return vertical optical depths of the sheet, (...).
 
-        `east_m`, `north_m` (...): from the origin, m; `utc_s` (...): UTC seconds since 1970.  Returns (...).
+        `east_m`, `north_m` (...): distances from the origin; `utc_s` (...): UTC seconds since 1970.
         """
         drift_m = self.wind_m_s * np.asarray(utc_s)
         x = (np.asarray(east_m) + drift_m * np.sin(self.wind_from_rad)) / self.cell_m
@@ -78,13 +86,13 @@ class CloudSheet:
         site: tuple[ArrayLike, ArrayLike, ArrayLike],
         utc_s: ArrayLike,
     ) -> SheetCrossing:
-        """Return where lines of sight cross the sheet, upwards or downwards.
+        """Return the crossings of straight lines of sight with the sheet on a sphere, upwards or downwards.
 
         `sine_altitude` (...): sines of apparent altitudes; `east`, `north` (...): sine and cosine of the azimuth;
-        `site`: latitude and longitude, rad, and height, m, of observers: all of them below the sheet, or all above it;
-        `utc_s` (...): UTC seconds since 1970.  Returns: on a sphere, with straight lines of sight.
+        `site`: latitude and longitude, rad, and height, m, of observers, either all below the sheet or all above it;
+        `utc_s` (...): UTC seconds since 1970.
         """
-        latitude_rad, longitude_rad, height_m = (np.asarray(of, dtype=np.float64) for of in site)
+        latitude_rad, longitude_rad, height_m = (np.asarray(number, dtype=np.float64) for number in site)
         radius_m, above_m = _EARTH_RADIUS_M + height_m, self.height_m - height_m
         along = radius_m * sine_altitude
         square = along * along + above_m * (2 * radius_m + above_m)
@@ -147,25 +155,13 @@ def _taps(x: Float) -> tuple[NDArray[np.intp], tuple[Float, Float, Float]]:
     return nearest.astype(np.intp) & (_CELLS - 1), weights
 
 
-# Asymmetry of scattering by droplets and ice in visible light.
-_ASYMMETRY: Final = 0.85
-# Two-stream approximation of a layer that absorbs nothing: its transmission is 1 / (1 + this times the optical depth).
-_TWO_STREAM: Final = 0.75 * (1 - _ASYMMETRY)
-# A cloud that reflects light R of a town from below brightens the sky of the town by 1 + this R: ten times under an
-# overcast of optical depth 5 (Kyba and others 2011, PLoS ONE 6, e17307: 10.1 in Berlin).
-_TOWN_AMPLIFICATION: Final = 25.0
-_ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
-# The Moon lights no cloud from below this sine of its altitude.
-_LOWEST_SINE: Final = 0.02
-
-
 @dataclass(frozen=True, slots=True)
 class CloudLights:
     """What lights a sheet of cloud."""
 
-    moon_flux: float  # Flux of the Moon below the air, over that of magnitude 0
-    sine_moon: float  # Sine of its apparent altitude
-    mean_sky: float  # Mean brightness of the sky above the sheet, flux of magnitude 0 per square arcsecond
+    moon_flux: float  # flux of the Moon below the air, over that of magnitude 0
+    sine_moon: float  # sine of the Moon's apparent altitude
+    mean_sky: float  # mean brightness of the sky above the sheet, flux of magnitude 0 per square arcsecond
 
 
 def _diffuse(optical_depth: Float) -> Float:
@@ -176,13 +172,15 @@ def _diffuse(optical_depth: Float) -> Float:
 def cloud_from_below(
     crossing: SheetCrossing, cosine_to_moon: Float, sky: Float, town: Float, lights: CloudLights
 ) -> Float:
-    """Return the brightness of the sky behind, in and below a sheet of cloud.
+    """Return the brightness of the sky behind, in and below a sheet of cloud, (...).
 
-    `crossing`: of the directions; `cosine_to_moon` (...): of the angle to the Moon; `sky` (...): brightness of the sky
-    without the sheet and without towns, flux of magnitude 0 per square arcsecond; `town` (...): brightness of the
-    town's light in the air below the sheet.  Returns (...).  The flux that a layer without absorption transmits is 1
-    / (1 + 0.1125 t) of optical depth t (two-stream); what of it is not direct is scattered: light of a single
-    scattering by Henyey and Greenstein's law about the Moon, the rest alike in all directions.
+    `crossing`: crossings of the lines of sight; `cosine_to_moon` (...): cosines of the angles to the Moon; `sky` (...):
+    brightness of the sky without the sheet and without towns, flux of magnitude 0 per square arcsecond; `town` (...):
+    brightness of the town's light in the air below the sheet.
+
+    A layer of optical depth t without absorption transmits the fraction 1 / (1 + 0.1125 t) of the flux (two-stream).
+    The part of it that is not direct is scattered: once by Henyey and Greenstein's law about the Moon, and the rest
+    equally in all directions.
     """
     depth, seen = crossing.optical_depth, crossing.optical_depth * crossing.slant
     brightness = np.exp(-seen) * sky + (_diffuse(seen) - np.exp(-seen)) * lights.mean_sky
@@ -199,10 +197,10 @@ def cloud_from_below(
 
 
 def cloud_from_above(crossing: SheetCrossing, ground: float, lights: CloudLights) -> Float:
-    """Return the brightness of the ground through a sheet of cloud below the observer, with the light of its top.
+    """Return the brightness, (...), of a sheet of cloud below the observer, and of the ground through it.
 
-    `crossing`: of directions below the horizon; `ground`: brightness of the ground, flux of magnitude 0 per square
-    arcsecond.  Returns (...).
+    `crossing`: crossings of lines of sight below the horizon; `ground`: brightness of the ground, flux of magnitude 0
+    per square arcsecond.
     """
     depth = crossing.optical_depth
     brightness = ground * _diffuse(depth) + (1 - _diffuse(depth * crossing.slant)) * lights.mean_sky

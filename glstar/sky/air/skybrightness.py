@@ -1,14 +1,9 @@
-"""Brightness of the sky by direction: airglow and starlight, moonlight, twilight, the glow of a town, and the ground.
+"""Brightness of the sky by direction, in V, and the names of day, twilight and night by the altitude of the Sun.
 
-All of it is V, in flux per square arcsecond relative to a star of magnitude 0: 10^(-0.4 mag/arcsec2).
-
-Light from beyond the atmosphere that is no drawn star: zodiacal light, and the faint stars of the Galaxy.
-
-``assets/galaxy.npz`` holds the light of stars from V 6.5 to 10, and of fainter ones;
-`tests/scripts/make_galaxy.py` wrote it and says how.  Both lights are those above the air, in S10 units: stars of V
-10 per square degree.
-
-Names of the light of day and night, by the altitude of the Sun.
+Airglow and starlight, moonlight, twilight and the glow of a town are in flux per square arcsecond relative to a star of
+magnitude 0: 10^(-0.4 mag/arcsec2).  Light from beyond the air, zodiacal and of stars that are not drawn, is in S10
+units: stars of V 10 per square degree.  ``assets/galaxy.npz`` holds the light of stars from V 6.5 to 10, and of fainter
+ones; `tests/scripts/make_galaxy.py` wrote it and says how.
 """
 
 from dataclasses import dataclass
@@ -44,174 +39,6 @@ _CLOSEST_SUN_DEG: Final = 5.0
 # A town's glow at the horizon below its dome is this many times that at the zenith, with this power of the altitude.
 _TOWN_RISE: Final = 8.0
 _TOWN_POWER: Final = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class SkyLights:
-    """Which lights the sky has."""
-
-    zenith_mag_arcsec2: float = _DARK_MAG  # V of the dark sky at the zenith: airglow, zodiacal light and starlight
-    moonlight: bool = True  # Whether the Moon and the Sun light the air
-    twilight: bool = True
-    town_mag_arcsec2: float = 30.0  # V of the glow of towns at the zenith; 30 is none
-    town_azimuth_rad: float | None = None  # Azimuth of the town; None for towns all around
-    ground_fraction: float = 0.1  # Brightness of the ground over the mean of the sky at the horizon
-
-
-@dataclass(frozen=True, slots=True)
-class SkyState:
-    """What lights the sky of a scene."""
-
-    extinction: Extinction
-    height_m: float  # Of the observer
-    sun_altitude_rad: float  # Apparent altitudes
-    moon_altitude_rad: float
-    moon_phase_angle_rad: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SkyView:
-    """Directions in the sky."""
-
-    sine_altitude: Float  # (...) sine of the apparent altitude; below the horizontal the sky is that of the horizontal
-    azimuth_rad: Float  # (...)
-    moon_separation_rad: Float  # (...) angles to the Moon and the Sun
-    sun_separation_rad: Float
-
-
-def sky_radiance(view: SkyView, lights: SkyLights, state: SkyState) -> Float:
-    """Return the brightness of the sky in some directions.
-
-    Returns (...) flux per square arcsecond over that of magnitude 0.
-    """
-    sine = np.maximum(view.sine_altitude, 0.0)
-    zenith_mag = state.extinction.zenith_mag(state.height_m)
-    mass = _scattering_mass(sine)
-    radiance = brightness_ratio(lights.zenith_mag_arcsec2) * _dark_gradient(mass, zenith_mag)
-    if lights.moonlight:
-        radiance = radiance + _moonlight(view, sine, state)
-    if lights.twilight:
-        radiance = radiance + _twilight(view, sine, state)
-    if lights.town_mag_arcsec2 < 30:
-        radiance = radiance + brightness_ratio(lights.town_mag_arcsec2) * _town_gradient(view, sine, lights, state)
-    return np.asarray(radiance)
-
-
-def nanolamberts_to_mag(brightness_nl: ArrayLike) -> Float:
-    """Return V, mag/arcsec2, of a brightness in nanolamberts.
-
-    `brightness_nl` (...).  Returns (...).  Garstang 1989, as in Krisciunas & Schaefer 1991, eq. (1): B = 34.08
-    exp(20.7233 - 0.92104 V).
-    """
-    return np.asarray((20.7233 - np.log(np.asarray(brightness_nl, dtype=np.float64) / 34.08)) / 0.92104)
-
-
-def moonlight_nl(
-    separation_rad: ArrayLike,
-    moon_mass: ArrayLike,
-    sky_mass: ArrayLike,
-    phase_angle_rad: float,
-    zenith_mag: float,
-    *,
-    rayleigh: float = 1.0,
-    aerosol: float = 1.0,
-) -> Float:
-    """Return the brightness of the sky lit by the Moon.
-
-    `separation_rad` (...): angle to the Moon, rad; `moon_mass`, `sky_mass` (...): air masses (1 - 0.96 sin^2 z)^-0.5 of
-    the Moon and of the sky; `phase_angle_rad`: of the Moon, rad; `zenith_mag`: extinction per air mass, mag;
-    `rayleigh`, `aerosol`: scattering by the air and by aerosol over that at sea level, each relative to the whole
-    extinction.  Returns (...) nanolamberts.  Krisciunas & Schaefer 1991 (PASP 103, 1033), eqs (3), (15), (20),
-    (21).  Departs from eq. (21), which jumps by 14 % at 10 deg: the larger of the two laws of aerosol is used, which
-    cross at 8.4 deg.
-    """
-    degrees = np.maximum(np.rad2deg(np.asarray(separation_rad, dtype=np.float64)), _CLOSEST_MOON_DEG)
-    phase_deg = abs(np.rad2deg(phase_angle_rad))
-    illuminance = 10 ** (-0.4 * (3.84 + 0.026 * phase_deg + 4e-9 * phase_deg**4))
-    by_air = 10**5.36 * (1.06 + np.cos(np.deg2rad(degrees)) ** 2)
-    by_aerosol = np.maximum(10 ** (6.15 - degrees / 40), 6.2e7 / degrees**2)
-    moon_mag, sky_mag = (zenith_mag * np.asarray(mass, dtype=np.float64) for mass in (moon_mass, sky_mass))
-    scattered = brightness_ratio(moon_mag) * (1 - brightness_ratio(sky_mag))
-    return np.asarray((rayleigh * by_air + aerosol * by_aerosol) * illuminance * scattered)
-
-
-def twilight_mag(sun_altitude_rad: float) -> float:
-    """Return V of the sky at the zenith in twilight, with the dark sky in it.
-
-    `sun_altitude_rad`: without refraction, rad.  Returns: mag/arcsec2.  Patat, Ugolnikov & Postylyakov 2006 (A&A 455,
-    385): a fit from 95 to 105 deg.  Before 95 deg it is continued as a line to the Sun at the horizon, and by day as a
-    constant: a sky in which no star is seen.
-    """
-    zenith_distance = 90 - float(np.rad2deg(sun_altitude_rad))
-    since = max(zenith_distance, _DAY_ZENITH_DEG) - _PATAT_FIRST_DEG
-    if since < 0:
-        return 11.84 + 1.518 * since
-    if zenith_distance > _PATAT_LAST_DEG:
-        return _DARK_MAG
-    return 11.84 + 1.518 * since - 0.057 * since**2
-
-
-def _scattering_mass(sine_altitude: Float) -> Float:
-    """Return the air mass for light that is scattered or emitted in the air: Krisciunas & Schaefer, eq. (3)."""
-    return np.asarray(1 / np.sqrt(1 - 0.96 * (1 - sine_altitude**2)))
-
-
-def _dark_gradient(mass: Float, zenith_mag: float) -> Float:
-    """Return the brightness of a dark sky over that of the zenith: Benn & Ellison 1998."""
-    return (0.4 + 0.6 * mass) * brightness_ratio(zenith_mag * (mass - 1))
-
-
-def _moonlight(view: SkyView, sine: Float, state: SkyState) -> Float:
-    air, height_m = state.extinction, state.height_m
-    zenith_mag = air.zenith_mag(height_m)
-    relative = []
-    for part in (air.rayleigh_at_mag, air.aerosol_at_mag):
-        at_sea = part(0.0) / air.zenith_mag(0.0)
-        relative.append(part(height_m) / zenith_mag / at_sea if at_sea > 0 and zenith_mag > 0 else 0.0)
-    light_nl = moonlight_nl(
-        view.moon_separation_rad,
-        _scattering_mass(np.maximum(np.sin(state.moon_altitude_rad), 0.0)),
-        _scattering_mass(sine),
-        state.moon_phase_angle_rad,
-        zenith_mag,
-        rayleigh=relative[0],
-        aerosol=relative[1],
-    )
-    below_deg = max(-float(np.rad2deg(state.moon_altitude_rad)), 0.0)
-    faded = brightness_ratio(_MOON_BELOW_MAG_PER_DEG * below_deg)
-    # Where there is no light at all, its magnitude is infinite.
-    return np.asarray(faded * brightness_ratio(nanolamberts_to_mag(np.maximum(light_nl, 1e-9))))
-
-
-def _twilight(view: SkyView, sine: Float, state: SkyState) -> Float:
-    """Return the twilight: Patat's at the zenith, with the gradient of Schaefer 1993 (Vistas in Astronomy 36, 311)."""
-    sun_zenith_deg = 90 - float(np.rad2deg(state.sun_altitude_rad))
-    at_zenith = float(brightness_ratio(twilight_mag(state.sun_altitude_rad)) - brightness_ratio(_DARK_MAG))
-    if at_zenith <= 0:
-        return np.zeros_like(sine)
-    zenith_mag, at_sea_mag = (state.extinction.zenith_mag(height_m) for height_m in (state.height_m, 0.0))
-    gradient_mag = max(zenith_mag, _LEAST_TWILIGHT_MAG)
-    zenith_deg = np.rad2deg(np.arccos(np.minimum(sine, 1.0)))
-    towards_sun = sun_zenith_deg / np.maximum(np.rad2deg(view.sun_separation_rad), _CLOSEST_SUN_DEG)
-    depth = _scattered_fraction(_scattering_mass(sine), zenith_mag) / _scattered_fraction(1.0, at_sea_mag)
-    return np.asarray(at_zenith * towards_sun * depth * brightness_ratio(-zenith_deg / (360 * gradient_mag)))
-
-
-def _town_gradient(view: SkyView, sine: Float, lights: SkyLights, state: SkyState) -> Float:
-    """Return a town's glow over that at the zenith at sea level."""
-    if lights.town_azimuth_rad is None:
-        towards = np.full_like(sine, 0.5)
-    else:
-        towards = ((1 + np.cos(view.azimuth_rad - lights.town_azimuth_rad)) / 2) ** 2
-    scattered = _scattered_fraction(1.0, state.extinction.zenith_mag(state.height_m))
-    at_sea = _scattered_fraction(1.0, state.extinction.zenith_mag(0.0))
-    return np.asarray((1 + _TOWN_RISE * towards * (1 - sine) ** _TOWN_POWER) * scattered / at_sea)
-
-
-def _scattered_fraction(mass: Float | float, zenith_mag: float) -> Float:
-    """Return the fraction of light that the air scatters along some air mass; above 0."""
-    return np.asarray(np.maximum(1 - brightness_ratio(zenith_mag * mass), 1e-9))
-
 
 # V of one S10 unit, mag/arcsec2: 10 + 2.5 log10(3600^2).
 S10_MAG_ARCSEC2: Final = 27.7815
@@ -249,12 +76,184 @@ _STEP_DEG: Final = 2.5
 # The magnitudes between which the first map adds up the stars.
 _LISTED_MAG: Final = (6.5, 10.0)
 
+# Names of the light, brightest first, and the altitudes of the Sun's centre, rad, above which each begins: by day with
+# the Sun's radius and the refraction at the horizon.
+LIGHT_LEVELS: Final = (
+    ("day", radians(-0.833)),
+    ("civil twilight", radians(-6.0)),
+    ("nautical twilight", radians(-12.0)),
+    ("astronomical twilight", radians(-18.0)),
+    ("night", -inf),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SkyLights:
+    """Which lights the sky has."""
+
+    zenith_mag_arcsec2: float = _DARK_MAG  # V of the dark sky at the zenith: airglow, zodiacal light and starlight
+    moonlight: bool = True
+    twilight: bool = True
+    town_mag_arcsec2: float = 30.0  # V of the glow of towns at the zenith; 30 is none
+    town_azimuth_rad: float | None = None  # azimuth of the town; None for towns all around
+    ground_fraction: float = 0.1  # brightness of the ground over the mean of the sky at the horizon
+
+
+@dataclass(frozen=True, slots=True)
+class SkyState:
+    """What lights the sky of a scene."""
+
+    extinction: Extinction
+    height_m: float  # height of the observer
+    sun_altitude_rad: float  # apparent altitude of the Sun
+    moon_altitude_rad: float  # apparent altitude of the Moon
+    moon_phase_angle_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkyView:
+    """Directions in the sky."""
+
+    sine_altitude: Float  # (...) sine of the apparent altitude; below the horizontal the sky is that of the horizontal
+    azimuth_rad: Float  # (...)
+    moon_separation_rad: Float  # (...) angles to the Moon
+    sun_separation_rad: Float  # (...) angles to the Sun
+
+
+def sky_radiance(view: SkyView, lights: SkyLights, state: SkyState) -> Float:
+    """Return the brightness of the sky in some directions, (...) flux per square arcsecond over that of magnitude 0."""
+    sine = np.maximum(view.sine_altitude, 0.0)
+    zenith_mag = state.extinction.zenith_mag(state.height_m)
+    mass = _scattering_mass(sine)
+    radiance = brightness_ratio(lights.zenith_mag_arcsec2) * _dark_gradient(mass, zenith_mag)
+    if lights.moonlight:
+        radiance = radiance + _moonlight(view, sine, state)
+    if lights.twilight:
+        radiance = radiance + _twilight(view, sine, state)
+    if lights.town_mag_arcsec2 < 30:
+        radiance = radiance + brightness_ratio(lights.town_mag_arcsec2) * _town_gradient(view, sine, lights, state)
+    return np.asarray(radiance)
+
+
+def nanolamberts_to_mag(brightness_nl: ArrayLike) -> Float:
+    """Return V, (...) mag/arcsec2, of brightnesses in nanolamberts.
+
+    Garstang 1989, as in Krisciunas & Schaefer 1991, eq. (1): B = 34.08 exp(20.7233 - 0.92104 V).
+    """
+    return np.asarray((20.7233 - np.log(np.asarray(brightness_nl, dtype=np.float64) / 34.08)) / 0.92104)
+
+
+def moonlight_nl(
+    separation_rad: ArrayLike,
+    moon_mass: ArrayLike,
+    sky_mass: ArrayLike,
+    phase_angle_rad: float,
+    zenith_mag: float,
+    *,
+    rayleigh: float = 1.0,
+    aerosol: float = 1.0,
+) -> Float:
+    """Return the brightness of the sky lit by the Moon, (...) nanolamberts.
+
+    `separation_rad` (...): angles to the Moon; `moon_mass`, `sky_mass` (...): air masses (1 - 0.96 sin^2 z)^-0.5 of the
+    Moon and of the sky; `phase_angle_rad`: phase angle of the Moon; `zenith_mag`: extinction per air mass; `rayleigh`,
+    `aerosol`: scattering by the air and by aerosol over that at sea level, each relative to the whole extinction.
+
+    Krisciunas & Schaefer 1991 (PASP 103, 1033), eqs (3), (15), (20), (21).  Departs from eq. (21), which jumps by 14 %
+    at 10 deg: the larger of the two laws of aerosol is used, which cross at 8.4 deg.
+    """
+    degrees = np.maximum(np.rad2deg(np.asarray(separation_rad, dtype=np.float64)), _CLOSEST_MOON_DEG)
+    phase_deg = abs(np.rad2deg(phase_angle_rad))
+    illuminance = 10 ** (-0.4 * (3.84 + 0.026 * phase_deg + 4e-9 * phase_deg**4))
+    by_air = 10**5.36 * (1.06 + np.cos(np.deg2rad(degrees)) ** 2)
+    by_aerosol = np.maximum(10 ** (6.15 - degrees / 40), 6.2e7 / degrees**2)
+    moon_mag, sky_mag = (zenith_mag * np.asarray(mass, dtype=np.float64) for mass in (moon_mass, sky_mass))
+    scattered = brightness_ratio(moon_mag) * (1 - brightness_ratio(sky_mag))
+    return np.asarray((rayleigh * by_air + aerosol * by_aerosol) * illuminance * scattered)
+
+
+def twilight_mag(sun_altitude_rad: float) -> float:
+    """Return V of the sky at the zenith in twilight, mag/arcsec2, with the dark sky in it.
+
+    `sun_altitude_rad`: altitude of the Sun without refraction.  Patat, Ugolnikov & Postylyakov 2006 (A&A 455, 385): a
+    fit to zenith distances from 95 to 105 deg.  Before 95 deg it is continued as a line to the Sun at the horizon, and
+    by day as a constant: a sky in which no star is seen.
+    """
+    zenith_distance = 90 - float(np.rad2deg(sun_altitude_rad))
+    since = max(zenith_distance, _DAY_ZENITH_DEG) - _PATAT_FIRST_DEG
+    if since < 0:
+        return 11.84 + 1.518 * since
+    if zenith_distance > _PATAT_LAST_DEG:
+        return _DARK_MAG
+    return 11.84 + 1.518 * since - 0.057 * since**2
+
+
+def _scattering_mass(sine_altitude: Float) -> Float:
+    """Return the air mass for light that is scattered or emitted in the air: Krisciunas & Schaefer, eq. (3)."""
+    return np.asarray(1 / np.sqrt(1 - 0.96 * (1 - sine_altitude**2)))
+
+
+def _dark_gradient(mass: Float, zenith_mag: float) -> Float:
+    """Return the brightness of a dark sky over that of the zenith: Benn & Ellison 1998."""
+    return (0.4 + 0.6 * mass) * brightness_ratio(zenith_mag * (mass - 1))
+
+
+def _moonlight(view: SkyView, sine: Float, state: SkyState) -> Float:
+    air, height_m = state.extinction, state.height_m
+    zenith_mag = air.zenith_mag(height_m)
+    scattering = []
+    for part_mag in (air.rayleigh_at_mag, air.aerosol_at_mag):
+        at_sea = part_mag(0.0) / air.zenith_mag(0.0)
+        scattering.append(part_mag(height_m) / zenith_mag / at_sea if at_sea > 0 and zenith_mag > 0 else 0.0)
+    light_nl = moonlight_nl(
+        view.moon_separation_rad,
+        _scattering_mass(np.maximum(np.sin(state.moon_altitude_rad), 0.0)),
+        _scattering_mass(sine),
+        state.moon_phase_angle_rad,
+        zenith_mag,
+        rayleigh=scattering[0],
+        aerosol=scattering[1],
+    )
+    below_deg = max(-float(np.rad2deg(state.moon_altitude_rad)), 0.0)
+    faded = brightness_ratio(_MOON_BELOW_MAG_PER_DEG * below_deg)
+    # Where there is no light at all, its magnitude is infinite.
+    return np.asarray(faded * brightness_ratio(nanolamberts_to_mag(np.maximum(light_nl, 1e-9))))
+
+
+def _twilight(view: SkyView, sine: Float, state: SkyState) -> Float:
+    """Return the twilight: Patat's at the zenith, with the gradient of Schaefer 1993 (Vistas in Astronomy 36, 311)."""
+    sun_zenith_deg = 90 - float(np.rad2deg(state.sun_altitude_rad))
+    at_zenith = float(brightness_ratio(twilight_mag(state.sun_altitude_rad)) - brightness_ratio(_DARK_MAG))
+    if at_zenith <= 0:
+        return np.zeros_like(sine)
+    zenith_mag, at_sea_mag = (state.extinction.zenith_mag(height_m) for height_m in (state.height_m, 0.0))
+    gradient_mag = max(zenith_mag, _LEAST_TWILIGHT_MAG)
+    zenith_deg = np.rad2deg(np.arccos(np.minimum(sine, 1.0)))
+    towards_sun = sun_zenith_deg / np.maximum(np.rad2deg(view.sun_separation_rad), _CLOSEST_SUN_DEG)
+    depth = _scattered_fraction(_scattering_mass(sine), zenith_mag) / _scattered_fraction(1.0, at_sea_mag)
+    return np.asarray(at_zenith * towards_sun * depth * brightness_ratio(-zenith_deg / (360 * gradient_mag)))
+
+
+def _town_gradient(view: SkyView, sine: Float, lights: SkyLights, state: SkyState) -> Float:
+    """Return a town's glow over that at the zenith at sea level."""
+    if lights.town_azimuth_rad is None:
+        towards = np.full_like(sine, 0.5)
+    else:
+        towards = ((1 + np.cos(view.azimuth_rad - lights.town_azimuth_rad)) / 2) ** 2
+    scattered = _scattered_fraction(1.0, state.extinction.zenith_mag(state.height_m))
+    at_sea = _scattered_fraction(1.0, state.extinction.zenith_mag(0.0))
+    return np.asarray((1 + _TOWN_RISE * towards * (1 - sine) ** _TOWN_POWER) * scattered / at_sea)
+
+
+def _scattered_fraction(mass: Float | float, zenith_mag: float) -> Float:
+    """Return the fraction of light that the air scatters along some air mass; above 0."""
+    return np.asarray(np.maximum(1 - brightness_ratio(zenith_mag * mass), 1e-9))
+
 
 def zodiacal_s10(longitude_from_sun_rad: ArrayLike, latitude_rad: ArrayLike) -> Float:
-    """Return the zodiacal light in some directions.
+    """Return the zodiacal light, (...) S10 units, by ecliptic longitude from the Sun and ecliptic latitude, (...).
 
-    `longitude_from_sun_rad`, `latitude_rad` (...): ecliptic longitude from the Sun, and ecliptic latitude, rad.
-    Returns (...) S10 units; closer than 15 deg of longitude to the Sun that of 15 deg.
+    Within 15 deg of longitude from the Sun, the light at 15 deg is returned.
     """
     longitude_rad = np.asarray(longitude_from_sun_rad, dtype=np.float64)
     from_sun_deg = np.abs((np.rad2deg(longitude_rad) + 180) % 360 - 180)
@@ -266,28 +265,26 @@ def zodiacal_s10(longitude_from_sun_rad: ArrayLike, latitude_rad: ArrayLike) -> 
 
 
 def galaxy_s10(longitude_rad: ArrayLike, latitude_rad: ArrayLike, drawn_mag: float = 6.5) -> Float:
-    """Return the light of the stars that are too faint to be drawn.
+    """Return the light of the stars that are too faint to be drawn, (...) S10 units.
 
-    `longitude_rad`, `latitude_rad` (...): galactic coordinates, rad; `drawn_mag`: the faintest V that is drawn.
-    Returns (...) S10 units.  Stars from V 6.5 to 10 give about the same light per magnitude, so that a limit between
-    takes its share of it.
+    `longitude_rad`, `latitude_rad` (...): galactic coordinates; `drawn_mag`: the faintest V that is drawn.  Stars from
+    V 6.5 to 10 give about the same light per magnitude, so a limit in this range divides it in proportion.
     """
     brightest, faintest = _LISTED_MAG
-    share = float(np.clip((faintest - drawn_mag) / (faintest - brightest), 0.0, 1.0))
-    # Columns once around, and the first again.
+    fraction = float(np.clip((faintest - drawn_mag) / (faintest - brightest), 0.0, 1.0))
     listed, faint = _maps()
     column = np.rad2deg(np.asarray(longitude_rad, dtype=np.float64)) % 360 / _STEP_DEG
     row = (np.rad2deg(np.asarray(latitude_rad, dtype=np.float64)) + 90) / _STEP_DEG
     first_row = np.clip(row.astype(np.intp), 0, len(faint) - 2)
     first_column = np.clip(column.astype(np.intp), 0, faint.shape[1] - 2)
     at = (first_row, row - first_row, first_column, column - first_column)
-    return _bilinear(faint, *at) + share * _bilinear(listed, *at)
+    return _bilinear(faint, *at) + fraction * _bilinear(listed, *at)
 
 
 def diffuse_transmission(zenith_mag: float, air_mass: ArrayLike) -> Float:
-    """Return the fraction of extended light from beyond the air that arrives.
+    """Return the fraction of extended light from beyond the air that arrives, (...), along air masses, (...).
 
-    `zenith_mag`: extinction of a star per air mass, mag; `air_mass` (...).  Returns (...).
+    `zenith_mag`: extinction of a star per air mass.
     """
     return brightness_ratio(_DIFFUSE * zenith_mag * np.asarray(air_mass, dtype=np.float64))
 
@@ -295,10 +292,10 @@ def diffuse_transmission(zenith_mag: float, air_mass: ArrayLike) -> Float:
 def beyond_the_air_s10(
     direction_icrs: Float, sun_icrs: Float, *, zodiacal: bool, galaxy: bool, drawn_mag: float
 ) -> Float:
-    """Return the light from beyond the atmosphere in some directions.
+    """Return the light from beyond the atmosphere in some directions, (...) S10 units.
 
-    `direction_icrs` (..., 3): unit vectors; `sun_icrs` (3,); `zodiacal`, `galaxy`: which lights; `drawn_mag`: the
-    faintest V that is drawn.  Returns (...) S10 units.
+    `direction_icrs` (..., 3), `sun_icrs` (3,): unit vectors; `zodiacal`, `galaxy`: which lights; `drawn_mag`: the
+    faintest V that is drawn.
     """
     light = np.zeros(direction_icrs.shape[:-1])
     if zodiacal:
@@ -314,9 +311,10 @@ def beyond_the_air_s10(
 
 @lru_cache(maxsize=1)
 def _maps() -> tuple[Float, Float]:
+    """Return the light of stars from V 6.5 to 10, and of fainter ones; the first column is repeated at the end."""
     with np.load(asset("galaxy.npz")) as stored:
-        made = [10 ** (stored[name].astype(np.float64) / _PER_DEX) for name in ("listed", "faint")]
-    listed, faint = (np.concatenate([values, values[:, :1]], axis=1) for values in made)
+        maps = [10 ** (stored[name].astype(np.float64) / _PER_DEX) for name in ("listed", "faint")]
+    listed, faint = (np.concatenate([values, values[:, :1]], axis=1) for values in maps)
     return listed, faint
 
 
@@ -332,21 +330,6 @@ def _bilinear(table: Float, row: NDArray[np.intp], down: Float, column: NDArray[
     return np.asarray(upper * (1 - down) + lower * down)
 
 
-# Names of the light, brightest first, and the altitudes of the Sun's centre, rad, above which each begins: by day with
-# the Sun's radius and the refraction at the horizon.
-LIGHT_LEVELS: Final = (
-    ("day", radians(-0.833)),
-    ("civil twilight", radians(-6.0)),
-    ("nautical twilight", radians(-12.0)),
-    ("astronomical twilight", radians(-18.0)),
-    ("night", -inf),
-)
-
-
 def light_name(sun_altitude_rad: float) -> str:
-    """Return the name of the light.
-
-    `sun_altitude_rad`: altitude of the Sun's centre without refraction, rad.  Returns ``"day"``, ``"night"``, or which
-    twilight.
-    """
+    """Return ``"day"``, ``"night"`` or the name of the twilight, by the altitude of the Sun's centre, unrefracted."""
     return next(name for name, least_rad in LIGHT_LEVELS if sun_altitude_rad > least_rad)

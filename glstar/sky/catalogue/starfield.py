@@ -1,7 +1,4 @@
-"""The stars of one epoch for the renderer.
-
-Cells of the sky: finds the stars near a direction without a look at all of them.
-"""
+"""The stars of one epoch for the renderer, and the cells of the sky in which those near a direction are found."""
 
 from dataclasses import dataclass
 from math import cos, pi
@@ -9,6 +6,13 @@ from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+# Width of a cell, rad: 2 deg.
+_CELL_RAD: Final = np.deg2rad(2.0)
+# Rounding of dot products may put a star this much outside of its cell, rad.
+_SLACK_RAD: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -46,27 +50,19 @@ class StarField:
         return int(self.vmag.size)
 
 
-Float = NDArray[np.float64]
-
-# Width of a cell, rad: 2 deg.
-_CELL_RAD: Final = np.deg2rad(2.0)
-# Rounding of dot products may put a star this much outside of its cell, rad.
-_SLACK_RAD: Final = 1e-6
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SkyCells:
     """Directions sorted into zones of declination that are divided in right ascension."""
 
     directions: Float  # (n, 3) unit vectors
-    order: NDArray[np.intp]  # (n,) intp: indices of the directions, sorted by cell and rising within one
-    first: NDArray[np.intp]  # (c + 1,) intp: where each cell begins in `order`
+    order: NDArray[np.intp]  # (n,) indices of the directions, sorted by cell and ascending within one
+    first: NDArray[np.intp]  # (c + 1,) start of each cell in `order`
     centre: Float  # (c, 3) unit vectors
     radius_rad: Float  # (c,) largest angle of a cell's directions from its centre
 
     @classmethod
     def of(cls, directions: Float) -> Self:
-        """Sort directions into cells; cells without one are left out; `directions` (n, 3): unit vectors."""
+        """Sort unit vectors, (n, 3), into cells; empty cells are omitted."""
         zones = int(np.ceil(pi / _CELL_RAD))
         zone = np.minimum((np.arcsin(directions[:, 2].clip(-1, 1)) + pi / 2) / pi * zones, zones - 1).astype(np.int64)
         middle = (np.arange(zones) + 0.5) * (pi / zones) - pi / 2
@@ -78,16 +74,15 @@ class SkyCells:
         sorted_directions = directions[order]
         centre = np.add.reduceat(sorted_directions, first[:-1])
         centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-        of = np.repeat(np.arange(len(first) - 1), np.diff(first))
-        chord = np.linalg.norm(sorted_directions - centre[of], axis=1)
+        cell_number = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        chord = np.linalg.norm(sorted_directions - centre[cell_number], axis=1)
         radius_rad = 2 * np.arcsin(np.minimum(np.maximum.reduceat(chord, first[:-1]) / 2, 1.0)) + _SLACK_RAD
         return cls(directions, order, first, centre, radius_rad)
 
     def within(self, axis: Float, radius_rad: float) -> NDArray[np.intp]:
-        """Return the directions in a cone.
+        """Return the ascending indices of the directions in a cone.
 
-        `axis` (3,): unit vector; `radius_rad`: largest angle from the axis, below pi.  Returns (k,) intp: indices,
-        rising.
+        `axis` (3,): unit vector; `radius_rad`: largest angle from the axis, below pi.
         """
         near = np.flatnonzero(self.centre @ axis > np.cos(np.minimum(radius_rad + self.radius_rad, pi)))
         if not near.size:

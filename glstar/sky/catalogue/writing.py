@@ -1,7 +1,4 @@
-"""Writing of star catalogue files: SQLite with indices for cones and magnitudes.
-
-Columns of a star catalogue that is being built: places at J2000, proper motions, distances and magnitudes.
-"""
+"""Writing of star catalogue files: SQLite with indices for cones and magnitudes, from rows or from columns at J2000."""
 
 import os
 import sqlite3
@@ -10,14 +7,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
-import erfa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ExportError
-from glstar.sky.catalogue.reading import APPLICATION_ID
+from glstar.sky.catalogue.reading import APPLICATION_ID, CatalogueRow
+
+Float = NDArray[np.float64]
 
 _TABLES = """
 CREATE TABLE star (
@@ -50,21 +48,12 @@ CREATE INDEX star_ra_dec_vmag ON star (ra_rad, dec_rad, vmag);
 CREATE INDEX star_dec_ra_vmag ON star (dec_rad, ra_rad, vmag);
 """
 
-
-class CatalogueRow(NamedTuple):
-    """One row of the table `star`."""
-
-    number: int
-    name: str
-    designation: str
-    ra_rad: float
-    dec_rad: float
-    pm_ra_cosdec_rad_per_yr: float
-    pm_dec_rad_per_yr: float
-    vmag: float
-    bv: float | None
-    parallax_rad: float = 0.0
-    radial_velocity_m_per_s: float | None = None
+_ARCSEC_RAD: Final = np.pi / 648000
+# Julian dates of J2000.
+_J2000: Final = (2451545.0, 0.0)
+_DAYS_PER_YR: Final = 365.25
+# The range of BP - RP in which the relation between V and G holds, mag.
+_BP_RP_RANGE: Final = (-0.5, 5.0)
 
 
 def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mapping[str, str]) -> None:
@@ -120,31 +109,21 @@ def _write(
             beside.unlink(missing_ok=True)
 
 
-Float = NDArray[np.float64]
-
-_ARCSEC_RAD: Final = np.pi / 648000
-# Julian dates of J2000.
-_J2000: Final = (2451545.0, 0.0)
-_DAYS_PER_YR: Final = 365.25
-# The range of BP - RP in which the relation between V and G holds, mag.
-_BP_RP_RANGE: Final = (-0.5, 5.0)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueColumns:
     """Stars at equinox and epoch J2000, as columns."""
 
-    number: NDArray[np.int64]  # (n,) int64: numbers in the catalogue, each once
-    ra_rad: Float  # (n,) ICRS, right ascension in [0, 2 pi)
-    dec_rad: Float
+    number: NDArray[np.int64]  # (n,) numbers in the catalogue, each once
+    ra_rad: Float  # (n,) right ascension, ICRS, in [0, 2 pi)
+    dec_rad: Float  # (n,) declination, ICRS
     pm_ra_cosdec_rad_per_yr: Float  # (n,)
-    pm_dec_rad_per_yr: Float
+    pm_dec_rad_per_yr: Float  # (n,)
     parallax_rad: Float  # (n,) 0 where unknown
     radial_velocity_m_per_s: Float  # (n,) NaN where unknown
-    vmag: Float  # (n,) Johnson; B - V is NaN where unknown
-    bv: Float
-    name: tuple[str, ...] = ()  # N long, or empty for stars without any
-    designation: tuple[str, ...] = ()
+    vmag: Float  # (n,) Johnson V
+    bv: Float  # (n,) Johnson B - V; NaN where unknown
+    name: tuple[str, ...] = ()  # n names, or none
+    designation: tuple[str, ...] = ()  # n designations, or none
 
     def __len__(self) -> int:
         return int(self.number.size)
@@ -169,8 +148,8 @@ class CatalogueColumns:
 
     def rows(self) -> Iterator[tuple[object, ...]]:
         """Yield the stars in the order of the columns of a catalogue file; places are rounded to 0.2 microarcsec."""
-        known = [None if np.isnan(v) else v for v in self.bv.round(3).tolist()]
-        moving = [None if np.isnan(v) else v for v in self.radial_velocity_m_per_s.round(1).tolist()]
+        bv = [None if np.isnan(v) else v for v in self.bv.round(3).tolist()]
+        velocity = [None if np.isnan(v) else v for v in self.radial_velocity_m_per_s.round(1).tolist()]
         blank = ("",) * len(self)
         return zip(
             self.number.tolist(),
@@ -181,9 +160,9 @@ class CatalogueColumns:
             self.pm_ra_cosdec_rad_per_yr.round(16).tolist(),
             self.pm_dec_rad_per_yr.round(16).tolist(),
             self.vmag.round(3).tolist(),
-            known,
+            bv,
             self.parallax_rad.round(16).tolist(),
-            moving,
+            velocity,
             strict=True,
         )
 
@@ -197,12 +176,13 @@ def space_motion_to_j2000(
 ) -> tuple[Float, Float, Float, Float]:
     """Return places and proper motions at J2000 of stars that move along straight lines in space.
 
-    `place_rad` tuple of two (n,) array_like: right ascension and declination, ICRS at the epoch, rad; `pm_rad_per_yr`
-    tuple of two (n,) array_like: proper motions in right ascension, cos(dec) included, and in declination, rad per
-    Julian year; NaN for unknown; `parallax_rad` (n,): NaN or negative for unknown; `radial_velocity_m_per_s` (n,): NaN
-    for unknown; `epoch_yr`: Julian year, barycentric.  Returns `ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr,
-    pm_dec_rad_per_yr` (n,).  ERFA's `pmsafe`: space motion with the time that light takes (Stumpff 1985), and with a
-    small parallax where there is none.
+    `place_rad`: right ascensions and declinations, (n,) each, ICRS at the epoch; `pm_rad_per_yr`: proper motions, (n,)
+    each, in right ascension, cos(dec) included, and in declination, per Julian year; NaN for unknown; `parallax_rad`
+    (n,): NaN or negative for unknown; `radial_velocity_m_per_s` (n,): NaN for unknown; `epoch_yr`: Julian year,
+    barycentric.  Returns right ascensions, declinations and proper motions in both, (n,) each.
+
+    ERFA's `pmsafe`: space motion with the time that light takes (Stumpff 1985), and with a small parallax where there
+    is none.
     """
     ra, dec = (np.asarray(angle, dtype=np.float64) for angle in place_rad)
     pm_ra, pm_dec = (np.nan_to_num(np.asarray(pm, dtype=np.float64)) for pm in pm_rad_per_yr)
@@ -210,6 +190,8 @@ def space_motion_to_j2000(
         return ra % (2 * np.pi), dec, pm_ra, pm_dec
     parallax = np.nan_to_num(np.asarray(parallax_rad, dtype=np.float64)).clip(min=0.0) / _ARCSEC_RAD
     velocity = np.nan_to_num(np.asarray(radial_velocity_m_per_s, dtype=np.float64)) / 1000
+    import erfa  # noqa: PLC0415 - only for another epoch
+
     epoch = (_J2000[0], (epoch_yr - 2000.0) * _DAYS_PER_YR)
     with warnings.catch_warnings(action="ignore", category=erfa.ErfaWarning):  # that it assumes a small parallax
         new_ra, new_dec, new_pm_ra, new_pm_dec, _, _ = erfa.pmsafe(
@@ -221,26 +203,25 @@ def space_motion_to_j2000(
 def vmag_from_tycho(bt_mag: ArrayLike, vt_mag: ArrayLike) -> Float:
     """Return Johnson V from Tycho's magnitudes.
 
-    `bt_mag`, `vt_mag` (n,): B_T and V_T, mag; NaN for unknown; without B_T, V is V_T as of a star of B - V 0; without
-    V_T, it is NaN.  Returns (n,).  ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, section 1.3, appendix 4: V =
-    V_T - 0.090 (B_T - V_T), within 0.015 mag for stars that are not reddened of B - V from -0.2 to 1.8.
+    `bt_mag`, `vt_mag` (n,): B_T and V_T; NaN for unknown.  Without B_T, V is V_T, as for B - V 0; without V_T, it is
+    NaN.
+
+    ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, section 1.3, appendix 4: V = V_T - 0.090 (B_T - V_T), within
+    0.015 mag for unreddened stars of B - V from -0.2 to 1.8.
     """
     bt, vt = np.asarray(bt_mag, dtype=np.float64), np.asarray(vt_mag, dtype=np.float64)
     return np.asarray(vt - 0.090 * np.nan_to_num(bt - vt))
 
 
 def bv_from_tycho(bt_mag: ArrayLike, vt_mag: ArrayLike) -> Float:
-    """Return Johnson B - V from Tycho's magnitudes: 0.850 (B_T - V_T), as for `vmag_from_tycho`.
-
-    `bt_mag`, `vt_mag` (n,): B_T and V_T, mag; NaN for unknown.  Returns (n,).
-    """
+    """Return Johnson B - V, (n,), from Tycho's magnitudes: 0.850 (B_T - V_T), as for `vmag_from_tycho`."""
     return np.asarray(0.850 * (np.asarray(bt_mag, dtype=np.float64) - np.asarray(vt_mag, dtype=np.float64)))
 
 
 def vmag_from_gaia(g_mag: ArrayLike, bp_rp: ArrayLike) -> Float:
     """Return Johnson V from Gaia's G and BP - RP.
 
-    `g_mag`, `bp_rp` (n,): mag; BP - RP is clipped to -0.5 to 5, and 0.82 (the Sun's) where it is NaN.  Returns (n,).
+    `bp_rp` (n,): clipped to -0.5 to 5, and 0.82 (the Sun's) where it is NaN.
 
     Gaia EDR3 documentation, section 5.5.1, table 5.9: G - V = -0.02704 + 0.01424 x - 0.2156 x^2 + 0.01426 x^3 with x
     = BP - RP; scatter 0.03 mag.

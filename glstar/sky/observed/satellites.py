@@ -48,10 +48,10 @@ class EarthFrames(Protocol):
 class SatelliteView(NamedTuple):
     """A satellite as seen at n times."""
 
-    # (n, 3) unit vectors, true equator and equinox, with light time, without the aberration by the Earth's rotation.
+    # (n, 3) unit vectors, true equator and equinox, with light time, without diurnal aberration.
     direction_eq: Float
-    range_km: Float  # (n,)
-    geocentric_eq_km: Float  # (n, 3) from the Earth's centre
+    range_km: Float  # (n,) distances from the observer
+    geocentric_eq_km: Float  # (n, 3) positions from the Earth's centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +59,18 @@ class Satellite:
     """One satellite."""
 
     name: str
-    number: int  # Its number in the satellite catalogue
-    lines: tuple[str, str]  # (str, str) the elements
+    number: int  # number in the satellite catalogue
+    lines: tuple[str, str]  # the two lines of elements
     standard_mag: float  # V magnitude 1000 km away, half lit
 
     def seen(
         self, sky: EarthFrames, utc_s: Float, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike
     ) -> SatelliteView:
-        """Return how the satellite is seen at some times.
+        """Return the satellite as an observer sees it; NaN where the elements no longer describe an orbit.
 
-        `sky`: with the orientation of the Earth; `utc_s` (n,): UTC seconds since 1970, within minutes of each other;
-        `latitude_rad`, `longitude_rad`, `height_m` (n,): the observer at these times.  Returns: NaN where the elements
-        describe no orbit any more.  SGP4 (Vallado and others 2006, AIAA 2006-6753) in the frame TEME, turned by the
-        sidereal time of 1982.
+        `sky`: the orientation of the Earth; `utc_s` (n,): UTC seconds since 1970, within minutes of each other;
+        `latitude_rad`, `longitude_rad`, `height_m` (n,): the observer at these times.  SGP4 (Vallado and others 2006,
+        AIAA 2006-6753) in the frame TEME, turned by the sidereal time of 1982.
         """
         return _seen([_propagator(self.lines)], sky, utc_s, (latitude_rad, longitude_rad, height_m))
 
@@ -87,9 +86,9 @@ class Satellites:
     def open(path: str | PathLike[str], standard_mag: float = 4.5) -> "Satellites":
         """Read a file of two-line elements.
 
-        `path`: lines in pairs, each pair with or without a line with the name before it; `standard_mag`: V magnitude of
-        each 1000 km away, half lit: elements do not say it.  Raises ConfigError if the file cannot be read or is
-        damaged, or the package sgp4 is not installed.
+        `path`: pairs of lines, with or without a line with the name before each; `standard_mag`: V magnitude of each
+        satellite 1000 km away, half lit, which elements do not contain.  Raises ConfigError if the file cannot be read
+        or is damaged, or the package sgp4 is not installed.
         """
         file = Path(path)
         _sgp4()
@@ -107,11 +106,9 @@ class Satellites:
         """Yield the satellites that may be above the horizon and near a direction during an exposure.
 
         `utc_s`: the middle of the exposure, UTC seconds since 1970; `span_s`: its duration; `towards_eq` (3,): unit
-        vector, true equator and equinox; `angle_rad`: largest distance from it.
+        vector, true equator and equinox; `angle_rad`: largest angle from it.
         """
-        place = site.latitude_rad, site.longitude_rad, site.height_m
-        propagators = [_propagator(one.lines) for one in self.satellites]
-        seen = _seen(propagators, sky, np.array([utc_s]), place)
+        seen = _seen(self._records, sky, np.array([utc_s]), (site.latitude_rad, site.longitude_rad, site.height_m))
         moved_rad = np.arcsin(np.minimum(_FASTEST_KM_PER_S * span_s / 2 / seen.range_km, 1.0))
         separation_rad = np.arccos(np.clip(seen.direction_eq @ towards_eq, -1, 1))
         # NaN, of an orbit that has ended, is not near.
@@ -120,7 +117,7 @@ class Satellites:
 
     def ages_days(self, utc_s: float) -> Float:
         """Return the times since the epochs of the elements, (n,) days; negative before an epoch."""
-        epochs = np.array([one.jdsatepoch + one.jdsatepochF for one in self._records])
+        epochs = np.array([record.jdsatepoch + record.jdsatepochF for record in self._records])
         return np.asarray(utc_s / 86400 + UNIX_EPOCH_JD - epochs)
 
     def age_note(self, utc_s: float) -> str:
@@ -137,15 +134,15 @@ class Satellites:
 
     @property
     def _records(self) -> list[Any]:
-        return [_propagator(one.lines) for one in self.satellites]
+        return [_propagator(satellite.lines) for satellite in self.satellites]
 
 
 def satellite_vmag(standard_mag: float, range_km: ArrayLike, phase_angle_rad: ArrayLike) -> Float:
-    """Return the V magnitude of a satellite in full sunlight.
+    """Return the V magnitudes, (...), of a satellite in full sunlight.
 
-    `standard_mag`: 1000 km away, half lit; `range_km` (...); `phase_angle_rad` (...): angle between Sun and observer at
-    the satellite, rad.  Returns (...).  Of a white sphere, Lambert: (sin a + (pi - a) cos a) / pi of the light at
-    full phase, 1 / pi at 90 deg.
+    `standard_mag`: magnitude 1000 km away, half lit; `range_km` (...): distances; `phase_angle_rad` (...): angles
+    between Sun and observer at the satellite.  A white Lambert sphere reflects (sin a + (pi - a) cos a) / pi of the
+    light at full phase, 1 / pi at 90 deg.
     """
     angle = np.asarray(phase_angle_rad, dtype=np.float64)
     lit = np.maximum(np.sin(angle) + (pi - angle) * np.cos(angle), 1e-12)
@@ -153,10 +150,10 @@ def satellite_vmag(standard_mag: float, range_km: ArrayLike, phase_angle_rad: Ar
 
 
 def lit_fraction(geocentric_eq_km: Float, sun_eq: Float) -> Float:
-    """Return the part of the Sun's disc that a satellite sees beside the Earth.
+    """Return the fraction of the Sun's disc that a satellite sees beside the Earth, (...): 0 in the umbra.
 
-    `geocentric_eq_km` (..., 3); `sun_eq` (3,): unit vector to the Sun.  Returns (...) 0 in the umbra, 1 in sunlight;
-    the Earth's edge is straight, and has no air.
+    `geocentric_eq_km` (..., 3): positions of the satellite; `sun_eq` (3,): unit vector to the Sun.  The Earth's edge is
+    straight, and has no air.
     """
     distance_km = np.linalg.norm(geocentric_eq_km, axis=-1)
     earth_rad = np.arcsin(np.minimum(_EARTH_KM / distance_km, 1.0))
@@ -166,29 +163,31 @@ def lit_fraction(geocentric_eq_km: Float, sun_eq: Float) -> Float:
 
 
 def visible_vmag(satellite: Satellite, view: SatelliteView, sun_eq: Float) -> tuple[Float, Float]:
-    """Return the brightness of a satellite.
+    """Return the V magnitudes of a satellite in full sunlight, and the fractions of the Sun that it sees, (n,) each.
 
-    `view`: n times; `sun_eq` (3,): unit vector to the Sun.  Returns `vmag` (n,): V magnitudes in full sunlight; `lit`
-    (n,): the part of the Sun that it sees.
+    `sun_eq` (3,): unit vector to the Sun.
     """
     phase_rad = np.arccos(np.clip(-(view.direction_eq @ sun_eq), -1, 1))
     return satellite_vmag(satellite.standard_mag, view.range_km, phase_rad), lit_fraction(view.geocentric_eq_km, sun_eq)
 
 
 def _seen(
-    propagators: Sequence[Any], sky: EarthFrames, utc_s: Float, place: tuple[ArrayLike, ArrayLike, ArrayLike]
+    propagators: Sequence[Any], sky: EarthFrames, utc_s: Float, site: tuple[ArrayLike, ArrayLike, ArrayLike]
 ) -> SatelliteView:
-    """Return how several satellites are seen at one time, or one at several times."""
-    latitude_rad, longitude_rad, height_m = (np.asarray(of, dtype=np.float64) for of in place)
-    n = max(len(propagators), utc_s.size)
+    """Return the view of several satellites at one time, or of one satellite at several times.
+
+    `site`: latitude and longitude, rad, and height, m.
+    """
+    latitude_rad, longitude_rad, height_m = (np.asarray(number, dtype=np.float64) for number in site)
+    count = max(len(propagators), utc_s.size)
     to_ned = C_ned_eq(latitude_rad, longitude_rad)
     site_km = geocentric_m(latitude_rad, longitude_rad, height_m) / 1000
     earth = sky.earth(float(utc_s[0]))
     ut1_day = (utc_s + earth.dut1_s) / 86400
     C_fixed_teme = earth.polar_motion @ about_z(erfa.gmst82(UNIX_EPOCH_JD, ut1_day))
-    range_km = np.zeros(n)
+    range_km = np.zeros(count)
     for _ in range(2):
-        teme_km = _teme_km(propagators, np.broadcast_to(utc_s, n) - range_km / _LIGHT_KM_PER_S)
+        teme_km = _teme_km(propagators, np.broadcast_to(utc_s, count) - range_km / _LIGHT_KM_PER_S)
         fixed_km = (C_fixed_teme @ teme_km[..., np.newaxis])[..., 0]
         range_km = np.linalg.norm(fixed_km - site_km, axis=-1)
     C_eq_ned = np.swapaxes(sky.C_ned_eq(utc_s, latitude_rad, longitude_rad), -1, -2)
@@ -204,11 +203,9 @@ def _teme_km(propagators: Sequence[Any], utc_s: Float) -> Float:
     if len(propagators) == 1:
         error, position, _ = propagators[0].sgp4_array(day + UNIX_EPOCH_JD, fraction)
     else:
-        made = [
-            one.sgp4(d + UNIX_EPOCH_JD, f)
-            for one, d, f in zip(propagators, day.tolist(), fraction.tolist(), strict=True)
-        ]
-        error, position = np.array([one[0] for one in made]), np.array([one[1] for one in made])
+        times = zip(propagators, day.tolist(), fraction.tolist(), strict=True)
+        states = [propagator.sgp4(whole + UNIX_EPOCH_JD, part) for propagator, whole, part in times]
+        error, position, _ = (np.array(values) for values in zip(*states, strict=True))
     return np.where((error == 0)[:, np.newaxis], position, np.nan)
 
 
@@ -232,7 +229,8 @@ def _read(file: Path, standard_mag: float, _changed_ns: int, _size: int) -> Sate
     """Return the satellites in a file; the last parameters distinguish its versions."""
     lines = [line.rstrip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
-    found, name, first = list[Satellite](), "", ""
+    satellites = list[Satellite]()
+    name = first = ""
     for number, line in numbered:
         if line.startswith("1 ") and not first and len(line) >= _LINE_LENGTH - 1:
             first = _checked(file, number, line)
@@ -240,7 +238,7 @@ def _read(file: Path, standard_mag: float, _changed_ns: int, _size: int) -> Sate
             second = _checked(file, number, line)
             if not second.startswith("2 ") or second[2:7] != first[2:7]:
                 raise ConfigError(f"{file}, line {number}: must be line 2 of satellite {first[2:7].strip()}", key=_KEY)
-            found.append(_satellite(file, number, name, (first, second), standard_mag))
+            satellites.append(_satellite(file, number, name, (first, second), standard_mag))
             name = first = ""
         elif line.startswith("2 ") and len(line) >= _LINE_LENGTH - 1:
             raise ConfigError(f"{file}, line {number}: line 2 of elements without its line 1", key=_KEY)
@@ -248,10 +246,10 @@ def _read(file: Path, standard_mag: float, _changed_ns: int, _size: int) -> Sate
             raise ConfigError(f"{file}, line {number}: must be line 1 of the elements of {name}", key=_KEY)
         else:
             name = line.removeprefix("0 ").strip()
-    if first or name or not found:
+    if first or name or not satellites:
         what = "ends within the elements of a satellite" if first or name else "has no two-line elements"
         raise ConfigError(f"{file} {what}", key=_KEY)
-    return Satellites(file, tuple(found))
+    return Satellites(file, tuple(satellites))
 
 
 def _checked(file: Path, number: int, line: str) -> str:
@@ -260,7 +258,8 @@ def _checked(file: Path, number: int, line: str) -> str:
         raise ConfigError(
             f"{file}, line {number}: has {len(line)} characters, and elements {_LINE_LENGTH} with a checksum", key=_KEY
         )
-    total = sum(1 if one == "-" else int(one) if one.isdigit() else 0 for one in line[: _LINE_LENGTH - 1]) % 10
+    digits = line[: _LINE_LENGTH - 1].replace("-", "1")
+    total = sum(int(digit) for digit in digits if digit.isdigit()) % 10
     if total != int(line[_LINE_LENGTH - 1]):
         raise ConfigError(
             f"{file}, line {number}: its checksum is {line[_LINE_LENGTH - 1]}, and that of its digits {total}: damaged",

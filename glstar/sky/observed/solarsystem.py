@@ -1,17 +1,10 @@
 """The Sun, the Moon and the planets as an observer on the Earth, or above it, sees them.
 
-Places include light time, the observer's place on the WGS84 ellipsoid (57' of parallax for the Moon), the deflection of
-light by the Sun, and annual aberration.  `Sky` has the frames: the same that the stars are drawn in.
-
-Apparent magnitudes of the Sun, the Moon and the planets.
-
-The planets follow Mallama & Hilton 2018 (Astronomy and Computing 25, 10), without the rotation of Mars (0.06 mag).
-
-Positions of the Sun, the Moon and the planets: ERFA's series, with corrections that bring them to DE421.
-
-ERFA's series of the planets (`plan94`) are up to 90" from the Jet Propulsion Laboratory's ephemeris DE421, and its Moon
-(`moon98`) up to 13".  ``assets/ephemeris.npz`` holds the differences from 1990 to 2050 as Chebyshev series of whole
-numbers; `tests/scripts/make_ephemeris.py` wrote it.  Outside these years, the series are used without corrections.
+Places include light time, the observer's position on the WGS84 ellipsoid (57' of parallax for the Moon), the deflection
+of light by the Sun, and annual aberration, in the frames of `Sky`.  ERFA's series of the planets (`plan94`) are up to
+90" from the Jet Propulsion Laboratory's ephemeris DE421, and its Moon (`moon98`) up to 13"; ``assets/ephemeris.npz``
+holds the differences from 1990 to 2050 as Chebyshev series (`tests/scripts/make_ephemeris.py` wrote it).  Magnitudes of
+planets follow Mallama & Hilton 2018 (Astronomy and Computing 25, 10), without the rotation of Mars (0.06 mag).
 """
 
 from dataclasses import dataclass
@@ -56,18 +49,52 @@ _JUPITER: Final = (-9.395, -3.7e-4, 6.16e-4)
 _SATURN_POLE: Final = direction(np.deg2rad(40.589), np.deg2rad(83.537))
 _URANUS_POLE: Final = direction(np.deg2rad(257.311), np.deg2rad(-15.175))
 
+# The astronomical unit, IAU 2012 resolution B2.
+AU_KM: Final = 149597870.7
+# The speed of light, 299792.458 km/s.
+LIGHT_KM_PER_DAY: Final = 299792.458 * 86400
+
+# The planets, with their numbers in ERFA's `plan94`.
+PLANETS: Final = MappingProxyType(
+    {"Mercury": 1, "Venus": 2, "Mars": 4, "Jupiter": 5, "Saturn": 6, "Uranus": 7, "Neptune": 8}
+)
+
+_FILE: Final = "ephemeris.npz"
+
+# All bodies in their order in tables and truth.
+BODIES: Final = ("Sun", "Moon", *PLANETS)
+
+# Equatorial radii, km: IAU 2015 resolution B3 for the Sun, the IAU's working group on cartographic coordinates (2009).
+_RADIUS_KM: Final = MappingProxyType(
+    {
+        "Sun": 695700.0,
+        "Moon": 1737.4,
+        "Mercury": 2439.7,
+        "Venus": 6051.8,
+        "Mars": 3396.19,
+        "Jupiter": 71492.0,
+        "Saturn": 60268.0,
+        "Uranus": 25559.0,
+        "Neptune": 24764.0,
+    }
+)
+# Light from Neptune is 4 h old; its place then is known to a millimetre after three iterations.
+_LIGHT_TIME_ITERATIONS: Final = 3
+# Closest angle to the Sun for which light is deflected, as in ERFA's manual: 1e-6 rad^2 / 2.
+_DEFLECTION_LIMIT: Final = 1e-6
+
 
 def sun_vmag(distance_au: float) -> float:
-    """Return the V magnitude of the Sun; `distance_au`: distance from the observer, au."""
+    """Return the V magnitude of the Sun at a distance from the observer."""
     return _SUN_VMAG + 5 * log10(distance_au)
 
 
 def moon_vmag(phase_angle_rad: float, distance_km: float, sun_distance_au: float) -> float:
     """Return the V magnitude of the Moon.
 
-    `phase_angle_rad`: angle between Sun and observer at the Moon, rad; `distance_km`: distance from the observer, km;
-    `sun_distance_au`: distance of the Moon from the Sun, au.  Allen, Astrophysical Quantities: V = -12.73 + 0.026 a +
-    4e-9 a^4 with the phase angle a in degrees; valid up to about 150 deg, and too faint near new Moon.
+    `phase_angle_rad`: angle between Sun and observer at the Moon; `distance_km`: from the observer; `sun_distance_au`:
+    from the Sun.  Allen, Astrophysical Quantities: V = -12.73 + 0.026 a + 4e-9 a^4 with the phase angle a in degrees;
+    valid up to about 150 deg, and too faint near new Moon.
     """
     angle_deg = degrees(phase_angle_rad)
     at_mean_distance = _FULL_MOON_VMAG + 0.026 * angle_deg + 4e-9 * angle_deg**4
@@ -77,10 +104,10 @@ def moon_vmag(phase_angle_rad: float, distance_km: float, sun_distance_au: float
 def planet_vmag(name: str, from_sun_au: Float, from_observer_au: Float, phase_angle_rad: float, year: float) -> float:
     """Return the V magnitude of a planet.
 
-    `name`: a key of `glstar.sky.observed.solarsystem.PLANETS`; `from_sun_au`, `from_observer_au` (3,): the planet's
-    position from the Sun and from the observer, ICRS axes, au; `phase_angle_rad`: angle between Sun and observer at the
-    planet, rad; `year`: Julian year, for Neptune, which brightened from 1980 to 2000.  Mallama & Hilton 2018, eqs (2)
-    to (17): V(1, 0) and the phase law, plus 5 log10(r d).
+    `name`: a key of `PLANETS`; `from_sun_au`, `from_observer_au` (3,): the planet's position from the Sun and from the
+    observer, ICRS axes; `phase_angle_rad`: angle between Sun and observer at the planet; `year`: Julian year, for
+    Neptune, which brightened from 1980 to 2000.  Mallama & Hilton 2018, eqs (2) to (17): V(1, 0) and the phase law,
+    plus 5 log10(r d).
     """
     a = degrees(phase_angle_rad)
     r, d = float(np.linalg.norm(from_sun_au)), float(np.linalg.norm(from_observer_au))
@@ -119,30 +146,17 @@ def _ring_tilt_rad(from_sun: Float, from_observer: Float) -> float:
 
 
 def _latitude_rad(pole: Float, towards_planet: Float) -> float:
-    """Return the planetocentric latitude of somebody who sees the planet in a direction."""
+    """Return the planetocentric latitude of an observer who sees the planet in a direction."""
     return asin(max(-1.0, min(1.0, -float(pole @ towards_planet))))
-
-
-# The astronomical unit, IAU 2012 resolution B2.
-AU_KM: Final = 149597870.7
-# The speed of light, 299792.458 km/s.
-LIGHT_KM_PER_DAY: Final = 299792.458 * 86400
-
-# The planets, with their numbers in ERFA's `plan94`.
-PLANETS: Final = MappingProxyType(
-    {"Mercury": 1, "Venus": 2, "Mars": 4, "Jupiter": 5, "Saturn": 6, "Uranus": 7, "Neptune": 8}
-)
-
-_FILE: Final = "ephemeris.npz"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EarthState:
     """Position and velocity of the Earth's centre; ICRS axes."""
 
-    heliocentric_km: Float  # (3,) from the Sun's centre, and from the barycentre of the solar system, km
-    barycentric_km: Float
-    velocity_km_per_day: Float  # (3,) relative to the barycentre, km per day
+    heliocentric_km: Float  # (3,) position from the Sun's centre
+    barycentric_km: Float  # (3,) position from the barycentre of the solar system
+    velocity_km_per_day: Float  # (3,) velocity relative to the barycentre
 
     @property
     def sun_km(self) -> Float:
@@ -151,11 +165,8 @@ class EarthState:
 
 
 def earth_state(tt: JulianDate) -> EarthState:
-    """Return the Earth's position and velocity, by ERFA's `epv00`: within 10 km (0.014") of DE421.
-
-    `tt` (float, float): terrestrial Time, a two-part Julian date.
-    """
-    # The status only says that it is a little worse before 1900 and after 2100.
+    """Return the Earth's position and velocity, by ERFA's `epv00`: within 10 km (0.014") of DE421."""
+    # The status only reports a slightly larger error before 1900 and after 2100.
     heliocentric, barycentric, _ = erfa.ufunc.epv00(*tt)
     return EarthState(
         np.asarray(heliocentric["p"], dtype=np.float64) * AU_KM,
@@ -165,31 +176,23 @@ def earth_state(tt: JulianDate) -> EarthState:
 
 
 def planet_km(name: str, tt: JulianDate) -> Float:
-    """Return the heliocentric position of a planet, ICRS axes.
+    """Return the heliocentric position of a planet of `PLANETS`, (3,) km, ICRS axes.
 
-    `name`: a key of `PLANETS`; `tt` (float, float): terrestrial Time, a two-part Julian date.  Returns (3,) km; of
-    Jupiter and Saturn it is the barycentre of the planet and its moons: at most 0.1" beside the planet.
+    For Jupiter and Saturn, this is the barycentre of the planet and its moons: at most 0.1" from the planet.
     """
-    position_velocity, _ = erfa.ufunc.plan94(*tt, PLANETS[name])  # the status: as of `earth_state`
+    position_velocity, _ = erfa.ufunc.plan94(*tt, PLANETS[name])  # the status is as for `earth_state`
     series = np.asarray(position_velocity["p"], dtype=np.float64) * AU_KM
     return series + _corrections()[name.lower()].at(tt)
 
 
 def moon_km(tt: JulianDate) -> Float:
-    """Return the geocentric position of the Moon, ICRS axes.
-
-    `tt` (float, float): terrestrial Time, a two-part Julian date.  Returns (3,) km; within 0.6" of DE421 from 1990 to
-    2050, and 14" in other years.
-    """
+    """Return the geocentric position of the Moon, (3,) km, ICRS axes: 0.6" from DE421 in 1990 to 2050, else 14"."""
     series = np.asarray(erfa.moon98(*tt)["p"], dtype=np.float64) * AU_KM
     return series + _corrections()["moon"].at(tt)
 
 
 def is_corrected(tt: JulianDate) -> bool:
-    """Return whether a time lies within the years of the corrections, 1990 to 2050.
-
-    `tt` (float, float): terrestrial Time, a two-part Julian date.
-    """
+    """Return whether a time lies within the years of the corrections, 1990 to 2050."""
     return all(correction.covers(tt) for correction in _corrections().values())
 
 
@@ -197,12 +200,13 @@ def is_corrected(tt: JulianDate) -> bool:
 class _Correction:
     """A vector as consecutive Chebyshev series of whole numbers."""
 
-    first_jd: float  # Start of the first series, Julian date
-    piece_days: float  # Length of a series, days
-    step_km: float  # Unit of the coefficients, km
-    coefficients: NDArray[np.int8] | NDArray[np.int16]  # (pieces, 3, degree + 1) int8 or int16
+    first_jd: float  # start of the first series, Julian date
+    piece_days: float  # length of a series
+    step_km: float  # unit of the coefficients
+    coefficients: NDArray[np.int8] | NDArray[np.int16]  # (pieces, 3, degree + 1)
 
     def covers(self, tt: JulianDate) -> bool:
+        """Return whether there is a series for a time."""
         return 0 <= self._piece(tt) < len(self.coefficients)
 
     def at(self, tt: JulianDate) -> Float:
@@ -236,44 +240,21 @@ def _corrections() -> dict[str, _Correction]:
         raise CatalogueError(path, "is damaged; install glstar again") from error
 
 
-# All bodies in their order in tables and truth.
-BODIES: Final = ("Sun", "Moon", *PLANETS)
-
-# Equatorial radii, km: IAU 2015 resolution B3 for the Sun, the IAU's working group on cartographic coordinates (2009).
-_RADIUS_KM: Final = MappingProxyType(
-    {
-        "Sun": 695700.0,
-        "Moon": 1737.4,
-        "Mercury": 2439.7,
-        "Venus": 6051.8,
-        "Mars": 3396.19,
-        "Jupiter": 71492.0,
-        "Saturn": 60268.0,
-        "Uranus": 25559.0,
-        "Neptune": 24764.0,
-    }
-)
-# Light from Neptune is 4 h old; its place then is known to a millimetre after three iterations.
-_LIGHT_TIME_ITERATIONS: Final = 3
-# Closest angle to the Sun for which light is deflected, as in ERFA's manual: 1e-6 rad^2 / 2.
-_DEFLECTION_LIMIT: Final = 1e-6
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
     """One body at one time, from one site."""
 
-    name: str  # As in `BODIES`
+    name: str  # one of `BODIES`
     # (3,) topocentric apparent unit vector without diurnal aberration, true equator and equinox of date: the same as
     # the directions of a `StarField`, with parallax.
     direction_eq: Float
     sun_direction_eq: Float  # (3,) unit vector from the body to the Sun in the same frame; zero for the Sun
-    azimuth_rad: float  # As in `ObservedPlaces`, rad
-    altitude_rad: float
-    apparent_altitude_rad: float
-    distance_km: float  # From the observer, km
-    angular_radius_rad: float  # Rad; the equator's
-    phase_angle_rad: float  # Angle between the Sun and the observer at the body, rad; 0 for the Sun
+    azimuth_rad: float  # from north through east
+    altitude_rad: float  # without refraction
+    apparent_altitude_rad: float  # with refraction
+    distance_km: float  # from the observer
+    angular_radius_rad: float  # of the equator
+    phase_angle_rad: float  # angle between the Sun and the observer at the body; 0 for the Sun
     # Position angle of the middle of the bright limb, from celestial north through east, rad; None for the Sun.
     bright_limb_rad: float | None
     vmag: float  # V magnitude above the air
@@ -291,10 +272,9 @@ class Body:
 
 
 def observed_bodies(sky: Sky, utc_s: float, site: Site, names: tuple[str, ...] = BODIES) -> tuple[Body, ...]:
-    """Return the Sun, the Moon and the planets as seen from a site.
+    """Return the Sun, the Moon and the planets as seen from a site, in the order of `names`, also below the horizon.
 
-    `sky`: its frames, its Earth orientation and its refraction; not its stars; `utc_s`: UTC seconds since 1970;
-    `names`: those to compute, of `BODIES`.  Returns: in the order of `names`, whether above the horizon or below.
+    `sky`: its frames, Earth orientation and refraction are used, not its stars; `names`: bodies of `BODIES`.
     Explanatory Supplement to the Astronomical Almanac, 3rd edition, chapter 7: light time, deflection, aberration.
     """
     observer = _Observer(sky, utc_s, site)
@@ -302,7 +282,7 @@ def observed_bodies(sky: Sky, utc_s: float, site: Site, names: tuple[str, ...] =
 
 
 def moon_over(utc_s: float, site: Site) -> Body:
-    """Return the Moon as seen from a site, for messages about the light of a night; `utc_s`: UTC seconds since 1970."""
+    """Return the Moon as seen from a site, for messages about the light of a night."""
     frames = Sky(StarCatalogue.open("bsc5").by_id([]), ASTROMETRY["erfa"], None)
     return observed_bodies(frames, utc_s, site, ("Moon",))[0]
 
@@ -326,6 +306,7 @@ class _Observer:
         self._sun_apparent = self._apparent("Sun", from_sun_km, from_sun_km)
 
     def body(self, name: str) -> Body:
+        """Return one body."""
         barycentric_km, sun_km = self._as_seen(name)
         from_observer_km = barycentric_km - self._position_km
         from_sun_km = barycentric_km - sun_km
@@ -354,7 +335,7 @@ class _Observer:
         )
 
     def _as_seen(self, name: str) -> tuple[Float, Float]:
-        """Return where a body was, and where the Sun was, when the light left that arrives now: (3,) km."""
+        """Return barycentric positions, (3,) km, of a body and of the Sun when the light left that arrives now."""
         then, earth = self._tt, self._earth
         position_km = _barycentric_km(name, then, earth)
         for _ in range(_LIGHT_TIME_ITERATIONS - 1):

@@ -38,11 +38,11 @@ class ObservedPlaces:
     """Observed places of stars at a site."""
 
     stars: StarField
-    ra_rad: Float  # (n,) geocentric apparent place of date, rad
-    dec_rad: Float
-    azimuth_rad: Float  # (n,) azimuth from north through east, and altitude without refraction, rad
-    altitude_rad: Float
-    apparent_altitude_rad: Float  # (n,) altitude with refraction, rad
+    ra_rad: Float  # (n,) geocentric apparent right ascension of date
+    dec_rad: Float  # (n,) geocentric apparent declination of date
+    azimuth_rad: Float  # (n,) from north through east
+    altitude_rad: Float  # (n,) without refraction
+    apparent_altitude_rad: Float  # (n,) with refraction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +65,7 @@ class Sky:
     profile : HorizonProfile or None
         The horizon by azimuth; None for one of equal altitude all around.
     satellites : Satellites or None
+        The satellites of a file of two-line elements.
 
     Raises
     ------
@@ -136,13 +137,11 @@ class Sky:
         times = np.asarray(utc_s, dtype=np.float64)
         first_s = float(times.flat[0])
         earth = self.earth(first_s)
-        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s) + SIDEREAL_RAD_PER_S * (
-            times - first_s
-        )
+        first_rad = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s)
+        at_greenwich = first_rad + SIDEREAL_RAD_PER_S * (times - first_s)
         if earth.x_pole_rad == earth.y_pole_rad == 0:
             return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
-        matrices: Float = C_ned_eq(latitude_rad, longitude_rad) @ earth.polar_motion @ about_z(at_greenwich)
-        return matrices
+        return np.asarray(C_ned_eq(latitude_rad, longitude_rad) @ earth.polar_motion @ about_z(at_greenwich))
 
     def earth(self, utc_s: float) -> EarthOrientation:
         """Return the Earth orientation parameters at one time.
@@ -184,7 +183,7 @@ class Sky:
         Returns
         -------
         float
-            Of a profile a bound: it is below its lowest point.
+            For a profile, the bound 1 deg below its lowest point.
         """
         if self.profile is not None:
             return sin(self.profile.lowest_rad - _BELOW_PROFILE_RAD)
@@ -223,10 +222,7 @@ def _at_greenwich_rad(astrometry: Astrometry, utc_s: float, dut1_s: float) -> fl
 
 
 def sun_altitude_rad(utc_s: float, site: Site) -> float:
-    """Return the altitude of the Sun, without refraction.
-
-    `utc_s`: UTC seconds since 1970.  Returns: altitude, rad; negative below the horizon.
-    """
+    """Return the altitude of the Sun, rad, without refraction; `utc_s`: UTC seconds since 1970."""
     sidereal_rad = ASTROMETRY["erfa"].sidereal_time_rad(utc_s, 0.0)
     _, altitude_rad = ned_to_azimuth_altitude_rad(
         C_ned_eq(site.latitude_rad, sidereal_rad + site.longitude_rad) @ sun_direction(utc_s)

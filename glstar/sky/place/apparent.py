@@ -1,15 +1,15 @@
 """Apparent places: from the catalogue's J2000 to the true equator and equinox of date.
 
-The protocol `Astrometry` has two implementations: `PaperAstrometry`, the formulae of the paper with their errors
-corrected (within 0.7" of ERFA), and `ErfaAstrometry`, which calls ERFA (within 0.05").  Both rotate unit vectors,
-because the paper's first-order formulae in right ascension and declination fail near the celestial poles (0.4" at
-89.5 deg, 55" at 89.95 deg).  Only proper motion is added in right ascension and declination, as in the paper: its error
-is at most 0.12" in 35 years for all stars of the catalogue.
+`PaperAstrometry` has the formulae of the paper with their errors corrected (within 0.7" of ERFA); `ErfaAstrometry`
+calls ERFA (within 0.05").  Both rotate unit vectors, because the paper's first-order formulae in right ascension and
+declination fail near the celestial poles (0.4" at 89.5 deg, 55" at 89.95 deg).  Only proper motion is added in right
+ascension and declination, as in the paper: its error is at most 0.12" in 35 years.
 
 Apparent places are geocentric.  `glstar.sky.place.horizon` has the effects of the rotation of the Earth at a site.
 """
 
-from typing import Final, Literal, Protocol
+from abc import ABC, abstractmethod
+from typing import Final, Literal, NamedTuple
 
 import erfa
 import numpy as np
@@ -26,7 +26,18 @@ ARCSEC_RAD: Final = np.pi / 648000
 _KAPPA_RAD = 20.49552 * ARCSEC_RAD
 
 
-class Astrometry(Protocol):
+class _MeanPlaces(NamedTuple):
+    """Mean places of n stars, J2000; arrays that broadcast to (n,)."""
+
+    ra_rad: Float
+    dec_rad: Float
+    pm_ra_cosdec_rad_per_yr: Float
+    pm_dec_rad_per_yr: Float
+    parallax_rad: Float
+    radial_velocity_m_per_s: Float
+
+
+class Astrometry(ABC):
     """Computes apparent places from the mean places of a catalogue."""
 
     def apparent_directions(
@@ -40,58 +51,45 @@ class Astrometry(Protocol):
         parallax_rad: ArrayLike = 0.0,
         radial_velocity_m_per_s: ArrayLike = 0.0,
     ) -> Float:
-        """Return geocentric apparent directions.
+        """Return geocentric apparent directions, (n, 3) unit vectors, true equator and equinox of date.
 
-        `ra_rad`, `dec_rad` (n,): right ascension and declination, J2000, rad; `pm_ra_cosdec_rad_per_yr`,
-        `pm_dec_rad_per_yr` (n,): proper motions, rad per Julian year; the one in right ascension includes cos(dec), as
-        in catalogues; `utc_s`: UTC seconds since 1970; `parallax_rad` (n,): parallaxes, rad; not negative;
-        `radial_velocity_m_per_s` (n,): radial velocities, m/s, away from the Sun positive.  Returns (n, 3) unit
-        vectors, true equator and equinox of date.
+        `ra_rad`, `dec_rad` (n,): right ascension and declination, J2000; `pm_ra_cosdec_rad_per_yr`,
+        `pm_dec_rad_per_yr` (n,): proper motions per Julian year, in right ascension with the factor cos(dec), as in
+        catalogues; `utc_s`: UTC seconds since 1970; `parallax_rad` (n,): parallaxes, not negative;
+        `radial_velocity_m_per_s` (n,): radial velocities, positive away from the Sun.
         """
-        ...
+        numbers = (ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, parallax_rad, radial_velocity_m_per_s)
+        return self._apparent(_MeanPlaces(*(np.asarray(number, dtype=np.float64) for number in numbers)), utc_s)
 
+    @abstractmethod
+    def _apparent(self, stars: _MeanPlaces, utc_s: float) -> Float:
+        """Return geocentric apparent directions; see `apparent_directions`."""
+
+    @abstractmethod
     def C_eq_icrs(self, utc_s: float) -> Float:
-        """Return the matrix from ICRS to the true equator and equinox of date.
+        """Return the matrix from ICRS to the true equator and equinox of date, (3, 3); `utc_s`: UTC s since 1970."""
 
-        `utc_s`: UTC seconds since 1970.  Returns (3, 3).
-        """
-        ...
-
+    @abstractmethod
     def sidereal_time_rad(self, utc_s: float, dut1_s: float) -> float:
-        """Return the apparent sidereal time at Greenwich.
+        """Return the apparent sidereal time at Greenwich, 0 to 2 pi rad.
 
-        `utc_s`: UTC seconds since 1970; `dut1_s`: UT1 - UTC, s.  Returns: rad, 0 to 2 pi.
+        `utc_s`: UTC seconds since 1970; `dut1_s`: UT1 - UTC, s.
         """
-        ...
-
-    def __hash__(self) -> int: ...
 
 
-class PaperAstrometry:
+class PaperAstrometry(Astrometry):
     """The formulae of Teague & Chahl, sections 2.1 and 2.2, with their errors corrected."""
 
-    def apparent_directions(
-        self,
-        ra_rad: ArrayLike,
-        dec_rad: ArrayLike,
-        pm_ra_cosdec_rad_per_yr: ArrayLike,
-        pm_dec_rad_per_yr: ArrayLike,
-        utc_s: float,
-        *,
-        parallax_rad: ArrayLike = 0.0,  # noqa: ARG002 - the paper has none
-        radial_velocity_m_per_s: ArrayLike = 0.0,  # noqa: ARG002
-    ) -> Float:
-        """Return geocentric apparent directions; see `Astrometry`.
+    def _apparent(self, stars: _MeanPlaces, utc_s: float) -> Float:
+        """Return apparent directions: proper motion, precession, aberration and nutation of vectors, in this order.
 
-        Teague & Chahl, eqs (1)-(19): proper motion, precession, aberration, nutation, in this order, on vectors.  As in
-        the paper, there is no parallax (up to 0.77").
+        Teague & Chahl, eqs (1)-(19).  As in the paper, there is no parallax (up to 0.77").
         """
         t = centuries_since_j2000(tt_julian_date(utc_s))
-        mean_j2000 = direction(*proper_motion(ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, 100 * t))
+        mean_j2000 = direction(*proper_motion(*stars[:4], 100 * t))
         mean_of_date = mean_j2000 @ precession_matrix(t).T
         aberrated = mean_of_date + aberration_velocity(t)
-        apparent = aberrated @ _nutation_matrix(t).T
-        return _unit(apparent)
+        return _unit(aberrated @ _nutation_matrix(t).T)
 
     def C_eq_icrs(self, utc_s: float) -> Float:
         """Return nutation times precession, without the frame bias between J2000 and ICRS (0.02")."""
@@ -107,32 +105,23 @@ class PaperAstrometry:
         return float((mean + in_longitude * np.cos(true_obliquity)) % (2 * np.pi))
 
 
-class ErfaAstrometry:
+class ErfaAstrometry(Astrometry):
     """ERFA's apparent places: IAU 2006/2000A precession and nutation, light deflection, parallax, radial velocity."""
 
-    def apparent_directions(
-        self,
-        ra_rad: ArrayLike,
-        dec_rad: ArrayLike,
-        pm_ra_cosdec_rad_per_yr: ArrayLike,
-        pm_dec_rad_per_yr: ArrayLike,
-        utc_s: float,
-        *,
-        parallax_rad: ArrayLike = 0.0,
-        radial_velocity_m_per_s: ArrayLike = 0.0,
-    ) -> Float:
-        """Return geocentric apparent directions; see `Astrometry`.
+    def _apparent(self, stars: _MeanPlaces, utc_s: float) -> Float:
+        """Return apparent directions by ERFA's `apci13`, which depends on the date only, and `atciq` for each star.
 
-        The quantities that depend on the date only are computed once (`apci13`) and applied to all stars (`atciq`).
-        The single call `atci13` would compute them for each star, which is 350 times slower.
+        The single call `atci13` would repeat the first step for each star, which is 350 times slower.
         """
-        dec = np.asarray(dec_rad, dtype=np.float64)
-        pm_ra = np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64) / np.cos(dec)
         astrom, equation_of_origins = erfa.apci13(*tt_julian_date(utc_s))
-        parallax_arcsec = np.asarray(parallax_rad, dtype=np.float64) / ARCSEC_RAD
-        away_km_per_s = np.asarray(radial_velocity_m_per_s, dtype=np.float64) / 1000
         ra_cirs, dec_apparent = erfa.atciq(
-            ra_rad, dec, pm_ra, pm_dec_rad_per_yr, parallax_arcsec, away_km_per_s, astrom
+            stars.ra_rad,
+            stars.dec_rad,
+            stars.pm_ra_cosdec_rad_per_yr / np.cos(stars.dec_rad),
+            stars.pm_dec_rad_per_yr,
+            stars.parallax_rad / ARCSEC_RAD,
+            stars.radial_velocity_m_per_s / 1000,
+            astrom,
         )
         return direction(ra_cirs - equation_of_origins, dec_apparent)
 
@@ -149,10 +138,7 @@ ASTROMETRY: Final[dict[Literal["paper", "erfa"], Astrometry]] = {"paper": PaperA
 
 
 def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
-    """Return the unit vector of a right ascension and declination, or of any longitude and latitude.
-
-    `ra_rad`, `dec_rad` (...): angles, rad.  Returns (..., 3).
-    """
+    """Return the unit vectors, (..., 3), of right ascensions and declinations, or of any longitudes and latitudes."""
     ra, dec = np.broadcast_arrays(np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64))
     return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
 
@@ -160,7 +146,7 @@ def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
 def sun_direction(utc_s: float) -> Float:
     """Return the direction of the Sun, accurate to 1', to distinguish night from day.
 
-    `utc_s`: UTC seconds since 1970.  Returns (3,) geocentric unit vector, true equator and equinox of date.  The
+    `utc_s`: UTC seconds since 1970.  Returns a geocentric unit vector, (3,), true equator and equinox of date: the
     negative of ERFA's heliocentric position of the Earth (`epv00`), without aberration (20").
     """
     tt = tt_julian_date(utc_s)
@@ -169,11 +155,7 @@ def sun_direction(utc_s: float) -> Float:
 
 
 def right_ascension_declination(direction_eq: ArrayLike) -> tuple[Float, Float]:
-    """Return the right ascension and declination of a vector.
-
-    `direction_eq` (..., 3): vectors of any length.  Returns `ra_rad, dec_rad` (...): rad, right ascension from 0 to 2
-    pi.
-    """
+    """Return the right ascensions, 0 to 2 pi, and declinations of vectors of any length, (..., 3), rad."""
     x, y, z = np.moveaxis(np.asarray(direction_eq, dtype=np.float64), -1, 0)
     return np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
 
@@ -187,10 +169,11 @@ def proper_motion(
 ) -> tuple[Float, Float]:
     """Return mean places of J2000 after a number of years of proper motion.
 
-    `ra_rad`, `dec_rad` (n,): right ascension and declination at J2000, rad; `pm_ra_cosdec_rad_per_yr`,
-    `pm_dec_rad_per_yr` (n,): proper motions, rad per Julian year; `years`: Julian years since J2000.  Returns `ra_rad,
-    dec_rad` (n,).  Teague & Chahl, eq. (1).  Departs from eq. (1): the proper motion in right ascension of the
-    catalogue includes cos(dec) and must be divided by it; otherwise the error for alpha Centauri is 47" in 2025.
+    `ra_rad`, `dec_rad` (n,): right ascension and declination at J2000; `pm_ra_cosdec_rad_per_yr`, `pm_dec_rad_per_yr`
+    (n,): proper motions; `years`: Julian years since J2000.  Returns right ascensions and declinations, (n,) rad.
+
+    Teague & Chahl, eq. (1).  Departs from eq. (1): the proper motion in right ascension of the catalogue includes
+    cos(dec) and must be divided by it; otherwise the error for alpha Centauri is 47" in 2025.
     """
     ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     pm_ra = np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64)
@@ -199,11 +182,10 @@ def proper_motion(
 
 
 def precession_matrix(t: float) -> Float:
-    """Return the matrix from the mean equator of J2000 to that of date.
+    """Return the matrix from the mean equator of J2000 to that of date, (3, 3); `t`: Julian centuries of TT.
 
-    `t`: Julian centuries since J2000, TT.  Returns (3, 3).  Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma)
-    R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): this is a rotation of vectors, without the tan and
-    asin of the paper.
+    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): vectors
+    are rotated, without the tan and asin of the paper.
     """
     zeta = (2306.2181 + (0.30188 + 0.017998 * t) * t) * t * ARCSEC_RAD
     z = (2306.2181 + (1.09468 + 0.018203 * t) * t) * t * ARCSEC_RAD
@@ -212,18 +194,15 @@ def precession_matrix(t: float) -> Float:
 
 
 def mean_obliquity_rad(t: float) -> float:
-    """Return the mean obliquity of the ecliptic.
-
-    `t`: Julian centuries since J2000, TT.  Returns: rad.  Teague & Chahl, eq. (8).
-    """
+    """Return the mean obliquity of the ecliptic, rad, by eq. (8); `t`: Julian centuries of TT since J2000."""
     return float(np.deg2rad(23.439291 - (13.004166e-3 + (0.1639e-6 - 0.50361e-6 * t) * t) * t))
 
 
 def nutation_rad(t: float) -> tuple[float, float]:
-    """Return the nutation in longitude and in obliquity.
+    """Return the nutation in longitude and in obliquity, rad; `t`: Julian centuries of TT since J2000.
 
-    `t`: Julian centuries since J2000, TT.  Teague & Chahl, eqs (4)-(7); Meeus, chapter 22.  Departs from eq. (4): the
-    Sun's term is -1.32" sin 2L; the paper prints a plus, which is wrong by 2.6".
+    Teague & Chahl, eqs (4)-(7); Meeus, chapter 22.  Departs from eq. (4): the Sun's term is -1.32" sin 2L; the paper
+    prints a plus, which is wrong by 2.6".
     """
     node = np.deg2rad(125.04452 - 1934.136261 * t)
     sun = np.deg2rad(280.4665 + 36000.7698 * t)
@@ -246,10 +225,11 @@ def _nutation_matrix(t: float) -> Float:
 def aberration_velocity(t: float) -> Float:
     """Return the Earth's velocity in units of the speed of light; annual aberration adds it to each unit vector.
 
-    `t`: Julian centuries since J2000, TT.  Returns (3,) mean equator and equinox of date, in units of the speed of
-    light.  Teague & Chahl, eqs (12)-(19) are the components of this vector along right ascension and declination.
-    Departs from eqs (12), (13): the vector is added without a division by cos(dec), and kappa is 20.49552", not
-    20.29552".  Departs from eq. (15): the constant term of the longitude of perihelion is 102.93735 deg.
+    `t`: Julian centuries of TT since J2000.  Returns a vector, (3,), mean equator and equinox of date.
+
+    Teague & Chahl, eqs (12)-(19), are its components along right ascension and declination.  Departs from eqs (12),
+    (13): the vector is added without a division by cos(dec), and kappa is 20.49552", not 20.29552".  Departs from
+    eq. (15): the constant term of the longitude of perihelion is 102.93735 deg.
     """
     obliquity = mean_obliquity_rad(t)
     mean_longitude = 280.46646 + (36000.76983 + 0.3032e-3 * t) * t
@@ -268,5 +248,4 @@ def aberration_velocity(t: float) -> Float:
 
 
 def _unit(vector: Float) -> Float:
-    length: Float = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return vector / length
+    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))

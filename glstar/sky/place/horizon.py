@@ -1,9 +1,7 @@
-"""Horizontal coordinates: hour angles, azimuth and altitude, refraction.
+"""Horizontal coordinates (hour angle, azimuth, altitude), the dip of the horizon, and horizon profiles from CSV files.
 
 Tables and labels use the angles of eqs (22)-(29).  The renderer does the same calculation with vectors, by `C_ned_eq`
-and `refraction_displacement`, without asin and tan.
-
-Horizon profiles: the apparent altitude of mountains, trees or buildings by azimuth, from a CSV file.
+and `glstar.sky.air.refraction.refraction_displacement`, without asin and tan.
 """
 
 import csv
@@ -30,12 +28,16 @@ _EARTH_RADIUS_M = 6371000.0
 # Curvature of a nearly horizontal ray over that of the Earth.
 _RAY_CURVATURE = 1 / 7
 
+_KEY: Final = "sky.horizon"
+_COLUMNS: Final = ("azimuth_deg", "altitude_deg")
+# Altitudes, deg: the lowest is below the dip of the horizon at any height of an aircraft.
+_ALTITUDES_DEG: Final = (-10.0, 80.0)
+
 
 def hour_angle_rad(local_sidereal_time_rad: ArrayLike, ra_rad: ArrayLike) -> Float:
-    """Return the hour angle, -pi to pi.
+    """Return hour angles, -pi to pi, positive west of the meridian, (...): Teague & Chahl, eq. (22).
 
-    `local_sidereal_time_rad` (...): local apparent sidereal time, rad; `ra_rad` (...): apparent right ascension, rad.
-    Returns (...) rad, positive west of the meridian.  Teague & Chahl, eq. (22).
+    `local_sidereal_time_rad`, `ra_rad` (...): local apparent sidereal time and apparent right ascension.
     """
     angle = np.asarray(local_sidereal_time_rad, dtype=np.float64) - np.asarray(ra_rad, dtype=np.float64)
     return (angle + np.pi) % (2 * np.pi) - np.pi
@@ -44,11 +46,12 @@ def hour_angle_rad(local_sidereal_time_rad: ArrayLike, ra_rad: ArrayLike) -> Flo
 def azimuth_altitude_rad(hour_angle_rad: ArrayLike, dec_rad: ArrayLike, latitude_rad: float) -> tuple[Float, Float]:
     """Return azimuth and altitude, without refraction.
 
-    `hour_angle_rad`, `dec_rad` (...): hour angle and apparent declination, rad; `latitude_rad`: geodetic latitude,
-    rad.  Returns `azimuth_rad, altitude_rad` (...): azimuth from north through east, 0 to 2 pi.  Teague & Chahl, eqs
-    (23), (24); Meeus, eqs (13.5), (13.6).  Departs from eq. (24), printed with five arguments: azimuth = atan2(sin w,
-    cos w sin phi - tan dec cos phi) + pi, both arguments multiplied by cos dec so that the azimuth of the celestial
-    pole is defined.  Departs from eq. (23), whose asin loses digits near the zenith.
+    `hour_angle_rad`, `dec_rad` (...): hour angle and apparent declination; `latitude_rad`: geodetic latitude.  Returns
+    azimuths from north through east, 0 to 2 pi, and altitudes, (...) each.
+
+    Teague & Chahl, eqs (23), (24); Meeus, eqs (13.5), (13.6).  Departs from eq. (24), printed with five arguments:
+    azimuth = atan2(sin w, cos w sin phi - tan dec cos phi) + pi, both arguments multiplied by cos dec so that the
+    azimuth of the celestial pole is defined.  Departs from eq. (23), whose asin loses digits near the zenith.
     """
     w, dec = np.asarray(hour_angle_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     north = np.sin(dec) * cos(latitude_rad) - np.cos(dec) * np.cos(w) * sin(latitude_rad)
@@ -58,10 +61,7 @@ def azimuth_altitude_rad(hour_angle_rad: ArrayLike, dec_rad: ArrayLike, latitude
 
 
 def ned_direction(azimuth_rad: ArrayLike, altitude_rad: ArrayLike) -> Float:
-    """Return the unit vector north, east, down.
-
-    `azimuth_rad`, `altitude_rad` (...): rad.  Returns (..., 3).  Teague & Chahl, eq. (29).
-    """
+    """Return unit vectors north, east, down, (..., 3), of azimuths and altitudes: Teague & Chahl, eq. (29)."""
     azimuth, altitude = np.broadcast_arrays(
         np.asarray(azimuth_rad, dtype=np.float64), np.asarray(altitude_rad, dtype=np.float64)
     )
@@ -71,20 +71,16 @@ def ned_direction(azimuth_rad: ArrayLike, altitude_rad: ArrayLike) -> Float:
 
 
 def ned_to_azimuth_altitude_rad(direction_ned: ArrayLike) -> tuple[Float, Float]:
-    """Return the azimuth and altitude of a vector: the inverse of eq. (29).
-
-    `direction_ned` (..., 3): vectors north, east, down, of any length.  Returns `azimuth_rad, altitude_rad` (...):
-    azimuth from north through east, 0 to 2 pi.
-    """
+    """Return azimuths, 0 to 2 pi, and altitudes of vectors north, east, down of any length, (..., 3)."""
     north, east, down = np.moveaxis(np.asarray(direction_ned, dtype=np.float64), -1, 0)
     return np.arctan2(east, north) % (2 * np.pi), np.arctan2(-down, np.hypot(north, east))
 
 
 def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Float:
-    """Return the matrix from the true equator and equinox of date to north, east, down.
+    """Return the matrices, (..., 3, 3), from the true equator and equinox of date to north, east, down.
 
-    `latitude_rad`, `local_sidereal_time_rad` (...): geodetic latitude and local apparent sidereal time, rad.  Returns
-    (..., 3, 3).  Teague & Chahl, eqs (22)-(24) and (29) in one matrix.
+    `latitude_rad`, `local_sidereal_time_rad` (...): geodetic latitude and local apparent sidereal time.  Teague &
+    Chahl, eqs (22)-(24) and (29) in one matrix.
     """
     latitude, sidereal = np.asarray(latitude_rad, dtype=np.float64), np.asarray(local_sidereal_time_rad, np.float64)
     sin_lat, cos_lat, sin_lst, cos_lst = np.sin(latitude), np.cos(latitude), np.sin(sidereal), np.cos(sidereal)
@@ -99,8 +95,8 @@ def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Flo
 def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
     """Return the observer's eastward speed in units of the speed of light; diurnal aberration adds it to unit vectors.
 
-    `latitude_rad`: geodetic latitude, rad; `height_m`: height above the WGS84 ellipsoid, m.  Returns: rad; 0.32" at
-    the equator.  Not in the paper.  It is half of the difference between the paper's corrected formulae and ERFA.
+    0.32" at the equator.  `latitude_rad`: geodetic latitude; `height_m`: height above the WGS84 ellipsoid.  Not in the
+    paper: it is half of the difference between the paper's corrected formulae and ERFA.
     """
     flattened = 1 - _WGS84_F * (2 - _WGS84_F) * sin(latitude_rad) ** 2
     from_axis_m = (_WGS84_A_M / sqrt(flattened) + height_m) * cos(latitude_rad)
@@ -108,34 +104,27 @@ def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
 
 
 def dip_rad(height_m: float) -> float:
-    """Return how far the sea's horizon is below the horizontal, with refraction.
+    """Return the dip of the sea's horizon below the horizontal, with refraction: 1.63 deg at 3 km, 0 below the sea.
 
-    `height_m`: height above the sea, m; the dip is 0 below it.  Returns: rad; 1.63 deg at 3 km.  acos(R / (R + h)),
-    times sqrt(1 - 1/7): a ray near the ground is curved by a seventh of the Earth's curvature.
+    acos(R / (R + h)) times sqrt(1 - 1/7): a ray near the ground is curved by a seventh of the Earth's curvature.
     """
     return acos(_EARTH_RADIUS_M / (_EARTH_RADIUS_M + max(height_m, 0.0))) * sqrt(1 - _RAY_CURVATURE)
-
-
-_KEY: Final = "sky.horizon"
-_COLUMNS: Final = ("azimuth_deg", "altitude_deg")
-# Altitudes, deg: the lowest is below the dip of the horizon at any height of an aircraft.
-_ALTITUDES_DEG: Final = (-10.0, 80.0)
 
 
 @dataclass(frozen=True)
 class HorizonProfile:
     """The apparent altitude of the horizon by azimuth, linear between points and continued through north."""
 
-    azimuths_rad: tuple[float, ...]  # From north through east, ascending, 0 to 2 pi rad
-    altitudes_rad: tuple[float, ...]  # Apparent altitudes at these azimuths, rad
+    azimuths_rad: tuple[float, ...]  # from north through east, ascending, 0 to 2 pi
+    altitudes_rad: tuple[float, ...]  # apparent altitudes at these azimuths
 
     @staticmethod
     def open(path: str | PathLike[str]) -> "HorizonProfile":
         """Read a profile from a CSV file.
 
-        `path`: two columns, azimuth and altitude in degrees, of ascending azimuths from 0 to 360; the first line may
-        name the columns; empty lines and lines that begin with ``#`` are ignored.  Raises ConfigError if the file
-        cannot be read, or is no such table.
+        `path`: two columns, ascending azimuths from 0 to 360 and altitudes, in degrees; the first line may name the
+        columns; empty lines and lines that begin with ``#`` are ignored.  Raises ConfigError if the file cannot be
+        read, or is no such table.
         """
         file = Path(path)
         try:
@@ -164,10 +153,7 @@ class HorizonProfile:
         return max(self.altitudes_rad)
 
     def altitude_rad(self, azimuth_rad: ArrayLike) -> Float:
-        """Return the apparent altitude of the horizon in some directions.
-
-        `azimuth_rad` (...): from north through east, rad, of any turn.  Returns (...) altitudes, rad.
-        """
+        """Return the apparent altitudes of the horizon, (...), at azimuths of any turn, (...)."""
         turned = np.mod(np.asarray(azimuth_rad, dtype=np.float64), 2 * np.pi)
         return np.asarray(np.interp(turned, *self._nodes_rad))
 
@@ -196,9 +182,9 @@ def _read(file: Path, _changed_ns: int, _size: int) -> HorizonProfile:
 
 
 def _check_header(file: Path, names: Sequence[str]) -> None:
-    found = tuple(name.strip() for name in names)
-    if found != _COLUMNS:
-        raise ConfigError(f"{file} has columns {', '.join(found)}; they must be {', '.join(_COLUMNS)}", key=_KEY)
+    columns = tuple(name.strip() for name in names)
+    if columns != _COLUMNS:
+        raise ConfigError(f"{file} has columns {', '.join(columns)}; they must be {', '.join(_COLUMNS)}", key=_KEY)
 
 
 def _point(file: Path, number: int, row: Sequence[str]) -> tuple[float, float]:

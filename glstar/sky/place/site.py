@@ -1,7 +1,4 @@
-"""Sites on the Earth and their air.
-
-Positions on the WGS84 ellipsoid in metres: geocentric, and in the local frame of a site.
-"""
+"""Sites on the Earth with their air, and positions on the WGS84 ellipsoid: geocentric, and in the frame of a site."""
 
 from dataclasses import dataclass
 from math import asin, hypot, isfinite, pi
@@ -14,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.sky.place.horizon import C_ned_eq
 
+Float = NDArray[np.float64]
+
 # The standard air of eqs (25) and (27).
 STANDARD_PRESSURE_HPA = 1010.0
 STANDARD_TEMPERATURE_C = 10.0
@@ -22,6 +21,9 @@ STANDARD_TEMPERATURE_C = 10.0
 HEIGHTS_M: Final = (-1000.0, 100_000.0)
 PRESSURES_HPA: Final = (0.0, 1200.0)
 TEMPERATURES_C: Final = (-120.0, 100.0)
+
+# ERFA's number of the ellipsoid.
+_WGS84: Final = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +84,6 @@ class Site:
                 )
 
 
-Float = NDArray[np.float64]
-
-# ERFA's number of the ellipsoid.
-_WGS84: Final = 1
-
-
 def semi_axes_m() -> Float:
     """Return the semi-axes of the WGS84 ellipsoid along the axes of ITRS, m: (3,) float64."""
     equator_m, flattening = erfa.eform(_WGS84)
@@ -95,47 +91,34 @@ def semi_axes_m() -> Float:
 
 
 def geocentric_m(latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
-    """Return geocentric positions on the rotating Earth.
-
-    `latitude_rad`, `longitude_rad` (...): WGS84, rad; `height_m` (...): above the ellipsoid, m.  Returns (..., 3) in
-    the terrestrial frame ITRS, m.
-    """
+    """Return the geocentric positions, (..., 3) m in ITRS, of WGS84 latitudes, longitudes and heights, (...)."""
     return np.asarray(erfa.gd2gc(_WGS84, longitude_rad, latitude_rad, height_m), dtype=np.float64)
 
 
 def north_east_down_m(origin: Site, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
-    """Return positions in the local frame of a site.
+    """Return positions north, east and down of a site, (..., 3) m, of WGS84 latitudes, longitudes and heights, (...).
 
-    `latitude_rad`, `longitude_rad` (...): WGS84, rad; `height_m` (...): above the ellipsoid, m.  Returns (..., 3)
-    north, east and down, m, in the plane that is tangent to the ellipsoid at the origin.
+    North and east lie in the plane that is tangent to the ellipsoid at the origin.
     """
     return local_ned_m(origin, geocentric_m(latitude_rad, longitude_rad, height_m))
 
 
 def local_ned_m(origin: Site, position_m: ArrayLike) -> Float:
-    """Return geocentric positions in the local frame of a site.
-
-    `position_m` (..., 3): in the terrestrial frame ITRS, m.  Returns (..., 3) as of `north_east_down_m`.
-    """
+    """Return geocentric positions, (..., 3) m in ITRS, north, east and down of a site; see `north_east_down_m`."""
     chord_m = np.asarray(position_m) - geocentric_m(origin.latitude_rad, origin.longitude_rad, origin.height_m)
     return np.asarray(chord_m @ C_ned_eq(origin.latitude_rad, origin.longitude_rad).T)
 
 
 def geodetic(position_m: ArrayLike) -> tuple[Float, Float, Float]:
-    """Return where geocentric positions are: the inverse of `geocentric_m`.
-
-    `position_m` (..., 3): in the terrestrial frame ITRS, m.  Returns `latitude_rad, longitude_rad` (...): WGS84, rad;
-    `height_m` (...): above the ellipsoid, m.
-    """
+    """Return latitude, longitude and height, (...) each, of positions, (..., 3) m: the inverse of `geocentric_m`."""
     longitude_rad, latitude_rad, height_m = erfa.gc2gd(_WGS84, position_m)
     return latitude_rad, longitude_rad, height_m
 
 
 def surface_offset_km(origin: Site, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
-    """Return how far a place is from a site on the WGS84 ellipsoid.
+    """Return how far north and east of a site a position is on the WGS84 ellipsoid, km.
 
-    `origin`: its height does not matter; `latitude_rad`, `longitude_rad`: the place, WGS84, rad.  Returns `north_km,
-    east_km`: the chord's length as an arc, in the direction of the chord.
+    The length of the chord as an arc, in the direction of the chord; heights do not matter.
     """
     ground = Site(origin.latitude_rad, origin.longitude_rad)
     chord_km = north_east_down_m(ground, latitude_rad, longitude_rad, 0.0) / 1000

@@ -1,13 +1,10 @@
-"""Time scales: UTC seconds, Julian dates, leap seconds, sidereal time.
+"""Time scales (UTC seconds, Julian dates, leap seconds, sidereal time) and the Earth's orientation.
 
 glstar counts time in `utc_s`: seconds of UTC since 1970-01-01, with 86400 s per day (a leap second has the same number
 as the second after it).  Julian dates have two parts whose sum is the date, because the resolution of a single float64
-at 2 400 000 days is only 40 microseconds.
-
-Earth orientation: UT1 - UTC and polar motion from the tables of the IERS.
-
-The tables are part of the optional package astropy-iers-data; nothing is downloaded.  Without it, or for times outside
-its table, UT1 = UTC and a fixed pole are assumed: errors of up to 13" and 0.5".
+at 2 400 000 days is only 40 microseconds.  UT1 - UTC and polar motion are those of the IERS table in the optional
+package astropy-iers-data; without it, or outside its table, UT1 = UTC and a fixed pole are assumed (errors of up to 13"
+and 0.5").
 """
 
 import hashlib
@@ -28,6 +25,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
+Float = NDArray[np.float64]
+
 # Times with a smaller difference, s, are equal: the resolution of a float64 for today's seconds since 1970 is 0.24 us.
 CLOCK_GRAIN_S: Final = 1e-6
 
@@ -45,13 +44,29 @@ _JULIAN_CENTURY_DAYS = 36525.0
 
 JulianDate = tuple[float, float]
 
+_PACKAGE: Final = "astropy_iers_data"
+_DISTRIBUTION: Final = "astropy-iers-data"
+_TABLE: Final = "finals2000A.all"
+_UNIX_EPOCH_MJD: Final = 40587.0
+_ARCSEC_RAD: Final = np.pi / 648000
+
+# Columns of finals2000A.all, from 0: first the final values of Bulletin B, which exist up to a few months ago, then the
+# rapid and predicted values of Bulletin A.
+_MJD: Final = slice(7, 15)
+_X_POLE_ARCSEC: Final = (slice(134, 144), slice(18, 27))
+_Y_POLE_ARCSEC: Final = (slice(144, 154), slice(37, 46))
+_DUT1_S: Final = (slice(154, 165), slice(58, 68))
+
+GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
+WEEK_S = 604800.0
+TAI_MINUS_GPS_S = 19.0
+
 
 def julian_day(year: int, month: int, day: float) -> float:
-    """Return the Julian day of a Gregorian date.
+    """Return the Julian day of a Gregorian date: days since noon of 4713 BC January 1, Julian calendar.
 
-    `year`, `month`: gregorian calendar; January is 1; `day`: day of the month with its fraction.  Returns: days since
-    noon of 4713 BC January 1 (Julian calendar); the paper's text says 4716 BC.  Teague & Chahl, Algorithm 1; Meeus,
-    Astronomical Algorithms, eq. (7.1).
+    `month`: January is 1; `day`: day of the month with its fraction.  Teague & Chahl, Algorithm 1, whose text says
+    4716 BC; Meeus, Astronomical Algorithms, eq. (7.1).
 
     Examples
     --------
@@ -68,8 +83,8 @@ def julian_day(year: int, month: int, day: float) -> float:
 def parse_utc(text: str) -> float:
     """Return the UTC seconds since 1970 of an ISO 8601 time.
 
-    `text`: such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC. A leap second, 23:59:60, is the same time
-    as the second after it.  Returns: UTC seconds since 1970.  Raises ConfigError if the text is not such a time.
+    `text`: such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.  A leap second, 23:59:60, is the same
+    time as the second after it.  Raises ConfigError if the text is not such a time.
     """
     stripped = text.strip()
     leap = _LEAP_SECOND.fullmatch(stripped)
@@ -89,11 +104,7 @@ def parse_utc(text: str) -> float:
 
 
 def parse_known_utc(text: str) -> float:
-    """Return the UTC seconds since 1970 of an ISO 8601 time in the years 1800 to 2200.
-
-    `text`: as for `parse_utc`.  Returns: UTC seconds since 1970.  Raises ConfigError if the text is not such a time, or
-    is outside the years 1800 to 2200.
-    """
+    """Return what `parse_utc` does; raises ConfigError also if the time is outside the years 1800 to 2200."""
     utc_s = parse_utc(text)
     if not _FIRST_S <= utc_s < _LAST_S:
         raise ConfigError(f"{text!r} lies outside the years 1800 to 2200, for which glstar knows the sky")
@@ -101,19 +112,15 @@ def parse_known_utc(text: str) -> float:
 
 
 def format_utc(utc_s: float) -> str:
-    """Return an ISO 8601 time, to the microsecond.
-
-    `utc_s`: UTC seconds since 1970.  Returns: such as ``2024-03-10T11:00:00.000000Z``.
-    """
+    """Return UTC seconds since 1970 as an ISO 8601 time, such as ``2024-03-10T11:00:00.000000Z``."""
     time = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(utc_s * 1e6))
     return time.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def tai_minus_utc_s(utc_s: float) -> float:
-    """Return TAI - UTC, s, from ERFA's table of leap seconds.
+    """Return TAI - UTC, s, from ERFA's table of leap seconds; after its end, the last value is used.
 
-    `utc_s`: UTC seconds since 1970; 1972 or later; after the end of the table, its last value is used.  Raises
-    ConfigError if the time is outside the years 1800 to 2200.
+    `utc_s`: UTC seconds since 1970.  Raises ConfigError if the time is outside the years 1800 to 2200.
     """
     if not abs(utc_s) < _FARTHEST_S:
         raise ConfigError(
@@ -132,19 +139,14 @@ def _leap_seconds(day: int) -> float:
 
 
 def tt_julian_date(utc_s: float) -> JulianDate:
-    """Return Terrestrial Time as a two-part Julian date.
-
-    `utc_s`: UTC seconds since 1970.  Returns (float, float) days: the Julian date of the midnight before, and the
-    remainder.
-    """
+    """Return Terrestrial Time at UTC seconds since 1970: the Julian date of the midnight before, and the rest, days."""
     return _julian_date(utc_s, tai_minus_utc_s(utc_s) + _TT_MINUS_TAI_S)
 
 
 def ut1_julian_date(utc_s: float, dut1_s: float = 0.0) -> JulianDate:
-    """Return Universal Time UT1, which measures the rotation of the Earth, as a two-part Julian date.
+    """Return Universal Time UT1, which measures the rotation of the Earth, as `tt_julian_date` does.
 
-    `utc_s`: UTC seconds since 1970; `dut1_s`: UT1 - UTC, s, as published by the IERS; between -0.9 and 0.9. 1 s is 15"
-    of Earth rotation.  Returns (float, float) days: the Julian date of the midnight before, and the remainder.
+    `dut1_s`: UT1 - UTC, s, as published by the IERS, between -0.9 and 0.9.  1 s is 15" of Earth rotation.
     """
     return _julian_date(utc_s, dut1_s)
 
@@ -155,20 +157,16 @@ def _julian_date(utc_s: float, delay_s: float) -> JulianDate:
 
 
 def centuries_since_j2000(julian_date: JulianDate) -> float:
-    """Return Julian centuries since 2000 January 1, 12h.
-
-    `julian_date` (float, float): a two-part Julian date.  Teague & Chahl, eq. (20).  The epoch is noon, not midnight
-    as in the paper's text.
-    """
+    """Return Julian centuries since 2000 January 1, 12h: Teague & Chahl, eq. (20), whose text says midnight."""
     return ((julian_date[0] - _J2000_JD) + julian_date[1]) / _JULIAN_CENTURY_DAYS
 
 
 def mean_sidereal_time_rad(ut1: JulianDate) -> float:
-    """Return the mean sidereal time at Greenwich.
+    """Return the mean sidereal time at Greenwich, 0 to 2 pi rad: Meeus, eq. (12.4).
 
-    `ut1` (float, float): universal Time UT1, a two-part Julian date.  Returns: rad, 0 to 2 pi.  Meeus, eq. (12.4).
-    Departs from eq. (21), whose coefficients have few digits, so that it drifts by 0.5" per year (15" in 2026), and
-    which lacks the equation of the equinoxes (up to 17"); `Astrometry.sidereal_time_rad` adds it.
+    `ut1`: UT1 as a two-part Julian date.  Departs from eq. (21), whose coefficients have few digits, so that it drifts
+    by 0.5" per year (15" in 2026), and which lacks the equation of the equinoxes (up to 17");
+    `Astrometry.sidereal_time_rad` adds it.
     """
     days = (ut1[0] - _J2000_JD) + ut1[1]
     t = days / _JULIAN_CENTURY_DAYS
@@ -178,31 +176,13 @@ def mean_sidereal_time_rad(ut1: JulianDate) -> float:
     return radians(degrees % 360.0)
 
 
-Float = NDArray[np.float64]
-
-_PACKAGE: Final = "astropy_iers_data"
-_DISTRIBUTION: Final = "astropy-iers-data"
-_TABLE: Final = "finals2000A.all"
-_UNIX_EPOCH_MJD: Final = 40587.0
-_MJD_S: Final = 86400.0
-_ARCSEC_RAD: Final = np.pi / 648000
-
-# Columns of finals2000A.all, from 0: first the final values of Bulletin B, which exist up to a few months ago, then the
-# rapid and predicted values of Bulletin A.
-_MJD: Final = slice(7, 15)
-_X_POLE_ARCSEC: Final = (slice(134, 144), slice(18, 27))
-_Y_POLE_ARCSEC: Final = (slice(144, 154), slice(37, 46))
-_DUT1_S: Final = (slice(154, 165), slice(58, 68))
-
-
 @dataclass(frozen=True, slots=True)
 class EarthOrientation:
     """Earth orientation parameters at one time."""
 
-    dut1_s: float = 0.0  # UT1 - UTC, s
-    # Position of the celestial intermediate pole on the Earth: towards Greenwich, and towards 90 deg west, rad.
-    x_pole_rad: float = 0.0
-    y_pole_rad: float = 0.0
+    dut1_s: float = 0.0  # UT1 - UTC
+    x_pole_rad: float = 0.0  # celestial intermediate pole on the Earth, towards Greenwich
+    y_pole_rad: float = 0.0  # celestial intermediate pole on the Earth, towards 90 deg west
 
     @property
     def polar_motion(self) -> Float:
@@ -223,10 +203,7 @@ class _Table:
 
 
 def earth_orientation(utc_s: float) -> EarthOrientation | None:
-    """Return the Earth orientation parameters, interpolated between the days of the IERS table.
-
-    `utc_s`: UTC seconds since 1970.  Returns: none if no table is installed or it does not cover the time.
-    """
+    """Return the Earth orientation interpolated between the days of the IERS table; None outside of it."""
     table = _table()
     if table is None or not table.utc_s[0] <= utc_s <= table.utc_s[-1]:
         return None
@@ -242,24 +219,20 @@ def has_earth_orientation() -> bool:
 
 
 def described_earth_orientation(utc_s: float) -> dict[str, Any]:
-    """Return the manifest's entry about the Earth orientation.
-
-    `utc_s`: a time of the export: the flight's first attitude, UTC seconds since 1970.  Returns: source and values;
-    empty if no table is installed.
-    """
+    """Return the manifest's entry about the Earth orientation at a time; empty if no table is installed."""
     table = _table()
     if table is None:
         return {}
     source = {"source": table.source, "sha256": table.sha256}
-    found = earth_orientation(utc_s)
-    if found is None:
+    earth = earth_orientation(utc_s)
+    if earth is None:
         covers = f"{format_utc(table.utc_s[0])[:10]} to {format_utc(table.utc_s[-1])[:10]}"
         return {"earth_orientation": source | {"covers": covers, "dut1_s": 0.0}}
     values = {
         "utc": format_utc(utc_s),
-        "dut1_s": round(found.dut1_s, 7),
-        "x_pole_arcsec": round(found.x_pole_rad / _ARCSEC_RAD, 6),
-        "y_pole_arcsec": round(found.y_pole_rad / _ARCSEC_RAD, 6),
+        "dut1_s": round(earth.dut1_s, 7),
+        "x_pole_arcsec": round(earth.x_pole_rad / _ARCSEC_RAD, 6),
+        "y_pole_arcsec": round(earth.y_pole_rad / _ARCSEC_RAD, 6),
     }
     return {"earth_orientation": source | values}
 
@@ -280,6 +253,7 @@ def _table() -> _Table | None:
 
 
 def _read(content: bytes, source: str) -> _Table:
+    """Return the content of a table ``finals2000A.all``."""
     # The last days have no prediction yet: skip them.
     lines = [line for line in content.decode("ascii").splitlines() if line[_DUT1_S[1]].strip()]
     mjd = np.array([float(line[_MJD]) for line in lines])
@@ -293,7 +267,7 @@ def _read(content: bytes, source: str) -> _Table:
         year, month, day, _ = erfa.jd2cal(2400000.5, mjd)
         leap_s = erfa.dat(year, month, day, 0.0)
     return _Table(
-        utc_s=(mjd - _UNIX_EPOCH_MJD) * _MJD_S,
+        utc_s=(mjd - _UNIX_EPOCH_MJD) * _DAY_S,
         ut1_minus_tai_s=dut1_s - leap_s,
         x_pole_rad=x_pole_arcsec * _ARCSEC_RAD,
         y_pole_rad=y_pole_arcsec * _ARCSEC_RAD,
@@ -302,11 +276,6 @@ def _read(content: bytes, source: str) -> _Table:
     )
 
 
-GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
-WEEK_S = 604800.0
-_TAI_MINUS_GPS_S = 19.0
-
-
 def leap_seconds(gps_s: float) -> float:
-    """Return GPS time - UTC at a GPS time, s; `gps_s`: GPS time, counted like unix seconds from 1970."""
-    return tai_minus_utc_s(gps_s - (tai_minus_utc_s(gps_s) - _TAI_MINUS_GPS_S)) - _TAI_MINUS_GPS_S
+    """Return GPS time - UTC, s, at a GPS time that is counted from 1970 like unix seconds."""
+    return tai_minus_utc_s(gps_s - (tai_minus_utc_s(gps_s) - TAI_MINUS_GPS_S)) - TAI_MINUS_GPS_S

@@ -1,7 +1,4 @@
-"""Attitude estimates in a DataFlash log, and the EKF lane in use.
-
-The attitude estimator in use, and its difference from the one that is read.
-"""
+"""Attitude estimates in a DataFlash log, the EKF lane and the estimator in use, and differences between estimators."""
 
 import re
 from collections.abc import Iterator
@@ -13,13 +10,12 @@ from numpy.typing import NDArray
 
 from glstar.rotation import conjugate, euler_from_quaternion, multiply, quaternion_from_euler
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
-from glstar.telemetry.source import UNIT_TOLERANCE, AttitudeSamples, valid_times
+from glstar.telemetry.source import AttitudeSamples, quaternion_lengths, unit_quaternions, valid_times
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
-
-# Quaternions of EKF3 and of EKF2.
-OF_LANES = ("XKQ", "NKQ")
+# Quaternions of EKF3 and of EKF2, one for each lane.
+_OF_LANES = ("XKQ", "NKQ")
 # Messages with the attitude of an EKF: quaternions, Euler angles, and the attitude in use.
 _OF_AN_EKF = re.compile(r"[XN]KQ[1-3]?|[XN]KF1|EKF1|ATT")
 # A lane with a smaller fraction of the samples of another is a damaged number; all lanes are logged equally often.
@@ -31,6 +27,24 @@ _RARE = 0.01
 # of the EKF ("is using GPS", "origin set") do not change the attitude.
 _YAW_RESET_EVENT = 62
 _YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete|reset)", re.IGNORECASE)
+
+# The estimator of ATT, by ATT.AEKF.
+_NAMES: Final = {0: "DCM", 2: "EKF2", 3: "EKF3", 10: "the simulator's", 11: "an external AHRS"}
+_MESSAGES: Final = {2: ("NKQ", "XKQ", "ATT"), 3: ("XKQ", "NKQ", "ATT")}
+_UNKNOWN = _MESSAGES[3]
+_NO_EKF = ("ATT", "XKQ", "NKQ")
+
+# Differences between two estimates from this on are reported, deg: 1 deg is 68 px at f = 3871 px.
+_REPORTED_DEG: Final = 1.0
+# Attitudes are compared if they were logged within this time, s.
+_TOGETHER_S: Final = 0.05
+# For differences in a part of the flight only, s: at 200 deg/s an aircraft turns by a degree in 5 ms.
+_AT_ONCE_S: Final = 0.002
+# Those are reported from this number of samples and from this fraction of them on.
+_FEWEST: Final = 20
+_RARELY: Final = 0.01
+# A shorter loss of samples is not reported, s.
+_REPORTED_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +66,7 @@ class AttitudeEstimate:
         if name in log:
             own_number = re.fullmatch(r"[XN]KQ([1-3])", name)
             lane_of[name] = int(own_number[1]) - 1 if own_number else None
-        elif name in OF_LANES:
+        elif name in _OF_LANES:
             lane_of = {f"{name}{lane + 1}": lane for lane in range(3)}
         parts = [part for spelling, lane in lane_of.items() if (part := cls._read(log, spelling, lane)) is not None]
         if not parts:
@@ -66,8 +80,7 @@ class AttitudeEstimate:
         """Return the median norm of the quaternions of a message; None if it has none."""
         if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is None or not quaternion[0].size:
             return None
-        with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.median(np.linalg.norm(np.stack(quaternion[1], axis=-1), axis=-1)))
+        return float(np.median(quaternion_lengths(np.stack(quaternion[1], axis=-1))))
 
     @staticmethod
     def _read(log: Records, name: str, lane: int | None) -> tuple[Float, Float, Integer, float] | None:
@@ -81,17 +94,17 @@ class AttitudeEstimate:
             return None
         lanes = numbered(log, name, "C") if lane is None else np.full(clock_s.size, lane)
 
-        valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
-        found, count = np.unique(lanes, return_counts=True)
-        valid &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        valid = unit_quaternions(q)
+        numbers, count = np.unique(lanes, return_counts=True)
+        valid &= (lanes >= 0) & np.isin(lanes, numbers[count >= _RARE * np.max(count, initial=0)])
         unaligned_s: list[float] = []
-        for one in found:
-            mine = np.flatnonzero(lanes == one)
-            valid[mine[~valid_times(clock_s[mine])]] = False
-            if name[:3] in OF_LANES:
+        for number in numbers:
+            rows = np.flatnonzero(lanes == number)
+            valid[rows[~valid_times(clock_s[rows])]] = False
+            if name[:3] in _OF_LANES:
                 # An EKF logs (1, 0, 0, 0) until it is aligned.
-                aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
-                before = mine[: np.argmax(aligned) if aligned.any() else None]
+                aligned = (q[rows] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
+                before = rows[: np.argmax(aligned) if aligned.any() else None]
                 unaligned_s.append(float(np.ptp(clock_s[before][valid[before]])) if valid[before].any() else 0.0)
                 valid[before] = False
         return clock_s[valid], q[valid], lanes[valid], min(unaligned_s, default=0.0)
@@ -104,14 +117,19 @@ class AttitudeEstimate:
     @property
     def has_lanes(self) -> bool:
         """Whether the lane is part of the name: always for quaternions of an EKF."""
-        return self.name[:3] in OF_LANES or len(self.lanes) > 1
+        return self.is_of_lanes or len(self.lanes) > 1
+
+    @property
+    def is_of_lanes(self) -> bool:
+        """Whether these are quaternions of an EKF, one for each lane."""
+        return self.name[:3] in _OF_LANES
 
     def called(self, lane: int) -> str:
         """Return the name of a lane, a value of ``attitude=``."""
         return f"{self.name}[{lane}]" if self.has_lanes else self.name
 
     def only(self, lane: int, why: str = "") -> AttitudeSamples:
-        """Return all samples of one lane."""
+        """Return all samples of one lane; `why`: why it was chosen, for messages."""
         return self._samples(self.lane == lane, (f"{self.name} lane {lane}" if self.has_lanes else self.name) + why)
 
     def primary(self, log: Records) -> AttitudeSamples:
@@ -123,10 +141,10 @@ class AttitudeEstimate:
         if primary is not None and primary[0].size:
             order = np.argsort(primary[0], kind="stable")
             since_s, lane = primary[0][order], primary[1][0][order]
-            flew = self.lane == lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
-            if np.count_nonzero(flew) >= 2:
-                lanes = [int(lane) for lane in np.unique(self.lane[flew])]
-                return self._samples(flew, f"{self.name} lane {_and(lanes)} by {primary_message}.PI")
+            in_use = self.lane == lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
+            if np.count_nonzero(in_use) >= 2:
+                lanes = [int(lane) for lane in np.unique(self.lane[in_use])]
+                return self._samples(in_use, f"{self.name} lane {_and(lanes)} by {primary_message}.PI")
         return self._closest_to_att(log)
 
     def _closest_to_att(self, log: Records) -> AttitudeSamples:
@@ -136,12 +154,11 @@ class AttitudeEstimate:
             return self.only(self.lanes[0], f", the lowest of {_and(self.lanes)}")
 
         def deviation_deg(lane: int) -> float:
-            mine = self.lane == lane
-            near = nearest(att.clock_s, self.clock_s[mine])
-            turn = multiply(self.q_body_ned[mine], conjugate(att.q_body_ned[near]))
-            angle_rad = 2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0]))
+            of_lane = self.lane == lane
+            near = nearest(att.clock_s, self.clock_s[of_lane])
+            angle_deg = _angle_deg(self.q_body_ned[of_lane], att.q_body_ned[near])
             # Rounded as ATT is: of lanes that agree equally well, the first is used.
-            return round(float(np.rad2deg(np.median(angle_rad))), 2)
+            return round(float(np.median(angle_deg)), 2)
 
         return self.only(min(self.lanes, key=deviation_deg), ", nearest to ATT")
 
@@ -160,14 +177,11 @@ class AttitudeEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Breaks:
-    """Times at which an estimate jumps: resets of the EKF's yaw, and switches to another lane.
+    """Times since boot at which an estimate jumps: resets of the EKF's yaw, and switches to another lane."""
 
-    A switch happens between a record at `before_s` and the next one at `switched_s`.
-    """
-
-    resets_s: Float
-    before_s: Float
-    switched_s: Float
+    resets_s: Float  # (n,) s
+    before_s: Float  # (m,) s: the record before each switch
+    switched_s: Float  # (m,) s: the record after it
 
     @classmethod
     def of(cls, log: Records, name: str) -> Self:
@@ -198,14 +212,14 @@ class _Breaks:
 
 def _resets_s(log: Records) -> Float:
     """Return the times of yaw resets by events and texts, s since boot, sorted."""
-    found = [np.empty(0)]
+    resets_s = [np.empty(0)]
     if (events := stamped(log, "EV", "Id")) is not None:
-        found.append(events[0][events[1][0] == _YAW_RESET_EVENT])
+        resets_s.append(events[0][events[1][0] == _YAW_RESET_EVENT])
     if (texts := stamped(log, "MSG")) is not None:
         is_reset = [_YAW_RESET_TEXT.search(text) is not None for text in log.texts("MSG", "Message")]
         if len(is_reset) == texts[0].size:
-            found.append(texts[0][is_reset])
-    return np.sort(np.concatenate(found))
+            resets_s.append(texts[0][is_reset])
+    return np.sort(np.concatenate(resets_s))
 
 
 def _switches_s(log: Records) -> tuple[Float, Float]:
@@ -234,61 +248,23 @@ def estimates(log: Records) -> Iterator[AttitudeEstimate]:
             yield estimate
 
 
-def _and(lanes: list[int]) -> str:
-    return " and ".join(str(lane) for lane in lanes)
-
-
-# The estimator of ATT, by ATT.AEKF.
-_NAMES: Final = {0: "DCM", 2: "EKF2", 3: "EKF3", 10: "the simulator's", 11: "an external AHRS"}
-_MESSAGES: Final = {2: ("NKQ", "XKQ", "ATT"), 3: ("XKQ", "NKQ", "ATT")}
-_UNKNOWN = ("XKQ", "NKQ", "ATT")
-_NO_EKF = ("ATT", "XKQ", "NKQ")
-
-# Differences between two estimates from this on are reported, deg: 1 deg is 68 px at f = 3871 px.
-_REPORTED_DEG: Final = 1.0
-# Attitudes are compared if they were logged within this time, s.
-_TOGETHER_S: Final = 0.05
-# For differences in a part of the flight only, s: at 200 deg/s an aircraft turns by a degree in 5 ms.
-_AT_ONCE_S: Final = 0.002
-# Those are reported from this number of samples and from this fraction of them on.
-_FEWEST: Final = 20
-_RARELY: Final = 0.01
-# A shorter loss of samples is not reported, s.
-_REPORTED_S: Final = 1.0
-
-
 def preferred_messages(log: Records) -> tuple[str, ...]:
-    """Return the messages with attitude, those of the estimator in use first.
-
-    Returns ``("XKQ", "NKQ", "ATT")`` if the log does not contain the estimator in use.
-    """
-    numbers = _active(log)[1]
-    if not numbers.size:
-        return _UNKNOWN
-    found, count = np.unique(numbers, return_counts=True)
-    return _MESSAGES.get(int(found[count.argmax()]), _NO_EKF)
+    """Return the messages with attitude, those of the estimator in use first; XKQ first if the log does not name it."""
+    numbers, count = np.unique(_active(log)[1], return_counts=True)
+    return _MESSAGES.get(int(numbers[count.argmax()]), _NO_EKF) if numbers.size else _UNKNOWN
 
 
 def active_estimator(log: Records) -> str | None:
-    """Return the estimator in use, by ATT.AEKF.
-
-    Returns ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"`` for several; None if the log does not contain it.
-    """
-    numbers = _active(log)[1]
-    if not numbers.size:
-        return None
-    found, count = np.unique(numbers, return_counts=True)
-    if found.size == 1:
-        return _NAMES[int(found[0])]
+    """Return the estimator in use, by ATT.AEKF: ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"``; None without AEKF."""
+    numbers, count = np.unique(_active(log)[1], return_counts=True)
+    if numbers.size < 2:
+        return _NAMES[int(numbers[0])] if numbers.size else None
     order = np.argsort(-count, kind="stable")
-    return ", ".join(f"{_NAMES[int(found[k])]} {100 * count[k] / numbers.size:.1f} %" for k in order)
+    return ", ".join(f"{_NAMES[int(numbers[k])]} {100 * count[k] / count.sum():.1f} %" for k in order)
 
 
 def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
-    """Return remarks on an attitude: its difference from the estimator in use, and dropped samples.
-
-    `taken`: the estimate that is read.
-    """
+    """Return remarks on the estimate that is read: its difference from another estimator, and dropped samples."""
     return (*_difference(log, taken, samples), *_losses(log, taken, samples))
 
 
@@ -296,44 +272,41 @@ def _active(log: Records) -> tuple[Float, Float]:
     """Return the times of ATT, s since boot, and the number of its estimator."""
     if (records := stamped(log, "ATT", "AEKF")) is None:
         return np.empty(0), np.empty(0)
-    known = np.isin(records[1][0], list(_NAMES))
-    return records[0][known], records[1][0][known]
+    valid = np.isin(records[1][0], list(_NAMES))
+    return records[0][valid], records[1][0][valid]
 
 
 def _difference(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return the difference between ATT and the quaternions of an EKF, if one of them is read."""
-    ekf, att = (samples, None) if taken.name[:3] in ("XKQ", "NKQ") else (None, samples)
-    if att is None:
-        estimate = AttitudeEstimate.of(log, "ATT")
-        att = None if estimate is None else estimate.primary(log)
-    elif taken.name == "ATT":
-        other = next((one for name in ("XKQ", "NKQ") if (one := AttitudeEstimate.of(log, name)) is not None), None)
-        ekf = None if other is None else other.primary(log)
-    if ekf is None or att is None or not ekf.clock_s.size or not att.clock_s.size:
+    others = ("ATT",) if taken.is_of_lanes else _OF_LANES if taken.name == "ATT" else ()
+    other = next((estimate for name in others if (estimate := AttitudeEstimate.of(log, name)) is not None), None)
+    if other is None:
+        return ()
+    ekf, att = (samples, other.primary(log)) if taken.is_of_lanes else (other.primary(log), samples)
+    if not ekf.clock_s.size or not att.clock_s.size:
         return ()
     near = nearest(att.clock_s, ekf.clock_s)
     together = np.abs(att.clock_s[near] - ekf.clock_s) < _TOGETHER_S
     if not together.any():
         return ()
     q_ekf, q_att = ekf.q_body_ned[together], att.q_body_ned[near][together]
-    turn = multiply(q_ekf, conjugate(q_att))
-    angle_deg = np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0])))
-    name = taken.name if taken.name != "ATT" else ekf.source.split(" ")[0]
-    flew = active_estimator(log)
-    flown = "; the log does not say which one flew" if flew is None else f"; by ATT.AEKF {flew} flew"
-    choice = f"{'ATT' if samples is att else name} is taken, --attitude {'ATT' if samples is ekf else name}"
+    angle_deg = _angle_deg(q_ekf, q_att)
+    name = taken.name if taken.is_of_lanes else other.name
+    active = active_estimator(log)
+    in_use = "; the log does not say which one flew" if active is None else f"; by ATT.AEKF {active} flew"
+    choice = f"{taken.name} is taken, --attitude {other.name}"
     if np.median(angle_deg) <= _REPORTED_DEG:
         at_once_deg = angle_deg[np.abs(att.clock_s[near] - ekf.clock_s)[together] < _AT_ONCE_S]
         far = at_once_deg > _REPORTED_DEG
         if at_once_deg.size < _FEWEST or np.mean(far) < _RARELY:
             return ()
         fraction = f"for {100 * np.mean(far):.1f} % of the time {name} is more than {_REPORTED_DEG:.0f} deg from ATT"
-        return (f"{fraction}, {at_once_deg.max():.1f} deg at most{flown}; {choice} takes the other",)
+        return (f"{fraction}, {at_once_deg.max():.1f} deg at most{in_use}; {choice} takes the other",)
     yaw_deg = np.rad2deg(euler_from_quaternion(q_ekf)[2] - euler_from_quaternion(q_att)[2])
     yaw_deg = (yaw_deg + 180) % 360 - 180
     return (
         f"{name} is {np.median(angle_deg):.1f} deg from ATT in the median ({np.median(np.abs(yaw_deg)):.1f} deg in yaw)"
-        f"{flown}; {choice} takes the other",
+        f"{in_use}; {choice} takes the other",
     )
 
 
@@ -351,8 +324,19 @@ def _losses(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> 
     if taken.name == "ATT":
         notes += [
             f"{name} is left out because its quaternions have length {length:.3g}, not 1; ATT is used"
-            for name in ("XKQ", "NKQ")
+            for name in _OF_LANES
             if (length := AttitudeEstimate.usual_length(log, name)) is not None
             and AttitudeEstimate.of(log, name) is None
         ]
     return tuple(notes)
+
+
+def _angle_deg(q: Float, other: Float) -> Float:
+    """Return the angles between (n, 4) attitudes, deg."""
+    turn = multiply(q, conjugate(other))
+    angle_deg: Float = np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0])))
+    return angle_deg
+
+
+def _and(lanes: list[int]) -> str:
+    return " and ".join(map(str, lanes))

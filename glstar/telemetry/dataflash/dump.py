@@ -25,22 +25,11 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.sky.place.timescale import leap_seconds
+from glstar.telemetry import source
 from glstar.telemetry.boots import within
 from glstar.telemetry.dataflash.attitude import preferred_messages
 from glstar.telemetry.dataflash.reader import LOGGED_LATE_S, DataFlashReader, boots_of
 from glstar.telemetry.dataflash.records import Records, stamped
-from glstar.telemetry.source import (
-    YEAR_2010_S,
-    YEAR_2100_S,
-    AttitudeSamples,
-    Boot,
-    ClockSamples,
-    PositionSamples,
-    Samples,
-    Span,
-    no_position_samples,
-    spikes,
-)
 from glstar.telemetry.tables.files import Dump
 
 Float = NDArray[np.float64]
@@ -75,31 +64,34 @@ _PYMAVLINK_LEAP_S = 18.0
 
 
 def is_dataflash_dump(header: str) -> bool:
-    """Return whether a table was exported by mavlogdump from a DataFlash log; `header`: first line of the table."""
+    """Return whether a table was exported by mavlogdump from a DataFlash log, by its first line."""
     return _HEADER.match(header) is not None
 
 
 class DataFlashDumpReader(DataFlashReader):
     """The CSV of a DataFlash log as a telemetry source; its clock is the autopilot's time since boot.
 
-    `path`: one of its tables; `attitude`: ``"auto"``: the message of the table if it is an attitude, else as for
-    `DataFlashReader`; `boot`: see `DataFlashReader`.  Raises LogFormatError if the file is not text.
+    `path` is one of its tables; `attitude`, as of `DataFlashReader`, is by default the message of that table if it is
+    an attitude.  Raises LogFormatError if the file is not text.
     """
 
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
-        self.name, self._boot = os.fspath(path), boot
-        self._tables = _Tables(self.name)
-        self._log = self._tables
+        self.name = os.fspath(path)
+        self._boot = boot
+        self._log = self._tables = _Tables(self.name)
         own = self._tables.own
         self._attitude = own if attitude.strip().lower() == "auto" and own in _ATTITUDES else attitude
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         """Yield attitude, position, UTC and, if the log has them, gyro rates of each boot, a batch each.
 
         Raises LogFormatError if there is no attitude, not the requested one, or no such boot.
         """
         for batch in super().samples():
-            yield replace(batch, notes=(*batch.notes, *self._notes)) if isinstance(batch, AttitudeSamples) else batch
+            if isinstance(batch, source.AttitudeSamples):
+                yield replace(batch, notes=(*batch.notes, *self._notes))
+            else:
+                yield batch
 
     @cached_property
     def _notes(self) -> tuple[str, ...]:
@@ -115,40 +107,35 @@ class DataFlashDumpReader(DataFlashReader):
         return tuple(notes)
 
     @cached_property
-    def _found_boots(self) -> tuple[Boot, ...]:
+    def _found_boots(self) -> tuple[source.Boot, ...]:
         return boots_of(self._tables, knows_utc=True)
 
-    def _beside_attitude(self, log: Records) -> Iterator[Samples]:
-        """Yield position, UTC and, if the log has them, gyro rates, a batch each."""
+    def _beside_attitude(self, log: Records) -> Iterator[source.Samples]:
+        """Yield all other samples of one boot, with UTC of mavlogdump's timestamps if there is no other."""
         for batch in super()._beside_attitude(log):
-            if isinstance(batch, ClockSamples) and not batch.clock_s.size:
+            if isinstance(batch, source.ClockSamples) and not batch.clock_s.size:
                 yield self._stamps(log)
-            elif isinstance(batch, PositionSamples) and not batch.clock_s.size and "GPS" not in self._tables:
+            elif isinstance(batch, source.PositionSamples) and not batch.clock_s.size and "GPS" not in self._tables:
                 beside = f"neither {self._tables.called('POS')} nor {self._tables.called('GPS')} lies beside it"
-                yield no_position_samples(f"{beside}{self._tables.how_to_name}")
+                yield source.no_position_samples(f"{beside}{self._tables.how_to_name}")
             else:
                 yield batch
 
-    def _stamps(self, log: Records) -> ClockSamples:
+    def _stamps(self, log: Records) -> source.ClockSamples:
         """Return UTC by mavlogdump's timestamps; in a log of several boots they are by the clock of one boot."""
+        without_gps = f"no {self._tables.called('GPS')} beside it"
         if len(self._found_boots) > 1 and not self._tables.heads:
-            return ClockSamples(
-                np.empty(0),
-                np.empty(0),
-                f"no {self._tables.called('GPS')} beside it, and timestamps hold for one boot only",
-            )
+            return source.no_clock_samples(f"{without_gps}, and timestamps hold for one boot only")
         stamps = stamped(log, self._tables.own, "timestamp")
         clock_s, utc_s = (stamps[0], stamps[1][0]) if stamps else (np.empty(0), np.empty(0))
-        valid = np.isfinite(clock_s) & (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
+        valid = np.isfinite(clock_s) & source.plausible_utc(utc_s)
         clock_s, utc_s = clock_s[valid], utc_s[valid]
         if not utc_s.size:
-            return ClockSamples(
-                clock_s, utc_s, f"no {self._tables.called('GPS')} beside it, and its timestamps are no UTC"
-            )
+            return source.no_clock_samples(f"{without_gps}, and its timestamps are no UTC")
         leap_s = leap_seconds(float(np.median(utc_s)) + _PYMAVLINK_LEAP_S)
         better = f"may be wrong by seconds; {self._tables.called('GPS')} beside it would be accurate"
-        source = f"timestamps of mavlogdump, by the first GPS fix ({better}), {leap_s:.0f} leap seconds"
-        return ClockSamples(clock_s - LOGGED_LATE_S, utc_s + _PYMAVLINK_LEAP_S - leap_s, source)
+        message = f"timestamps of mavlogdump, by the first GPS fix ({better}), {leap_s:.0f} leap seconds"
+        return source.ClockSamples(clock_s - LOGGED_LATE_S, utc_s + _PYMAVLINK_LEAP_S - leap_s, message)
 
 
 class _Tables(Records):
@@ -200,29 +187,29 @@ class _Tables(Records):
         return list(table.texts) if table is not None and field == _TEXT.get(name) else []
 
     def position(self, name: str) -> Integer:
-        """Return the position of each row of a message: the number of its table in the file, and its time.
+        """Return the position of each row of a message: `_TABLE_STEP` times the number of its table, plus its time, us.
 
-        Raises LogFormatError if the files of the messages contain different numbers of tables.
+        It is -1 for rows without a valid time.
         """
         table, clock_us = self._table(name), self._clock_us(name)
         if table is None or clock_us is None:
             return np.empty(0, dtype=np.int64) if table is None else np.full(table.line.size, -1)
-        known = np.abs(clock_us) < _TABLE_STEP / 2  # False for NaN too
-        return np.where(known, self._nth(name) * _TABLE_STEP + np.where(known, clock_us, 0.0), -1.0).astype(np.int64)
+        valid = np.abs(clock_us) < _TABLE_STEP / 2  # False for NaN too
+        return np.where(valid, self._nth(name) * _TABLE_STEP + np.where(valid, clock_us, 0.0), -1.0).astype(np.int64)
 
     @property
     def heads(self) -> tuple[int, ...]:
-        """The positions at which another table begins in joined files."""
+        """The positions at which another table begins in joined files.
+
+        Raises LogFormatError if the files of the messages contain different numbers of tables.
+        """
         numbers = {name: int(self._nth(name).max(initial=0)) for name in _CLOCKED if self.count(name) > 1}
         if len(set(numbers.values())) > 1:
             listed = ", ".join(f"{self.called(name)} {number + 1}" for name, number in sorted(numbers.items()))
-            raise LogFormatError(
-                self._path,
-                f"its tables are of different numbers of boots ({listed}); give the .BIN itself",
-                offset=self.end,
-            )
-        again = {name: table.heads for name in _CLOCKED if (table := self._table(name)) is not None and table.line.size}
-        repeated = any(len(heads) for heads in again.values())
+            message = f"its tables are of different numbers of boots ({listed}); give the .BIN itself"
+            raise LogFormatError(self._path, message, offset=self.end)
+        tables = [table for name in _CLOCKED if (table := self._table(name)) is not None and table.line.size]
+        repeated = any(table.heads for table in tables)
         count = max(numbers.values(), default=0)
         return tuple(number * int(_TABLE_STEP) for number in range(1, count + 1)) if repeated else ()
 
@@ -230,14 +217,14 @@ class _Tables(Records):
         """Return that all rows have the same columns."""
         return True
 
-    def only(self, spans: Sequence[Span]) -> "_Tables":
+    def only(self, spans: Sequence[source.Span]) -> "_Tables":
         """Return the rows within some ranges of positions, as tables."""
-        some = copy(self)
-        some._read = {  # noqa: SLF001 - of its own class
+        part = copy(self)
+        part._read = {  # noqa: SLF001 - of its own class
             name: None if (table := self._table(name)) is None else table.only(within(self.position(name), spans))
             for name in {self.own, *_SOUGHT}
         }
-        return some
+        return part
 
     def _clock_us(self, name: str) -> Float | None:
         stamps = stamped(self, name)
@@ -252,7 +239,7 @@ class _Tables(Records):
         if clock_us is None:
             return after_head
         kept = np.flatnonzero(np.isfinite(clock_us))
-        kept = kept[~spikes(clock_us[kept], _BACK_US)]
+        kept = kept[~source.spikes(clock_us[kept], _BACK_US)]
         back = np.zeros(table.line.size, dtype=np.int64)
         back[kept[1:]] = (np.diff(clock_us[kept]) < -_BACK_US) & (np.diff(after_head[kept]) == 0)
         return after_head + np.cumsum(back)
@@ -280,11 +267,8 @@ class _Tables(Records):
     def _table(self, name: str) -> Dump | None:
         if name not in self._read:
             self._read[name] = None
-            if (
-                self._named is not None
-                and name in _SOUGHT
-                and (file := self._path.parent / self.called(name)).is_file()
-            ):
+            file = self._path.parent / self.called(name)
+            if self._named is not None and name in _SOUGHT and file.is_file():
                 try:
                     self._read[name] = self._beside(file, _TEXT.get(name))
                 except OSError as error:

@@ -15,7 +15,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,10 +96,7 @@ class Records(Protocol):
 
 
 def stamped(log: Records, name: str, *fields: str) -> tuple[Float, list[Float]] | None:
-    """Return the times of the records of a message, s since boot, and some of their fields.
-
-    None if a field is missing, or the records have no time since boot.
-    """
+    """Return times since boot, s, and fields of the records of a message; None if a field or the time is missing."""
     # TimeMS in an old GPS record is the millisecond of the GPS week.
     for stamp, unit_s in (("TimeUS", 1e-6), ("T" if name.startswith("GPS") else "TimeMS", 1e-3)):
         if (columns := log.columns(name, stamp, *fields)) is not None:
@@ -112,8 +109,8 @@ def numbered(log: Records, name: str, field: str) -> Integer:
     number = log.columns(name, field)
     if number is None:
         return np.zeros(log.count(name), dtype=np.int64)
-    known = np.isfinite(number[0]) & (np.abs(number[0]) < 256)  # other values are damage
-    return np.where(known, number[0], -1).astype(np.int64)
+    valid = np.isfinite(number[0]) & (np.abs(number[0]) < 256)  # other values are damage
+    return np.where(valid, number[0], -1).astype(np.int64)
 
 
 def nearest(times_s: Float, requested_s: Float) -> Integer:
@@ -125,20 +122,60 @@ def nearest(times_s: Float, requested_s: Float) -> Integer:
     return order[np.where(requested_s - rising[before] <= rising[after] - requested_s, before, after)]
 
 
+class PartedRecords(Records):
+    """The records of a file that has been read in parts, in each of which the layouts do not change.
+
+    Each part has a `start`, and by name of the message its `layouts` and the records `found`.
+    """
+
+    _parts: list[Any]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the messages in the log, sorted."""
+        return sorted({name for part in self._parts for name in part.found})
+
+    def __contains__(self, name: str) -> bool:
+        return any(name in part.found for part in self._parts)
+
+    def alike(self, one: int, other: int) -> bool:
+        """Return whether the messages that occur at both positions have the same layouts."""
+        first, second = (self._part_at(at).layouts for at in (one, other))
+        return all(first[name] == second[name] for name in first.keys() & second.keys())
+
+    def only(self, spans: Sequence[Span]) -> Self:
+        """Return the records within some ranges of positions, as a log."""
+        selected = copy(self)
+        selected._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001 - of its own class
+        return selected
+
+    def _part_at(self, position: int) -> Any:
+        return self._parts[max(0, bisect_right(self._parts, position, key=lambda part: part.start) - 1)]
+
+    def _layout(self, name: str) -> Any:
+        """Return the first layout of a message."""
+        return next(part.layouts[name] for part in self._parts if name in part.found)
+
+    def _found(self, name: str) -> list[Any]:
+        """Return the records of a message in its first layout, part by part."""
+        layout = self._layout(name)
+        return [part.found[name] for part in self._parts if name in part.found and part.layouts[name] == layout]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """A part of a file in which the layouts do not change: layouts and positions of the records, by name."""
+    """A part of a binary file: layouts and positions of the records, by name."""
 
     start: int
     layouts: dict[str, "_Layout"]
-    offsets: dict[str, Integer]
+    found: dict[str, Integer]
 
     def only(self, spans: Sequence[Span]) -> "_Part":
-        offsets = {name: at[within(at, spans)] for name, at in self.offsets.items()}
-        return _Part(self.start, self.layouts, {name: at for name, at in offsets.items() if at.size})
+        found = {name: at[within(at, spans)] for name, at in self.found.items()}
+        return _Part(self.start, self.layouts, {name: at for name, at in found.items() if at.size})
 
 
-class BinaryRecords(Records):
+class BinaryRecords(PartedRecords):
     """The records of a binary DataFlash file.
 
     If the layout of a message changes within the file, only the records of its first layout are returned; `only`
@@ -152,7 +189,7 @@ class BinaryRecords(Records):
         self._file_bytes = int(self._raw.size)
         heads = _heads(self._raw)
         starts, tables = self._definitions(heads[self._raw[heads + 2] == _FMT])
-        self._parts: list[_Part] = []
+        self._parts = []
         self._latest: tuple[str, NDArray[np.void]] | None = None
         self.end = record_bytes = 0
         for start, stop, table in zip(starts, [*starts[1:], self._file_bytes], tables, strict=True):
@@ -166,21 +203,13 @@ class BinaryRecords(Records):
             record_bytes += int(lengths[kinds].sum())
             # The last definition of a name is used, as in pymavlink.
             named = {layout.name: kind for kind, layout in table.items()}
-            found = {name: at for name, kind in named.items() if (at := offsets[kinds == kind]).size}
-            self._parts.append(_Part(start, {name: table[named[name]] for name in named}, found))
+            positions = {name: at for name, kind in named.items() if (at := offsets[kinds == kind]).size}
+            self._parts.append(_Part(start, {name: table[named[name]] for name in named}, positions))
         self.unread_bytes = self._file_bytes - record_bytes
-        if not any(part.offsets for part in self._parts):
+        if not any(part.found for part in self._parts):
             raise LogFormatError(
                 path, f"no whole record in {self._file_bytes} bytes: the log is cut off or damaged", offset=0
             )
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the messages in the log, sorted."""
-        return sorted({name for part in self._parts for name in part.offsets})
-
-    def __contains__(self, name: str) -> bool:
-        return any(name in part.offsets for part in self._parts)
 
     def count(self, name: str) -> int:
         """Return the number of complete records of a message."""
@@ -192,7 +221,8 @@ class BinaryRecords(Records):
 
     def fields(self, name: str) -> tuple[str, ...]:
         """Return the field names of a message; empty if the log does not have it."""
-        return self._layout(name).dtype.names or () if name in self else ()
+        names: tuple[str, ...] | None = self._layout(name).dtype.names if name in self else None
+        return names or ()
 
     def columns(self, name: str, *fields: str) -> list[Float] | None:
         """Return fields of all records of a message, scaled; None if a field is missing."""
@@ -217,41 +247,26 @@ class BinaryRecords(Records):
         """Return the offset of each record of a message, bytes."""
         if name not in self:
             return np.empty(0, dtype=np.int64)
-        layout = self._layout(name)
-        same = [part.offsets[name] for part in self._parts if name in part.offsets and part.layouts[name] == layout]
-        return np.concatenate(same)
+        return np.concatenate(self._found(name))
 
     @property
     def heads(self) -> tuple[int, ...]:
         """The offsets at which a log file begins."""
-        begins = [
-            part.start
-            for part in self._parts
-            if self._raw[part.start : part.start + len(_LOG_HEAD)].tobytes() == _LOG_HEAD
-        ]
-        return tuple(begins)
+        return tuple(part.start for part in self._parts if self._begins_log(part.start))
 
-    def alike(self, one: int, other: int) -> bool:
-        """Return whether the messages that occur at both offsets have the same layouts."""
-        first, second = (self._part_at(at).layouts for at in (one, other))
-        return all(first[name] == second[name] for name in first.keys() & second.keys())
-
-    def only(self, spans: Sequence[Span]) -> "BinaryRecords":
+    def only(self, spans: Sequence[Span]) -> Self:
         """Return the records within some ranges of offsets, as a log."""
-        some = copy(self)
-        some._latest = None  # noqa: SLF001 - of its own class
-        some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001
-        return some
+        selected = super().only(spans)
+        selected._latest = None  # noqa: SLF001 - of its own class
+        return selected
 
     def close(self) -> None:
         """Close the file."""
         self._raw, self._latest = np.empty(0, dtype=np.uint8), None
 
-    def _part_at(self, offset: int) -> _Part:
-        return self._parts[max(0, bisect_right(self._parts, offset, key=lambda part: part.start) - 1)]
-
-    def _layout(self, name: str) -> "_Layout":
-        return next(part.layouts[name] for part in self._parts if name in part.offsets)
+    def _begins_log(self, at: int) -> bool:
+        """Return whether a log file begins at an offset."""
+        return self._raw[at : at + len(_LOG_HEAD)].tobytes() == _LOG_HEAD
 
     def _records(self, name: str) -> NDArray[np.void]:
         # Columns of one message are read one after another: its records are copied out of the file once.
@@ -262,7 +277,7 @@ class BinaryRecords(Records):
         return self._latest[1]
 
     def _definitions(self, heads: Integer) -> tuple[list[int], list[dict[int, "_Layout"]]]:
-        """Return the offsets from which tables of layouts are valid, and the tables, by message number.
+        """Return the offsets from which layouts are valid, and the layouts by message number.
 
         A definition also applies to records before it, unless it contradicts another one or a log file begins in
         between.
@@ -275,8 +290,7 @@ class BinaryRecords(Records):
             if len(body) < _FMT_LAYOUT.size or (layout := read(body)) is None:
                 continue
             kind, table = body[0], tables[-1]
-            begins = kind == _FMT and self._raw[head : head + len(_LOG_HEAD)].tobytes() == _LOG_HEAD
-            if head > 0 and begins:
+            if head > 0 and kind == _FMT and self._begins_log(head):
                 starts.append(head)
                 tables.append({kind: layout})
             elif table.get(kind, layout) != layout:
@@ -322,8 +336,8 @@ def _complete(
 
 def _among(values: Integer, rising: Integer) -> NDArray[np.bool_]:
     """Return which values occur in a sorted array."""
-    found: NDArray[np.bool_] = np.append(rising, -1)[np.searchsorted(rising, values)] == values
-    return found
+    among: NDArray[np.bool_] = np.append(rising, -1)[np.searchsorted(rising, values)] == values
+    return among
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,9 +345,9 @@ class _Layout:
     """The layout of the records of one message, from its FMT record."""
 
     name: str
-    length: int
+    length: int  # Bytes, with the head
     dtype: np.dtype[np.void]
-    divisors: dict[str, float]
+    divisors: dict[str, float]  # Of fields that are scaled
 
     @classmethod
     def of(cls, body: bytes) -> "_Layout | None":
@@ -361,7 +375,7 @@ class _Layout:
 def _dataflash_format() -> Callable[..., Any]:
     """Return pymavlink's parser of FMT records, imported on first use."""
     with suppressed_output():
-        from pymavlink.DFReader import DFFormat  # noqa: PLC0415
+        from pymavlink.DFReader import DFFormat  # noqa: PLC0415 - when a binary log is read
 
     def suppressed(*fields: Any) -> Any:
         # It prints messages about damaged records.

@@ -19,9 +19,9 @@ import mmap
 import re
 from array import array
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from operator import itemgetter
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
-from glstar.telemetry.dataflash.records import Records
+from glstar.telemetry.dataflash.records import PartedRecords
 from glstar.telemetry.source import Span
 
 Float = NDArray[np.float64]
@@ -49,7 +49,7 @@ _LARGEST = 1e19
 
 
 def is_dataflash_text(head: bytes) -> bool:
-    """Return whether a file is a DataFlash log as text; `head`: the first bytes of the file, some thousands."""
+    """Return whether a file is a DataFlash log as text, by its first bytes, some thousands."""
     return _DEFINITION.search(head.removeprefix(_BOM)) is not None
 
 
@@ -64,16 +64,13 @@ class _Layout:
 _OF_DEFINITIONS = _Layout(("Type", "Length", "Name", "Format", "Columns"), "BBnNZ")
 
 
-class TextRecords(Records):
-    """The records of a DataFlash log as text.
-
-    `path`: the log.  Raises LogFormatError if it holds no complete record.
-    """
+class TextRecords(PartedRecords):
+    """The records of a DataFlash log as text; raises LogFormatError if it holds no complete record."""
 
     kind = "ArduPilot DataFlash as text"
 
     def __init__(self, path: str) -> None:
-        with open(path, "rb") as file:  # noqa: PTH123
+        with Path(path).open("rb") as file:
             self._text = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self._heads = tuple(head.start() for head in _LOG_HEAD.finditer(self._text) if head.start() > 0)
         self._line_count = self.end = 0
@@ -95,17 +92,8 @@ class TextRecords(Records):
         self.unread_bytes = len(self._text) - sum(part.line_bytes for part in self._parts)
         if not self._parts:
             self.close()
-            raise LogFormatError(
-                path, f"no whole record in {self._line_count} lines: the log is cut off or damaged", offset=0
-            )
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the messages in the log, sorted."""
-        return sorted({name for part in self._parts for name in part.found})
-
-    def __contains__(self, name: str) -> bool:
-        return any(name in part.found for part in self._parts)
+            message = f"no whole record in {self._line_count} lines: the log is cut off or damaged"
+            raise LogFormatError(path, message, offset=0)
 
     def count(self, name: str) -> int:
         """Return the number of complete records of a message."""
@@ -113,24 +101,13 @@ class TextRecords(Records):
 
     def position(self, name: str) -> Integer:
         """Return the offset of the line of each record of a message, bytes."""
-        begins: Integer = self._spans(name)[0]
-        return begins
+        starts: Integer = self._spans(name)[0]
+        return starts
 
     @property
     def heads(self) -> tuple[int, ...]:
         """The offsets at which another log begins in the file, bytes."""
         return self._heads
-
-    def alike(self, one: int, other: int) -> bool:
-        """Return whether the messages that occur at both positions have the same layouts."""
-        first, second = (self._part_at(at).layouts for at in (one, other))
-        return all(first[name] == second[name] for name in first.keys() & second.keys())
-
-    def only(self, spans: Sequence[Span]) -> "TextRecords":
-        """Return the records within some ranges of offsets, as a log."""
-        some = copy(self)
-        some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001 - of its own class
-        return some
 
     def loss(self) -> str:
         """Return how much of the file could be read, to append to a message; empty if all of it."""
@@ -138,7 +115,8 @@ class TextRecords(Records):
 
     def fields(self, name: str) -> tuple[str, ...]:
         """Return the field names of a message; empty if the log does not have it."""
-        return self._layout(name).fields if name in self else ()
+        fields: tuple[str, ...] = self._layout(name).fields if name in self else ()
+        return fields
 
     def columns(self, name: str, *fields: str) -> list[Float] | None:
         """Return fields of all records of a message, scaled; None if a field is missing."""
@@ -167,10 +145,10 @@ class TextRecords(Records):
         self._text.close()
 
     def _positions_of(self, name: str, fields: tuple[str, ...], letters: frozenset[str]) -> list[int] | None:
-        """Return the cells of a message that hold some fields; None if one is missing or of another type."""
+        """Return the indices of the cells with some fields of a message; None if one is missing or of another type."""
         if not set(fields) <= set(self.fields(name)) or name not in self:
             return None
-        layout = self._layout(name)
+        layout: _Layout = self._layout(name)
         at = [layout.fields.index(field) for field in fields]
         return [index + 1 for index in at] if {layout.letters[index] for index in at} <= letters else None
 
@@ -181,19 +159,11 @@ class TextRecords(Records):
         for start, stop in zip(*self._spans(name).tolist(), strict=True):
             yield pick(text[start:stop].split(b",", splits))
 
-    def _part_at(self, offset: int) -> "_Part":
-        return next((part for part in reversed(self._parts) if part.start <= offset), self._parts[0])
-
-    def _layout(self, name: str) -> _Layout:
-        return next(part.layouts[name] for part in self._parts if name in part.found)
-
     def _spans(self, name: str) -> Integer:
         """Return begin and end of the records of a message in its first layout, (2, n)."""
         if name not in self:
             return np.empty((2, 0), dtype=np.int64)
-        layout = self._layout(name)
-        same = [part for part in self._parts if name in part.found and part.layouts[name] == layout]
-        return np.concatenate([spans for part in same for spans in part.found[name]], axis=1)
+        return np.concatenate([spans for part in self._found(name) for spans in part], axis=1)
 
     def _definitions(self, lines: "_Lines") -> Iterator[tuple[int, str, _Layout]]:
         for line in lines.complete("FMT", _OF_DEFINITIONS).tolist():
@@ -207,11 +177,11 @@ class TextRecords(Records):
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """A part of a file in which the layouts do not change: layouts, and begin and end of the records, by name."""
+    """A part of a file in which the layouts do not change: layouts and records, by name."""
 
     start: int
     layouts: dict[str, _Layout] = field(default_factory=lambda: {"FMT": _OF_DEFINITIONS})
-    found: dict[str, list[Integer]] = field(default_factory=dict)
+    found: dict[str, list[Integer]] = field(default_factory=dict)  # (2, n): begin and end of the records
 
     def take(self, lines: "_Lines", stop: int) -> int:
         """Add the lines before `stop` that are records of this part; return the number of the last one, or 0."""
@@ -227,11 +197,12 @@ class _Part:
     @property
     def line_bytes(self) -> int:
         """Length of all records, with the ends of their lines."""
-        return sum(int((one[1] - one[0] + 1).sum()) for parts in self.found.values() for one in parts)
+        return sum(int((stop - start + 1).sum()) for parts in self.found.values() for start, stop in parts)
 
     def only(self, spans: Sequence[Span]) -> "_Part":
-        found = {name: [one[:, within(one[0], spans)] for one in parts] for name, parts in self.found.items()}
-        return _Part(self.start, self.layouts, {k: v for k, v in found.items() if any(one.size for one in v)})
+        found = {name: [part[:, within(part[0], spans)] for part in parts] for name, parts in self.found.items()}
+        found = {name: parts for name, parts in found.items() if any(part.size for part in parts)}
+        return _Part(self.start, self.layouts, found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -63,8 +63,8 @@ class VehicleClock:
         names = (HIL_STATE,) if packets.timestamps_are_utc(sender) else (*_TIMED, *packets.attitude_messages(sender))
         heads = np.concatenate([packets.rows(name, sender)[:, : FIELDS_FROM + 1] for name in dict.fromkeys(names)])
         heads = heads[np.argsort(heads[:, AT], kind="stable")]
-        kept = heads[~spikes(heads[:, FIELDS_FROM] / 1e3, _BOOT_SPIKE_S)]
-        heads = kept if len(kept) else heads
+        valid = heads[~spikes(heads[:, FIELDS_FROM] / 1e3, _BOOT_SPIKE_S)]
+        heads = valid if len(valid) else heads
         boot_s, stamp_s = heads[:, FIELDS_FROM] / 1e3, heads[:, STAMP]
         wraps = np.concatenate([[0], np.cumsum(np.diff(boot_s) < -_WRAP_S / 2)])
         boot_s = boot_s + wraps * _WRAP_S
@@ -78,30 +78,40 @@ class VehicleClock:
             [(at, boot_s)], readings, arrivals=(at, boot_s, stamp_s), back_s=_REBOOT_S, checked=packets.checked
         )
         numbers = range(1, len(boots) + 1)
-        boot = np.zeros(at.size, dtype=np.int64)
+        number_of = np.zeros(at.size, dtype=np.int64)
         of_boot = np.zeros(len(times), dtype=np.int64)
-        for one in boots:
-            boot[within(at, one.spans)] = one.number
-            of_boot[within(readings[0], one.spans)] = one.number
+        for boot in boots:
+            number_of[within(at, boot.spans)] = boot.number
+            of_boot[within(readings[0], boot.spans)] = boot.number
 
-        arrived_s = np.array([np.median((stamp_s - boot_s)[boot == number]) for number in numbers])
+        arrived_s = np.array([np.median((stamp_s - boot_s)[number_of == number]) for number in numbers])
         utc_s = np.full(len(boots), np.nan)
-        found = np.unique(of_boot[of_boot > 0]) - 1
-        utc_s[found] = [np.median((readings[2] - read_s)[of_boot == number + 1]) for number in found]
+        with_readings = np.unique(of_boot[of_boot > 0])
+        utc_s[with_readings - 1] = [np.median((readings[2] - read_s)[of_boot == number]) for number in with_readings]
         sources = [""] * len(boots)
         if len(boots) > 1 and np.isnan(utc_s).any():
             _add_utc_on_arrival(utc_s, arrived_s, sources, boots, packets, sender)
         is_known = np.isfinite(utc_s)
         if is_known.any() and not is_known.all():
-            spans = [(stamp_s[boot == number].min(), stamp_s[boot == number].max()) for number in numbers]
+            spans = [(stamp_s[number_of == number].min(), stamp_s[number_of == number].max()) for number in numbers]
             _add_utc_by_recorder(utc_s, arrived_s, sources, spans)
             unknown = np.isnan(utc_s)
-            boots = tuple(replace(one, doubt=NO_UTC) if unknown[one.number - 1] else one for one in boots)
+            boots = tuple(replace(boot, doubt=NO_UTC) if unknown[boot.number - 1] else boot for boot in boots)
         is_known = np.isfinite(utc_s) if is_known.any() else np.ones_like(is_known)
         # If no boot has UTC, the recorder's clock relates them.
         utc_s = np.where(np.isfinite(utc_s), utc_s, arrived_s)
         later_s = np.concatenate([[0.0], utc_s - utc_s[0]])
-        return cls(boots, heads[:, AT], boot_s, boot, wraps, later_s, arrived_s, is_known, tuple(sources))
+        return cls(
+            boots=boots,
+            at=heads[:, AT],
+            boot_s=boot_s,
+            boot=number_of,
+            wraps=wraps,
+            later_s=later_s,
+            arrived_s=arrived_s,
+            is_known=is_known,
+            utc_sources=tuple(sources),
+        )
 
     def read(self, rows: Float) -> tuple[Float, Integer]:
         """Return the clock of packets with a time since boot, s, and the number of the boot of each; 0 for none."""
@@ -110,7 +120,7 @@ class VehicleClock:
         return rows[:, FIELDS_FROM] / 1e3 + self.wraps[near] * _WRAP_S + self.later_s[boot], boot
 
     def of_boot(self, rows: Float, boot: int) -> tuple[Float, Float]:
-        """Return the packets of one boot, of those with a time since boot, and their clock, s."""
+        """Return the packets with a time since boot that are of one boot, and their clock, s."""
         clock_s, number = self.read(rows)
         return rows[number == boot], clock_s[number == boot]
 
@@ -155,18 +165,18 @@ def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spa
 
     The recorder's clock has the same error in both, unless the file was joined from several recordings.
     """
-    known = np.flatnonzero(np.isfinite(utc_s))
+    with_utc = np.flatnonzero(np.isfinite(utc_s))
     for boot in np.flatnonzero(np.isnan(utc_s)):
         first_s, last_s = spans[boot]
-        gaps_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in known]
+        gaps_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in with_utc]
         near = int(np.argmin(gaps_s))
         if 0 <= gaps_s[near] <= _SAME_RECORDING_S:
-            utc_s[boot] = arrived_s[boot] + utc_s[known[near]] - arrived_s[known[near]]
-            sources[boot] = f"the recorder's clock and the UTC of boot {known[near] + 1}"
+            utc_s[boot] = arrived_s[boot] + utc_s[with_utc[near]] - arrived_s[with_utc[near]]
+            sources[boot] = f"the recorder's clock and the UTC of boot {with_utc[near] + 1}"
 
 
 def readings_source(count: int, sender: str = "") -> str:
-    """Return the UTC source for some packets of SYSTEM_TIME, of another sender if one is named."""
+    """Return the UTC source for a number of readings of SYSTEM_TIME, of another sender if one is named."""
     return f"SYSTEM_TIME of {sender}, on arrival, {count} readings" if sender else f"SYSTEM_TIME, {count} readings"
 
 

@@ -15,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
-from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, MESSAGES, SYSTEM, Packets, Sender, with_ms
+from glstar.telemetry.mavlink.packets import (
+    AT,
+    COMPONENT,
+    FIELDS_FROM,
+    MESSAGES,
+    NO_AUTOPILOT,
+    SYSTEM,
+    Packets,
+    Sender,
+    with_ms,
+)
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader
 from glstar.telemetry.tables.files import Dump
 
@@ -25,8 +35,6 @@ _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])[A-Z][A-Z0-9_]*\.\w+((?P=se
 
 _AUTOPILOT: Sender = (1, 1)
 _OTHER: Sender = (0, 0)
-# MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
-_NO_AUTOPILOT = 8
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
 _POSITION = "GLOBAL_POSITION_INT"
 # A time since boot that differs by more from that of the nearest attitude is from another clock, ms.
@@ -45,15 +53,14 @@ _FEWEST = 20
 
 
 def is_mavlogdump(header: str) -> bool:
-    """Return whether a table was exported by mavlogdump from a telemetry log; `header`: first line of the table."""
+    """Return whether a table was exported by mavlogdump from a telemetry log, by its first line."""
     return _HEADER.match(header) is not None
 
 
 class MavlogdumpReader(TelemetryLogReader):
     """The CSV of a telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
 
-    `path`: the table; `attitude`: ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``; see `TelemetryLogReader`.
-    Raises LogFormatError if the file is not text, or holds several vehicles.
+    Raises LogFormatError if the file is not text, or holds several vehicles; see also `TelemetryLogReader`.
     """
 
     format = "CSV of a MAVLink telemetry log, by mavlogdump"
@@ -68,8 +75,8 @@ class _Rows(Packets):
     checked = False
 
     def __init__(self, path: str) -> None:
-        wanted = [f"{name}.{field}" for name, fields in MESSAGES.values() for field in fields]
-        self._dump = Dump(path, ("timestamp", *wanted), texts="STATUSTEXT.text")
+        columns = [f"{name}.{field}" for name, fields in MESSAGES.values() for field in fields]
+        self._dump = Dump(path, ["timestamp", *columns], texts="STATUSTEXT.text")
         self.count = self._dump.line.size
         self.whole_bytes = int(self._dump.line[-1]) if self.count else 1
         self.unread_bytes = 0
@@ -100,45 +107,46 @@ class _Rows(Packets):
         return f"no {name} in the table: write it again with mavlogdump --types ...,{name}"
 
     def _read(self, name: str, fields: tuple[str, ...]) -> Float:
-        columns = [self._dump.columns.get(f"{name}.{field}") for field in fields]
-        stamp_s = self._dump.columns.get("timestamp")
-        found = [column for column in columns if column is not None]
-        if stamp_s is None or len(found) < len(fields):
+        names = [f"{name}.{field}" for field in fields]
+        columns = self._dump.columns
+        if "timestamp" not in columns or not columns.keys() >= set(names):
             return np.empty((0, FIELDS_FROM + len(fields)))
-        sender = (np.full(stamp_s.size, float(number)) for number in _AUTOPILOT)
-        rows = np.stack([self._dump.line, stamp_s, *sender, *found], axis=-1)
+        sender = [np.full(self._dump.line.size, float(number)) for number in _AUTOPILOT]
+        heads = [self._dump.line, columns["timestamp"], *sender]
+        rows = np.stack([*heads, *(columns[name] for name in names)], axis=-1)
         return with_ms(name, rows[np.isfinite(rows).all(axis=-1)])
 
     def _attribute(self) -> None:
         """Assign rows that cannot be from the autopilot to another sender."""
         beats = self._messages["HEARTBEAT"]
-        beats[beats[:, FIELDS_FROM] == _NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _OTHER
-        attitude = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
-        attitude = attitude[np.argsort(attitude[:, 0], kind="stable")]
+        beats[beats[:, FIELDS_FROM] == NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _OTHER
+        attitude = self._attitude_heads()
         for name in ("SYSTEM_TIME", _POSITION) if len(attitude) else ():
             rows = self._messages[name]
-            near = np.searchsorted(attitude[:, 0], rows[:, 0]).clip(max=len(attitude) - 1)
+            near = np.searchsorted(attitude[:, AT], rows[:, AT]).clip(max=len(attitude) - 1)
             difference_ms = np.abs(rows[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
             rows[difference_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _OTHER
 
+    def _attitude_heads(self) -> Float:
+        """Return the rows of all messages with attitude up to their time since boot, in the order of the file."""
+        heads = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
+        return heads[np.argsort(heads[:, AT], kind="stable")]
+
     def _mixed(self) -> str | None:
         """Return the message that several vehicles sent; None if there is only one vehicle."""
-        attitudes = [self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES]
-        both = np.concatenate(attitudes)
-        both = both[np.argsort(both[:, 0], kind="stable")]
         # The clocks of two vehicles alternate, and so do their attitudes.
-        if _goes_back(both[:, FIELDS_FROM], _SAME_CLOCK_MS):
+        if _goes_back(self._attitude_heads()[:, FIELDS_FROM], _SAME_CLOCK_MS):
             return " and ".join(name for name in _ATTITUDES if len(self._messages[name]))
         for name, decimals in ((_ATTITUDES[0], 1.0), (_ATTITUDES[1], 1.0), (_POSITION, 1e-7)):
             rows = self._messages[name]
             rows = rows[rows[:, SYSTEM] == _AUTOPILOT[0]]
             values = rows[:, FIELDS_FROM + 1 : FIELDS_FROM + 5] * decimals
-            if name == _ATTITUDES[1]:
+            least = _ALTERNATES_RAD
+            if name == _POSITION:
+                values, least = values[:, :2], _ALTERNATES_DEG
+            elif name == _ATTITUDES[1]:
                 values = np.concatenate([np.cos(values), np.sin(values)], axis=-1)
-            least = _ALTERNATES_DEG if name == _POSITION else _ALTERNATES_RAD
-            if _goes_back(rows[:, FIELDS_FROM], 0.0) or _alternates(
-                values[:, :2] if name == _POSITION else values, least
-            ):
+            if _goes_back(rows[:, FIELDS_FROM], 0.0) or _alternates(values, least):
                 return name
         return None
 

@@ -17,7 +17,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.telemetry.source import YEAR_2010_S, YEAR_2100_S, suppressed_output
+from glstar.telemetry.source import YEAR_2010_S, plausible_utc, suppressed_output
 
 Float = NDArray[np.float64]
 # System and component of a sender.
@@ -63,7 +63,7 @@ HIL_STATE: Final = "HIL_STATE_QUATERNION"
 # The columns of a packet: position in the file, arrival time, sender, and the fields of the message from the last on.
 AT, STAMP, SYSTEM, COMPONENT, FIELDS_FROM = range(5)
 # MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
-_NO_AUTOPILOT = 8
+NO_AUTOPILOT: Final = 8
 
 
 class Packets(Protocol):
@@ -76,10 +76,9 @@ class Packets(Protocol):
 
     @abstractmethod
     def message(self, name: str) -> Float:
-        """Return the packets of one message, in the order of the file.
+        """Return the packets of one of `MESSAGES`, (n, `FIELDS_FROM` + fields), in the order of the file.
 
-        `name`: one of `MESSAGES`.  Returns (n, `FIELDS_FROM` + fields) timestamps of HIL_STATE_QUATERNION are converted
-        to ms, as in the other messages with attitude.
+        Timestamps of HIL_STATE_QUATERNION are converted to ms, as in the other messages with attitude.
         """
 
     @abstractmethod
@@ -109,14 +108,13 @@ class Packets(Protocol):
     def rows(self, name: str, sender: Sender) -> Float:
         """Return the packets of one message from one sender."""
         rows = self.message(name)
-        theirs: Float = rows[(rows[:, SYSTEM] == sender[0]) & (rows[:, COMPONENT] == sender[1])]
-        return theirs
+        from_sender: Float = rows[(rows[:, SYSTEM] == sender[0]) & (rows[:, COMPONENT] == sender[1])]
+        return from_sender
 
     def times(self, sender: Sender) -> Float:
         """Return the SYSTEM_TIME packets of one sender with a valid UTC."""
         rows = self.rows("SYSTEM_TIME", sender)
-        utc_s = system_time_utc_s(rows)
-        valid: Float = rows[(utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)]
+        valid: Float = rows[plausible_utc(system_time_utc_s(rows))]
         return valid
 
     def senders(self, *names: str) -> list[Sender]:
@@ -128,8 +126,7 @@ class Packets(Protocol):
     def autopilots(self) -> set[Sender]:
         """Return the senders whose heartbeats are those of an autopilot."""
         rows = self.message("HEARTBEAT")
-        flying = rows[rows[:, FIELDS_FROM] != _NO_AUTOPILOT]
-        return {(int(row[SYSTEM]), int(row[COMPONENT])) for row in flying}
+        return {(int(row[SYSTEM]), int(row[COMPONENT])) for row in rows[rows[:, FIELDS_FROM] != NO_AUTOPILOT]}
 
     def attitude_messages(self, sender: Sender) -> tuple[str, ...]:
         """Return the messages with the attitude of a sender: those of its estimator, else a simulator's state."""
@@ -152,6 +149,11 @@ def system_time_utc_s(times: Float) -> Float:
     """Return the UTC of SYSTEM_TIME packets, s since 1970."""
     utc_s: Float = times[:, FIELDS_FROM + 1] * 1e-6
     return utc_s
+
+
+def has_boot_ms(name: str) -> bool:
+    """Return whether a message has its time since boot in ms; otherwise it is in us, of 64 or 32 bits."""
+    return MESSAGES[_NUMBERS[name]][1][0] == "time_boot_ms"
 
 
 def with_ms(name: str, rows: Float) -> Float:
@@ -178,7 +180,7 @@ _YEAR_2000_US, _YEAR_2100_US, _HOUR_US = 946684800_000000, 4102444800_000000, 36
 def is_telemetry_log(head: bytes) -> bool:
     """Return whether a file is a telemetry log: it begins with an arrival time of this century and a packet.
 
-    If the first one is damaged, three consecutive packets in the head suffice.  `head`: the first bytes of the file.
+    If the first one is damaged, three consecutive packets in the first bytes suffice.
     """
     if len(head) < _STAMPED.size:
         return False
@@ -204,23 +206,24 @@ def _begins_row(head: bytes, at: int) -> bool:
 
 
 class LogPackets(Packets):
-    """The packets of a telemetry log; `path`: the log."""
+    """The packets of a telemetry log."""
 
     checked = True
 
     def __init__(self, path: str) -> None:
         self._path = path
-        self._found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        self._extents: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._decoded: dict[str, Float] = {}
         self._kept: dict[str, list[tuple[int, int, Any]]] = {}
         self.count = self.whole_bytes = packet_bytes = 0
         with Path(path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
             for at, stop in _packets(raw):
-                self.count, self.whole_bytes = self.count + 1, stop
+                self.count += 1
+                self.whole_bytes = stop
                 packet_bytes += stop - at
                 number = _number(raw, at)
                 if number in MESSAGES:
-                    self._found[number].append((at, stop))
+                    self._extents[number].append((at, stop))
             self.unread_bytes = len(raw) - packet_bytes
 
     def message(self, name: str) -> Float:
@@ -231,13 +234,13 @@ class LogPackets(Packets):
                 (at, stamp_us * 1e-6, *_sender(message), *(_value(message, field) for field in fields))
                 for at, stamp_us, message in self._messages(name)
             ]
-            found = np.array(rows, dtype=np.float64).reshape(-1, FIELDS_FROM + len(fields))
-            self._decoded[name] = with_ms(name, found)
+            table = np.array(rows, dtype=np.float64).reshape(-1, FIELDS_FROM + len(fields))
+            self._decoded[name] = with_ms(name, table)
         return self._decoded[name]
 
     def amount(self, name: str) -> int:
         """Return the number of packets of a message, without decoding them."""
-        return len(self._found.get(_NUMBERS[name], ()))
+        return len(self._extents.get(_NUMBERS[name], ()))
 
     def texts(self, sender: Sender) -> list[str]:
         """Return the status texts of a sender, in the order of the file."""
@@ -245,9 +248,9 @@ class LogPackets(Packets):
 
     def status_texts(self, sender: Sender) -> tuple[Float, list[str]]:
         """Return when status texts of a sender arrived, (n, `FIELDS_FROM`), and the texts."""
-        found = list(self._sent("STATUSTEXT", "text", sender))
-        rows = np.array([where for *where, _ in found], dtype=np.float64).reshape(-1, FIELDS_FROM)
-        return rows, [text for *_, text in found]
+        packets = list(self._sent("STATUSTEXT", "text", sender))
+        rows = np.array([head for *head, _ in packets], dtype=np.float64).reshape(-1, FIELDS_FROM)
+        return rows, [text for *_, text in packets]
 
     def custom_modes(self, sender: Sender) -> Float:
         """Return when heartbeats of a sender arrived, with custom_mode, (n, `FIELDS_FROM` + 1)."""
@@ -269,12 +272,12 @@ class LogPackets(Packets):
         return self._kept[name]
 
     def _decode(self, name: str) -> Iterator[tuple[int, int, Any]]:
-        found = self._found.get(_NUMBERS[name])
-        if not found:
+        extents = self._extents.get(_NUMBERS[name])
+        if not extents:
             return
         decode = _decoder("ardupilotmega") if name in _OF_ARDUPILOT else _decoder()
         with Path(self._path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
-            for at, stop in found:
+            for at, stop in extents:
                 if (message := decode(raw[at + _STAMP_BYTES : stop])) is not None:
                     yield at, _STAMPED.unpack_from(raw, at)[0], message
 
@@ -344,13 +347,13 @@ def _decoder(dialect: str = "common") -> Any:
     """Return a function that decodes a packet with pymavlink; it returns None if the checksum is wrong."""
     with suppressed_output():
         # One dialect by name: mavutil would load all of them.
-        common = import_module(f"pymavlink.dialects.v20.{dialect}")
-        link = common.MAVLink(None)
+        mavlink = import_module(f"pymavlink.dialects.v20.{dialect}")
+        link = mavlink.MAVLink(None)
 
     def decode(packet: bytes) -> Any:
         try:
             return link.decode(bytearray(packet))
-        except common.MAVError:
+        except mavlink.MAVError:
             return None
 
     return decode

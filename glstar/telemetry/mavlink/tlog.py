@@ -1,4 +1,4 @@
-"""MAVLink telemetry logs (``.tlog``).
+"""MAVLink telemetry logs (``.tlog``), and streams of packets without arrival times.
 
 ====================  ============================================  ================================================
 message               fields                                        used for
@@ -25,12 +25,8 @@ STATUSTEXT            text                                          the firmware
 
 The clock is the autopilot's time since boot.  The arrival times of packets are those of the ground station, whose clock
 may be wrong by seconds or years.  They relate packets without a common time since boot: those of an autopilot without
-UTC and of a ground station with UTC, or those of two boots of one autopilot.
-
-Streams of MAVLink packets without arrival times: Mission Planner's ``.rlog``, or what a serial port received.
-
-Such a file is a telemetry log without the arrival times.  They are made of the autopilot's time since boot, which is
-what glstar uses anyway; arrival times only relate the packets of several senders, and the boots of one autopilot.
+UTC and of a ground station with UTC, or those of two boots of one autopilot.  A stream, such as Mission Planner's
+``.rlog`` or what a serial port received, is given arrival times by the autopilot's time since boot.
 """
 
 import os
@@ -50,6 +46,7 @@ from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.timescale import format_utc
+from glstar.telemetry import source
 from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, clock_readings, other_clocks, readings_source
 from glstar.telemetry.mavlink.packets import (
     EULER,
@@ -60,39 +57,18 @@ from glstar.telemetry.mavlink.packets import (
     LogPackets,
     Packets,
     Sender,
+    has_boot_ms,
     system_time_utc_s,
 )
 from glstar.telemetry.mavlink.vehicles import (
     ARDUPILOT,
+    PX4,
     ardupilot_mode,
     autopilot,
     gimbal_of_packets,
     px4_mode,
     vehicle_kind,
     version,
-)
-from glstar.telemetry.source import (
-    REBOOT,
-    UNIT_TOLERANCE,
-    YEAR_2010_S,
-    YEAR_2100_S,
-    AttitudeSamples,
-    Boot,
-    ClockSamples,
-    EventSamples,
-    LogFacts,
-    PositionSamples,
-    RateSamples,
-    Samples,
-    TelemetrySource,
-    TriggerSamples,
-    UnpackedSource,
-    chosen_boots,
-    no_position_samples,
-    position_samples,
-    suppressed_output,
-    valid_rates,
-    valid_times,
 )
 
 Float = NDArray[np.float64]
@@ -113,14 +89,13 @@ _FIX_3D = 3
 _SIMULATED = f"the attitude is a simulator's own state ({HIL_STATE}), not an estimate of an autopilot"
 
 
-class TelemetryLogReader(TelemetrySource):
+class TelemetryLogReader(source.TelemetrySource):
     """A telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
 
-    Of a truncated or damaged log, every complete packet is read.  `path`: the log; `attitude`: ``"auto"``:
-    ATTITUDE_QUATERNION, or ATTITUDE if it is more than twice as frequent; a simulator's HIL_STATE_QUATERNION if there
-    is neither; or one of them by name; `sysid`: MAVLink system of the vehicle; by default the first autopilot with
-    attitude; `boot`: number of the boot, from 1, in a log of several; by default all.  Raises LogFormatError if the
-    file holds no packet with attitude.
+    Every complete packet of a truncated or damaged log is read.  The options are those of `open_source`: `attitude` is
+    ``"auto"`` for ATTITUDE_QUATERNION, or ATTITUDE if it is more than twice as frequent, or a simulator's
+    HIL_STATE_QUATERNION if there is neither; or one of them by name.  The vehicle is by default the first autopilot
+    with attitude.  Raises LogFormatError if the file holds no packet with attitude.
     """
 
     format = "MAVLink telemetry log"
@@ -135,11 +110,13 @@ class TelemetryLogReader(TelemetrySource):
         boot: int | None = None,
     ) -> None:
         self.name = os.fspath(path)
-        self._attitude, self._sysid, self._boot = attitude, sysid, boot
+        self._attitude = attitude
+        self._sysid = sysid
+        self._boot = boot
         self._packets = self._open()
         self._read_clock: tuple[Sender, VehicleClock] | None = None
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         """Yield attitude, position and rates of each boot, a batch each, and the UTC of all boots.
 
         Messages are decoded on demand: the first three batches of a single boot do not wait for the gyro rates.
@@ -160,29 +137,26 @@ class TelemetryLogReader(TelemetrySource):
             yield from _triggers(self._packets, sender, clock, boot.number)
             yield from gimbal_of_packets(self._packets, sender, clock, boot.number)
 
-    def boots(self) -> tuple[Boot, ...]:
+    def boots(self) -> tuple[source.Boot, ...]:
         """Return the boots of the autopilot in the log, or the requested one.
 
         Raises LogFormatError if the log has no attitude, or no such boot.
         """
-        return chosen_boots(self.name, self._clock(self._vehicle()[0]).boots, self._boot)
+        return source.chosen_boots(self.name, self._clock(self._vehicle()[0]).boots, self._boot)
 
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
-        """Return the vehicle and its firmware.
-
-        `boots`: numbers of the boots; by default all.  Raises LogFormatError if the log has no attitude.
-        """
+    def facts(self, boots: Collection[int] = ()) -> source.LogFacts:  # noqa: ARG002 - the vehicle is that of all boots
+        """Return the vehicle and its firmware; raises LogFormatError if the log has no attitude."""
         sender, systems = self._vehicle()
         vehicle = _vehicle_of(self._packets, sender)
         choice = f", system {sender[0]} of {_and(systems)}" if len(systems) > 1 else ""
-        return LogFacts(
+        return source.LogFacts(
             self.format,
             f"{vehicle or 'vehicle'}{choice}" if vehicle or choice else None,
             self._firmware(sender),
             unread_bytes=self._packets.unread_bytes,
         )
 
-    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+    def attitudes(self) -> Iterator[tuple[str, source.AttitudeSamples]]:
         """Yield the name and the samples of every attitude of the vehicle, boot by boot."""
         sender, systems = self._vehicle()
         clock = self._clock(sender)
@@ -203,8 +177,9 @@ class TelemetryLogReader(TelemetrySource):
 
     def _firmware(self, sender: Sender) -> str | None:
         texts = self._packets.texts(sender)
-        if banners := [found for text in texts if (found := _BANNER.fullmatch("".join(filter(str.isprintable, text))))]:
-            return banners[-1][0]
+        printable = ("".join(filter(str.isprintable, text)) for text in texts)
+        if banners := [text for text in printable if _BANNER.fullmatch(text)]:
+            return banners[-1]
         numbers = self._packets.rows("AUTOPILOT_VERSION", sender)[:, FIELDS_FROM]
         numbers = numbers[numbers > 0]
         if not numbers.size:
@@ -229,8 +204,8 @@ class TelemetryLogReader(TelemetrySource):
         if self._sysid is not None:
             candidates = [sender for sender in candidates if sender[0] == self._sysid]
             if not candidates:
-                found = f"system {_and(systems)}"
-                raise self._error(f"the log has no attitude of system {self._sysid} (sysid); it has that of {found}")
+                others = f"system {_and(systems)}"
+                raise self._error(f"the log has no attitude of system {self._sysid} (sysid); it has that of {others}")
         system = candidates[0][0]
         components = [component for number, component in candidates if number == system]
         return (system, _FIRST_AUTOPILOT if _FIRST_AUTOPILOT in components else components[0]), systems
@@ -239,21 +214,21 @@ class TelemetryLogReader(TelemetrySource):
         """Return the messages with attitude of a sender in a boot, the preferred one first."""
         names = self._packets.attitude_messages(sender)
         rows = {name: self._packets.rows(name, sender) for name in names}
-        count = {name: np.count_nonzero(clock.read(some)[1] == boot) for name, some in rows.items()}
+        count = {name: np.count_nonzero(clock.read(packets)[1] == boot) for name, packets in rows.items()}
         # Both are float32 and equally accurate: the frequency decides.
         if count.get(EULER, 0) > 2 * count.get(QUATERNION, 0):
             names = names[::-1]
         return [name for name in names if count[name]]
 
-    def _utc(self, sender: Sender, clock: VehicleClock, boots: Sequence[Boot]) -> ClockSamples:
+    def _utc(self, sender: Sender, clock: VehicleClock, boots: Sequence[source.Boot]) -> source.ClockSamples:
         """Return the UTC of some boots; the source names what dates those without a reading of the autopilot."""
         if self._boot is not None and not clock.is_known[self._boot - 1]:
-            return ClockSamples(np.empty(0), np.empty(0), NO_UTC)
+            return source.no_clock_samples(NO_UTC)
         utc = _utc(self._packets, sender, clock)
         if len(boots) == 1:
             return replace(utc, source=clock.utc_sources[boots[0].number - 1] or utc.source)
-        others = [(boot.number, source) for boot in boots if (source := clock.utc_sources[boot.number - 1])]
-        return replace(utc, source="; ".join([utc.source, *(f"boot {n}: {source}" for n, source in others)]))
+        others = [(boot.number, origin) for boot in boots if (origin := clock.utc_sources[boot.number - 1])]
+        return replace(utc, source="; ".join([utc.source, *(f"boot {number}: {origin}" for number, origin in others)]))
 
     def _require_attitude(self, sender: Sender) -> None:
         """Raise an error if the requested attitude is not in the log."""
@@ -261,20 +236,19 @@ class TelemetryLogReader(TelemetrySource):
         if self._attitude.strip().upper() not in ("AUTO", *names):
             raise self._error(f"the log has no attitude {self._attitude!r}; it has {' and '.join(sorted(names))}")
 
-    def _attitudes(self, sender: Sender, systems: list[int], clock: VehicleClock, boot: int) -> AttitudeSamples:
+    def _attitudes(self, sender: Sender, systems: list[int], clock: VehicleClock, boot: int) -> source.AttitudeSamples:
         available, requested = self._available(sender, clock, boot), self._attitude.strip().upper()
         name = requested if requested != "AUTO" else available[0] if available else QUATERNION
         return self._attitude_of(name, sender, systems, clock, boot)
 
     def _attitude_of(
         self, name: str, sender: Sender, systems: list[int], clock: VehicleClock, boot: int
-    ) -> AttitudeSamples:
+    ) -> source.AttitudeSamples:
         rows, clock_s = clock.of_boot(self._packets.rows(name, sender), boot)
         with np.errstate(over="ignore", invalid="ignore"):
             fields = rows[:, FIELDS_FROM + 1 :]
             q = quaternion_from_euler(*fields.T) if name == EULER else conjugate(fields[:, :4])
-            valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
-        valid &= valid_times(clock_s)
+        valid = source.unit_quaternions(q) & source.valid_times(clock_s)
         # An estimator sends (1, 0, 0, 0) until it is aligned.
         aligned = (q != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
         notes: tuple[str, ...] = (_SIMULATED,) if name == HIL_STATE else ()
@@ -284,7 +258,9 @@ class TelemetryLogReader(TelemetrySource):
             valid[before] = False
         choice = f" of system {sender[0]} (of {_and(systems)}; sysid chooses)" if len(systems) > 1 else ""
         segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
-        return AttitudeSamples(clock_s[valid], q[valid], segment, f"{name}{choice}", REBOOT, boot, notes)
+        return source.AttitudeSamples(
+            clock_s[valid], q[valid], segment, f"{name}{choice}", break_reason=source.REBOOT, boot=boot, notes=notes
+        )
 
     def _left_out(
         self, clock_s: Float, before: slice, sender: Sender, clock: VehicleClock, boot: int
@@ -305,7 +281,7 @@ class TelemetryLogReader(TelemetrySource):
         return LogFormatError(self.name, message, offset=self._packets.whole_bytes)
 
 
-def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[TriggerSamples]:
+def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[source.TriggerSamples]:
     """Yield when the camera was triggered in a boot; CAMERA_FEEDBACK counts in UTC, or since boot without a GPS."""
     for name in _TRIGGERS:
         rows = packets.message(name)
@@ -315,29 +291,30 @@ def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) 
             _, first = np.unique(rows[:, FIELDS_FROM], return_index=True)
             rows = rows[np.sort(first)]
             time_s = rows[:, FIELDS_FROM] * 1e-6
-            is_utc = (time_s >= YEAR_2010_S) & (time_s < YEAR_2100_S)
+            is_utc = source.plausible_utc(time_s)
             clock_s = np.where(is_utc, np.nan, clock.read_us(rows))
-            yield TriggerSamples(clock_s, np.where(is_utc, time_s, np.nan), name, boot)
+            yield source.TriggerSamples(clock_s, np.where(is_utc, time_s, np.nan), name, boot)
             return
 
 
-def _events(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[EventSamples]:
+def _events(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[source.EventSamples]:
     """Yield flight modes and messages of a boot, timed by their arrival."""
     modes = packets.custom_modes(sender)
     modes = modes[clock.boot_of(modes) == boot] if len(modes) else modes
     vehicle = _vehicle_of(packets, sender)
     if len(modes) and vehicle is not None:
         numbers = modes[:, FIELDS_FROM].astype(np.int64).tolist()
-        is_px4 = vehicle.startswith("PX4")
+        is_px4 = _autopilot_number(packets, sender) == PX4
         names = [px4_mode(number) if is_px4 else ardupilot_mode(vehicle, number) for number in numbers]
-        yield EventSamples.of(EventKind.MODE, clock.on_arrival(modes), names, boot)
+        yield source.EventSamples.of(EventKind.MODE, clock.on_arrival(modes), names, boot)
     rows, texts = packets.status_texts(sender)
     if len(rows):
-        here = np.flatnonzero(clock.boot_of(rows) == boot)
-        yield EventSamples.of(EventKind.MESSAGE, clock.on_arrival(rows[here]), [texts[k] for k in here], boot)
+        of_boot = np.flatnonzero(clock.boot_of(rows) == boot)
+        texts = [texts[k] for k in of_boot]
+        yield source.EventSamples.of(EventKind.MESSAGE, clock.on_arrival(rows[of_boot]), texts, boot)
 
 
-def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> PositionSamples:
+def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> source.PositionSamples:
     """Return the positions of a sender in a boot, from the first message that has any."""
     is_simulated = packets.attitude_messages(sender) == (HIL_STATE,)
     rows: dict[str, Float] = {}
@@ -345,47 +322,53 @@ def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int)
         if name != HIL_STATE and packets.timestamps_are_utc(sender):
             continue  # it is timed by another clock
         rows[name], clock_s = clock.of_boot(packets.rows(name, sender), boot)
-        latitude, longitude, height_mm = rows[name][:, -3:].T
-        known = position_samples(clock_s, latitude / 1e7, longitude / 1e7, height_mm / 1e3, name)
-        if known.clock_s.size:
-            return known
+        samples = _position_samples(clock_s, rows[name][:, -3:], name)
+        if samples.clock_s.size:
+            return samples
     # Autopilots time GPS_RAW_INT by UTC or by the time since boot: the arrival time, a second late at most, is used.
     fixes = packets.rows("GPS_RAW_INT", sender)
     fixes = fixes[clock.boot_of(fixes) == boot]
     fixed = fixes[fixes[:, FIELDS_FROM] >= _FIX_3D]
-    latitude, longitude, height_mm = fixed[:, FIELDS_FROM + 1 :].T
-    known = position_samples(clock.on_arrival(fixed), latitude / 1e7, longitude / 1e7, height_mm / 1e3, "GPS_RAW_INT")
-    if known.clock_s.size:
-        return known
-    empty = [name for name, some in (*rows.items(), ("GPS_RAW_INT", fixes)) if len(some)]
-    return no_position_samples(
+    samples = _position_samples(clock.on_arrival(fixed), fixed[:, FIELDS_FROM + 1 :], "GPS_RAW_INT")
+    if samples.clock_s.size:
+        return samples
+    empty = [name for name, packets_of in (*rows.items(), ("GPS_RAW_INT", fixes)) if len(packets_of)]
+    return source.no_position_samples(
         f"its {' and '.join(empty)} never had a position" if empty else packets.lack("GLOBAL_POSITION_INT")
     )
 
 
-def _utc(packets: Packets, sender: Sender, clock: VehicleClock) -> ClockSamples:
+def _position_samples(clock_s: Float, fields: Float, name: str) -> source.PositionSamples:
+    """Return the valid positions of a message, from (n, 3) latitude and longitude, 1e-7 deg, and height, mm."""
+    latitude, longitude, height_mm = fields.T
+    return source.position_samples(clock_s, latitude / 1e7, longitude / 1e7, height_mm / 1e3, name)
+
+
+def _utc(packets: Packets, sender: Sender, clock: VehicleClock) -> source.ClockSamples:
     """Return the UTC of the autopilot, else of another component of its system, else of any other system."""
     times = clock_readings(packets, sender)
     if len(times):
         clock_s, boot = clock.read(times)
-        source = f"{HIL_STATE}, timed by UTC" if packets.timestamps_are_utc(sender) else readings_source(len(times))
-        return ClockSamples(clock_s[boot > 0], system_time_utc_s(times)[boot > 0], source)
+        origin = f"{HIL_STATE}, timed by UTC" if packets.timestamps_are_utc(sender) else readings_source(len(times))
+        return source.ClockSamples(clock_s[boot > 0], system_time_utc_s(times)[boot > 0], origin)
     for other in other_clocks(packets, sender):
         if len(times := packets.times(other)):
-            source = readings_source(len(times), packets.called(other))
-            return ClockSamples(clock.on_arrival(times), system_time_utc_s(times), source)
+            origin = readings_source(len(times), packets.called(other))
+            return source.ClockSamples(clock.on_arrival(times), system_time_utc_s(times), origin)
     lack = "no SYSTEM_TIME after 2010" if packets.senders("SYSTEM_TIME") else packets.lack("SYSTEM_TIME")
     stamp_s = packets.first_stamp_s(sender)
-    recorder = f"; the recorder's own clock said {format_utc(stamp_s)}" if YEAR_2010_S <= stamp_s < YEAR_2100_S else ""
-    return ClockSamples(np.empty(0), np.empty(0), f"{lack}{recorder}")
+    is_plausible = source.YEAR_2010_S <= stamp_s < source.YEAR_2100_S
+    recorder = f"; the recorder's own clock said {format_utc(stamp_s)}" if is_plausible else ""
+    return source.no_clock_samples(f"{lack}{recorder}")
 
 
-def _rates(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[RateSamples]:
+def _rates(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[source.RateSamples]:
     """Yield the most frequent gyro rates; nothing if the attitude is more frequent, or timed by another clock."""
     if packets.timestamps_are_utc(sender):
         return
     least = max([2, *(len(packets.rows(name, sender)) for name in packets.attitude_messages(sender))])
-    names = [name for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)]
+    is_ardupilot = np.any(packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM] == ARDUPILOT)
+    names = [name for name in _GYROS if name != "RAW_IMU" or is_ardupilot]
     # Packets are counted before they are decoded, so that only one message is.
     often = [name for name in sorted(names, key=packets.amount, reverse=True) if packets.amount(name) >= least]
     name = next((name for name in often if len(packets.rows(name, sender)) >= least), None)
@@ -395,22 +378,23 @@ def _rates(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> 
     rows = rows[clock.boot_of(rows) == boot]
     with np.errstate(invalid="ignore", over="ignore"):
         rate = rows[:, FIELDS_FROM + 1 :] * _GYROS[name]
-    clock_s = clock.read(rows)[0] if name.startswith("SCALED") else clock.read_us(rows)
-    valid = valid_times(clock_s) & valid_rates(rate)
+    clock_s = clock.read(rows)[0] if has_boot_ms(name) else clock.read_us(rows)
+    valid = source.valid_times(clock_s) & source.valid_rates(rate)
     if np.count_nonzero(valid) > 1:
-        yield RateSamples(clock_s[valid], rate[valid], name, boot)
-
-
-def _is_ardupilot(packets: Packets, sender: Sender) -> bool:
-    return bool(np.any(packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM] == ARDUPILOT))
+        yield source.RateSamples(clock_s[valid], rate[valid], name, boot)
 
 
 def _vehicle_of(packets: Packets, sender: Sender) -> str | None:
     """Return the name of an autopilot and its vehicle; None without a heartbeat."""
+    number = _autopilot_number(packets, sender)
+    types = packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM + 1]
+    return None if number is None else autopilot(number, vehicle_kind(types))
+
+
+def _autopilot_number(packets: Packets, sender: Sender) -> int | None:
+    """Return MAV_AUTOPILOT of a sender; None without a heartbeat."""
     beats = packets.rows("HEARTBEAT", sender)
-    if not len(beats):
-        return None
-    return autopilot(int(np.median(beats[:, FIELDS_FROM])), vehicle_kind(beats[:, FIELDS_FROM + 1]))
+    return int(np.median(beats[:, FIELDS_FROM])) if len(beats) else None
 
 
 def _and(systems: list[int]) -> str:
@@ -424,16 +408,13 @@ _SIGNED = 0x01
 _V1_BYTES, _V2_BYTES, _SIGNATURE_BYTES = 8, 12, 13
 # Number of consecutive packets that are not there by chance.
 _ROW: Final = 5
-# Start of the made arrival times until UTC is known.
-_START_S: Final = YEAR_2010_S + 86400.0
+# First of the arrival times that are given to a stream, UTC seconds since 1970.
+_START_S: Final = source.YEAR_2010_S + 86400.0
 _AUTOPILOT: Final = 1
 
 
 def is_mavlink_stream(head: bytes) -> bool:
-    """Return whether a file holds consecutive MAVLink packets without arrival times.
-
-    `head`: the first bytes of the file, some thousands.
-    """
+    """Return whether a file holds consecutive MAVLink packets without arrival times, by its first bytes."""
     for magic in _MAGIC.finditer(head[:1024]):
         at: int | None = magic.start()
         for _ in range(_ROW):
@@ -445,13 +426,9 @@ def is_mavlink_stream(head: bytes) -> bool:
 
 def stream_reader(
     path: str, *, attitude: str = "auto", sysid: int | None = None, boot: int | None = None
-) -> UnpackedSource:
-    """Open a stream as a telemetry log.
-
-    `path`: the file; `attitude`, `sysid`, `boot`: as for `TelemetryLogReader`.  Raises LogFormatError if it holds no
-    packet with attitude.
-    """
-    return UnpackedSource(
+) -> source.UnpackedSource:
+    """Open a stream as a telemetry log; see `TelemetryLogReader`."""
+    return source.UnpackedSource(
         path, _with_arrival_times, lambda log: TelemetryLogReader(log, attitude=attitude, sysid=sysid, boot=boot)
     )
 
@@ -461,7 +438,9 @@ def _with_arrival_times(name: str) -> tuple["tempfile.TemporaryDirectory[str]", 
     content = Path(name).read_bytes()
     folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
     path = Path(folder.name) / f"{Path(name).stem}.tlog"
-    clock_s, boot_s, count = _START_S, None, 0
+    clock_s = _START_S
+    boot_s: float | None = None
+    count = 0
     with path.open("wb") as file:
         for packet, message in _packets(content):
             count += 1
@@ -479,8 +458,8 @@ def _with_arrival_times(name: str) -> tuple["tempfile.TemporaryDirectory[str]", 
 
 def _packets(content: bytes) -> Iterator[tuple[bytes, Any]]:
     """Yield the packets with correct checksums, and their messages."""
-    with suppressed_output():
-        from pymavlink.dialects.v20 import ardupilotmega  # noqa: PLC0415
+    with source.suppressed_output():
+        from pymavlink.dialects.v20 import ardupilotmega  # noqa: PLC0415 - when a stream is read
 
         link = ardupilotmega.MAVLink(None)
     at = 0

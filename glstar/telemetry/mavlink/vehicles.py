@@ -1,15 +1,12 @@
-"""Names of vehicle types and autopilots by their MAVLink numbers, and of firmware versions.
+"""Names of vehicles, autopilots, firmware versions and flight modes by their numbers; the attitude of a gimbal.
 
-Names of flight modes by their numbers in ArduPilot and PX4.
-
-The attitude of a gimbal in MAVLink packets and PX4 topics.
-
-Roll and pitch are those of the platform against the horizon.  The yaw is against north or against the heading of the
-aircraft: the flags of GIMBAL_DEVICE_ATTITUDE_STATUS say which, in older senders by their yaw lock; MOUNT_ORIENTATION,
-MOUNT_STATUS and mount_orientation have the latter.
+Roll and pitch of a gimbal are those of the platform against the horizon.  Its yaw is against north or against the
+heading of the aircraft: the flags of GIMBAL_DEVICE_ATTITUDE_STATUS say which, in older senders by their yaw lock;
+MOUNT_ORIENTATION, MOUNT_STATUS and mount_orientation have the latter.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -17,8 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.telemetry.mavlink.clock import VehicleClock
-from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, STAMP, SYSTEM, Packets, Sender
-from glstar.telemetry.source import UNIT_TOLERANCE, GimbalSamples, quaternion_lengths, valid_times
+from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, SYSTEM, Packets, Sender
+from glstar.telemetry.source import GimbalSamples, unit_quaternions, valid_times
+
+Float = NDArray[np.float64]
+
+GIMBAL_STATUS: Final = "GIMBAL_DEVICE_ATTITUDE_STATUS"
+# The best one first: of several, only the first is used.
+GIMBAL_MESSAGES: Final = (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS")
+# Bits of GIMBAL_DEVICE_FLAGS.
+_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 
 # Autopilots, by MAV_AUTOPILOT.
 ARDUPILOT, PX4 = 3, 12
@@ -69,49 +74,31 @@ _ARDUPILOT_FIRMWARE: Final = {
     "rover": "Rover",
     "boat": "Rover",
     "submarine": "ArduSub",
-    **dict.fromkeys(
-        (
-            "quadrotor",
-            "coaxial helicopter",
-            "helicopter",
-            "hexarotor",
-            "octorotor",
-            "tricopter",
-            "dodecarotor",
-            "decarotor",
-        ),
-        "ArduCopter",
-    ),
+    **dict.fromkeys(("quadrotor", "hexarotor", "octorotor", "tricopter", "dodecarotor", "decarotor"), "ArduCopter"),
+    **dict.fromkeys(("coaxial helicopter", "helicopter"), "ArduCopter"),
 }
 # Release stage by the last byte of a version.
 _STAGES: Final = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
 
 
 def vehicle_kind(mav_type: ArrayLike | None) -> str | None:
-    """Return the kind of vehicle in a log.
-
-    `mav_type` (n,): all values of MAV_TYPE in the log.  Returns the most frequent kind; None if it has no name.
-    """
+    """Return the kind of vehicle that is the most frequent in (n,) values of MAV_TYPE; None if none has a name."""
     types = np.asarray([] if mav_type is None else mav_type, dtype=np.float64)
     kinds, count = np.unique(types[np.isin(types, list(_KINDS))], return_counts=True)
     return _KINDS[int(kinds[count.argmax()])] if kinds.size else None
 
 
 def autopilot(number: int, kind: str | None) -> str | None:
-    """Return the name of an autopilot and its vehicle.
-
-    `number`: MAV_AUTOPILOT; `kind`: see `vehicle_kind`.  Returns ``"ArduPlane"``, ``"PX4 quadrotor"``.
-    """
+    """Return the name of an autopilot, by MAV_AUTOPILOT, and its vehicle: ``"ArduPlane"``, ``"PX4 quadrotor"``."""
     if number == ARDUPILOT and kind in _ARDUPILOT_FIRMWARE:
         return _ARDUPILOT_FIRMWARE[kind]
     return " ".join(filter(None, (_AUTOPILOTS.get(number), kind))) or None
 
 
 def version(number: int) -> str:
-    """Return a firmware version of PX4 or ArduPilot as text.
+    """Return a firmware version of PX4 or ArduPilot: ``"v1.11.2"``, ``"v1.14.0-beta"``; empty for 0.
 
-    `number`: major, minor, patch and stage, a byte each from the highest.  Returns ``"v1.11.2"``, ``"v1.14.0-beta"``;
-    empty for 0.
+    The bytes of the number are major, minor, patch and stage, from the highest.
     """
     major, minor, patch, stage = number.to_bytes(8, "big")[-4:]
     if not number:
@@ -131,15 +118,13 @@ _COPTER: Final = {
     **dict(enumerate(("STABILIZE", "ACRO", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "POSITION"))),
     **dict(enumerate(("LAND", "OF_LOITER", "DRIFT"), 9)),
     **dict(enumerate(("SPORT", "FLIP", "AUTOTUNE", "POSHOLD", "BRAKE", "THROW", "AVOID_ADSB", "GUIDED_NOGPS"), 13)),
-    **dict(
-        enumerate(("SMART_RTL", "FLOWHOLD", "FOLLOW", "ZIGZAG", "SYSTEMID", "AUTOROTATE", "AUTO_RTL", "TURTLE"), 21)
-    ),
+    **dict(enumerate(("SMART_RTL", "FLOWHOLD", "FOLLOW", "ZIGZAG", "SYSTEMID", "AUTOROTATE", "AUTO_RTL"), 21)),
+    28: "TURTLE",
     29: "RATE_ACRO",
 }
 _ROVER: Final = {
-    **dict(
-        enumerate(("MANUAL", "ACRO", "LEARNING", "STEERING", "HOLD", "LOITER", "FOLLOW", "SIMPLE", "DOCK", "CIRCLE"))
-    ),
+    **dict(enumerate(("MANUAL", "ACRO", "LEARNING", "STEERING", "HOLD", "LOITER", "FOLLOW"))),
+    **dict(enumerate(("SIMPLE", "DOCK", "CIRCLE"), 7)),
     **dict(enumerate(("AUTO", "RTL", "SMART_RTL"), 10)),
     15: "GUIDED",
     16: "INITIALISING",
@@ -179,18 +164,12 @@ _PX4_SUB: Final = dict(
 
 
 def ardupilot_mode(vehicle: str | None, number: int) -> str:
-    """Return the name of a mode of ArduPilot.
-
-    `vehicle`: the firmware: ``"ArduPlane"``.  Returns ``"LOITER"``; ``"mode 42"`` if it has no name.
-    """
+    """Return the name of a mode of a firmware such as ``"ArduPlane"``: ``"LOITER"``; ``"mode 42"`` without a name."""
     return _ARDUPILOT.get((vehicle or "").split(" ")[0], {}).get(number, f"mode {number}")
 
 
 def px4_mode(custom_mode: int) -> str:
-    """Return the name of a mode of PX4 by the field custom_mode of a heartbeat.
-
-    `custom_mode`: the main mode in bits 16 to 23, the sub-mode in bits 24 to 31.
-    """
+    """Return the name of a mode of PX4, by its main mode (bits 16 to 23) and sub-mode (bits 24 to 31)."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     if main == _PX4_AUTO and sub in _PX4_SUB:
         return _PX4_SUB[sub]
@@ -198,24 +177,14 @@ def px4_mode(custom_mode: int) -> str:
 
 
 def px4_navigation_state(number: int) -> str:
-    """Return the name of a navigation state of PX4; `number`: ``nav_state`` of the topic vehicle_status."""
+    """Return the name of a navigation state of PX4, ``nav_state`` of the topic vehicle_status."""
     return _NAVIGATION.get(number, f"mode {number}")
 
 
-Float = NDArray[np.float64]
-
-GIMBAL_STATUS: Final = "GIMBAL_DEVICE_ATTITUDE_STATUS"
-# The best one first: of several, only the first is used.
-GIMBAL_MESSAGES: Final = (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS")
-# Bits of GIMBAL_DEVICE_FLAGS.
-_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
-
-
 def yaw_is_earth(flags: Float) -> NDArray[np.bool_]:
-    """Return whether the yaw of a gimbal is against north, by its flags.
+    """Return whether the yaw of a gimbal is against north, by (n,) GIMBAL_DEVICE_FLAGS.
 
-    `flags` (n,): GIMBAL_DEVICE_FLAGS.  Returns (n,) bool: by YAW_IN_EARTH_FRAME or YAW_IN_VEHICLE_FRAME; with neither
-    of them, by YAW_LOCK.
+    YAW_IN_EARTH_FRAME or YAW_IN_VEHICLE_FRAME say so; with neither of them, YAW_LOCK does.
     """
     bits = flags.astype(np.int64)
     locked = (bits & _YAW_LOCK > 0) & (bits & _YAW_IN_VEHICLE_FRAME == 0)
@@ -223,10 +192,9 @@ def yaw_is_earth(flags: Float) -> NDArray[np.bool_]:
 
 
 def gimbal_of_packets(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[GimbalSamples]:
-    """Yield the attitude of the gimbal of a system in a boot, from the first message that has one.
+    """Yield the attitude of the gimbal of an autopilot in a boot, from the first message that has one.
 
-    `sender` (int, int): the autopilot: the gimbal belongs to its system, and has a time since boot of its own unless
-    the autopilot itself sends its attitude.
+    The gimbal has a time since boot of its own unless the autopilot itself sends its attitude.
     """
     if packets.timestamps_are_utc(sender):
         return
@@ -247,7 +215,7 @@ def gimbal_of_packets(packets: Packets, sender: Sender, clock: VehicleClock, boo
             clock_s = _on_own_clock(rows, clock)
         samples = gimbal_samples(name, clock_s, values)
         if samples.clock_s.size > 1:
-            yield GimbalSamples(samples.clock_s, samples.q_gimbal_reference, samples.is_earth, samples.source, boot)
+            yield replace(samples, boot=boot)
             return
 
 
@@ -257,30 +225,28 @@ def _on_own_clock(rows: Float, clock: VehicleClock) -> Float:
     Packets arrive late and never early: the earliest arrival relates the two clocks.
     """
     own_s = rows[:, FIELDS_FROM] / 1e3
-    related: Float = own_s + np.min(clock.on_arrival(rows) - own_s)
-    assert related.shape == rows[:, STAMP].shape
-    return related
+    clock_s: Float = own_s + np.min(clock.on_arrival(rows) - own_s)
+    return clock_s
 
 
 def gimbal_samples(name: str, clock_s: Float, values: Float) -> GimbalSamples:
-    """Return the attitudes in the fields of MAVLink messages of a gimbal; invalid ones are left out.
+    """Return the valid attitudes in the fields, (n, k) values, of one of `GIMBAL_MESSAGES`.
 
-    `name`: one of `GIMBAL_MESSAGES`; `clock_s` (n,): times of the messages, s; `values` (n, k): the flags and the
-    quaternion from the platform to the frame of reference of GIMBAL_DEVICE_ATTITUDE_STATUS; roll, pitch and yaw of
-    MOUNT_ORIENTATION, deg; or pitch, roll and yaw of MOUNT_STATUS, 0.01 deg.
+    GIMBAL_DEVICE_ATTITUDE_STATUS: the flags, and the quaternion from the platform to the frame of reference;
+    MOUNT_ORIENTATION: roll, pitch and yaw, deg; MOUNT_STATUS: pitch, roll and yaw, 0.01 deg.
     """
     return status_samples(clock_s, values, name) if name == GIMBAL_STATUS else angle_samples(clock_s, values, name)
 
 
 def status_samples(clock_s: Float, values: Float, name: str) -> GimbalSamples:
-    """Return the valid samples of a gimbal's attitude, (n,) times s and (n, 5) yaw flag and quaternion."""
+    """Return the valid samples of a gimbal's attitude from (n, 5) flags and quaternions."""
     q = conjugate(values[:, 1:5])
-    valid = (np.abs(quaternion_lengths(q) - 1) < UNIT_TOLERANCE) & valid_times(clock_s)
+    valid = unit_quaternions(q) & valid_times(clock_s)
     return GimbalSamples(clock_s[valid], q[valid], yaw_is_earth(values[valid, 0]), name)
 
 
 def angle_samples(clock_s: Float, values: Float, name: str) -> GimbalSamples:
-    """Return samples from angles in deg, or in 0.01 deg as MOUNT_STATUS has them, pitch first."""
+    """Return the valid samples from (n, 3) roll, pitch and yaw, deg, or from the fields of MOUNT_STATUS."""
     if name == "MOUNT_STATUS":
         pitch, roll, yaw = np.deg2rad(values.T / 100)
     else:

@@ -1,6 +1,7 @@
-"""Tables of any program as columns: text with any separator, Apache Parquet, and Excel workbooks.
+"""Files with tables: text, Apache Parquet and Excel.
 
-Rows and columns of CSV files, for all readers of tables.
+`read_table` reads any of them at once, with any separator.  `csv_rows` reads a CSV file row by row, and `Dump` the
+columns of a CSV file that a program exported from a log.
 """
 
 import csv
@@ -10,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import StrEnum
 from itertools import chain, islice
 from math import isfinite, nan
 from pathlib import Path
@@ -35,6 +37,16 @@ _OFFICE_MARKS: Final = (b"[Content_Types].xml", b"docProps/", b"xl/")
 _PARQUET: Final = b"PAR1"
 # A number that can only have a decimal comma: 1,024 may as well be a thousand.
 _DECIMAL_COMMA: Final = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
+# Largest deviation of the norm of a quaternion from 1, for components with two decimals.
+UNIT_TOLERANCE: Final = 0.02
+# Number of rows that are held as text before they are converted: numbers need a tenth of the memory.
+ROWS_AT_ONCE = 1000
+# First characters of a number or a time.
+_NUMERIC = "0123456789+-."
+# An item of a column with lists.
+_LIST_ITEM = re.compile(r"(.+)\[(\d+)\]")
+# 1,5 in a table with another separator.
+_ANY_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 # Date and time of day as DJI's programs write them: 10/16/2024 or 2024-10-16, and 2:23:51.84 PM.
 _TWELVE_HOURS: Final = re.compile(
     r"((?P<american>\d{1,2}/\d{1,2}/\d{4})|(?P<iso>\d{4}[-/]\d{2}[-/]\d{2})) +(?P<hour>\d{1,2}):"
@@ -42,46 +54,50 @@ _TWELVE_HOURS: Final = re.compile(
 )
 
 
+class TableKind(StrEnum):
+    """Kind of a file with a table, as it is named in messages."""
+
+    CSV = "CSV"
+    PARQUET = "Parquet"
+    EXCEL = "Excel"
+
+
 @dataclass(frozen=True, slots=True)
 class TableFile:
     """The content of a table."""
 
     name: str  # The file, for messages
-    kind: str  # ``"CSV"``, ``"Parquet"`` or ``"Excel"``
+    kind: TableKind
     columns: dict[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
     lines: NDArray[np.int64]  # (n,) int64: line, or row, of each cell, from 1
 
     def numbers(self, column: str) -> Float:
-        """Return a column of numbers; NaN for cells without a value.
+        """Return a column of (n,) numbers; NaN for cells without a value.
 
-        `column`: with a leading minus sign, the numbers change their sign, unless a column has that name.  Returns
-        (n,).  Raises LogFormatError if a cell is no number.
+        A leading minus sign of `column` changes the sign of the numbers, unless a column has that name.  Raises
+        LogFormatError if a cell is no number.
         """
         if column not in self.columns and column.startswith("-"):
             return -self.numbers(column[1:])
         cells = self.columns[column]
         try:
-            numbers = np.array(cells, dtype=np.float64) if self.kind != "CSV" else np.array(list(map(float, cells)))
+            numbers = np.array(list(map(float, cells)) if self.kind is TableKind.CSV else cells, dtype=np.float64)
         except (ValueError, TypeError):
-            point = "," if self.kind == "CSV" and _has_decimal_commas(cells) else "."
+            point = "," if self.kind is TableKind.CSV and _has_decimal_commas(cells) else "."
             numbers = np.array([self._number(column, row, cell, point) for row, cell in enumerate(cells)])
         numbers[~np.isfinite(numbers)] = np.nan
         return numbers
 
     def times(self, column: str, date: str | None = None) -> Float:
-        """Return a column of UTC, seconds since 1970; NaN for cells without a value.
+        """Return a column of (n,) UTC, seconds since 1970; NaN for cells without a value.
 
-        `column`: ISO 8601 (slashes may separate the date), a clock with AM or PM (with an ISO date, or month/day/year),
-        or times of Parquet and Excel; `date`: the column with the date, if it is not in `column`.  Returns (n,).
-        Raises LogFormatError if a cell is no time.
+        Times are ISO 8601 (slashes may separate the date), with AM or PM (after an ISO date, or month/day/year), or
+        times of Parquet and Excel.  `date` is the column with the date, if it is not in `column`.  Raises
+        LogFormatError if a cell is no time.
         """
         days = self.columns[date] if date is not None else [""] * len(self.lines)
-        return np.array(
-            [self._time(column, row, day, cell) for row, (day, cell) in enumerate(self._pairs(days, column))]
-        )
-
-    def _pairs(self, days: Cells, column: str) -> "zip[tuple[Any, Any]]":
-        return zip(days, self.columns[column], strict=True)
+        cells = enumerate(zip(days, self.columns[column], strict=True))
+        return np.array([self._time(column, row, day, cell) for row, (day, cell) in cells])
 
     def _number(self, column: str, row: int, cell: Any, point: str) -> float:
         text = "" if cell is None else str(cell).strip()
@@ -106,9 +122,15 @@ class TableFile:
             raise self.error(row, column, f"{text[:40]!r} is not {expected}") from None
 
     def error(self, row: int, column: str, message: str) -> LogFormatError:
-        """Return an error about a cell, with its line and column; `row`: index of the row, from 0."""
+        """Return an error about the cell of a column in a row, from 0."""
         line = int(self.lines[row])
         return LogFormatError(self.name, f"line {line}, column {column}: {message}", offset=line)
+
+
+def refuse_other_attitudes(name: str, attitude: str) -> None:
+    """Raise LogFormatError if an attitude of a table is requested by name: a table has one attitude."""
+    if attitude.lower() != "auto":
+        raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
 
 
 def _has_decimal_commas(cells: Cells) -> bool:
@@ -119,27 +141,27 @@ def _has_decimal_commas(cells: Cells) -> bool:
 
 def _on_24_hours(text: str) -> str:
     """Return a time with AM or PM as ISO 8601; any other text as it is."""
-    found = _TWELVE_HOURS.fullmatch(text)
-    if found is None or not 1 <= int(found["hour"]) <= 12:
+    parts = _TWELVE_HOURS.fullmatch(text)
+    if parts is None or not 1 <= int(parts["hour"]) <= 12:
         return text
-    month, day, year = (int(number) for number in (found["american"] or "0/0/0").split("/"))
-    date = found["iso"] or f"{year:04d}-{month:02d}-{day:02d}"
-    hour = int(found["hour"]) % 12 + 12 * (found["half"].lower() == "p")
-    return f"{date} {hour:02d}:{found['minutes']}{found['fraction'].replace(',', '.')}"
+    month, day, year = (int(number) for number in (parts["american"] or "0/0/0").split("/"))
+    date = parts["iso"] or f"{year:04d}-{month:02d}-{day:02d}"
+    hour = int(parts["hour"]) % 12 + 12 * (parts["half"].lower() == "p")
+    return f"{date} {hour:02d}:{parts['minutes']}{parts['fraction'].replace(',', '.')}"
 
 
 def is_parquet(head: bytes) -> bool:
-    """Return whether a file is an Apache Parquet table; `head`: its first bytes."""
+    """Return whether a file is an Apache Parquet table, by its first bytes."""
     return head.startswith(_PARQUET)
 
 
 def is_office_file(head: bytes) -> bool:
-    """Return whether a file is an Excel workbook, or another Office file; `head`: its first bytes, some thousands."""
+    """Return whether a file is an Excel workbook, or another Office file, by its first bytes, some thousands."""
     return head.startswith(_ZIP) and any(mark in head for mark in _OFFICE_MARKS)
 
 
 def table_header(head: bytes) -> tuple[str, ...]:
-    """Return the header of a text table, from the first bytes of its file; returns: empty if the bytes are not text."""
+    """Return the header of a text table, from the first bytes of its file; empty if they are not text."""
     if b"\0" in head:
         return ()
     lines = _lines(head.decode("utf-8-sig", errors="replace"))
@@ -148,11 +170,10 @@ def table_header(head: bytes) -> tuple[str, ...]:
 
 
 def read_table(path: str, names: Sequence[str] = ()) -> TableFile:
-    """Return the columns of a table.
+    """Return the columns of a text table, a Parquet file, or the first sheet of an Excel workbook.
 
-    `path`: a text table, a Parquet file, or an Excel workbook, of which the first sheet is read; `names`: names of the
-    columns, if the file has no header.  Raises LogFormatError if it cannot be read, or a row has another number of
-    cells than the header.
+    `names`: of the columns, if a text table has no header.  Raises LogFormatError if the file cannot be read, or a row
+    has another number of cells than the header.
     """
     with Path(path).open("rb") as file:
         head = file.read(4096)
@@ -165,22 +186,23 @@ def read_table(path: str, names: Sequence[str] = ()) -> TableFile:
 
 def _lines(text: str) -> list[tuple[int, str]]:
     """Return numbered lines with content, the header first: a comment is a header if the first row has numbers."""
-    found: list[tuple[int, str]] = []
+    lines: list[tuple[int, str]] = []
     comment: tuple[int, str] | None = None
     for number, line in enumerate(text.splitlines(), start=1):
         stripped = line.strip()
         if not stripped or stripped.lower().startswith("sep="):
             continue
         if stripped.startswith("#"):
-            comment = (number, stripped.lstrip("# ")) if not found else comment
+            comment = (number, stripped.lstrip("# ")) if not lines else comment
             continue
-        if not found and comment is not None and _is_header_of(comment[1], stripped):
-            found.append(comment)
-        found.append((number, stripped))
-    return found
+        if not lines and comment is not None and _names_columns(comment[1], stripped):
+            lines.append(comment)
+        lines.append((number, stripped))
+    return lines
 
 
-def _is_header_of(comment: str, row: str) -> bool:
+def _names_columns(comment: str, row: str) -> bool:
+    """Return whether a comment has as many names as the row after it has cells, which begin with a number."""
     names, cells = _cells(comment, _separator(comment)), _cells(row, _separator(row))
     return len(names) == len(cells) > 1 and all(not _is_number(name) for name in names) and _is_number(cells[0])
 
@@ -225,7 +247,7 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
     cells = _split(path, rows, separator, len(header))
     numbers = np.array([number for number, _ in rows[: len(cells)]], dtype=np.int64)
     columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
-    return TableFile(path, "CSV", dict(zip(header, columns, strict=True)), numbers)
+    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers)
 
 
 def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -> list[list[str]]:
@@ -237,15 +259,15 @@ def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -
         cells = [[cell.strip() for cell in row] for row in reader]
         if len(cells) != len(rows):
             raise LogFormatError(path, "a quoted field runs over the end of its line", offset=0)
-    for row, found in enumerate(cells):
+    for row, fields in enumerate(cells):
         # Some programs end each row with a separator.
-        while len(found) > width and not found[-1]:
-            found.pop()
-        if len(found) != width:
-            if row == len(cells) - 1 and len(found) < width:
+        while len(fields) > width and not fields[-1]:
+            fields.pop()
+        if len(fields) != width:
+            if row == len(cells) - 1 and len(fields) < width:
                 return cells[:row]
-            line = rows[row][0]
-            raise LogFormatError(path, f"line {line}: {len(found)} fields, where the header names {width}", offset=line)
+            line, count = rows[row][0], len(fields)
+            raise LogFormatError(path, f"line {line}: {count} fields, where the header names {width}", offset=line)
     return cells
 
 
@@ -259,12 +281,12 @@ def _read_parquet(path: str) -> TableFile:
     except Exception as error:  # pyarrow raises its own and several standard exceptions
         raise LogFormatError(path, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from error
     columns = {name: _parquet_column(table.column(name)) for name in table.column_names}
-    return TableFile(path, "Parquet", columns, np.arange(1, table.num_rows + 1))
+    return TableFile(path, TableKind.PARQUET, columns, np.arange(1, table.num_rows + 1))
 
 
 def _parquet_column(column: Any) -> Cells:
     """Return the cells of a column: an array of numbers, or a list with None for nothing."""
-    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415 - an extra, which has been imported
 
     if pa.types.is_timestamp(column.type):
         # pandas reads nanoseconds, which datetime has not.
@@ -280,7 +302,7 @@ def _parquet_column(column: Any) -> Cells:
 
 def _read_excel(path: str) -> TableFile:
     try:
-        import openpyxl  # noqa: PLC0415 - an extra
+        import openpyxl  # noqa: PLC0415 - an extra, when a workbook is read
     except ImportError:
         raise LogFormatError(path, "is an Excel workbook, which needs openpyxl: pip install openpyxl") from None
     try:
@@ -296,28 +318,17 @@ def _read_excel(path: str) -> TableFile:
     cells = [row for _, row in islice(rows, 1, None)]
     columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
     numbers = np.array([number for number, _ in rows[1:]], dtype=np.int64)
-    return TableFile(
-        path, "Excel", {name: column for name, column in zip(header, columns, strict=True) if name}, numbers
-    )
+    named = {name: column for name, column in zip(header, columns, strict=True) if name}
+    return TableFile(path, TableKind.EXCEL, named, numbers)
 
 
-# Number of rows that are held as text before they are converted: numbers need a tenth of the memory.
-ROWS_AT_ONCE = 1000
-# First characters of a number or a time.
-_NUMERIC = "0123456789+-."
-# An item of a column with lists.
-_LIST_ITEM = re.compile(r"(.+)\[(\d+)\]")
-# 1,5 in a table with another separator.
-_ANY_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
-
-
-def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
+def csv_rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells of all rows of a table, the header first.
 
     Blank lines and comment lines, which begin with ``#``, are skipped.  If the first row has numbers, the comment line
-    before it is the header, as `numpy.savetxt` writes it.  `name`: the file; `delimiter`: separator of cells; by
-    default the one of comma, semicolon and tab that is most frequent in the header; `quoted`: whether cells may be
-    quoted.  Raises LogFormatError if the file is not text, or not a table.
+    before it is the header, as `numpy.savetxt` writes it.  The default delimiter is the one of comma, semicolon and tab
+    that is most frequent in the header; `quoted`: whether cells may be quoted.  Raises LogFormatError if the file is
+    not text, or not a table.
     """
     line = count = lines = 0
     comment = ""
@@ -329,7 +340,7 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
             if not stripped or stripped[0] == "#":
                 comment = stripped.lstrip("# ") or comment if lines == 0 else ""
                 continue
-            if lines == 0 and stripped[0] in _NUMERIC and _header_of(comment, stripped):
+            if lines == 0 and stripped[0] in _NUMERIC and _is_savetxt_header(comment, stripped):
                 line, lines = number - 1, lines + 1
                 yield comment
             if quoted and lines > count:
@@ -353,36 +364,37 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
         raise LogFormatError(name, f"is no text{after}: it is not UTF-8", offset=line) from error
 
 
-def _header_of(comment: str, row: str) -> bool:
-    """Return whether a comment is the header of a row: it has as many names as the row has cells."""
+def _is_savetxt_header(comment: str, row: str) -> bool:
+    """Return whether a comment has as many names, which begin with letters, as the row after it has cells."""
     between = max(",;\t", key=comment.count)
     names = [name.strip() for name in comment.split(between)]
     return len(names) > 1 and len(names) == len(row.split(between)) and all(name[:1].isalpha() for name in names)
 
 
 class Dump:
-    """Columns of a CSV file that a program exported from a log.
+    """Columns of a CSV file that a program exported from a log; see `dump_separator`.
 
-    Rows with another number of cells than the header are dropped.  `name`: the file; its first column is
-    ``timestamp``; the character after that word is the separator; `wanted`: names of the columns to read, if they
-    exist; by default all; ``name[0]`` is the first item of the lists in a column; mavlogdump writes a list as ``[1.0,
-    0.0]``, without quotes; `texts`: name of a column that is kept as text; text is not quoted: if it is the last
-    column, it may contain separators.  `line` (n,): line number of each row; `columns` dict of str to (n,) float64:
-    NaN where a cell is empty or no finite number; `texts`: cells of the text column that are not empty; `heads`: lines
-    at which the header is repeated, where another table was appended.
+    `wanted`: names of the columns to read, if they exist; by default all.  ``name[0]`` is the first item of the lists
+    in a column; mavlogdump writes a list as ``[1.0, 0.0]``, without quotes.  `texts`: name of a column that is kept as
+    text, without quotes: the last column may contain separators.  Rows with another number of cells than the header are
+    dropped.
+
+    Attributes: `header`; `line`, (n,) line numbers; `columns`, (n,) by name, NaN where a cell is empty or no finite
+    number; `texts`, cells of the text column that are not empty; `heads`, lines at which the header is repeated, where
+    another table was appended.
     """
 
     def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:
-        between = separator(name)
-        remaining = rows(name, delimiter=between, quoted=False)
+        between = dump_separator(name)
+        remaining = csv_rows(name, delimiter=between, quoted=False)
         header = next(remaining, (0, []))[1]
         self.header = tuple(cell.strip() for cell in header)
-        sought = {one: self._index(one) for one in dict.fromkeys(wanted or self.header)}
-        indices = {one: index for one, index in sought.items() if index is not None}
+        every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
+        indices = {column: index for column, index in every.items() if index is not None}
         text_at = self.header.index(texts) if texts in self.header else None
         lines: list[Float] = []
-        parts: dict[str, list[Float]] = {one: [] for one in indices}
-        found: list[str] = []
+        parts: dict[str, list[Float]] = {column: [] for column in indices}
+        cells_of_texts: list[str] = []
         heads: list[int] = []
         last = len(header) - 1
         if any(item is not None for _, item in indices.values()):
@@ -395,42 +407,40 @@ class Dump:
             lines.append(np.array([line for line, _ in complete], dtype=np.float64))
             if between != "," and complete:
                 _refuse_decimal_commas(name, self.header, *complete[0])
-            for one, (index, item) in indices.items():
-                parts[one].append(_numbers([_item(cells[index], item) for _, cells in complete]))
+            for column, (index, item) in indices.items():
+                parts[column].append(_numbers([_item(cells[index], item) for _, cells in complete]))
             if text_at is not None:
-                found += [cells[text_at] for _, cells in complete if cells[text_at]]
+                cells_of_texts += [cells[text_at] for _, cells in complete if cells[text_at]]
         self.line = np.concatenate(lines) if lines else np.empty(0)
-        self.columns = {one: np.concatenate(part) if part else np.empty(0) for one, part in parts.items()}
-        self.texts, self.heads = tuple(found), tuple(heads)
+        self.columns = {column: np.concatenate(part) if part else np.empty(0) for column, part in parts.items()}
+        self.texts = tuple(cells_of_texts)
+        self.heads = tuple(heads)
 
     def _index(self, name: str) -> tuple[int, int | None] | None:
         """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
         if name in self.header:
             return self.header.index(name), None
-        found = _LIST_ITEM.fullmatch(name)
-        return (self.header.index(found[1]), int(found[2])) if found and found[1] in self.header else None
+        match = _LIST_ITEM.fullmatch(name)
+        return (self.header.index(match[1]), int(match[2])) if match and match[1] in self.header else None
 
     def only(self, which: NDArray[np.bool_]) -> "Dump":
-        """Return a subset of the rows; a text column with empty cells remains unchanged; `which` (n,) bool."""
-        some = copy(self)
-        some.line = self.line[which]
-        some.columns = {name: column[which] for name, column in self.columns.items()}
+        """Return the rows for which (n,) `which` is True; a text column with empty cells remains unchanged."""
+        subset = copy(self)
+        subset.line = self.line[which]
+        subset.columns = {name: column[which] for name, column in self.columns.items()}
         if len(self.texts) == self.line.size:
-            some.texts = tuple(self.texts[row] for row in np.flatnonzero(which))
-        return some
+            subset.texts = tuple(self.texts[row] for row in np.flatnonzero(which))
+        return subset
 
 
 def csv_header(head: bytes) -> str:
-    """Return the first line of a text file, without a leading ``#``.
-
-    `head`: the first bytes of the file, some thousands.  Returns: empty if the bytes are not text.
-    """
+    """Return the first line of a text file without a leading ``#``, from its first bytes; empty if it is not text."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
     return text.splitlines()[0].lstrip("# ") if text and b"\0" not in head else ""
 
 
-def separator(name: str) -> str:
-    """Return the separator of a `Dump`: the character after the name of its first column; `name`: the file."""
+def dump_separator(name: str) -> str:
+    """Return the separator of a `Dump`: the character after ``timestamp``, the name of its first column."""
     with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
         first = next((text for text in file if text.strip()), "").lstrip().lstrip("# ")
     after = first.removeprefix("timestamp")[:1]

@@ -1,16 +1,15 @@
 """Tables of other programs as telemetry sources, by a column map.
 
-Column maps: which columns of a table hold time, attitude, position and rates, in which units and frames.
-
-A map is one of the ready ones (``assets/columnmaps.toml``), a TOML file, or words such as
+A `ColumnMap` says which columns of a table hold time, attitude, position and rates, in which units and frames.  It is
+one of the ready ones (``assets/columnmaps.toml``), a TOML file, or words such as
 ``time=t_ms,time_unit=ms,time_epoch=start,roll=phi,pitch=theta,yaw=psi``.
 """
 
 import os
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from math import nan
 from os import PathLike
@@ -24,30 +23,33 @@ from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
 from glstar.system.resources import asset
 from glstar.system.userinput import did_you_mean, nearest_word, read_text
-from glstar.telemetry.source import (
-    YEAR_2010_S,
-    YEAR_2100_S,
-    AttitudeSamples,
-    ClockSamples,
-    LogFacts,
-    RateSamples,
-    Samples,
-    TelemetrySource,
-    check_only_boot,
-    no_position_samples,
-    position_samples,
-    quaternion_lengths,
-    valid_rates,
-)
-from glstar.telemetry.tables.files import read_table
+from glstar.telemetry import source
+from glstar.telemetry.tables.files import UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
 
 # Size limit of a map, bytes.
 _LARGEST_BYTES: Final = 2**20
 _ASSET: Final = "columnmaps.toml"
 
 # Units of angles, rad.
-ANGLES_RAD: Final = {"deg": 0.017453292519943295, "rad": 1.0, "decideg": 0.0017453292519943296}
+_ANGLES_RAD: Final = {"deg": 0.017453292519943295, "rad": 1.0, "decideg": 0.0017453292519943296}
 
+_UNITS_S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_PLACE_RAD: Final = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
+_FOOT_M: Final = 0.3048
+# Readings of UTC with whole seconds: each is early by up to a second.
+_WHOLE_S: Final = 1e-6
+
+# Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
+_HALF: Final = float(np.sqrt(0.5))
+_Q_WORLD_NED: Final = {
+    "NED": np.array([1.0, 0.0, 0.0, 0.0]),
+    "ENU": np.array([0.0, _HALF, _HALF, 0.0]),
+    "NWU": np.array([0.0, 1.0, 0.0, 0.0]),
+}
+_Q_FRD_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Names = tuple[str, ...]
 World = Literal["NED", "ENU", "NWU"]
 Body = Literal["FRD", "FLU"]
@@ -57,8 +59,8 @@ Body = Literal["FRD", "FLU"]
 class ColumnMap:
     """What the columns of a table mean.
 
-    Columns are tuples of alternative names, of which the first one in the table is used; a minus sign before a
-    name reverses the sign of its numbers.
+    Columns are tuples of alternative names, of which the first one in the table is used; a minus sign before a name
+    reverses the sign of its numbers.
     """
 
     title: str = "table"  # The format, for messages
@@ -95,35 +97,34 @@ class ColumnMap:
     note: str = ""  # A remark for the user
 
     @classmethod
-    def of(cls, keys: Mapping[str, Any], source: str) -> Self:
-        """Return the map of a TOML table.
+    def of(cls, keys: Mapping[str, Any], origin: str) -> Self:
+        """Return the map of a TOML table whose keys are the names of the attributes; a single column may be a string.
 
-        `keys`: keys by the names of the attributes; a single column may be a string; `source`: where they are from, for
-        messages.  Raises ConfigError if a key or a value is unknown, or keys belong together and one is missing.
+        `origin`: where the keys are from, for messages.  Raises ConfigError if a key or a value is unknown, or keys
+        belong together and one is missing.
         """
         hints = get_type_hints(cls)
-        known = [field.name for field in fields(cls)]
+        attributes = [field.name for field in fields(cls)]
         values: dict[str, Any] = {}
         for key, value in keys.items():
             if key not in hints:
-                raise ConfigError(f"{source}: {key!r} is no key of a column map{did_you_mean(key, known)}")
-            values[key] = _value(f"{source}: {key}", hints[key], value)
-        made = cls(**values)
-        if fault := made._fault():
-            raise ConfigError(f"{source}: {fault}")
-        return made
+                raise ConfigError(f"{origin}: {key!r} is no key of a column map{did_you_mean(key, attributes)}")
+            values[key] = _value(f"{origin}: {key}", hints[key], value)
+        columns = cls(**values)
+        if fault := columns._fault():
+            raise ConfigError(f"{origin}: {fault}")
+        return columns
 
     def _fault(self) -> str:
         """Return which keys are missing; empty if the map is complete."""
-        angles, rates = (self.roll, self.pitch, self.yaw), (self.roll_rate, self.pitch_rate, self.yaw_rate)
+        angles = (self.roll, self.pitch, self.yaw)
+        rates = (self.roll_rate, self.pitch_rate, self.yaw_rate)
+        attitudes = any(angles) + bool(self.quaternion) + bool(self.quaternion_xyz)
         faults = {
             "a column map needs time or utc": not self.time and not self.utc,
             'time_epoch = "week" and gps_week belong together': (self.time_epoch == "week") != bool(self.gps_week),
             "roll, pitch and yaw belong together": any(angles) and not all(angles),
-            "attitude twice; give roll, pitch and yaw, or quaternion": any(angles)
-            + bool(self.quaternion)
-            + bool(self.quaternion_xyz)
-            > 1,
+            "attitude twice; give roll, pitch and yaw, or quaternion": attitudes > 1,
             "quaternion must be the four columns w, x, y, z": len(self.quaternion) not in {0, 4},
             "quaternion_xyz must be the three columns x, y, z": len(self.quaternion_xyz) not in {0, 3},
             "latitude and longitude belong together": bool(self.latitude) != bool(self.longitude),
@@ -132,33 +133,30 @@ class ColumnMap:
         return next((fault for fault, is_there in faults.items() if is_there), "")
 
     def found(self, alternatives: Names, header: Collection[str]) -> str | None:
-        """Return the first of some alternative columns that a table has, perhaps with a minus sign; None without one.
-
-        `header`: columns of the table.
-        """
+        """Return the first of alternative columns, perhaps with a minus sign, that is in a header; None without one."""
         return next((name for name in alternatives if name.removeprefix("-") in header or name in header), None)
 
 
-def _value(where: str, hint: Any, given: Any) -> Any:
+def _value(where: str, hint: Any, value: Any) -> Any:
     """Return a value of a map, converted to its type."""
     if hint is float:
         try:
-            number = float(given)
+            number = float(value)
         except (TypeError, ValueError):
             number = 0.0
         if not 0 < number < 1e12:
-            raise ConfigError(f"{where} must be a positive number, not {given!r}")
+            raise ConfigError(f"{where} must be a positive number, not {value!r}")
         return number
     if hint is str:
-        return str(given)
+        return str(value)
     if get_origin(hint) is Literal:
         choices = get_args(hint)
-        if given not in choices:
-            raise ConfigError(f"{where} must be one of {', '.join(choices)}, not {given!r}")
-        return given
-    names = (given,) if isinstance(given, str) else given
+        if value not in choices:
+            raise ConfigError(f"{where} must be one of {', '.join(choices)}, not {value!r}")
+        return value
+    names = (value,) if isinstance(value, str) else value
     if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) and name for name in names):
-        raise ConfigError(f"{where} must be the name of a column, or a list of names, not {given!r}")
+        raise ConfigError(f"{where} must be the name of a column, or a list of names, not {value!r}")
     return tuple(name.strip() for name in names)
 
 
@@ -170,8 +168,8 @@ def ready_maps() -> Mapping[str, ColumnMap]:
 
 
 def ready_map(header: Collection[str]) -> ColumnMap | None:
-    """Return the ready map of a table by its header; returns: none if the table is none of these."""
-    return next((one for one in ready_maps().values() if set(one.sign) <= set(header)), None)
+    """Return the ready map of a table by its header; None if there is none."""
+    return next((columns for columns in ready_maps().values() if set(columns.sign) <= set(header)), None)
 
 
 def is_map_file(text: str) -> bool:
@@ -180,9 +178,8 @@ def is_map_file(text: str) -> bool:
 
 
 def column_map(text: str) -> ColumnMap:
-    """Return the map that ``--columns`` names.
+    """Return the map that ``--columns`` names: a ready one, a TOML file, or ``key=column,key=a|b`` with lists.
 
-    `text`: name of a ready map, path of a TOML file, or words ``key=column``, joined by commas; ``a|b`` is a list.
     Raises ConfigError if there is no such map, or it is not valid.
     """
     if is_map_file(text):
@@ -209,28 +206,8 @@ def _listed(value: str) -> str | list[str]:
     return value.split("|") if "|" in value else value
 
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-_UNITS_S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_PLACE_RAD: Final = {**ANGLES_RAD, "1e-7deg": ANGLES_RAD["deg"] * 1e-7}
-_FOOT_M: Final = 0.3048
-# Largest deviation of the norm of a quaternion from 1, for components with two decimals.
-_UNIT_TOLERANCE: Final = 0.02
-# Readings of UTC with whole seconds: each is early by up to a second.
-_WHOLE_S: Final = 1e-6
-
-# Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
-_HALF: Final = float(np.sqrt(0.5))
-Q_WORLD_NED: Final = {
-    "NED": np.array([1.0, 0.0, 0.0, 0.0]),
-    "ENU": np.array([0.0, _HALF, _HALF, 0.0]),
-    "NWU": np.array([0.0, 1.0, 0.0, 0.0]),
-}
-Q_FRD_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
-
 # glstar's own columns, for tables that are no CSV.
-GLSTAR_MAP: Final = ColumnMap(
+_GLSTAR_MAP: Final = ColumnMap(
     title="table",
     time=("utc_s",),
     utc=("utc",),
@@ -244,39 +221,27 @@ GLSTAR_MAP: Final = ColumnMap(
     pitch_rate=("pitch_rate_deg_per_s",),
     yaw_rate=("yaw_rate_deg_per_s",),
 )
-_GLSTAR_QUATERNION: Final = ColumnMap(
-    title="table",
-    time=("utc_s",),
-    utc=("utc",),
-    quaternion=("qw", "qx", "qy", "qz"),
-    rotates="world_to_body",
-    latitude=("latitude_deg",),
-    longitude=("longitude_deg",),
-    height=("height_m",),
-    roll_rate=("roll_rate_deg_per_s",),
-    pitch_rate=("pitch_rate_deg_per_s",),
-    yaw_rate=("yaw_rate_deg_per_s",),
+_GLSTAR_QUATERNION: Final = replace(
+    _GLSTAR_MAP, roll=(), pitch=(), yaw=(), quaternion=("qw", "qx", "qy", "qz"), rotates="world_to_body"
 )
 
 
 def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
-    """Return q_body_ned of quaternions between other frames.
+    """Return q_body_ned = q_frd_body q_body_world q_world_ned of (n, 4) unit quaternions between other frames.
 
-    `q` (n, 4): unit quaternions (w, x, y, z); `world` {"NED", "ENU", "NWU"}; `body` {"FRD", "FLU"}; `rotates`
-    {"body_to_world", "world_to_body"}: which components of vectors `q` turns into which.  Returns (n, 4) q_body_ned =
-    q_frd_body q_body_world q_world_ned.
+    `world` {"NED", "ENU", "NWU"}; `body` {"FRD", "FLU"}; `rotates` {"body_to_world", "world_to_body"}: which components
+    of vectors `q` turns into which.
     """
     q_body_world = conjugate(q) if rotates == "body_to_world" else q
-    turned = multiply(q_body_world, Q_WORLD_NED[world])
-    return multiply(Q_FRD_FLU, turned) if body == "FLU" else turned
+    turned = multiply(q_body_world, _Q_WORLD_NED[world])
+    return multiply(_Q_FRD_FLU, turned) if body == "FLU" else turned
 
 
-class MappedTableReader(TelemetrySource):
-    """A table as a telemetry source; its clock is the time of its rows.
+class MappedTableReader(source.TelemetrySource):
+    """A table of text, Parquet or Excel as a telemetry source; its clock is the time of its rows.
 
-    `path`: a text table, a Parquet file or an Excel workbook; `attitude`: only ``"auto"``: a table has one attitude;
-    `boot`: only 1; `columns`: what its columns mean; by default that of its header.  Raises LogFormatError if the table
-    lacks columns, with the names of similar ones.
+    `columns` says what its columns mean; by default its header does.  A table has one attitude, ``"auto"``, and one
+    boot.  Raises LogFormatError if the table lacks columns, with the names of similar ones.
     """
 
     one_clock = True
@@ -290,52 +255,44 @@ class MappedTableReader(TelemetrySource):
         columns: ColumnMap | None = None,
     ) -> None:
         self.name = os.fspath(path)
-        if attitude.lower() != "auto":
-            raise LogFormatError(self.name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-        check_only_boot(self.name, boot)
+        refuse_other_attitudes(self.name, attitude)
+        source.check_only_boot(self.name, boot)
         self._table = read_table(self.name, () if columns is None else columns.names)
         self._map = columns or self._map_of_header()
         self._check()
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         """Yield attitude, position, UTC and, if the table has them, rates, a batch each.
 
         Raises LogFormatError if a cell is invalid.
         """
-        clock_s, source = self._clock_s, self._source
+        clock_s = self._clock_s
         q, valid = self._q_body_ned()
         valid &= np.isfinite(clock_s)
-        yield AttitudeSamples(
-            clock_s[valid], q[valid], np.zeros(np.count_nonzero(valid), dtype=np.int64), source, notes=self._notes()
-        )
+        segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
+        yield source.AttitudeSamples(clock_s[valid], q[valid], segment, self._map.title, notes=self._notes())
         yield self._positions()
         yield self._utc()
         if (rates := self._rates()) is not None:
             yield rates
 
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
+    def facts(self, boots: Collection[int] = ()) -> source.LogFacts:  # noqa: ARG002 - there is one boot
         """Return the format."""
-        suffix = "" if self._table.kind == "CSV" else f" ({self._table.kind})"
-        return LogFacts(f"{self._map.title}{suffix}")
+        suffix = "" if self._table.kind is TableKind.CSV else f" ({self._table.kind})"
+        return source.LogFacts(f"{self._map.title}{suffix}")
 
     def close(self) -> None:
         """Do nothing: the file was read at once."""
 
-    @property
-    def _source(self) -> str:
-        return self._map.title
-
     def _map_of_header(self) -> ColumnMap:
         header = set(self._table.columns)
-        own = _GLSTAR_QUATERNION if {"qw", "qx"} & header else GLSTAR_MAP
-        found = own if header & {"utc", "utc_s"} else ready_map(header)
-        if found is None:
-            some = ", ".join(list(self._table.columns)[:6])
-            raise LogFormatError(
-                self.name,
-                f"is a table with columns {some}, ...; say with --columns what they mean (glstar manual logs)",
-            )
-        return found
+        own = _GLSTAR_QUATERNION if {"qw", "qx"} & header else _GLSTAR_MAP
+        columns = own if header & {"utc", "utc_s"} else ready_map(header)
+        if columns is None:
+            names = ", ".join(list(self._table.columns)[:6])
+            hint = "say with --columns what they mean (glstar manual logs)"
+            raise LogFormatError(self.name, f"is a table with columns {names}, ...; {hint}")
+        return columns
 
     def _name(self, alternatives: tuple[str, ...]) -> str | None:
         return self._map.found(alternatives, self._table.columns)
@@ -349,18 +306,14 @@ class MappedTableReader(TelemetrySource):
 
     def _check(self) -> None:
         """Raise an error if the table lacks columns of its map."""
-        wanted = self._map
-        if self._name(wanted.time) is None and self._name(wanted.utc) is None:
-            self._require(wanted.time or wanted.utc)
-        attitude = (
-            wanted.roll,
-            wanted.pitch,
-            wanted.yaw,
-            *((one,) for one in wanted.quaternion + wanted.quaternion_xyz),
-        )
+        columns = self._map
+        if self._name(columns.time) is None and self._name(columns.utc) is None:
+            self._require(columns.time or columns.utc)
+        components = [(component,) for component in columns.quaternion + columns.quaternion_xyz]
+        attitude = [columns.roll, columns.pitch, columns.yaw, *components]
         if not any(attitude):
             raise LogFormatError(self.name, "has no attitude by this column map; name roll, pitch, yaw or quaternion")
-        self._require(wanted.gps_week, *attitude)
+        self._require(columns.gps_week, *attitude)
 
     @cached_property
     def _clock_s(self) -> Float:
@@ -368,17 +321,17 @@ class MappedTableReader(TelemetrySource):
         wanted, table = self._map, self._table
         name = self._name(wanted.time)
         if name is None:
-            return self._plausible(self._utc_column, self._name(wanted.utc))
+            return self._plausible(self._utc_column, self._name(wanted.utc) or "")
         time_s = table.numbers(name) * _UNITS_S[wanted.time_unit]
         if wanted.time_epoch == "start":
-            odd = np.isfinite(time_s) & (np.abs(time_s) > YEAR_2100_S)
+            odd = np.isfinite(time_s) & (np.abs(time_s) > source.YEAR_2100_S)
             self._reject(odd, name, "is no time since a start; check time_unit and time_epoch")
             return time_s
         if wanted.time_epoch != "unix":
             week = self._name(wanted.gps_week)
             time_s = time_s + GPS_EPOCH_S + (0.0 if week is None else table.numbers(week) * WEEK_S)
-            known = time_s[np.isfinite(time_s) & (np.abs(time_s) < YEAR_2100_S)]
-            time_s = time_s - (leap_seconds(float(np.median(known))) if known.size else 0.0)
+            plausible_s = time_s[np.isfinite(time_s) & (np.abs(time_s) < source.YEAR_2100_S)]
+            time_s = time_s - (leap_seconds(float(np.median(plausible_s))) if plausible_s.size else 0.0)
         return self._plausible(time_s, name)
 
     @cached_property
@@ -388,37 +341,35 @@ class MappedTableReader(TelemetrySource):
             return np.full(self._table.lines.size, nan)
         return self._table.times(name, self._name(self._map.utc_date))
 
-    def _plausible(self, utc_s: Float, column: str | None) -> Float:
-        odd = np.isfinite(utc_s) & ~((utc_s >= YEAR_2010_S - 40 * 365 * 86400) & (utc_s < YEAR_2100_S))
+    def _plausible(self, utc_s: Float, column: str) -> Float:
+        """Return UTC, s since 1970; raises LogFormatError if a row is not from 1970 to 2100."""
+        odd = np.isfinite(utc_s) & ~((utc_s >= source.YEAR_2010_S - 40 * 365 * 86400) & (utc_s < source.YEAR_2100_S))
         if odd.any():
             row = int(np.argmax(odd))
-            raise self._table.error(
-                row, str(column), f"{utc_s[row]:g} s since 1970 is no UTC of a flight; check time_unit and time_epoch"
-            )
+            message = f"{utc_s[row]:g} s since 1970 is no UTC of a flight; check time_unit and time_epoch"
+            raise self._table.error(row, column, message)
         return utc_s
 
     def _q_body_ned(self) -> tuple[Float, Mask]:
         """Return attitudes, and which rows have one."""
         wanted, table = self._map, self._table
         if wanted.roll:
-            angles = [table.numbers(self._name(one) or "") for one in (wanted.roll, wanted.pitch, wanted.yaw)]
-            q = quaternion_from_euler(*(angle * ANGLES_RAD[wanted.angle_unit] for angle in angles))
+            angles = [table.numbers(self._name(names) or "") for names in (wanted.roll, wanted.pitch, wanted.yaw)]
+            q = quaternion_from_euler(*(angle * _ANGLES_RAD[wanted.angle_unit] for angle in angles))
             # Euler angles turn the world into the body: q_body_world.
             q_body_ned = q_body_ned_of(q, wanted.world, wanted.body, "world_to_body")
             return q_body_ned, np.asarray(np.isfinite(q_body_ned).all(axis=-1), dtype=bool)
-        q = np.stack([table.numbers(one) for one in wanted.quaternion or wanted.quaternion_xyz], axis=-1)
-        q /= wanted.quaternion_scale
+        components = wanted.quaternion or wanted.quaternion_xyz
+        q = np.stack([table.numbers(component) for component in components], axis=-1) / wanted.quaternion_scale
         if wanted.quaternion_xyz:
             squared = 1 - (q**2).sum(axis=-1)
-            self._reject(squared < -_UNIT_TOLERANCE, wanted.quaternion_xyz[0], "begins a quaternion longer than 1")
+            self._reject(squared < -UNIT_TOLERANCE, components[0], "begins a quaternion longer than 1")
             q = np.column_stack([np.sqrt(np.clip(squared, 0, None)), q])
-        norm = quaternion_lengths(q)
+        norm = source.quaternion_lengths(q)
         # Many programs write zeros while there is no attitude.
         valid: Mask = np.asarray(np.isfinite(norm) & (norm > 0))
-        first = (wanted.quaternion or wanted.quaternion_xyz)[0]
-        self._reject(
-            valid & (np.abs(norm - 1) > _UNIT_TOLERANCE), first, "begins a quaternion that is not of unit length"
-        )
+        odd = valid & (np.abs(norm - 1) > UNIT_TOLERANCE)
+        self._reject(odd, components[0], "begins a quaternion that is not of unit length")
         with np.errstate(invalid="ignore", divide="ignore"):
             q = q / norm[:, np.newaxis]
         return q_body_ned_of(q, wanted.world, wanted.body, wanted.rotates), valid
@@ -428,11 +379,11 @@ class MappedTableReader(TelemetrySource):
             row = int(np.argmax(bad))
             raise self._table.error(row, column, f"{self._table.columns[column.removeprefix('-')][row]} {why}")
 
-    def _positions(self) -> Samples:
+    def _positions(self) -> source.Samples:
         wanted, table = self._map, self._table
         names = self._name(wanted.latitude), self._name(wanted.longitude)
         if names[0] is None or names[1] is None:
-            return no_position_samples("it has no columns with latitude and longitude")
+            return source.no_position_samples("it has no columns with latitude and longitude")
         scale = np.rad2deg(_PLACE_RAD[wanted.place_unit])
         latitude_deg, longitude_deg = (table.numbers(name) * scale for name in names if name is not None)
         height_m = np.zeros(latitude_deg.size)
@@ -441,26 +392,25 @@ class MappedTableReader(TelemetrySource):
                 height_m = np.nan_to_num(table.numbers(name) * unit_m)
                 break
         longitude_deg = np.where(longitude_deg > 180, longitude_deg - 360, longitude_deg)
-        found = position_samples(self._clock_s, latitude_deg, longitude_deg, height_m, self._source)
-        return found if found.clock_s.size else no_position_samples("latitude and longitude are empty or 0")
+        samples = source.position_samples(self._clock_s, latitude_deg, longitude_deg, height_m, self._map.title)
+        return samples if samples.clock_s.size else source.no_position_samples("latitude and longitude are empty or 0")
 
-    def _utc(self) -> ClockSamples:
+    def _utc(self) -> source.ClockSamples:
         """Return UTC readings: the clock itself, or the offset of the clock by the column with UTC."""
         clock_s, wanted = self._clock_s, self._map
         if wanted.time_epoch != "start" or self._name(wanted.time) is None:
             valid = np.isfinite(clock_s)
-            return ClockSamples(clock_s[valid], clock_s[valid], self._source)
+            return source.ClockSamples(clock_s[valid], clock_s[valid], self._map.title)
         utc_s = self._utc_column
-        valid = np.isfinite(utc_s) & np.isfinite(clock_s) & (utc_s >= YEAR_2010_S)
+        valid = np.isfinite(utc_s) & np.isfinite(clock_s) & (utc_s >= source.YEAR_2010_S)
         if not valid.any():
-            reason = "its time counts from its own start, and it has no column with UTC"
-            return ClockSamples(np.empty(0), np.empty(0), reason)
+            return source.no_clock_samples("its time counts from its own start, and it has no column with UTC")
         clock_s, utc_s = clock_s[valid], utc_s[valid]
         if (np.abs(utc_s - np.round(utc_s)) < _WHOLE_S).all():
             # Truncated to seconds: the reading just after the tick is the most exact one.
             last = np.argmax(utc_s - clock_s)
             clock_s, utc_s = clock_s[last : last + 1], utc_s[last : last + 1]
-        return ClockSamples(clock_s, utc_s, f"{self._source}, {self._name(wanted.utc)}")
+        return source.ClockSamples(clock_s, utc_s, f"{self._map.title}, {self._name(wanted.utc)}")
 
     def _notes(self) -> tuple[str, ...]:
         notes = [self._map.note] if self._map.note else []
@@ -469,22 +419,14 @@ class MappedTableReader(TelemetrySource):
             notes.append("its UTC has whole seconds: the time of an attitude is uncertain by one sample interval")
         return tuple(notes)
 
-    def _rates(self) -> RateSamples | None:
+    def _rates(self) -> source.RateSamples | None:
         wanted = self._map
-        names = [self._name(one) for one in (wanted.roll_rate, wanted.pitch_rate, wanted.yaw_rate)]
-        if None in names:
+        alternatives = (wanted.roll_rate, wanted.pitch_rate, wanted.yaw_rate)
+        names = [name for axis in alternatives if (name := self._name(axis)) is not None]
+        if len(names) < 3:
             return None
-        rate = np.stack([self._table.numbers(str(name)) for name in names], axis=-1) * ANGLES_RAD[wanted.rate_unit]
+        rate = np.stack([self._table.numbers(name) for name in names], axis=-1) * _ANGLES_RAD[wanted.rate_unit]
         if wanted.body == "FLU":
             rate = rate * np.array([1.0, -1.0, -1.0])
-        valid = np.isfinite(rate).all(axis=-1) & np.isfinite(self._clock_s) & valid_rates(rate)
-        return RateSamples(self._clock_s[valid], rate[valid], self._source)
-
-
-def mapped_reader(columns: ColumnMap) -> Callable[..., TelemetrySource]:
-    """Return the reader of tables with a given map; returns ``reader(path, attitude=..., boot=...)``."""
-
-    def reader(path: str, *, attitude: str = "auto", boot: int | None = None) -> TelemetrySource:
-        return MappedTableReader(path, attitude=attitude, boot=boot, columns=columns)
-
-    return reader
+        valid = np.isfinite(rate).all(axis=-1) & np.isfinite(self._clock_s) & source.valid_rates(rate)
+        return source.RateSamples(self._clock_s[valid], rate[valid], self._map.title)

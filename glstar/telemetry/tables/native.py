@@ -21,6 +21,7 @@ import os
 import textwrap
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import groupby, islice, pairwise, repeat
 from math import inf, nan
 from os import PathLike
@@ -33,21 +34,8 @@ from glstar.flight import Flight
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import nearest_word
-from glstar.telemetry.source import (
-    AttitudeSamples,
-    Boot,
-    ClockSamples,
-    LogFacts,
-    PositionSamples,
-    RateSamples,
-    Samples,
-    TelemetrySource,
-    chosen_boots,
-    is_zero_position,
-    quaternion_lengths,
-    valid_rates,
-)
-from glstar.telemetry.tables.files import ROWS_AT_ONCE, rows
+from glstar.telemetry import source
+from glstar.telemetry.tables.files import ROWS_AT_ONCE, UNIT_TOLERANCE, csv_rows, refuse_other_attitudes
 
 Float = NDArray[np.float64]
 
@@ -64,16 +52,11 @@ _SAME_FLIGHT_S = 86400.0
 # Largest number of parts; with more steps back the rows are simply not sorted.
 _MAX_PARTS = 20
 # UTC seconds outside these years are milliseconds, or seconds since boot.
-_YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
-# Largest deviation of the norm of a quaternion from 1, for components with two decimals.
-_UNIT_TOLERANCE = 0.02
+_YEAR_1972_S = 63072000.0
 
 
 def as_table(flight: Flight) -> str:
-    """Convert a flight to a table: UTC and quaternions exactly, and the position at every attitude.
-
-    Returns the content of a CSV file.
-    """
+    """Return a flight as the content of a CSV file: UTC and quaternions exactly, and the position at every attitude."""
     utc_s, q_body_ned = flight.attitude.utc_s, flight.attitude.q_body_ned
     latitude_rad, longitude_rad, height_m = flight.position.coordinates(utc_s)
     columns = np.column_stack([utc_s, q_body_ned, np.rad2deg(latitude_rad), np.rad2deg(longitude_rad), height_m])
@@ -81,60 +64,56 @@ def as_table(flight: Flight) -> str:
     return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in columns.tolist())]) + "\n"
 
 
-class TableReader(TelemetrySource):
+class TableReader(source.TelemetrySource):
     """A CSV file as a telemetry source; its clock is UTC.
 
     Tables may be joined, with or without a repeated header.  Parts that overlap with another part in time, or are more
-    than a day away, are treated as separate boots.  `path`: the table; `attitude`: only ``"auto"``: a table has one
-    attitude; `boot`: number of the part, from 1, of several that overlap in time; by default the longest.  Raises
+    than a day away, are treated as separate boots.  `attitude` is ``"auto"``: a table has one attitude.  Raises
     LogFormatError if the file is no such table, with line and column.
     """
 
     one_clock = True
 
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
-        self.name, self._boot = os.fspath(path), boot
-        if attitude.lower() != "auto":
-            raise LogFormatError(self.name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-        self._parts: list[_Part] | None = None
-        line, header = next(rows(self.name), (0, []))
+        self.name = os.fspath(path)
+        self._boot = boot
+        refuse_other_attitudes(self.name, attitude)
+        line, header = next(csv_rows(self.name), (0, []))
         if not header:
             raise LogFormatError(self.name, "has only blank lines and comments", offset=0)
         self._header = [name.strip().lower() for name in header]
         self._check_header(line)
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         """Yield attitude, position, UTC and, if the table has them, rates, in batches of some thousands of rows.
 
         Raises LogFormatError if a row has too few or too many cells, or a cell is invalid.
         """
         chosen = {boot.number for boot in self.boots()}
-        for part in self._read():
+        for part in self._parts:
             if part.boot in chosen:
-                for batch in part.samples:
-                    yield replace(batch, boot=part.boot)
+                yield from (replace(batch, boot=part.boot) for batch in part.samples)
 
-    def boots(self) -> tuple[Boot, ...]:
+    def boots(self) -> tuple[source.Boot, ...]:
         """Return the parts of the table as boots, or the requested one.
 
         Raises LogFormatError if the table cannot be read, or has no such boot.
         """
-        numbers = {part.boot for part in self._read()} or {1}
-        return chosen_boots(self.name, [Boot(number) for number in sorted(numbers)], self._boot)
+        numbers = {part.boot for part in self._parts} or {1}
+        return source.chosen_boots(self.name, [source.Boot(number) for number in sorted(numbers)], self._boot)
 
-    def _read(self) -> "list[_Part]":
-        if self._parts is None:
-            parts: list[_Part] = []
-            remaining = islice(rows(self.name), 1, None)
-            while batch := list(islice(remaining, ROWS_AT_ONCE)):
-                self._add(parts, batch, remaining)
-            parts = [part for part in parts if part.samples] or parts[:1]
-            # Unsorted rows are one part.
-            numbers = _numbered(parts) if len(parts) <= _MAX_PARTS else [1] * len(parts)
-            for part, number in zip(parts, numbers, strict=True):
-                part.boot = number
-            self._parts = parts
-        return self._parts
+    @cached_property
+    def _parts(self) -> "list[_Part]":
+        parts: list[_Part] = []
+        remaining = islice(csv_rows(self.name), 1, None)
+        while batch := list(islice(remaining, ROWS_AT_ONCE)):
+            self._add(parts, batch, remaining)
+        parts = [part for part in parts if part.samples] or parts[:1]
+        # Unsorted rows are one part.
+        numbers = _numbered(parts) if len(parts) <= _MAX_PARTS else [1] * len(parts)
+        for part, number in zip(parts, numbers, strict=True):
+            part.boot = number
+        return parts
 
     def _add(self, parts: "list[_Part]", batch: list[tuple[int, list[str]]], more: Iterator[object]) -> None:
         """Add rows; another part begins if time steps back or the header is repeated."""
@@ -145,9 +124,8 @@ class TableReader(TelemetrySource):
             lines, cells = zip(*group, strict=True)
             last = lines[-1] == batch[-1][0]
             complete = self._complete_rows(lines, cells, more if last else repeat(None))
-            columns = dict(
-                zip(self._header, zip(*cells[:complete], strict=True) if complete else repeat(()), strict=False)
-            )
+            by_column = zip(*cells[:complete], strict=True) if complete else repeat(())
+            columns = dict(zip(self._header, by_column, strict=False))
             utc_s = _Columns(self.name, lines[:complete], columns).utc_s()
             before_s = parts[-1].last_s if parts else nan
             step_s = np.diff(utc_s, prepend=before_s)
@@ -157,15 +135,14 @@ class TableReader(TelemetrySource):
             for start, stop in pairwise([0, *jumps, complete]):
                 if start in jumps:
                     parts.append(_Part())
-                some = _Columns(
-                    self.name, lines[start:stop], {name: column[start:stop] for name, column in columns.items()}
-                )
                 if start < stop:
-                    parts[-1].add(utc_s[start:stop], list(some.samples()))
+                    cells_of_part = {name: column[start:stop] for name, column in columns.items()}
+                    samples = _Columns(self.name, lines[start:stop], cells_of_part).samples()
+                    parts[-1].add(utc_s[start:stop], list(samples))
 
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
-        """Return the format; `boots`: numbers of the boots; by default all."""
-        return LogFacts("CSV table")
+    def facts(self, boots: Collection[int] = ()) -> source.LogFacts:  # noqa: ARG002 - all boots have one format
+        """Return the format."""
+        return source.LogFacts("CSV table")
 
     def close(self) -> None:
         """Do nothing: the file is only open while it is read."""
@@ -179,24 +156,25 @@ class TableReader(TelemetrySource):
                 if name not in self._header:
                     raise invalid(f"no column {name}{_similar(name, self._header)}")
 
-        known = [name for name in self._header if name in _COLUMNS]
-        found = textwrap.shorten(", ".join(name or "(nameless)" for name in self._header), 100, placeholder=" ...")
-        if not known:
+        columns = [name for name in self._header if name in _COLUMNS]
+        header = textwrap.shorten(", ".join(name or "(nameless)" for name in self._header), 100, placeholder=" ...")
+        if not columns:
             hint = "; say with --columns what they mean (glstar manual logs)" if len(self._header) > 1 else ""
-            raise invalid(f"no table of a flight: its header would name utc or utc_s, ...; this line has {found}{hint}")
-        if repeated := [name for name in known if known.count(name) > 1]:
+            usual = "its header would name utc or utc_s, ..."
+            raise invalid(f"no table of a flight: {usual}; this line has {header}{hint}")
+        if repeated := [name for name in columns if columns.count(name) > 1]:
             raise invalid(f"column {repeated[0]} appears twice")
-        if not any(name in known for name in _TIMES):
-            raise invalid(f"no column utc (ISO 8601) or utc_s{_similar('utc', self._header)}; it has {found}")
-        euler, quaternion = (sum(name in known for name in form) for form in (_EULER, _QUATERNION))
+        if not any(name in columns for name in _TIMES):
+            raise invalid(f"no column utc (ISO 8601) or utc_s{_similar('utc', self._header)}; it has {header}")
+        euler, quaternion = (sum(name in columns for name in form) for form in (_EULER, _QUATERNION))
         if euler == 3 and quaternion == 4:
             raise invalid("attitude twice, as roll_deg, pitch_deg, yaw_deg and as qw, qx, qy, qz; leave one out")
         if euler == quaternion == 0:
-            raise invalid(f"no attitude: neither roll_deg, pitch_deg, yaw_deg nor qw, qx, qy, qz; it has {found}")
+            raise invalid(f"no attitude: neither roll_deg, pitch_deg, yaw_deg nor qw, qx, qy, qz; it has {header}")
         require(*(_EULER if euler / 3 >= quaternion / 4 else _QUATERNION))
-        if any(name in known for name in _PLACE):
+        if any(name in columns for name in _PLACE):
             require(*_PLACE)
-        if any(name in known for name in _RATES):
+        if any(name in columns for name in _RATES):
             require(*_RATES)
 
     def _complete_rows(self, lines: Sequence[int], cells: Sequence[list[str]], more: Iterator[object]) -> int:
@@ -204,12 +182,11 @@ class TableReader(TelemetrySource):
         width = len(self._header)
         if set(map(len, cells)) == {width}:
             return len(cells)
-        row, found = next((row, len(fields)) for row, fields in enumerate(cells) if len(fields) != width)
-        if found < width and row == len(cells) - 1 and next(more, None) is None:
+        row, count = next((row, len(fields)) for row, fields in enumerate(cells) if len(fields) != width)
+        if count < width and row == len(cells) - 1 and next(more, None) is None:
             return row
-        raise LogFormatError(
-            self.name, f"line {lines[row]}: {found} fields, where the header names {width}", offset=lines[row]
-        )
+        message = f"line {lines[row]}: {count} fields, where the header names {width}"
+        raise LogFormatError(self.name, message, offset=lines[row])
 
 
 @dataclass(slots=True)
@@ -219,9 +196,9 @@ class _Part:
     boot: int = 1
     first_s: float = inf
     last_s: float = -inf
-    samples: list[Samples] = field(default_factory=list)
+    samples: list[source.Samples] = field(default_factory=list)
 
-    def add(self, utc_s: Float, samples: list[Samples]) -> None:
+    def add(self, utc_s: Float, samples: list[source.Samples]) -> None:
         self.first_s = min(self.first_s, float(utc_s.min()))
         self.last_s = max(self.last_s, float(utc_s.max()))
         self.samples += samples
@@ -235,8 +212,8 @@ def _numbered(parts: "Sequence[_Part]") -> list[int]:
         free = (
             number
             for number, boot in enumerate(boots)
-            if not any(one.first_s <= part.last_s and part.first_s <= one.last_s for one in boot)
-            and any(max(one.first_s - part.last_s, part.first_s - one.last_s) <= _SAME_FLIGHT_S for one in boot)
+            if not any(other.first_s <= part.last_s and part.first_s <= other.last_s for other in boot)
+            and any(max(other.first_s - part.last_s, part.first_s - other.last_s) <= _SAME_FLIGHT_S for other in boot)
         )
         number = next(free, len(boots))
         if number == len(boots):
@@ -248,25 +225,25 @@ def _numbered(parts: "Sequence[_Part]") -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Some rows of a table by column, as text."""
+    """Rows of a table by column, as text."""
 
     name: str
     lines: tuple[int, ...]
     cells: dict[str, tuple[str, ...]]
 
-    def samples(self) -> Iterator[Samples]:
+    def samples(self) -> Iterator[source.Samples]:
         utc_s, q = self.utc_s(), self._q_body_ned()
         valid = np.isfinite(q).all(axis=-1)
-        yield AttitudeSamples(utc_s[valid], q[valid], np.zeros(np.count_nonzero(valid), dtype=np.int64), "table")
+        yield source.AttitudeSamples(utc_s[valid], q[valid], np.zeros(np.count_nonzero(valid), dtype=np.int64), "table")
         yield self._positions_of(utc_s)
-        yield ClockSamples(utc_s, utc_s, "table")
+        yield source.ClockSamples(utc_s, utc_s, "table")
         if set(_RATES) <= set(self.cells):
             yield self._rates(utc_s)
 
     def utc_s(self) -> Float:
         name = next(name for name in _TIMES if name in self.cells)
         utc_s = self._read(name, parse_utc if name == "utc" else float)
-        plausible = (utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)
+        plausible = (utc_s >= _YEAR_1972_S) & (utc_s < source.YEAR_2100_S)
         self._reject(name, ~plausible, "is no UTC between 1972 and 2100, in seconds since 1970")
         return utc_s
 
@@ -277,20 +254,20 @@ class _Columns:
                 self._reject(name, np.isinf(angle), "is no angle")
             return quaternion_from_euler(*map(np.deg2rad, euler_deg))
         q = np.stack([self._number(name) for name in _QUATERNION], axis=-1)
-        odd = np.abs(quaternion_lengths(q) - 1) > _UNIT_TOLERANCE
+        odd = np.abs(source.quaternion_lengths(q) - 1) > UNIT_TOLERANCE
         self._reject("qw", odd, "begins a quaternion that is not of unit length")
         return q
 
-    def _positions_of(self, utc_s: Float) -> PositionSamples:
+    def _positions_of(self, utc_s: Float) -> source.PositionSamples:
         if not set(_PLACE) <= set(self.cells):
-            nothing = np.empty(0)
-            return PositionSamples(nothing, nothing, nothing, nothing, "no columns latitude_deg, longitude_deg")
+            return source.no_position_samples("no columns latitude_deg, longitude_deg")
         latitude_deg, longitude_deg = (self._number(name) for name in _PLACE)
         self._reject("latitude_deg", np.abs(latitude_deg) > 90, "is beyond a pole")
         self._reject("longitude_deg", np.abs(longitude_deg) > 360, "is more than a turn")
         height_m = self._number("height_m") if "height_m" in self.cells else np.zeros(utc_s.size)
-        valid = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & ~is_zero_position(latitude_deg, longitude_deg)
-        return PositionSamples(
+        valid = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
+        valid &= ~source.is_zero_position(latitude_deg, longitude_deg)
+        return source.PositionSamples(
             utc_s[valid],
             np.deg2rad(latitude_deg[valid]),
             np.deg2rad(longitude_deg[valid]),
@@ -298,11 +275,12 @@ class _Columns:
             "table" if valid.any() else "latitude_deg and longitude_deg are empty, or 0 as without a GPS fix",
         )
 
-    def _rates(self, utc_s: Float) -> RateSamples:
+    def _rates(self, utc_s: Float) -> source.RateSamples:
         rate = np.deg2rad(np.stack([self._number(name) for name in _RATES], axis=-1))
         valid = np.isfinite(rate).all(axis=-1)
-        self._reject(_RATES[0], valid & ~valid_rates(rate), "begins a turn faster than any gyro measures, 5000 deg/s")
-        return RateSamples(utc_s[valid], rate[valid], "table")
+        too_fast = valid & ~source.valid_rates(rate)
+        self._reject(_RATES[0], too_fast, "begins a turn faster than any gyro measures, 5000 deg/s")
+        return source.RateSamples(utc_s[valid], rate[valid], "table")
 
     def _number(self, name: str) -> Float:
         """Return a column of numbers; NaN for empty cells."""

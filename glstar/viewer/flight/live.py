@@ -37,16 +37,16 @@ class Buffered(NamedTuple):
 class LiveFlight:
     """The viewer's side of a link; no method waits for the link.
 
-    `link`: open; it stays the caller's; `on_event`: called with the message of each event.  `epoch`: counts how often
-    UTC was set: the samples before and after belong to two flights; a reboot with the same UTC is a gap of one flight;
-    `status`: at the last `poll`; `events`: the latest events, oldest first.
+    `link`: open; it stays the caller's; `on_event`: called with the message of each event.
     """
 
     def __init__(self, link: Link, *, on_event: Callable[[str], None] | None = None) -> None:
         self.link = link
+        # Counts how often UTC was set: the samples before and after belong to two flights.  A reboot with the same UTC
+        # is a gap of one flight.
         self.epoch = 0
-        self.status: LinkStatus = link.status()
-        self.events: deque[LinkEvent] = deque(maxlen=_EVENTS)
+        self.status: LinkStatus = link.status()  # At the last `poll`
+        self.events: deque[LinkEvent] = deque(maxlen=_EVENTS)  # Oldest first
         self._latency_s: deque[float] = deque(maxlen=_LATENCIES)
         self._all_latency_s: list[float] | None = None
         self._on_event = on_event or (lambda _: None)
@@ -54,7 +54,8 @@ class LiveFlight:
         self._before: LatestAttitude | None = None
         self._copier = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-live")
         self._copying: Future[Buffered | None] | None = None
-        self._copied_s, self._copied_epoch = 0.0, 0
+        self._copied_s = 0.0
+        self._copied_epoch = 0
         self._drawn: LatestAttitude | None = None
         self._reported_conditions = False
         self._counted_s = 0.0
@@ -98,8 +99,7 @@ class LiveFlight:
     def with_estimate(self, last_s: float) -> tuple[Flight, Estimate] | None:
         """Return the flight's last seconds, and what the autopilot estimated in them.
 
-        Returns (Flight, Estimate) or None: the flight itself is the estimate unless the link draws a simulator's state;
-        none without samples.
+        The flight itself is the estimate unless the link draws a simulator's state.  Returns None without samples.
         """
         flight, estimate = self.link.flight_and_estimate(last_s)
         if flight is None or (estimate is None and self.link.truth == "sim_state"):
@@ -114,9 +114,12 @@ class LiveFlight:
         now_s = time.monotonic()
         taken = None
         if self._copying is not None and self._copying.done():
-            taken, self._copying = self._copying.result() if self._copied_epoch == self.epoch else None, None
+            if self._copied_epoch == self.epoch:
+                taken = self._copying.result()
+            self._copying = None
         if self._copying is None and now_s - self._copied_s >= _REFRESH_S:
-            self._copied_s, self._copied_epoch = now_s, self.epoch
+            self._copied_s = now_s
+            self._copied_epoch = self.epoch
             self._copying = self._copier.submit(self._copy, origin_s)
         return taken
 
@@ -158,7 +161,8 @@ class LiveFlight:
             self._reported_conditions = True
             self._on_event(conditions_report(scene))
         if latest.arrival_s > self._counted_s and self.stale_s is None:
-            self._drawn, self._counted_s = latest, latest.arrival_s
+            self._drawn = latest
+            self._counted_s = latest.arrival_s
 
     def presented(self) -> None:
         """Record that the image drawn last is on the screen."""

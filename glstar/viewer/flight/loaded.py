@@ -1,8 +1,6 @@
 """A flight that the viewer shows, with everything computed from it, and the thread that loads flights.
 
-What a user can choose for the attitude of a log, found on a thread of its own.
-
-UTC and site that a log or a link lacks, and the fields in which a user types them.
+Also the attitudes of a log among which the user can choose, and the UTC and the site that a log or a link lacks.
 """
 
 from collections.abc import Callable, Mapping
@@ -44,8 +42,8 @@ class AttitudeChoices:
     def of(cls, survey: Survey) -> "AttitudeChoices":
         """Return the choices in a log."""
         described = {
-            one.name: f"{one.samples} samples, {one.rate_hz:.4g} Hz, {one.duration_s:.1f} s, {one.gaps} gaps"
-            for one in survey.attitudes
+            each.name: f"{each.samples} samples, {each.rate_hz:.4g} Hz, {each.duration_s:.1f} s, {each.gaps} gaps"
+            for each in survey.attitudes
         }
         return cls(described, survey.gyros is not None)
 
@@ -61,15 +59,15 @@ class AttitudeChoices:
 
         `chosen` {"slerp", "spline", "gyro"}: the present one, which is always among them.
         """
-        every: tuple[Interpolation, ...] = ("slerp", "spline", "gyro")
-        return [one for one in every if one != "gyro" or self.has_gyros or one == chosen]
+        names: tuple[Interpolation, ...] = ("slerp", "spline", "gyro")
+        return [name for name in names if name != "gyro" or self.has_gyros or name == chosen]
 
 
 class AttitudeFinder:
     """Surveys the log shown, from the first call of `of` on."""
 
     def __init__(self) -> None:
-        self._thread: ThreadPoolExecutor | None = None
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-attitudes")
         self._wanted: tuple[Path, FlightSection] | None = None
         self._future: Future[AttitudeChoices] | None = None
 
@@ -79,23 +77,21 @@ class AttitudeFinder:
         return self._future is not None and not self._future.done()
 
     def of(self, path: Path, config: Config) -> AttitudeChoices | None:
-        """Return the choices in a log; its survey begins with the first call.
+        """Return the choices in a log; None until they are known: its survey begins with the first call.
 
-        `config`: with which the log was read.  Returns: none until they are known.
+        `config`: with which the log was read.
         """
         wanted = path, config.flight.model_copy(update=_CHOSEN)
         if self._future is None or wanted != self._wanted:
-            if self._thread is None:
-                self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-attitudes")
             if self._future is not None:
                 self._future.cancel()
-            self._wanted, self._future = wanted, self._thread.submit(_find, path, config)
+            self._wanted = wanted
+            self._future = self._thread.submit(_find, path, config)
         return self._future.result() if self._future.done() else None
 
     def close(self) -> None:
         """End the thread."""
-        if self._thread is not None:
-            self._thread.shutdown(wait=True, cancel_futures=True)
+        self._thread.shutdown(wait=True, cancel_futures=True)
 
 
 def _find(path: Path, config: Config) -> AttitudeChoices:
@@ -108,7 +104,7 @@ def _find(path: Path, config: Config) -> AttitudeChoices:
 class InputField(NamedTuple):
     """A value to type."""
 
-    key: str  # Of ``[flight]``
+    key: str  # Key of ``[flight]``
     label: str  # With the unit
     hint: str  # An example
     is_required: bool = True
@@ -124,59 +120,46 @@ SITE_KEYS: Final = tuple(each.key for each in _SITE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MissingFromLog:
-    """Missing inputs of a log."""
+class MissingInputs:
+    """The UTC and the site that a log or a link lacks, with the messages about them."""
 
-    path: Path  # The log
-    reasons: Mapping[Literal["UTC", "position"], str]  # As in `LogFormatError.lacks`
-    given: Mapping[str, Any]  # Dotted keys of the config that were given for this log before
+    message: str
+    note: str  # What the inputs are used for
+    fields: tuple[InputField, ...]  # The fields to fill in
     typed: Mapping[str, str]  # The initial contents of the fields, by key of ``[flight]``
+    path: Path | None = None  # The log; None for a link
+    given: Mapping[str, Any] = field(default_factory=dict)  # Dotted keys of the config that were given for it before
 
-    @property
-    def message(self) -> str:
-        """A message about the missing inputs."""
-        lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in self.reasons.items()]
-        return f"{self.path.name} has {' and '.join(lacking)}."
+    @classmethod
+    def from_log(
+        cls,
+        path: Path,
+        reasons: Mapping[Literal["UTC", "position"], str],
+        given: Mapping[str, Any],
+        typed: dict[str, str],
+    ) -> "MissingInputs":
+        """Return the inputs that a log lacks; `reasons`: as in `LogFormatError.lacks`."""
+        lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in reasons.items()]
+        return cls(
+            f"{path.name} has {' and '.join(lacking)}.",
+            "Your input applies to this log only, and is saved with its settings and frames.",
+            ((_UTC,) if "UTC" in reasons else ()) + (_SITE if "position" in reasons else ()),
+            typed,
+            path,
+            given,
+        )
 
-    @property
-    def note(self) -> str:
-        """A message about the use of the inputs."""
-        return "Your input applies to this log only, and is saved with its settings and frames."
-
-    @property
-    def fields(self) -> tuple[InputField, ...]:
-        """The fields to fill in."""
-        return ((_UTC,) if "UTC" in self.reasons else ()) + (_SITE if "position" in self.reasons else ())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MissingFromLink:
-    """The site of a flight whose link sends no position."""
-
-    endpoint: str  # The link
-    typed: Mapping[str, str]  # The initial contents of the fields, by key of ``[flight]``
-
-    @property
-    def message(self) -> str:
-        """A message about the missing inputs of the link."""
-        return f"{self.endpoint} sends no position."
-
-    @property
-    def note(self) -> str:
-        """A message about the use of the inputs."""
-        return "Your input applies to this link until the viewer is closed."
-
-    @property
-    def fields(self) -> tuple[InputField, ...]:
-        """The fields to fill in."""
-        return _SITE
+    @classmethod
+    def from_link(cls, endpoint: str, typed: Mapping[str, str]) -> "MissingInputs":
+        """Return the site that a link does not send."""
+        note = "Your input applies to this link until the viewer is closed."
+        return cls(f"{endpoint} sends no position.", note, _SITE, typed)
 
 
 def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
-    """Return typed inputs as keys of the config.
+    """Return typed inputs by dotted key of the config: UTC in ISO 8601, degrees, metres; the config checks the ranges.
 
-    `typed`: by key of ``[flight]``.  Returns: by dotted key: UTC in ISO 8601, degrees, metres; the config checks the
-    ranges.  Raises ConfigError if a value is missing, or is no time or number.
+    `typed`: by key of ``[flight]``.  Raises ConfigError if a value is missing, or is no time or number.
     """
     keys: dict[str, Any] = {}
     for each in fields:
@@ -211,7 +194,7 @@ class LoadedFlight:
     config: Config  # The settings with which it was loaded
     # Dotted keys of the config that the user gave for this log only: the UTC and the site that it lacks.
     given: Mapping[str, Any]
-    flight: Flight  # Of a live flight, a copy of the link's buffer, replaced twice a second
+    flight: Flight  # A live one is a copy of the link's buffer, replaced twice a second
     lines: FlightLines  # The curves of the timeline
     simulator: Simulator
     overlays: Overlays
@@ -234,11 +217,12 @@ class LoadedFlight:
     def make(cls, path: Path | None, config: Config, given: Mapping[str, Any], flight: Flight) -> "LoadedFlight":
         """Return a flight with its simulator, its overlays and its curves.
 
-        `path`: none for a flight received from a link; `given`: dotted keys of the config that hold for this log only.
+        `path`: None for a flight received from a link; `given`: dotted keys of the config that hold for this log only.
         """
         simulator = config.simulator(flight)
         lines = FlightLines.of(flight.aircraft_attitude, flight.attitude.first_s)
-        return cls(path, config, given, flight, lines, simulator, Overlays(simulator.sky.catalogue))
+        overlays = Overlays(simulator.sky.catalogue)
+        return cls(path, config, given, flight, lines=lines, simulator=simulator, overlays=overlays)
 
     @classmethod
     def read(cls, path: Path, config: Config, given: Mapping[str, Any]) -> "LoadedFlight":
@@ -335,25 +319,21 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
 
 
 class FlightLoader:
-    """Loads one flight at a time on a thread of its own, and records the missing inputs of a log.
-
-    `missing`: the UTC and the site that the log opened last lacks, until the user gives them or cancels; `last_opened`:
-    the log opened last, even if it could not be read; `start_s`: where the play head of the next flight is at first, s
-    from its first attitude; None for there; `typed_site`: the site typed last, by key of ``[flight]``: the initial
-    contents of the dialog; `sampler`: computes the curves of the timeline that need simulated exposures; `finder`:
-    finds the attitudes among which the user can choose.
-    """
+    """Loads one flight at a time on a thread of its own, and records the missing inputs of a log."""
 
     def __init__(self) -> None:
-        self.missing: MissingFromLog | None = None
-        self.last_opened: Path | None = None
+        self.missing: MissingInputs | None = None  # Of the log opened last, until the user gives them or cancels
+        self.last_opened: Path | None = None  # The log opened last, even if it could not be read
+        # Initial position of the next flight's play head, s from its first attitude; None for the first attitude.
         self.start_s: float | None = None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
         self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
+        # The inputs typed last, which are the initial contents of the dialog: a site by key of ``[flight]``, and the
+        # UTC of each log.
         self.typed_site: dict[str, str] = {}
-        self.sampler, self.finder = SkySampler(), AttitudeFinder()
-        # The UTC typed last for each log.
         self._typed_utc: dict[Path, str] = {}
+        self.sampler = SkySampler()
+        self.finder = AttitudeFinder()
 
     @property
     def is_busy(self) -> bool:
@@ -380,7 +360,8 @@ class FlightLoader:
 
         `given`: dotted keys of the config that hold for this log only.
         """
-        self.missing, self.last_opened = None, path
+        self.missing = None
+        self.last_opened = path
         self.drop()
         self._pending = path, given, self._thread.submit(LoadedFlight.read, path, config, given)
 
@@ -400,18 +381,19 @@ class FlightLoader:
         """Begin to load a flight received from a link."""
         self._pending = None, {}, self._thread.submit(LoadedFlight.make, None, config, {}, flight)
 
-    def read_again(self, config: Config, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
+    def read_again(self, config: Config, missing: MissingInputs, typed: Mapping[str, str]) -> None:
         """Begin to read a log again, with its missing inputs.
 
         `config`: the settings without the inputs given for a log; `typed`: by key of ``[flight]``: ``utc_start``,
         ``latitude_deg``, ``longitude_deg``, ``height_m``.  Raises ConfigError if something is missing or not valid;
         nothing changes then.
         """
+        assert missing.path is not None
         given = {**missing.given, **flight_keys(missing.fields, typed)}
         config = config.override(**given)
-        if "position" in missing.reasons:
+        if _SITE[0] in missing.fields:
             self.typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
-        if "UTC" in missing.reasons:
+        if _UTC in missing.fields:
             self._typed_utc[missing.path.resolve()] = typed["utc_start"]
         self.read(missing.path, config, given)
 
@@ -427,7 +409,7 @@ class FlightLoader:
         except LogFormatError as error:
             if error.lacks and path is not None:
                 typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self.typed_site}
-                self.missing = MissingFromLog(path, error.lacks, given, typed)
+                self.missing = MissingInputs.from_log(path, error.lacks, given, typed)
             raise
         if self.start_s is not None:
             loaded.head.seek(loaded.head.first_s + self.start_s)

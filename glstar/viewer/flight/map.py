@@ -1,10 +1,4 @@
-"""Where the aircraft is at a time, how it flies and where its camera points; its ground track as a map shows it.
-
-The azimuths that a camera's image covers.
-
-Where the directions of a camera's image meet the ground.
-
-The map around a site: coastlines and the graticule of latitude and longitude.
+"""The state of the aircraft at a time, the ground that its camera sees, and the map around a site.
 
 The map is an orthographic projection: metres east and north in the plane that is tangent to the ellipsoid at the site.
 Directions from there are true at any distance; a distance of 900 km is 0.3 % too short.
@@ -38,9 +32,9 @@ _UP_AND_DOWN_NED: Final = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, float]:
     """Return the azimuths between which all directions of an image lie, without refraction.
 
-    `C_camera_ned` (3, 3): rotation from north, east, down to the camera frame.  Returns `first_rad`: azimuth from north
-    through east, 0 to 2 pi; NaN, as the extent, if a part of the image's border is beyond the limit of the lens;
-    `extent_rad`: clockwise from there, seen from above; 2 pi if the zenith or the nadir is in the image.
+    `C_camera_ned` (3, 3): rotation from north, east, down to the camera frame.  Returns the first azimuth, from north
+    through east, 0 to 2 pi, and the extent clockwise from there, seen from above: 2 pi if the zenith or the nadir is in
+    the image.  Both are NaN if a part of the image's border is beyond the limit of the lens.
     """
     directions = image_border(camera) @ C_camera_ned
     if not np.isfinite(directions).all():
@@ -172,9 +166,9 @@ class Footprint:
 def ground_footprint(camera: Camera, C_camera_ned: Float, site: Site, ground_m: float) -> Footprint:
     """Return where the rays of an image meet the ground, without refraction and without terrain.
 
-    `C_camera_ned` (3, 3): rotation from north, east, down to the camera frame; `site`: of the camera, above the ground;
-    `ground_m`: height of the ground above the WGS84 ellipsoid, m: an ellipsoid whose semi-axes are longer by that.
-    Returns: empty if the site is not above the ground.
+    It is empty if the site is not above the ground.  `C_camera_ned` (3, 3): rotation from north, east, down to the
+    camera frame; `site`: of the camera; `ground_m`: height of the ground above the WGS84 ellipsoid, m: an ellipsoid
+    whose semi-axes are longer by that.
     """
     axes_m = semi_axes_m() + ground_m
     eye_m = geocentric_m(site.latitude_rad, site.longitude_rad, site.height_m)
@@ -311,10 +305,7 @@ class GraticuleLine:
 
 
 def graticule(origin: Site, limits: MapLimits) -> list[GraticuleLine]:
-    """Return the graticule of a part of the map.
-
-    Returns: about four lines of latitude and of longitude; none beyond the Earth.
-    """
+    """Return the graticule of a part of the map: about four lines each of latitude and longitude, if on the Earth."""
     south_deg, north_deg, west_deg, east_deg = _bounds_deg(origin, limits)
     wanted_deg = np.rad2deg(min(limits.extent_m / _EARTH_M, pi)) / _LINES
     step = next((step for step in _STEPS_DEG if step >= wanted_deg), _STEPS_DEG[-1])

@@ -40,7 +40,7 @@ class NavigatorView:
 
     def add(self, answer: PlacedAnswer) -> None:
         """Add an answer of a live link; the oldest are dropped."""
-        self.answers = sorted([*self.answers, answer], key=lambda one: one.utc_s)[-_MOST_ANSWERS:]
+        self.answers = sorted([*self.answers, answer], key=lambda each: each.utc_s)[-_MOST_ANSWERS:]
 
     def beliefs(
         self, loaded: LoadedFlight | None, simulator: Simulator | None, scene: Scene | None
@@ -53,18 +53,18 @@ class NavigatorView:
             return ()
         if self._last is not None and self._last[0] is scene and self._last[1] is self.answers:
             return self._last[2]
-        answers, found = self.answers, list[Belief]()
+        answers, beliefs = self.answers, list[Belief]()
         record = self._live_record(loaded, scene) if loaded.is_live else self._record(loaded, scene)
         if record is not None and record["q_body_ned"] is not None:
             C_camera_body = loaded.config.mount().C_camera_body
-            found.append(_estimate(record, C_camera_body, simulator, scene, has_position=loaded.is_live))
+            beliefs.append(_estimate(record, C_camera_body, simulator, scene, has_position=loaded.is_live))
         times_s = [answer.utc_s for answer in answers]
         if (number := bisect_right(times_s, scene.exposure.stop_utc_s)) > 0:
             answer = answers[number - 1]
             if loaded.is_live and answer.utc_s < simulator.flight.attitude.first_s:
                 simulator = simulator.with_flight(loaded.flight)  # the whole buffer of the link
-            found.append(_answered(answer, simulator, scene))
-        self._last = scene, answers, tuple(found)
+            beliefs.append(_answered(answer, simulator, scene))
+        self._last = scene, answers, tuple(beliefs)
         return self._last[2]
 
     def lacking(self, loaded: LoadedFlight | None) -> str:
@@ -92,8 +92,8 @@ class NavigatorView:
         config, flight = loaded.config, loaded.flight
         if self._navigator is None or self._navigator[0] is not config or self._navigator[1] is not flight:
             draws = self._may_differ(loaded) and (config.navigator.attitude == "model") == (loaded.estimate is None)
-            flown = loaded.simulator.flight
-            navigator = Navigator.of(config, flown, estimate=loaded.estimate) if draws else None
+            true_flight = loaded.simulator.flight
+            navigator = Navigator.of(config, true_flight, estimate=loaded.estimate) if draws else None
             self._navigator = config, flight, navigator
         navigator = self._navigator[2]
         return None if navigator is None else navigator.record(scene.exposure, number=0, file="")
@@ -103,10 +103,10 @@ class NavigatorView:
         config, exposure = loaded.config, scene.exposure
         if self.live is None or not self._may_differ(loaded) or config.navigator.attitude != "model":
             return None
-        known = self.live.with_estimate(loaded.head.last_s - exposure.start_utc_s + BEFORE_EXPOSURE_S)
-        if known is None:
+        samples = self.live.with_estimate(loaded.head.last_s - exposure.start_utc_s + BEFORE_EXPOSURE_S)
+        if samples is None:
             return None
-        flight, estimate = known
+        flight, estimate = samples
         track = estimate.attitude
         is_covered = track.first_s <= exposure.start_utc_s and exposure.stop_utc_s <= track.last_s + CLOCK_GRAIN_S
         if not is_covered or track.gap_within(exposure.start_utc_s, exposure.stop_utc_s) is not None:

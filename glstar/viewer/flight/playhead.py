@@ -1,8 +1,6 @@
-"""The play head: the time of a flight that is shown, and the exposure that belongs to it.
+"""The play head: the time of a flight that is shown, the exposure that belongs to it, and times as users type them.
 
 The play head has no clock of its own: `PlayHead.advance` takes the elapsed time.  All times are UTC seconds.
-
-Times of a flight as users type them.
 """
 
 import re
@@ -25,12 +23,11 @@ _DAY_S = 86400.0
 
 
 def parse_typed_time(text: str, *, origin_s: float, first_s: float, last_s: float, shown_s: float) -> float:
-    """Return the time that a user typed; see `PlayHead.seek_text`.
+    """Return the time that a user typed, UTC seconds since 1970, perhaps outside the flight; see `PlayHead.seek_text`.
 
-    `text`: without blanks around it; `origin_s`: from which seconds are counted, UTC seconds since 1970; `first_s`,
-    `last_s`: the ends of the flight, UTC seconds since 1970; `shown_s`: from which a number with a sign is counted, UTC
-    seconds since 1970.  Returns: UTC seconds since 1970; it may lie outside the flight.  Raises ConfigError if the text
-    is not a time.
+    `text`: without blanks around it.  All times are UTC seconds since 1970: `origin_s`: from which seconds are counted;
+    `first_s`, `last_s`: the ends of the flight; `shown_s`: from which a number with a sign is counted.  Raises
+    ConfigError if the text is not a time.
     """
     if text[:1] in {"+", "-"}:
         sign, rest = (1.0 if text[0] == "+" else -1.0), text[1:].strip()
@@ -99,25 +96,24 @@ class PlayHead:
 
     A live flight grows at its end, while its beginning leaves the buffer; at its end the play head is live and stays at
     the end.  `first_s`, `last_s`: the ends of the flight, UTC seconds since 1970; `exposure`: duration, interval and
-    rate of the exposures; `grows`: whether the flight is live.  `first_s`, `last_s`: the ends of the part that can be
-    shown, UTC seconds since 1970; `grow` moves them; `origin_s`: the flight's first attitude, from which seconds and
-    exposures are counted, UTC seconds since 1970; `grows`: whether the flight is live; `live`: whether the play head
-    stays at the end of a live flight; `exposure_section`: duration, interval and rate of the exposures; may be replaced
-    at any time; `mode`: whether the camera's exposures are shown, or the one that ends at the play head; `playing`:
-    whether the play head moves; `loop`: whether the flight starts again at its end; `markers`: UTC seconds since 1970,
-    ascending; `in_s`, `out_s`: the in and out points, UTC seconds since 1970: the part that loops, and that exports and
-    videos begin with.  Raises TelemetryError if the flight has no duration.
+    rate of the exposures; `grows`: whether the flight is live.  Raises TelemetryError if the flight has no duration.
     """
 
     def __init__(self, first_s: float, last_s: float, exposure: ExposureSection, *, grows: bool = False) -> None:
         if not (isfinite(first_s) and isfinite(last_s) and first_s < last_s):
             raise TelemetryError(f"a flight that begins at {first_s} s and ends at {last_s} s cannot be played")
-        self.first_s, self.last_s, self.origin_s = first_s, last_s, first_s
-        self.grows = self.live = self.playing = grows
-        self.exposure_section = exposure
+        # The part that can be shown, UTC seconds since 1970; `grow` moves its ends.
+        self.first_s, self.last_s = first_s, last_s
+        # The flight's first attitude, from which seconds and exposures are counted, UTC seconds since 1970.
+        self.origin_s = first_s
+        self.grows = grows
+        self.live = grows  # Whether it stays at the end of a live flight
+        self.playing = grows  # Whether it moves
+        self.exposure_section = exposure  # May be replaced at any time
         self.mode = Mode.SLIDING if grows else Mode.CAMERA
-        self.loop = False
-        self.markers: list[float] = []
+        self.loop = False  # Whether the flight starts again at its end
+        self.markers: list[float] = []  # UTC seconds since 1970, ascending
+        # In and out points, UTC seconds since 1970: the part that loops, and that exports and videos begin with.
         self.in_s: float | None = None
         self.out_s: float | None = None
         self._utc_s = last_s if grows else first_s
@@ -150,7 +146,8 @@ class PlayHead:
         self._utc_s = min(max(utc_s, self.first_s), self.last_s)
         self.live = self.grows and self._utc_s == self.last_s
         if self.live:
-            self.playing, self._speed = True, abs(self._speed)
+            self.playing = True
+            self._speed = abs(self._speed)
 
     def grow(self, first_s: float, last_s: float) -> None:
         """Set the ends of a live flight.
@@ -168,9 +165,9 @@ class PlayHead:
         """Go to a time that the user typed.
 
         `text`: seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
-        or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis shows it (``11:01:40``): a time of day is meant
-        if the flight is not that long, and always with ``Z``; with a sign, seconds or minutes from the time shown
-        (``+5``, ``-0.1``, ``-1:30``).  Raises ConfigError if it is none of these, or outside the flight.
+        or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis shows it (``11:01:40``).  That is a time of day
+        if the flight is not that long, and always with ``Z``.  With a sign, seconds or minutes count from the time
+        shown (``+5``, ``-0.1``, ``-1:30``).  Raises ConfigError if it is none of these, or outside the flight.
         """
         utc_s = parse_typed_time(
             text.strip(), origin_s=self.origin_s, first_s=self.first_s, last_s=self.last_s, shown_s=self._utc_s
@@ -363,11 +360,11 @@ class PlayHead:
         return latest if shown else None
 
     def exposure(self) -> Exposure:
-        """Return the exposure to show.
+        """Return the exposure to show, which is inside the flight.
 
-        Returns: inside the flight; in camera mode the latest that has ended, or the first one if none has, with exactly
-        the times of an export; in sliding mode the one that ends at the play head, or that starts with the flight; on a
-        flight that is shorter than an exposure, all of it; see `status`.
+        In camera mode it is the latest that has ended, or the first one if none has, with exactly the times of an
+        export.  In sliding mode it is the one that ends at the play head, or that starts with the flight.  A flight
+        that is shorter than an exposure is shown completely; see `status`.
         """
         section = self.exposure_section
         if (number := self.number) is not None:
@@ -375,18 +372,12 @@ class PlayHead:
         return _ending_at(self._utc_s, self.first_s, self.last_s, section)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
-        """Return the gap of the log that the exposure shown touches.
-
-        `attitude`: the flight's.  Returns the longest one; an export skips such an exposure.
-        """
+        """Return the longest gap of the log that the exposure shown touches; an export skips such an exposure."""
         exposure = self.exposure()
         return attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
 
     def status(self, attitude: AttitudeTrack) -> str | None:
-        """Return a message about the exposure shown.
-
-        `attitude`: the flight's.  Returns: none if an export of the same flight has the same exposure.
-        """
+        """Return a message about the exposure shown; None if an export of the same flight has the same exposure."""
         if (gap := self.gap(attitude)) is not None:
             return no_exposure(gap)
         if not self.count:

@@ -1,8 +1,6 @@
-"""Stars, limiting magnitude and signal-to-noise ratio along a flight, sampled on a thread of its own.
+"""The sky along a flight, for the timeline, and the conditions of the image shown.
 
-When it is day or twilight during a flight, for the timeline.
-
-The Sun, the Moon and the limiting magnitude of the image shown, kept while they stay the same.
+Number of stars, limiting magnitude and signal-to-noise ratio are sampled on a thread of its own.
 """
 
 from collections.abc import Callable
@@ -46,25 +44,23 @@ class _Wanted(NamedTuple):
 
 
 class SkySamples:
-    """Values along a flight, of which more and more are known.
-
-    `wanted`: what they were computed for; `second` (n,): the middle of each exposure, s from the flight's first
-    attitude; `values` (4, n): number of stars, limiting magnitude at rest and as a trail, signal-to-noise ratio of the
-    star; NaN where there is no exposure or no star; `known` (n,) bool: which exposures have been composed.
-    """
+    """Values along a flight, of which more and more are known; `wanted`: what they are computed for."""
 
     def __init__(self, wanted: _Wanted) -> None:
         self.wanted = wanted
+        # (n,) the middle of each exposure, s from the flight's first attitude.
         self.second = np.full(_COUNT, np.nan)
+        # (4, n) number of stars, limiting magnitude at rest and as a trail, signal-to-noise ratio of the star; NaN
+        # without an exposure or a star.
         self.values = np.full((4, _COUNT), np.nan)
-        self.known = np.zeros(_COUNT, dtype=np.bool_)
+        self.known = np.zeros(_COUNT, dtype=np.bool_)  # (n,) which exposures have been composed
         self.cancelled = Event()
 
     def lines(self, curve: TimelineCurve) -> list[tuple[Float, Float]]:
-        """Return the lines of a curve as far as they are known; returns: list of (second, value), (m,) float64 each."""
-        known = np.flatnonzero(self.known)
+        """Return the lines of a curve as far as they are known: a list of (second, value), (m,) each."""
+        composed = np.flatnonzero(self.known)
         rows = {TimelineCurve.STARS: (0,), TimelineCurve.LIMIT: (1, 2), TimelineCurve.SNR: (3,)}[curve]
-        return [(self.second[known], self.values[row, known]) for row in rows]
+        return [(self.second[composed], self.values[row, composed]) for row in rows]
 
     def compute(self) -> None:
         """Compose the exposures, coarse first, until all are known or it is cancelled."""
@@ -91,7 +87,7 @@ class SkySampler:
     def __init__(self) -> None:
         self._samples: SkySamples | None = None
         self._future: Future[None] | None = None
-        self._thread: ThreadPoolExecutor | None = None
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-samples")
 
     @property
     def is_busy(self) -> bool:
@@ -107,8 +103,10 @@ class SkySampler:
         before = self._samples
         if before is not None and before.wanted[0] is simulator and before.wanted[1:] == wanted[1:]:
             return before
-        self._start(SkySamples(wanted))
-        assert self._samples is not None
+        if before is not None:
+            before.cancelled.set()
+        self._samples = SkySamples(wanted)
+        self._future = self._thread.submit(self._samples.compute)
         return self._samples
 
     def wait(self) -> None:
@@ -116,19 +114,11 @@ class SkySampler:
         if self._future is not None:
             self._future.result()
 
-    def _start(self, samples: SkySamples) -> None:
-        if self._samples is not None:
-            self._samples.cancelled.set()
-        if self._thread is None:
-            self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-samples")
-        self._samples, self._future = samples, self._thread.submit(samples.compute)
-
     def close(self) -> None:
         """Stop, and end the thread."""
         if self._samples is not None:
             self._samples.cancelled.set()
-        if self._thread is not None:
-            self._thread.shutdown(wait=True, cancel_futures=True)
+        self._thread.shutdown(wait=True, cancel_futures=True)
 
 
 def _sampled(simulator: Simulator, exposure: Exposure, star_id: int | None) -> tuple[float, float, float, float]:
@@ -149,11 +139,10 @@ _MOST_TIMES: Final = 300
 
 
 def light_intervals(position: PositionTrack, first_s: float, last_s: float) -> dict[str, Float]:
-    """Return when it is day and when which twilight.
+    """Return when it is day and when twilight: (n, 2) start and end of each interval, UTC seconds since 1970.
 
-    `position`: of the aircraft; `first_s`, `last_s`: UTC seconds since 1970.  Returns: dict of str to (n, 2) float64:
-    start and end of each interval, UTC seconds since 1970, by the names of `LIGHT_LEVELS` but without night; only those
-    that occur.
+    They are listed by the names of `LIGHT_LEVELS` without night, if they occur.  `position`: of the aircraft;
+    `first_s`, `last_s`: UTC seconds since 1970.
     """
     count = min(max(ceil((last_s - first_s) / _STEP_S), 1), _MOST_TIMES) + 1
     times_s = np.linspace(first_s, last_s, count)
@@ -169,8 +158,8 @@ def light_intervals(position: PositionTrack, first_s: float, last_s: float) -> d
     middle_rad = np.interp((ends_s[1:] + ends_s[:-1]) / 2, times_s, altitude_rad)
     level = (middle_rad[:, np.newaxis] <= edges_rad).sum(axis=1)
     spans_s = np.stack([ends_s[:-1], ends_s[1:]], axis=1)
-    found = {name: spans_s[level == k] for k, (name, _) in enumerate(LIGHT_LEVELS[:-1])}
-    return {name: spans for name, spans in found.items() if len(spans)}
+    intervals = {name: spans_s[level == k] for k, (name, _) in enumerate(LIGHT_LEVELS[:-1])}
+    return {name: spans for name, spans in intervals.items() if len(spans)}
 
 
 # Interval at which they are computed while the flight plays, s: a computation takes about 1 ms.
@@ -198,10 +187,9 @@ class CurrentConditions:
         self._computed_s = 0.0
 
     def of(self, scene: Scene | None, head: PlayHead | None) -> Conditions | None:
-        """Return the conditions of a scene.
+        """Return the conditions of a scene; None without a scene, and for a scene that does not know its sky.
 
-        `scene`: of the image shown; `head`: while it moves, those of a scene of the last half second will do.  Returns:
-        none without a scene, and for a scene that does not know its sky.
+        `head`: while it moves, the conditions of a scene of the last half second are returned.
         """
         if scene is None or scene.observing_sky is None:
             return None

@@ -1,10 +1,6 @@
-"""Lines of many samples, thinned for a screen of few pixels.
+"""The curves of the timeline, computed from a flight on any thread, and its axis.
 
-The curves of the timeline, computed from a flight on any thread.
-
-The curves that the timeline can show: which there are, and those that follow from the position of the aircraft.
-
-The time axis of a plot: the part of the flight it shows, and its ticks.
+Lines of many samples are thinned for a screen of few pixels.  The axis has the part of the flight shown, and its ticks.
 """
 
 from dataclasses import dataclass
@@ -43,12 +39,12 @@ class Trace:
     def thinned(self, start: float, stop: float, columns: int, tolerance: float = 0.0) -> tuple[Float, Float]:
         """Return the points that a plot of a given width needs to draw the same picture.
 
-        `start`, `stop`: the part that is shown, in the units of x; `columns`: its width, px; `tolerance`: how far the
-        line may pass by a point, in the units of y; such points are left out of a part that stays the same for two
-        calls: while it moves, finding them would take longer than drawing them.  Returns `x, y` (m,): the samples
-        themselves if there are few; otherwise the minimum and the maximum of each group of samples, about one group for
-        each column. y is NaN at breaks; the next points outside the part are included, so that the line continues to
-        the edges.
+        `start`, `stop`: the part that is shown, in the units of x; `columns`: its width, px; `tolerance`: largest
+        distance of the line from a point that is left out, in the units of y.  Points are left out of a part that stays
+        the same for two calls: while it moves, finding them would take longer than drawing them.  Returns x and y,
+        (m,): the samples themselves if there are few; otherwise the minimum and the maximum of each group of samples,
+        about one group for each column.  y is NaN at breaks; the next points outside the part are included, so that the
+        line continues to the edges.
         """
         first, last = self._x.searchsorted((start, stop)).tolist()
         in_a_column = (last - first) / max(columns, 1)
@@ -176,7 +172,7 @@ class CurveSpec:
 
     label: str  # In the menu of curves
     unit: str  # At the axis
-    names: tuple[str, ...]  # Of the lines
+    names: tuple[str, ...]  # Names of the lines
     about: str  # What they are
 
 
@@ -229,10 +225,10 @@ _SPECS: Final = {
 
 
 def motion_traces(flight: Flight, origin_s: float) -> dict[TimelineCurve, tuple[Trace, ...]]:
-    """Return height, ground speed and climb over time.
+    """Return height, m, and ground speed and climb, m/s, over time.
 
-    `origin_s`: UTC seconds since 1970, from which the times of the curves count.  Returns: m, and m/s; a flight with a
-    single position has a constant height and no speed.
+    A flight with a single position has a constant height and no speed.  `origin_s`: UTC seconds since 1970, from which
+    the times of the curves count.
     """
     position = flight.position
     if position.utc_s.size < 2:
@@ -282,7 +278,9 @@ class TimeAxis:
     """
 
     def __init__(self, length_s: float, *, max_span_s: float = inf) -> None:
-        self._first_s, self._last_s, self._max_span_s = 0.0, length_s, max_span_s
+        self._first_s = 0.0
+        self._last_s = length_s
+        self._max_span_s = max_span_s
         self.start_s, self.stop_s = 0.0, 0.0
         self._show_all()
 
@@ -303,7 +301,8 @@ class TimeAxis:
         """
         if (first_s, last_s) == (self._first_s, self._last_s):
             return
-        shows_all, at_end, span_s = self._fitted, self.stop_s > self._limits[1] - _TOLERANCE_S, self.span_s
+        shows_all, span_s = self._fitted, self.span_s
+        at_end = self.stop_s > self._limits[1] - _TOLERANCE_S
         self._first_s, self._last_s = first_s, last_s
         if shows_all and last_s - first_s <= self._max_span_s:
             self._show_all()

@@ -1,13 +1,10 @@
-"""The canvas of the overlays: the geometry of one image, and the shapes that have been added to it.
-
-Lines, labels and marks that overlays draw over an image, in pixels of the image.
-"""
+"""The canvas of the overlays: the geometry of one image, and the lines, labels and marks added to it, in its pixels."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import floor, hypot
+from math import floor, hypot, log10
 from typing import Final
 
 import numpy as np
@@ -79,6 +76,8 @@ _CHARACTER_SCREEN_PX: Final = 7.5
 _LINE_SCREEN_PX: Final = 16.0
 # Distance of a label from its position, screen px.
 GAP_SCREEN_PX: Final = 6.0
+# Nine of ten arrows of residuals are at most this long, screen px, by default.
+_LONG_SCREEN_PX: Final = 60.0
 
 
 class Canvas:
@@ -107,7 +106,7 @@ class Canvas:
     screen_px : float
         The size of a screen pixel, px of the image.
     middle : Pointing
-        Of the middle of the exposure.
+        Pointing in the middle of the exposure.
     C_camera_ned : (3, 3) float64
         At the middle of the exposure.
     crossings : dict of str to Crossings
@@ -126,7 +125,7 @@ class Canvas:
         self.C_camera_ned = ned_to_camera_matrix(self.middle)
         self.radius_rad = radius_rad
         self.crossings: dict[str, Crossings] = {}
-        # Of the region's edges and of the horizon.
+        # (5, 3) inward normals of the region's edges and of the horizon.
         self._planes = np.vstack([region_planes(self.camera, self.region), -self.C_camera_ned[:, 2]])
         self._star_xy: Float | None = None
         self._trail_px: Float | None = None
@@ -256,7 +255,8 @@ class Canvas:
         width, height = longest * self._character_px + self._gap_px, line * rows
         left = max(min(x - across * width, self.region.right_px - width), self.region.left_px)
         top = max(min(y - down * height, self.region.bottom_px - height), self.region.top_px)
-        right, across, down = left + width, (x - left) / width, (y - top) / height
+        right = left + width
+        across, down = (x - left) / width, (y - top) / height
         first = floor(top / line)
         for row in range(first, first + rows + 1):
             for start, end in self._rows[row]:
@@ -283,10 +283,7 @@ class Canvas:
 
 
 def ned_to_camera_matrix(pointing: Pointing) -> Float:
-    """Return the rotation from north, east, down to the camera frame at the first time of a pointing.
-
-    Returns (3, 3).
-    """
+    """Return the rotation from north, east, down to the camera frame at the first time of a pointing, (3, 3)."""
     x, y, z = pointing.zenith_eq[0].tolist()
     from_axis = hypot(x, y)
     # East is the celestial pole x the zenith; at the Earth's poles any meridian serves.
@@ -296,11 +293,36 @@ def ned_to_camera_matrix(pointing: Pointing) -> Float:
 
 
 def unit_by_larger_component(vector: Float) -> Float:
-    """Return vectors scaled so that the larger component is 1 or -1, which moves a label beside a position.
+    """Return vectors (n, 2) scaled so that the larger component is 1 or -1, which moves a label beside a position.
 
-    `vector` (n, 2).  Returns (n, 2) (1, 0) for a vector of zero length or NaN.
+    A vector of zero length or NaN becomes (1, 0).
     """
     with np.errstate(invalid="ignore"):
         larger = np.abs(vector).max(axis=1, keepdims=True)
         is_long = larger > 1e-6
     return np.where(is_long, vector / np.where(is_long, larger, 1.0), [1.0, 0.0])
+
+
+def arrow_strokes(tails_px: Float, tips_px: Float, barb_px: float) -> Float:
+    """Return the strokes of arrows: (3 n, 2, 2) ends of the shafts and of both barbs, px.
+
+    `tails_px`, `tips_px` (n, 2): they differ; `barb_px`: length of a barb along the arrow, at most that of the arrow.
+    """
+    length_px = np.linalg.norm(tips_px - tails_px, axis=1, keepdims=True)
+    along = (tips_px - tails_px) / length_px
+    across = along[:, ::-1] * [-1, 1]
+    barb = np.minimum(barb_px, length_px)
+    sides = [tips_px - barb * (along + side * 0.5 * across) for side in (1, -1)]
+    return np.concatenate([np.stack([start, tips_px], axis=1) for start in (tails_px, *sides)])
+
+
+def residual_scale(shift_px: Float, screen_px: float, long_screen_px: float = _LONG_SCREEN_PX) -> float:
+    """Return the factor that lengthens arrows: the largest of 1, 2, 5, 10 ... with which nine of ten are short enough.
+
+    `shift_px` (n, 2): px of the image; `screen_px`: size of a screen pixel, px of the image; `long_screen_px`: the
+    length that one in ten may exceed, screen px.
+    """
+    typical_px = max(float(np.percentile(np.linalg.norm(shift_px, axis=1), 90)), 1e-4)
+    most = max(long_screen_px * screen_px / typical_px, 1.0)
+    power = 10.0 ** floor(log10(most))
+    return max(factor * power for factor in (1, 2, 5) if factor * power <= most)

@@ -1,10 +1,8 @@
-"""Curves on the sky, cut at the edges of the image and projected.
+"""Curves on the sky (grids, the horizon, constellations), cut at the edges of the image and projected.
 
 A curve is a chain of unit vectors, so close together that the straight chord between two lies within `TOLERANCE_PX` of
 the curve on the image.  The chords are cut in space, by the planes through the camera that bound the image (and by the
 horizon if the curve ends there), and projected afterwards, so that nothing behind the camera appears on the image.
-
-Curves on the sky that depend only on the camera and the epoch: grids, the horizon, constellations.
 """
 
 from dataclasses import dataclass
@@ -85,8 +83,8 @@ class Crossings(NamedTuple):
 
     def of_curves(self, first: int, last: int) -> "Crossings":
         """Return the crossings of the curves from `first` to before `last`, renumbered from 0."""
-        these = (self.curve >= first) & (self.curve < last)
-        return Crossings(self.curve[these] - first, self.xy_px[these], self.anchor[these])
+        selected = (self.curve >= first) & (self.curve < last)
+        return Crossings(self.curve[selected] - first, self.xy_px[selected], self.anchor[selected])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,10 +123,10 @@ class Curves:
 
 
 def max_step_rad(camera: Camera, curvature: float) -> float:
-    """Return the largest length of a chord that stays within `TOLERANCE_PX` of its curve on the image.
+    """Return the largest length of a chord that stays within `TOLERANCE_PX` of its curve on the image, rad.
 
-    `curvature`: geodesic curvature of the curve, 1/rad: of a parallel the tangent of its latitude.  Returns: rad.  A
-    chord of length s lies curvature * s^2 / 8 from its curve.  At the corner of the image a pinhole camera magnifies
+    `curvature`: geodesic curvature of the curve, 1/rad; for a parallel, the tangent of its latitude.  A chord of length
+    s lies curvature * s^2 / 8 from its curve.  At the corner of the image a pinhole camera magnifies
     this to focal length / cos^2 pixels per radian.  Distortion bends great circles, too; there their chords are longer
     by 1 / cos^2 in the image plane.
     """
@@ -180,8 +178,8 @@ def cut(
     """Cut chains of chords by planes through the camera, and project the parts inside.
 
     `vector` (n, 3): vertices in the camera frame; `inside` (n, k): distance of each vertex from each of k planes, 4 to
-    8, positive inside; the first four are those of `region_planes`, or, with distortion, the distances of
-    `inside_region`; `joined` (n,) bool: whether there is a chord from a vertex to the next one; `curve` (n,) intp:
+    8, positive inside.  The first four planes are those of `region_planes`, or, with distortion, the edges of
+    `inside_region`.  `joined` (n,) bool: whether there is a chord from a vertex to the next one; `curve` (n,) intp:
     index of the curve that each vertex belongs to, in ascending order.
     """
     # One bit for each plane: a chord with both ends outside the same plane is not visible.
@@ -234,8 +232,22 @@ def _chained(ends: Float, new: NDArray[np.bool_], curve: NDArray[np.intp]) -> Po
 _SPACINGS: Final = ((10, 60), (5, 20), (2, 10), (1, 5))
 
 COMPASS_POINTS: Final = (
-    *("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE"),
-    *("S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW"),
+    "N",
+    "NNE",
+    "NE",
+    "ENE",
+    "E",
+    "ESE",
+    "SE",
+    "SSE",
+    "S",
+    "SSW",
+    "SW",
+    "WSW",
+    "W",
+    "WNW",
+    "NW",
+    "NNW",
 )
 
 # The end of a constellation's line is a catalogue star if one lies within this angle; the farthest known is 9".
@@ -276,19 +288,15 @@ class Grids:
 
         self.altaz, self.equatorial = Curves.of(altaz), Curves.of(equatorial)
         self.altaz_labels = (*(f"alt {h}°" for h in altitudes), *(f"az {az}°" for az in azimuths))
-        self.equatorial_labels = (
-            *(f"{dec:+d}°" if dec else "0°" for dec in declinations),
-            *map(_hours, meridians),
-        )
+        self.equatorial_labels = (*(f"{dec:+d}°" if dec else "0°" for dec in declinations), *map(_hours, meridians))
 
 
 # A still aircraft keeps its horizon; one that climbs needs another for every frame.
 @lru_cache(maxsize=4)
 def horizon_curve(camera: Camera, sine_horizon: float, profile: HorizonProfile | None = None) -> Curves:
-    """Return the apparent horizon.
+    """Return the apparent horizon in directions north, east, down, sampled as finely as the image needs.
 
-    `camera`: the curve is sampled as finely as its image needs; `sine_horizon`: sine of the apparent altitude of the
-    horizon; `profile`: the horizon by azimuth, instead.  Returns: in apparent directions north, east, down.
+    `sine_horizon`: sine of the apparent altitude of the horizon; `profile`: the horizon by azimuth, instead.
     """
     if profile is not None:
         steps = ceil(2 * pi / max_step_rad(camera, tan(max(profile.highest_rad, -profile.lowest_rad))))
@@ -365,11 +373,11 @@ def _with_proper_motion(j2000_rad: Float, catalogue: StarCatalogue) -> tuple[Flo
     bright = np.flatnonzero(catalogue.vmag <= _FIGURE_VMAG_LIMIT)
     bright = bright[np.argsort(catalogue.dec_rad[bright])]
     star_dec = catalogue.dec_rad[bright]
-    star_direction, wanted = catalogue.direction[bright], direction(ra_rad, dec_rad)
+    star_direction, end_direction = catalogue.direction[bright], direction(ra_rad, dec_rad)
     south = np.searchsorted(star_dec, dec_rad - _SAME_STAR_RAD)
     north = np.searchsorted(star_dec, dec_rad + _SAME_STAR_RAD)
     for i, (first, last) in enumerate(zip(south.tolist(), north.tolist(), strict=True)):
-        chord = np.linalg.norm(star_direction[first:last] - wanted[i], axis=1)
+        chord = np.linalg.norm(star_direction[first:last] - end_direction[i], axis=1)
         if chord.size and chord.min() < _SAME_STAR_RAD:
             star = bright[first + int(chord.argmin())]
             ra_rad[i], dec_rad[i] = catalogue.ra_rad[star], catalogue.dec_rad[star]

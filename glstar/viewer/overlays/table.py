@@ -4,8 +4,8 @@
 OpenGL; `glstar.viewer.ui.panels.imagelayers` draws them.  Everything is drawn where the sky is in the middle of the
 exposure, with refraction: an altitude or azimuth read off the image is the apparent one.
 
-To add an overlay, add a member to `Overlay` and write its function.  The menu, the keys, ``--show``, the checkboxes and
-the table of keys in the manual are made from the members.
+To add an overlay, write its function and add a row to the table `Overlay`.  The menu, the keys, ``--show``, the
+checkboxes and the table of keys in the manual are made from the rows.
 """
 
 from collections.abc import Callable
@@ -25,13 +25,15 @@ from glstar.render.truth.frame import trail_centroids
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
-from glstar.viewer.overlays.belief import Belief, draw_beliefs, draw_residuals
+from glstar.viewer.overlays.belief import Belief
 from glstar.viewer.overlays.canvas import (
     GAP_SCREEN_PX,
     Canvas,
     Mark,
     Shapes,
+    arrow_strokes,
     ned_to_camera_matrix,
+    residual_scale,
     unit_by_larger_component,
 )
 from glstar.viewer.overlays.curves import (
@@ -66,11 +68,11 @@ class DrawingInputs:
     constellations: ConstellationFigures
     name_vmag_limit: float  # Magnitude limit of star names
     centroid_vmag_limit: float  # Magnitude limit of centroids
-    # (height, width) uint8, uint16 or bool, or None: the developed image, or of a stacked one where a short exposure is
+    # (height, width) the developed image, uint8 or uint16; or bool: where a short exposure of a stacked one is
     # saturated.
     pixels: NDArray[Any] | None
-    beliefs: tuple[Belief, ...] = ()  # Of the navigator
-    residuals: TrailResiduals | None = None  # Of the real image
+    beliefs: tuple[Belief, ...] = ()  # What the navigator believes
+    residuals: TrailResiduals | None = None  # Residuals of the real image
 
 
 class SkyCurves(NamedTuple):
@@ -185,10 +187,10 @@ def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
     for i in np.flatnonzero(inside.any(axis=0)).tolist():
         if name := stars.name[visible[bright[i]]]:
             canvas.label(name, xy[i], anchor[i])
-    for one in canvas.scene.satellites:
-        (at,) = one.camera.project(one.shutter[1:2].to_camera(one.stars.direction_eq))[0]
+    for satellite in canvas.scene.satellites:
+        (at,) = satellite.camera.project(satellite.shutter[1:2].to_camera(satellite.stars.direction_eq))[0]
         if canvas.region.contains(at):
-            canvas.label(one.stars.name[0], at.tolist(), (0.0, 0.0))
+            canvas.label(satellite.stars.name[0], at.tolist(), (0.0, 0.0))
 
 
 def _draw_constellation_names(canvas: Canvas, inputs: DrawingInputs) -> None:
@@ -276,6 +278,51 @@ def _estimated_horizon(scene: Scene, inputs: DrawingInputs) -> Curves:
         if belief.C_estimated_ned is not None:
             return replace(horizon, vector=horizon.vector @ (C_camera_ned.T @ belief.C_estimated_ned).T)
     return Curves.of([])
+
+
+def _draw_beliefs(canvas: Canvas, inputs: DrawingInputs) -> None:
+    """Draw an arrow from the optical axis to the direction that a navigator estimates for it.
+
+    A belief without an attitude is written at the axis.
+    """
+    camera = canvas.camera
+    centre = np.array([camera.cx_px, camera.cy_px])
+    for belief in inputs.beliefs:
+        if belief.C_camera_estimated is None:
+            where = "; position only: on the map" if belief.offset_km is not None else ""
+            canvas.label(f"{belief.name}: {belief.figures}{where}", centre.tolist(), (0.5, 1.0))
+            continue
+        axis = belief.C_camera_estimated[:, 2]
+        sideways = np.array([camera.fx_px * axis[0] + camera.skew_px * axis[1], camera.fy_px * axis[1]])
+        at = camera.project(axis) if axis[2] > 0 else np.full(2, np.nan)
+        if canvas.region.contains(at):
+            canvas.mark(Mark.TARGET if belief.C_estimated_ned is not None else Mark.RING, at[np.newaxis])
+        else:
+            # Towards an axis outside of the image, as far as half of the distance to the edge.
+            at = centre + sideways / np.linalg.norm(sideways) * min(camera.width_px, camera.height_px) / 4
+        if np.linalg.norm(at - centre) > GAP_SCREEN_PX * canvas.screen_px:
+            canvas.strokes(arrow_strokes(centre[np.newaxis], at[np.newaxis], 2 * GAP_SCREEN_PX * canvas.screen_px))
+        below = 0.0 if axis[1] >= 0 else 1.0
+        text = f"{belief.name}: {belief.figures}"
+        # Two beliefs at the same place: the second one is written on the other side.
+        for anchor in ((0.0, below), (0.0, 1.0 - below), (1.0, below)):
+            if canvas.label(text, at.tolist(), anchor):
+                break
+
+
+def _draw_residuals(canvas: Canvas, inputs: DrawingInputs) -> None:
+    """Draw an arrow from each trail of the real image towards the simulated one, all lengthened alike."""
+    residuals = inputs.residuals
+    if residuals is None or not len(residuals.shift_px):
+        return
+    scale = residual_scale(residuals.shift_px, canvas.screen_px)
+    canvas.mark(Mark.CROSS, residuals.real_px)
+    moved = np.any(residuals.shift_px != 0, axis=1)
+    tails_px = residuals.real_px[moved]
+    tips_px = tails_px + scale * residuals.shift_px[moved]
+    canvas.strokes(arrow_strokes(tails_px, tips_px, GAP_SCREEN_PX * canvas.screen_px))
+    corner = canvas.region.left_px, canvas.region.bottom_px
+    canvas.label(f"arrows {scale:g} x: from the detected to the simulated trail", corner, (0.0, 1.0))
 
 
 # --- the table ---
@@ -370,7 +417,7 @@ class Overlay(StrEnum):
             255,
             thickness=1.5,
             curves=SkyCurves("ned", _estimated_horizon),
-            draw=lambda canvas, inputs: draw_beliefs(canvas, inputs.beliefs),
+            draw=_draw_beliefs,
         ),
     )
     RESIDUALS = (
@@ -382,7 +429,7 @@ class Overlay(StrEnum):
             (64, 232, 255, 240),
             240,
             thickness=1.5,
-            draw=lambda canvas, inputs: draw_residuals(canvas, inputs.residuals),
+            draw=_draw_residuals,
         ),
     )
 
@@ -393,10 +440,7 @@ class Overlay(StrEnum):
 
 
 class Overlays:
-    """Computes the shapes of scenes; caches what depends only on the catalogue, the epoch and the camera.
-
-    `catalogue`: see `ConstellationFigures`.
-    """
+    """Computes the shapes of scenes; caches what depends only on the catalogue, the epoch and the camera."""
 
     def __init__(self, catalogue: StarCatalogue) -> None:
         self._constellations = ConstellationFigures(catalogue)
@@ -418,20 +462,25 @@ class Overlays:
     ) -> Shapes:
         """Return the shapes to draw over the image of a scene.
 
-        `name_vmag_limit`: magnitude limit of star names; `pixels` (height, width) uint8, uint16 or bool: the developed
-        image, or of a stacked one where a short exposure is saturated; without it the stars whose peak should saturate
-        are marked; `region`: the visible part of the image: lines end and grids are labelled at its edge; by default
-        the complete image; `zoom`: screen pixels to one image pixel: the size of labels and ticks on the screen does
-        not depend on it; `centroid_vmag_limit`: magnitude limit of centroids; `beliefs`: of the navigator; `residuals`:
-        of the real image.
+        `pixels`: see `DrawingInputs`, as the other inputs; without them the stars whose peak should saturate are
+        marked.  `region`: the visible part of the image, by default all of it: lines end and grids are labelled at its
+        edge.  `zoom`: screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on
+        it.
         """
         key = (frozenset(which), name_vmag_limit, region, zoom, centroid_vmag_limit, beliefs, residuals)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
             return self._last[3]
         if self._grids is None or self._grids.camera != scene.camera:
             self._grids = Grids(scene.camera)
-        known = self._grids, self._constellations, name_vmag_limit, centroid_vmag_limit
-        inputs = DrawingInputs(*known, pixels, beliefs, residuals)
+        inputs = DrawingInputs(
+            self._grids,
+            self._constellations,
+            name_vmag_limit,
+            centroid_vmag_limit,
+            pixels=pixels,
+            beliefs=beliefs,
+            residuals=residuals,
+        )
         canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)
         curves: dict[str, dict[str, Curves]] = {"eq": {}, "ned": {}}

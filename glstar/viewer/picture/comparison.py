@@ -11,7 +11,7 @@ from dataclasses import replace
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
 from glstar.images.times import TimeReference, exposure_of
 from glstar.sky.place.timescale import format_utc
 from glstar.system.files import write_atomically
+from glstar.system.imagefiles import encode_png
 from glstar.viewer.picture.fitting import FitImages, ImageFit, ResidualWatch
 from glstar.viewer.picture.view import Stretch, StretchKind
 
@@ -72,13 +73,13 @@ def compose(
     """Return the picture of a comparison.
 
     `simulated` (height, width) uint8 or uint16: digital numbers; `real` FittedImage, (h, w) uint8 or uint16, or None:
-    an array of another size is scaled and centred by `fit`; without a real image the picture is the simulated one;
-    `wipe`: `ComparisonMode.WIPE`: position of the line, 0 (left edge: all real) to 1 (all simulated); `phase`:
-    `ComparisonMode.BLINK`: 0 to 1; below 0.5 the simulated image is shown; `stretch`: for both images; by default
-    linear; of a difference the absolute value is stretched, with black level 0; `saturation_dn`: the digital number of
-    the simulated image that is white; by default the largest of its type; `real_black`: the level subtracted from the
-    real image, such as its dark level, as a fraction of white; `real_gain`: multiplies it then.  Returns (height,
-    width, 3) uint8: red, green, blue; twice as wide for `ComparisonMode.SIDE_BY_SIDE`.
+    an array of another size is scaled and centred by `fit`; without a real image the picture is the simulated one.
+    `wipe`: position of the line of a wipe, 0 (left edge: all real) to 1 (all simulated); `phase`: of blinking, 0 to 1;
+    below 0.5 the simulated image is shown.  `stretch`: for both images; the absolute value of a difference is
+    stretched, with black level 0.  `saturation_dn`: the digital number of the simulated image that is white; by default
+    the largest of its type; `real_black`: the level subtracted from the real image, such as its dark level, as a
+    fraction of white; `real_gain`: multiplies it then.  Returns (height, width, 3) uint8: red, green, blue; twice as
+    wide side by side.
     """
     white_dn = int(np.iinfo(simulated.dtype).max) if saturation_dn is None else saturation_dn
     shown = _signal(simulated, white_dn)
@@ -122,12 +123,7 @@ def _difference(more: NDArray[np.float32], real: FittedImage, stretch: Stretch) 
     compared[real.top : real.bottom, real.left : real.right] = True
     brightness = np.where(compared, stretch(np.abs(more)), 0)[..., np.newaxis]
     colour = np.where((more > 0)[..., np.newaxis], np.array(MORE_RGB, np.float32), np.array(LESS_RGB, np.float32))
-    return _eight_bits(brightness * colour)
-
-
-def _eight_bits(brightness: NDArray[Any]) -> Picture:
-    picture: Picture = (np.clip(brightness, 0, 1) * 255 + 0.5).astype(np.uint8)
-    return picture
+    return np.asarray(np.clip(brightness * colour, 0, 1) * 255 + 0.5, dtype=np.uint8)
 
 
 def save_view(path: Path, picture: Picture, caption: str = "") -> None:
@@ -138,9 +134,8 @@ def save_view(path: Path, picture: Picture, caption: str = "") -> None:
     """
     if caption:
         picture = np.vstack([picture, _written(caption, picture.shape[1])])
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     with explain_disk_errors(path):
-        write_atomically(path, encoded.tobytes())
+        write_atomically(path, encode_png(picture))
 
 
 def _written(caption: str, width_px: int) -> Picture:
@@ -151,9 +146,10 @@ def _written(caption: str, width_px: int) -> Picture:
     size = 0.5 * min(1.0, (width_px - 12) / widest_px)
     step_px = round(40 * size)
     strip: Picture = np.zeros((step_px * len(lines) + 6, width_px, 3), np.uint8)
+    grey = (220, 220, 220)
     for row, line in enumerate(lines, start=1):
         at = 6, row * step_px - 4
-        cv2.putText(strip, line, at, font, size, (220, 220, 220), thick, cv2.LINE_AA)
+        cv2.putText(strip, line, at, font, size, color=grey, thickness=thick, lineType=cv2.LINE_AA)
     return strip
 
 
@@ -161,33 +157,26 @@ class ComparisonState:
     """The state of the comparison, used by the panel, the keys and the drawing.
 
     The play head has the time of the log's clock, real images that of the camera's: a real image with the time stamp t
-    belongs to t - `flight_offset_s` - `offset_s` in the log.  `clock`: returns seconds from any origin, for
-    blinking.  `blinks_noise`: whether the simulated image blinks with the same without noise, while no real image is
-    compared; `wipe`: position of the line, 0 to 1; `blink_period_s`: period in which both images are shown once, s;
-    `offset_s`: camera clock minus log clock, s, added to `flight_offset_s`; `flight_offset_s`: the ``[flight]
-    time_offset_s`` with which the flight was read, s; `time_reference`: the instant of its exposure to which a real
-    image's time stamp refers; `match_exposure`: whether the simulated exposure is as long as the real one, if that is
-    known; `real_black`, `real_gain`: see `compose`; `preferred`: the image that the user chose last, which is shown
-    instead of others of the same time; `error`: why the folder opened last cannot be used; empty if it can; `fit`: the
-    fit of clock and mount that runs or was made last; `fit_images`: how to fit; None if the window cannot; `residuals`:
-    measures the real image shown.
+    belongs to t - `flight_offset_s` - `offset_s` in the log.  `clock`: returns seconds from any origin, for blinking.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.images: RealImages | None = None
-        self.mode, self.blinks_noise = ComparisonMode.OFF, False
-        self.wipe = 0.5
-        self.blink_period_s = 1.0
-        self.offset_s = 0.0
-        self.flight_offset_s = 0.0
-        self.time_reference = TimeReference.START
-        self.match_exposure = True
-        self.real_black = 0.0
+        self.mode = ComparisonMode.OFF
+        # Whether the simulated image blinks with the same without noise, while no real image is compared.
+        self.blinks_noise = False
+        self.wipe = 0.5  # Position of the line, 0 to 1
+        self.blink_period_s = 1.0  # Period in which both images are shown once
+        self.offset_s = 0.0  # Camera clock minus log clock, added to `flight_offset_s`
+        self.flight_offset_s = 0.0  # The ``[flight] time_offset_s`` with which the flight was read
+        self.time_reference = TimeReference.START  # Instant of an exposure to which a real image's time stamp refers
+        self.match_exposure = True  # Whether the simulated exposure is as long as the real one, if that is known
+        self.real_black = 0.0  # See `compose`
         self.real_gain = 1.0
-        self.preferred: RealImage | None = None
-        self.error = ""
-        self.fit: ImageFit | None = None
-        self.fit_images: FitImages | None = None
+        self.preferred: RealImage | None = None  # Chosen by the user, and shown instead of others of the same time
+        self.error = ""  # Why the folder opened last cannot be used; empty if it can
+        self.fit: ImageFit | None = None  # The fit of clock and mount that runs or was made last
+        self.fit_images: FitImages | None = None  # How to fit; None if the window cannot
         self.residuals = ResidualWatch()
         self._clock = clock
         self._blinks_from_s = clock()
@@ -261,12 +250,14 @@ class ComparisonState:
 
     def toggle(self, mode: ComparisonMode) -> None:
         """Switch a mode on, or off if it is on; blinking starts with the simulated image."""
-        self.mode, self.blinks_noise = ComparisonMode.OFF if self.mode is mode else mode, False
+        self.mode = ComparisonMode.OFF if self.mode is mode else mode
+        self.blinks_noise = False
         self._blinks_from_s = self._clock()
 
     def toggle_noise(self) -> None:
         """Blink with the image without noise, or end that; it begins with the image as it is, and ends comparisons."""
-        self.mode, self.blinks_noise = ComparisonMode.OFF, not self.blinks_noise
+        self.mode = ComparisonMode.OFF
+        self.blinks_noise = not self.blinks_noise
         self._blinks_from_s = self._clock()
 
     @property
@@ -317,10 +308,9 @@ class ComparisonState:
         return image.time.utc_s - self.ahead_s
 
     def exposure(self, image: RealImage, default: Exposure) -> Exposure:
-        """Return the exposure to simulate for a real image.
+        """Return the exposure to simulate for a real image; it may be outside the flight: see `outside`.
 
         `default`: of the settings; its duration is used if the image's own is unknown or `match_exposure` is off.
-        Returns: it may be outside the flight: see `outside`.
         """
         return exposure_of(
             image.time, default, reference=self.time_reference, ahead_s=self.ahead_s, own_length=self.match_exposure
@@ -369,10 +359,7 @@ def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
 
 
 def span(seconds: float) -> str:
-    """Return a duration as text: in seconds below an hour, else in hours or days.
-
-    Returns: such as ``1.250 s``, ``-3.5 h``, ``1685.6 days``.
-    """
+    """Return a duration as text, such as ``1.250 s``, ``-3.5 h`` or ``1685.6 days``: in seconds below an hour."""
     if abs(seconds) < 3600:
         return f"{seconds:.3f} s"
     return f"{seconds / 3600:.1f} h" if abs(seconds) < 172800 else f"{seconds / 86400:.1f} days"

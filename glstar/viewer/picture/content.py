@@ -1,6 +1,6 @@
-"""The content of the image panel, drawn by the display pass of `glstar.render.opengl`.
+"""The picture in the image panel, drawn by the display pass of `glstar.render.opengl`.
 
-The picture in the image panel: kept in a texture, or drawn straight onto the window while it keeps changing.
+It is kept in a texture, or drawn straight onto the window while it keeps changing.
 """
 
 from dataclasses import dataclass
@@ -60,12 +60,12 @@ class PanelContent:
             image,
             scene.white_dn,
             real,
-            comparison.mode,
-            comparison.wipe,
-            comparison.phase,
-            comparison.real_black,
-            comparison.real_gain,
-            is_processed and real is None and not why_not_processed(scene),
+            comparison=comparison.mode,
+            wipe=comparison.wipe,
+            phase=comparison.phase,
+            real_black=comparison.real_black,
+            real_gain=comparison.real_gain,
+            is_processed=is_processed and real is None and not why_not_processed(scene),
         )
 
     @property
@@ -141,20 +141,7 @@ class Display:
     def __init__(self, context: Context) -> None:
         self._pass = DisplayPass(context)
 
-    def draw(
-        self,
-        content: PanelContent,
-        view: ImageView,
-        stretch: Stretch,
-        size: tuple[int, int],
-        *,
-        scale: float,
-        night: bool,
-    ) -> int:
-        """Draw the panel and return the OpenGL name of its texture: `draw_picture` of `Picture.of`."""
-        return self.draw_picture(Picture.of(content, view, stretch, size, scale=scale, night=night))
-
-    def draw_picture(self, picture: Picture) -> int:
+    def draw(self, picture: Picture) -> int:
         """Draw the panel and return the OpenGL name of its texture, which is valid until the size changes."""
         content = picture.content
         return self._pass.draw(content.picture, content.white_dn, picture.placement, picture.tone, _compared(content))
@@ -186,15 +173,15 @@ def _compared(content: PanelContent) -> ComparisonInput | None:
     if real is None or content.mode == _SIMULATED:
         return None
     return ComparisonInput(
-        real.pixels,
-        real.white_dn,
-        (real.left, real.top, real.right, real.bottom),
-        content.mode,
-        content.wipe,
-        content.real_black,
-        content.real_gain,
-        MORE_RGB,
-        LESS_RGB,
+        pixels=real.pixels,
+        white_dn=real.white_dn,
+        covered_px=(real.left, real.top, real.right, real.bottom),
+        mode=content.mode,
+        wipe=content.wipe,
+        black=content.real_black,
+        gain=content.real_gain,
+        more_rgb=MORE_RGB,
+        less_rgb=LESS_RGB,
     )
 
 
@@ -202,8 +189,7 @@ def _covered(
     view: ImageView, picture_px: tuple[int, int], size: tuple[int, int], scale: float
 ) -> tuple[int, int, int, int]:
     """Return the part of the panel's texture that the picture covers: left, top, width, height, px."""
-    width_px, height_px = picture_px
-    (left, top), (right, bottom) = view.to_screen([[-0.5, -0.5], [width_px - 0.5, height_px - 0.5]]) * scale
+    (left, top), (right, bottom) = view.edges(*picture_px) * scale
     first = max(floor(left), 0), max(floor(top), 0)
     last = min(ceil(right), size[0]), min(ceil(bottom), size[1])
     return *first, max(last[0] - first[0], 0), max(last[1] - first[1], 0)
@@ -241,7 +227,7 @@ class PanelPicture:
         self._inputs: tuple[object, ...] = _NEVER
         self._in_texture: tuple[object, ...] = _NEVER
         self._is_changing = False
-        # Of the frame that is built: where the picture is drawn straight onto the window, and whether it is drawn.
+        # Where the picture of this frame is drawn straight onto the window, and whether it is drawn.
         self._place: WindowPlace | None = None
         self._is_shown = False
 
@@ -253,8 +239,10 @@ class PanelPicture:
         """
         changed = inputs != self._inputs
         self._place = place if changed and self._is_changing else None
-        self._is_changing, self._is_shown = changed, True
-        self._picture, self._inputs = picture, inputs
+        self._is_changing = changed
+        self._is_shown = True
+        self._picture = picture
+        self._inputs = inputs
         return self._display.texture(picture.placement.size) if self._place is None else None
 
     def paint(self, target: Framebuffer, size: tuple[int, int], colour: tuple[float, float, float]) -> None:
@@ -284,4 +272,4 @@ class PanelPicture:
     def _draw_texture(self, picture: Picture) -> None:
         if self._inputs != self._in_texture:
             self._in_texture = self._inputs
-            self._display.draw_picture(picture)
+            self._display.draw(picture)

@@ -1,14 +1,8 @@
-"""A fit of the camera clock's offset and the mount to real images, on a thread of its own.
+"""Work of the window on images, each on a thread of its own.
 
-The viewer does not know how images are compared: `glstar.cli` gives it the function.
-
-How far the simulated trails are from those of the real image shown, measured on a thread of its own.
-
-The viewer does not know how images are compared: `glstar.cli` gives it the function.
-
-The calibration of a camera from one photograph of the stars, on a thread of its own.
-
-`glstar.cli` gives the window the function that calibrates.
+A fit of the camera clock's offset and the mount to real images; the residuals of the simulated trails against those of
+the real image shown; and the calibration of a camera from one photograph of the stars.  `glstar.cli` gives the window
+the functions that do it.
 """
 
 import tomllib
@@ -17,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +24,17 @@ from glstar.images import RealImage
 from glstar.images.times import TimeReference
 from glstar.render.simulator import Simulator
 
+Float = NDArray[np.float64]
+T = TypeVar("T")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitRequest:
     """What to fit to which images."""
 
-    simulator: Simulator  # Of the flight, with the offset of the camera clock to begin with
+    simulator: Simulator  # It has the flight, with the initial offset of the camera clock
     images: tuple[RealImage, ...]
-    exposure: Exposure  # Of images that do not state their exposure time; its start is ignored
+    exposure: Exposure  # For images that do not state their exposure time; its start is ignored
     reference: TimeReference  # The instant of its exposure to which an image's time stamp refers
     own_length: bool  # Whether an exposure time that an image states is used
     fits_time: bool
@@ -48,7 +45,7 @@ class FitRequest:
 class FitResult:
     """What a fit found."""
 
-    # What is added to the camera clock's offset, and its standard error, s; None if it was not fitted.
+    # Change of the camera clock's offset, and its standard error, s; None if it was not fitted.
     clock_change_s: float | None
     clock_std_s: float | None
     mount_keys: dict[str, float]  # The mount as settings, dotted keys, deg; empty if it was not fitted
@@ -67,37 +64,35 @@ class FitResult:
 FitImages = Callable[[FitRequest, Callable[[int, int], None]], FitResult]
 
 
-class ImageFit:
-    """A fit that is running, or has ended.
+class _CancelledError(Exception):
+    """The user stopped a fit or a calibration."""
 
-    `done`, `of`: images done; `of` is 0 if their number is not known yet; `result`: none while it is running, and if it
-    failed; `error`: why it failed; empty if it did not.
+
+class BackgroundRun(Generic[T]):
+    """Work on a thread of its own that is running, or has ended.
+
+    `work`: raises `_CancelledError` once `cancelled` is set.  `result`: None while it is running, and if it failed;
+    `error`: why it failed; empty if it did not.
     """
 
-    # Longest time that closing the window waits for an image, s.
+    # Longest time that closing the window waits for the thread, s.
     _JOIN_S: Final = 30.0
 
-    def __init__(self, request: FitRequest, fit: FitImages) -> None:
-        self.done = self.of = 0
-        self.result: FitResult | None = None
+    def __init__(self, name: str, work: Callable[[], T], cancelled: Event) -> None:
+        self.result: T | None = None
         self.error = ""
-        self._request, self._fit = request, fit
-        self._cancelled = Event()
-        self._thread = Thread(target=self._run, name="glstar-fit", daemon=True)
+        self._work = work
+        self._cancelled = cancelled
+        self._thread = Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         try:
-            self.result = self._fit(self._request, self._count)
+            self.result = self._work()
         except _CancelledError:
             pass
         except (GlstarError, OSError) as error:
             self.error = str(error)
-
-    def _count(self, done: int, of: int) -> None:
-        self.done, self.of = done, of
-        if self._cancelled.is_set():
-            raise _CancelledError
 
     @property
     def running(self) -> bool:
@@ -105,7 +100,7 @@ class ImageFit:
         return self._thread.is_alive()
 
     def cancel(self) -> None:
-        """Stop after the current image."""
+        """Stop after the current image or step."""
         self._cancelled.set()
 
     def close(self) -> None:
@@ -114,8 +109,18 @@ class ImageFit:
         self._thread.join(self._JOIN_S)
 
 
-class _CancelledError(Exception):
-    """The user stopped a fit or a calibration."""
+class ImageFit(BackgroundRun[FitResult]):
+    """A fit; `done`, `of`: images done; `of` is 0 if their number is not known yet."""
+
+    def __init__(self, request: FitRequest, fit: FitImages) -> None:
+        self.done = self.of = 0
+        super().__init__("glstar-fit", lambda: fit(request, self._count), Event())
+
+    def _count(self, done: int, of: int) -> None:
+        self.done = done
+        self.of = of
+        if self._cancelled.is_set():
+            raise _CancelledError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +130,7 @@ class ResidualRequest:
     simulator: Simulator
     ahead_s: float  # Camera clock minus log clock, s
     image: RealImage
-    exposure: Exposure  # Of an image that does not state its exposure time; its start is ignored
+    exposure: Exposure  # For an image that does not state its exposure time; its start is ignored
     reference: TimeReference  # The instant of its exposure to which the image's time stamp refers
     own_length: bool  # Whether an exposure time that the image states is used
 
@@ -141,10 +146,10 @@ class ResidualRequest:
 class TrailResiduals:
     """The trails of one real image beside the simulated ones."""
 
-    real_px: NDArray[np.float64]  # (n, 2) the middles of the trails that were detected in the real image, px
-    shift_px: NDArray[np.float64]  # (n, 2) simulated minus real, px
+    real_px: Float  # (n, 2) the middles of the trails that were detected in the real image, px
+    shift_px: Float  # (n, 2) simulated minus real, px
     predicted: int  # Number of trails that were searched for
-    figures: tuple[tuple[str, str], ...]  # Tuple of (str, str): the paper's measures: what, and its value
+    figures: tuple[tuple[str, str], ...]  # The paper's measures: label and value
 
 
 # Raises GlstarError if no trail of the image is found.
@@ -152,30 +157,26 @@ MeasureImage = Callable[[ResidualRequest], TrailResiduals]
 
 
 class ResidualWatch:
-    """Measures the latest image that was asked for; one at a time.
+    """Measures the residuals of the latest image requested, one at a time.
 
     `measure`: how to measure; None if the window cannot.
     """
 
     def __init__(self) -> None:
         self.measure: MeasureImage | None = None
-        self._worker: ThreadPoolExecutor | None = None
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-residuals")
         self._running: tuple[ResidualRequest, Future[TrailResiduals]] | None = None
         self._done: tuple[ResidualRequest, TrailResiduals | str] | None = None
 
     def of(self, request: ResidualRequest) -> TrailResiduals | str | None:
-        """Return the residuals of an image, or why there are none; begin to measure it if that is not done.
-
-        Returns: none while it is measured.
-        """
+        """Return the residuals of an image, or why there are none; None while it is measured, which begins here."""
         if self._running is not None and self._running[1].done():
             asked, future = self._running
-            self._running, self._done = None, (asked, _outcome(future))
+            self._running = None
+            self._done = (asked, _outcome(future))
         if self._done is not None and request.is_like(self._done[0]):
             return self._done[1]
         if self._running is None and self.measure is not None:
-            if self._worker is None:
-                self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-residuals")
             self._running = request, self._worker.submit(self.measure, request)
         return None
 
@@ -186,9 +187,8 @@ class ResidualWatch:
 
     def close(self) -> None:
         """Wait for the image that is being measured, and end the thread."""
-        if self._worker is not None:
-            self._worker.shutdown(wait=True, cancel_futures=True)
-        self._worker = self._running = self._done = None
+        self._worker.shutdown(wait=True, cancel_futures=True)
+        self._running = self._done = None
 
 
 def _outcome(future: Future[TrailResiduals]) -> TrailResiduals | str:
@@ -196,9 +196,6 @@ def _outcome(future: Future[TrailResiduals]) -> TrailResiduals | str:
         return future.result()
     except (GlstarError, OSError) as error:
         return str(error)
-
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,11 +207,11 @@ class CalibrationRequest:
     fov_rad: float | None = None  # Width of the view, to 15 %
     exposure_s: float | None = None  # None: as the file states
     utc: str = ""  # At mid-exposure; empty if it is not known
-    site_rad: tuple[float, float] | None = None  # (float, float) or None: latitude and longitude
+    site_rad: tuple[float, float] | None = None  # Latitude and longitude
     geometry_only: bool = False  # Whether the sensor is left out
     # The last result for this photograph, which is solved again without some of its stars.
     before: "CalibratedPhoto | None" = None
-    # Tuple of (float, float): positions of detections that are not to be used, px.
+    # Positions of detections that are not to be used, px.
     removed_px: tuple[tuple[float, float], ...] = ()
 
 
@@ -260,44 +257,13 @@ class CalibrationProgress:
 CalibratePhoto = Callable[[CalibrationRequest, CalibrationProgress], CalibratedPhoto]
 
 
-class CalibrationRun:
-    """A calibration that is running, or has ended.
-
-    `result`: none while it is running, and if it failed; `error`: why it failed; empty if it did not.
-    """
-
-    # Longest time that closing the window waits for a step, s.
-    _JOIN_S: Final = 30.0
+class CalibrationRun(BackgroundRun[CalibratedPhoto]):
+    """A calibration; `progress`: what is known of it while it runs."""
 
     def __init__(self, request: CalibrationRequest, calibrate: CalibratePhoto) -> None:
-        self.request, self.progress = request, CalibrationProgress()
-        self.result: CalibratedPhoto | None = None
-        self.error = ""
-        self._calibrate = calibrate
-        self._thread = Thread(target=self._run, name="glstar-calibrate", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            self.result = self._calibrate(self.request, self.progress)
-        except _CancelledError:
-            pass
-        except (GlstarError, OSError) as error:
-            self.error = str(error)
-
-    @property
-    def running(self) -> bool:
-        """Whether it is still running."""
-        return self._thread.is_alive()
-
-    def cancel(self) -> None:
-        """Stop after the current step."""
-        self.progress.cancelled.set()
-
-    def close(self) -> None:
-        """Stop, and wait for the thread."""
-        self.cancel()
-        self._thread.join(self._JOIN_S)
+        self.request = request
+        self.progress = CalibrationProgress()
+        super().__init__("glstar-calibrate", lambda: calibrate(request, self.progress), self.progress.cancelled)
 
 
 def with_calibration(config: Config, toml: str) -> Config:
@@ -306,10 +272,7 @@ def with_calibration(config: Config, toml: str) -> Config:
     `toml`: the calibration.  Raises ConfigError if the other settings contradict it.
     """
     tables = tomllib.loads(toml)
-    own = [f"{section}.{key}" for section in ("camera", "sensor") if section in tables for key in _keys_of(section)]
+    sections = [section for section in ("camera", "sensor") if section in tables]
+    own = [f"{section}.{key}" for section in sections for key in SECTIONS[section].model_fields]
     keys = {f"{section}.{key}": value for section, values in tables.items() for key, value in values.items()}
     return config.without(*own).override(**keys)
-
-
-def _keys_of(section: str) -> list[str]:
-    return list(SECTIONS[section].model_fields)

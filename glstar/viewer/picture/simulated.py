@@ -1,6 +1,6 @@
-"""The simulated image that the viewer shows: composed on a thread of its own, developed on the window's context.
+"""The simulated image that the viewer shows, raw and as ``[output]`` processes it.
 
-The image as the camera's processing writes it: what ``[output]`` makes of the simulated one.
+Its scene is composed on a thread of its own, and it is developed on the window's context.
 """
 
 from collections.abc import Callable
@@ -15,6 +15,7 @@ from glstar.errors import ConfigError, GlstarError
 from glstar.export.frame import frame_seed
 from glstar.export.imagefiles.processing import CameraProcessing, process
 from glstar.flight import Gap
+from glstar.render.effects import light_keys
 from glstar.render.opengl import GLRenderer, Texture
 from glstar.render.opengl.targets import start_drawing, wait_until_drawn
 from glstar.render.scene.scene import Scene
@@ -23,7 +24,7 @@ from glstar.viewer.frametimes import FrameTimes
 
 
 def why_not_processed(scene: Scene) -> str:
-    """Return why the image of a scene has no processed form; returns a message; empty if ``[output]`` processes it."""
+    """Return why the image of a scene has no processed form, as a message; empty if ``[output]`` processes it."""
     try:
         is_active = CameraProcessing.of(scene.sensor).is_active
     except ConfigError as error:
@@ -33,25 +34,6 @@ def why_not_processed(scene: Scene) -> str:
     if scene.exposure.signal_factor > 1:
         return 'sums of raw images are not processed; exposure.stack = "mean" is'
     return ""
-
-
-class ProcessedImage:
-    """The processed form of the latest image, kept until there is another array of pixels."""
-
-    def __init__(self) -> None:
-        self._made: tuple[NDArray[Any], NDArray[np.uint8]] | None = None
-
-    def of(self, pixels: NDArray[Any], scene: Scene) -> NDArray[np.uint8]:
-        """Return an image of 8 bits as `glstar.export` writes it.
-
-        `pixels` (height, width) uint8 or uint16: raw digital numbers; `scene`: for which `why_not_processed` has no
-        reason.  Returns (height, width, 3) uint8: red, green and blue, which are equal in a grey image.
-        """
-        if self._made is None or self._made[0] is not pixels:
-            made = np.asarray(process(pixels, scene.sensor, sixteen_bits=False), dtype=np.uint8)
-            colours = np.repeat(made[..., np.newaxis], 3, axis=2) if made.ndim == 2 else made
-            self._made = pixels, np.ascontiguousarray(colours)
-        return self._made[1]
 
 
 # Attributes of a Simulator on which the noiseless image depends, besides exposure and sensor.
@@ -83,21 +65,17 @@ class _Drawing(NamedTuple):
 
 
 class SimulatedImage:
-    """The simulated image shown at present.
-
-    `renderer`: it stays the caller's.  `scene`: the latest scene; None until there is one; `number`: the number of the
-    camera's exposure; None for an exposure that no camera records; `error`: why there is no newer image; empty if there
-    is one; `gap`: the gap of the attitude that the requested exposure touches: there is no image then, because
-    interpolating the attitude across a gap would show a wrong sky; `seed`: of the noise.
-    """
+    """The simulated image shown at present; `renderer`: it stays the caller's."""
 
     def __init__(self, renderer: GLRenderer, times: FrameTimes) -> None:
         self.renderer = renderer
-        self.scene: Scene | None = None
-        self.number: int | None = None
-        self.error = ""
+        self.scene: Scene | None = None  # The latest scene; None until there is one
+        self.number: int | None = None  # Of the camera's exposure; None for an exposure that no camera records
+        self.error = ""  # Why there is no newer image; empty if there is one
+        # The gap of the attitude that the requested exposure touches.  There is no image then, because interpolating
+        # the attitude across a gap would show a wrong sky.
         self.gap: Gap | None = None
-        self.seed = 0
+        self.seed = 0  # Of the noise
         self._times = times
         self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
         self._ahead: tuple[ImageRequest, Future[Scene]] | None = None
@@ -109,7 +87,7 @@ class SimulatedImage:
         # Whether the renderer has the image shown, and `_texture` an older one or none.
         self._unread = False
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
-        self._processed = ProcessedImage()
+        self._processed: tuple[NDArray[Any], NDArray[np.uint8]] | None = None
         self._saturated: NDArray[np.bool_] | None = None
 
     def update(self, request: ImageRequest, *, playing: bool) -> bool:
@@ -134,7 +112,8 @@ class SimulatedImage:
             return True
         if request != self._drawn or self._developing is not None:
             self._developing = None
-            self._draw(request)
+            self._begin(request, lambda: self._scene_of(request))
+            self._finish()
             return True
         return False
 
@@ -180,16 +159,12 @@ class SimulatedImage:
                 wait_until_drawn(self.renderer.context)
                 self._develop(request, scene)
             wait_until_drawn(self.renderer.context)
-            self._texture = self.renderer.developed_texture()
+            self._texture = self.renderer.texture()
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the image, px; of no image 0."""
         return (0, 0) if self.scene is None else (self.scene.camera.width_px, self.scene.camera.height_px)
-
-    def _draw(self, request: ImageRequest) -> None:
-        self._begin(request, lambda: self._scene_of(request))
-        self._finish()
 
     def _begin(self, request: ImageRequest, compose: Callable[[], Scene]) -> bool:
         """Start to draw an image; return whether the texture shown is still valid."""
@@ -201,47 +176,51 @@ class SimulatedImage:
             with self._times.span("drawing"):
                 # Developing would wait for the exposure on software OpenGL.
                 later = self._can_develop_later(scene)
-                keeps = self._develop(request, scene, only_expose=later)
+                if later:
+                    self.renderer.expose(scene)
+                else:
+                    self._develop(request, scene)
                 start_drawing()
         except GlstarError as error:
             self.error = str(error)
             return True
         self._developing = _Drawing(request, scene, not later)
-        return keeps
+        return self.renderer.holds(self._texture)
 
     def _can_develop_later(self, scene: Scene) -> bool:
         """Whether developing cannot fail, because the image shown was developed with the same sensor."""
         return self._shown is not None and self._shown.scene.sensor is scene.sensor and not scene.shorts
 
-    def _develop(self, request: ImageRequest, scene: Scene, *, only_expose: bool = False) -> bool:
-        seed = None if only_expose else frame_seed(self.seed, request.number or 0)
-        return self.renderer.begin_develop(scene, seed=seed, noiseless=request.noiseless)
+    def _develop(self, request: ImageRequest, scene: Scene) -> None:
+        self.renderer.develop(scene, seed=frame_seed(self.seed, request.number or 0), noiseless=request.noiseless)
 
     def _finish(self) -> None:
         """Show the image that was started, if any."""
         if self._developing is None:
             return
-        self._shown, self._developing = self._developing, None
+        self._shown = self._developing
+        self._developing = None
         request, scene, _ = self._shown
         self._unread = True
-        stacked = self.renderer.stack.frame
+        stacked = self.renderer.stacked
         self._saturated = None if stacked is None else stacked.saturated
         self._times.new_image()
-        self.scene, self.number, self.error = scene, request.number, ""
+        self.scene = scene
+        self.number = request.number
+        self.error = ""
 
     def _scene_of(self, request: ImageRequest) -> Scene:
-        with self._times.span("simulation"):
-            return self._composed(request)
-
-    def _composed(self, request: ImageRequest) -> Scene:
         """Return the scene; if only noise or quantisation changed, the last scene with the new sensor."""
-        last, simulator = self._shown, request.simulator
-        if last is not None and last.request.exposure == request.exposure:
-            before = last.request.simulator
-            same = all(_are_equal(getattr(before, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES)
-            if same and last.scene.sensor.leaves_same_signal(simulator.sensor):
-                return last.scene.with_sensor(simulator.sensor)
-        return simulator.scene(request.exposure)
+        with self._times.span("simulation"):
+            last, simulator = self._shown, request.simulator
+            if last is not None and last.request.exposure == request.exposure:
+                before = last.request.simulator
+                same = all(
+                    _are_equal(getattr(before, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES
+                )
+                if same and last.scene.sensor.leaves_same_signal(simulator.sensor, light_keys()):
+                    return last.scene.with_sensor(simulator.sensor)
+            return simulator.scene(request.exposure)
 
     @property
     def simulator(self) -> Simulator | None:
@@ -272,11 +251,18 @@ class SimulatedImage:
 
     @property
     def processed(self) -> NDArray[np.uint8] | None:
-        """What ``[output]`` writes of `pixels` with 8 bits, (height, width, 3) uint8; None if it writes them raw."""
+        """What ``[output]`` writes of `pixels` with 8 bits, (height, width, 3) uint8; None if it writes them raw.
+
+        Red, green and blue are equal in a grey image.
+        """
         pixels, scene = self.pixels, self.scene
         if pixels is None or scene is None or why_not_processed(scene):
             return None
-        return self._processed.of(pixels, scene)
+        if self._processed is None or self._processed[0] is not pixels:
+            image = np.asarray(process(pixels, scene.sensor, sixteen_bits=False), dtype=np.uint8)
+            colours = np.repeat(image[..., np.newaxis], 3, axis=2) if image.ndim == 2 else image
+            self._processed = pixels, np.ascontiguousarray(colours)
+        return self._processed[1]
 
     @property
     def tested(self) -> NDArray[Any] | None:
@@ -291,19 +277,15 @@ class SimulatedImage:
         self._unread = False
         self.error = ""
 
-    def redraw(self) -> None:
-        """Draw the image in the next update, even if it is the one that is shown."""
-        self._drawn = None
-
     def close(self) -> None:
         """End the thread; the renderer stays the caller's."""
         self._composer.shutdown(wait=True, cancel_futures=True)
 
 
-def _are_equal(one: object, other: object) -> bool:
-    if one is other or one == other:
+def _are_equal(first: object, second: object) -> bool:
+    if first is second or first == second:
         return True
     return all(
-        hasattr(one, name) and hasattr(other, name) and getattr(one, name) == getattr(other, name)
+        hasattr(first, name) and hasattr(second, name) and getattr(first, name) == getattr(second, name)
         for name in _SKY_ATTRIBUTES
     )

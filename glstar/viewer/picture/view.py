@@ -1,11 +1,4 @@
-"""The display stretch: from digital numbers to brightness on the screen and in saved views.
-
-Colour maps of the display: from brightness to colours.
-
-The histogram of an image: how many pixels have each brightness.
-
-The part of a picture that a panel shows, and its magnification.
-"""
+"""How a picture is displayed: stretch of digital numbers to brightness, colour map, histogram, and zoom of the view."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -64,14 +57,14 @@ def _colours(colour_map: ColourMap) -> NDArray[np.uint8]:
     return np.ascontiguousarray(cv2.applyColorMap(levels, numbers[colour_map])[:, 0, ::-1])
 
 
-# Of the asinh stretch: the gain of faint signals is 8 / asinh(8) = 2.9 times that of a linear stretch.
+# Scale of the asinh stretch: the gain of faint signals is 8 / asinh(8) = 2.9 times that of a linear stretch.
 _SOFTENING: Final = 8.0
 # Limits of the keys that double and halve the boost.
 _MIN_BOOST: Final = 1 / 8
 _MAX_BOOST: Final = 1024.0
 
-# Of the stretch that fits an image: number of rows used, the percentile shown white, the least range in standard
-# deviations of the sky, and the least distance of white from black as a fraction of the largest digital number.
+# A stretch is fitted to this many rows of an image; the percentile shown white; the least range in standard deviations
+# of the sky; and the least distance of white from black as a fraction of the largest digital number.
 _SAMPLED_ROWS: Final = 500
 _BRIGHT_PERCENTILE: Final = 99.95
 _LEAST_RANGE: Final = 20.0
@@ -113,9 +106,9 @@ class Stretch:
     def fitted(self, pixels: NDArray[Any], white_dn: int) -> "Stretch":
         """Return a stretch whose limits fit an image: the sky is dark, and faint stars can be seen.
 
-        `pixels` (height, width) uint8 or uint16: digital numbers; `white_dn`: the largest possible digital number.
-        Returns: black is one standard deviation below the median, white at the brightest 0.05 % of the pixels, and at
-        least twenty standard deviations higher than black.
+        Black is one standard deviation below the median, white at the brightest 0.05 % of the pixels, and at least
+        twenty standard deviations higher than black.  `pixels` (height, width) uint8 or uint16: digital numbers;
+        `white_dn`: the largest possible digital number.
         """
         sample = pixels[:: max(1, pixels.shape[0] // _SAMPLED_ROWS)].ravel()
         sky_dn = float(np.median(sample))
@@ -182,16 +175,14 @@ class ImageView:
     """The view of a picture in a panel.
 
     Positions (x, y), y down, are px from the CENTRE of the top-left pixel on the picture, and screen px from the
-    top-left corner on the panel.  `zoom`: screen px to one of the picture; `centre_px` (2,): the position on the
-    picture in the middle of the panel, px; `fitted`: whether the complete picture stays visible when the panel changes
-    its size; `pixel_grid`: whether magnified pixels have borders.
+    top-left corner on the panel.
     """
 
     def __init__(self) -> None:
-        self.zoom = 1.0
-        self.centre_px: Float = np.zeros(2)
-        self.fitted = True
-        self.pixel_grid = True
+        self.zoom = 1.0  # Screen px to one of the picture
+        self.centre_px: Float = np.zeros(2)  # (2,) the position on the picture in the middle of the panel, px
+        self.fitted = True  # Whether the complete picture stays visible when the panel changes its size
+        self.pixel_grid = True  # Whether magnified pixels have borders
         self._picture: Float = np.ones(2)
         self._panel: Float = np.ones(2)
 
@@ -222,13 +213,18 @@ class ImageView:
         """
         return (np.asarray(xy, dtype=np.float64) - self._panel / 2) / self.zoom + self.centre_px
 
+    def edges(self, width_px: int, height_px: int) -> Float:
+        """Return where the top-left and the bottom-right corner of an image are on the panel, (2, 2) screen px."""
+        return self.to_screen([[-0.5, -0.5], [width_px - 0.5, height_px - 0.5]])
+
     def fit(self) -> None:
         """Show the complete picture, also after the panel has changed its size."""
         self.fitted = True
 
     def one_to_one(self) -> None:
         """Show a pixel of the picture as a pixel of the screen; the middle of the view stays."""
-        self.zoom, self.fitted = 1.0, False
+        self.zoom = 1.0
+        self.fitted = False
 
     def zoom_at(self, xy: ArrayLike, factor: float) -> None:
         """Zoom around a position of the panel.
@@ -280,9 +276,9 @@ class Histogram:
     def of(cls, pixels: NDArray[Any]) -> "Histogram":
         """Return the histogram of an image.
 
-        `pixels` (height, width) uint8 or uint16: digital numbers; of large images every second, third ... row is
-        counted.  Returns: from the lowest digital number to that below which 99.99 % of the pixels are; brighter pixels
-        are in the last bin.
+        It ends at the digital number below which 99.99 % of the pixels are; brighter pixels are in the last bin.
+        `pixels` (height, width) uint8 or uint16: digital numbers; every second, third ... row of large images is
+        counted.
         """
         counts = np.bincount(pixels[:: max(1, -(-pixels.shape[0] // _ROWS))].ravel())
         share = np.cumsum(counts) / counts.sum()

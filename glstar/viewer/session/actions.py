@@ -1,6 +1,6 @@
-"""What each key and menu entry does to a session.
+"""What each key and menu entry does to a session, and what the user does with a link.
 
-What the user does with a link in the window: record it, export its frames, choose the vehicle, disconnect.
+A link is recorded, its frames are exported, a vehicle is chosen, or it is disconnected.
 """
 
 import time
@@ -9,7 +9,6 @@ from dataclasses import replace
 from threading import Thread
 from typing import Final
 
-from glstar.errors import GlstarError
 from glstar.export.directory import explain_disk_errors
 from glstar.viewer.flight.live import LiveFlight
 from glstar.viewer.flight.playhead import Mode, PlayHead
@@ -32,12 +31,10 @@ def record_link(session: Session) -> None:
         recording.end()
         return
     path = unused_path(session.output / f"link-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}.tlog")
-    try:
+    with session.errors_reported():
         with explain_disk_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         recording.begin(path)
-    except GlstarError as error:
-        session.notify(str(error), is_error=True)
 
 
 def export_link(session: Session) -> None:
@@ -128,7 +125,7 @@ _COMPARISON: Final = {
 
 
 def perform(action: AnyAction, session: Session) -> bool:
-    """Perform an action on the session; returns: false if the action belongs to the window."""
+    """Perform an action on the session; return False if the action belongs to the window."""
     if isinstance(action, Overlay):
         session.shown_overlays ^= {action}
         if action in session.shown_overlays and (lacking := _lacking(action, session)):
@@ -154,10 +151,10 @@ def _lacking(overlay: Overlay, session: Session) -> str:
     return ""
 
 
-def select_object(session: Session, selection: Selection, found: SkyObject | None) -> None:
-    """Select an object of the sky, and say where it is; `found`: none selects nothing."""
+def select_object(session: Session, selection: Selection, target: SkyObject | None) -> None:
+    """Select an object of the sky, and say where it is; `target`: None selects nothing."""
     simulator, scene = session.image.simulator, session.scene
-    if simulator is not None and scene is not None and (message := selection.select(found, simulator, scene)):
+    if simulator is not None and scene is not None and (message := selection.select(target, simulator, scene)):
         session.notify(message)
 
 

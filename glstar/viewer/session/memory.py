@@ -1,13 +1,8 @@
-"""What the window remembers from one start to the next: recent flights, its size, night colours and overlays.
-
-Undo and redo of settings.
-
-Messages that the viewer shows in a corner of the window for some seconds.
-"""
+"""What the window remembers: its state from one start to the next, settings to undo, and messages for some seconds."""
 
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -44,8 +39,8 @@ class WindowMemory:
             stored = {}
         if not isinstance(stored, dict):
             stored = {}
-        recent, size, overlays = stored.get("recent"), stored.get("size"), stored.get("overlays")
-        text_scale = stored.get("text_scale")
+        recent, size = stored.get("recent"), stored.get("size")
+        overlays, text_scale = stored.get("overlays"), stored.get("text_scale")
         return cls(
             file,
             recent=[entry for entry in recent if isinstance(entry, str)] if isinstance(recent, list) else [],
@@ -90,9 +85,8 @@ def _is_size(size: object) -> bool:
     )
 
 
-def _overlays(names: Iterable[object]) -> frozenset[Overlay]:
-    known = {overlay.value: overlay for overlay in Overlay}
-    return frozenset(known[name] for name in names if isinstance(name, str) and name in known)
+def _overlays(names: list[object]) -> frozenset[Overlay]:
+    return frozenset(overlay for overlay in Overlay if overlay.value in names)
 
 
 # Number of settings that can be undone.
@@ -137,7 +131,8 @@ class SettingsHistory:
         if not source or self._present is None:
             return None
         target.append(self._present)
-        self._present, self._before_drag = source.pop(), None
+        self._present = source.pop()
+        self._before_drag = None
         return self._present
 
 

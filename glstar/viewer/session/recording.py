@@ -1,17 +1,17 @@
-"""Exports that run in the background while the window is used.
+"""Exports in the background while the window is used, and videos of what it shows.
 
 An export has a thread and a headless OpenGL context of its own, like ``glstar export``, and writes the same files as
 the command line.  On the window's context every frame of the export would delay a frame of the window.
-
-Videos of what the viewer shows: while it is used, or of a range of the flight, picture by picture.
+A video is recorded while the window is used, or of a range of the flight, picture by picture.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, isfinite
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -43,14 +43,14 @@ class BackgroundExport:
     _JOIN_S: Final = 60.0
 
     def __init__(self, make: Callable[[], Export], directory: Path) -> None:
+        self._make = make
+        self._begin(directory)
+
+    def _begin(self, directory: Path) -> None:
+        """Start the thread."""
         self.directory = directory
         self.done = self.of = 0
         self.error = ""
-        self._make = make
-        self._begin()
-
-    def _begin(self) -> None:
-        """Start the thread."""
         self._cancelled = Event()
         self._thread = Thread(target=self._run, name="glstar-export", daemon=True)
         self._thread.start()
@@ -93,6 +93,13 @@ class BackgroundExport:
         self._thread.join(self._JOIN_S)
 
     @property
+    def progress(self) -> tuple[float, str]:
+        """The fraction that is done, 0 if that is not known, and a message."""
+        if not self.of:
+            return 0.0, f"{self.done} frames"
+        return self.done / self.of, f"{self.done} of {self.of} frames"
+
+    @property
     def summary(self) -> str:
         """The result, as a message."""
         if self.error:
@@ -109,12 +116,9 @@ class BackgroundLiveExport(BackgroundExport):
     """
 
     def __init__(self, config: Config, link: Link, directory: Path, *, seed: int) -> None:
-        self.directory = directory
-        self.done = self.of = 0
-        self.error = ""
         command = f"glstar live {link.endpoint.text} --export {directory}"
         self._job = LiveExport(config, link, directory=directory, seed=seed, command=command)
-        self._begin()
+        self._begin(directory)
 
     def _export(self) -> None:
         with GLRenderer.headless() as renderer:
@@ -136,35 +140,58 @@ _SETTLING_FRAMES = 3
 _MOST_REPEATED = 300
 
 
-class Video(Protocol):
-    """A video that is being recorded; `is_done`: whether the next step is to finish it."""
+class Video(ABC):
+    """A video that is being recorded; the file is opened with the size of the first picture.
 
-    path: Path
+    `is_done`: whether the next step is to finish it.
+    """
+
+    is_done = False
+
+    def __init__(self, path: Path, frames_per_s: float) -> None:
+        self.path = path
+        self._frames_per_s = frames_per_s
+        self._file: VideoFile | None = None
+        self._size: tuple[int, int] = (0, 0)
 
     @property
-    def is_done(self) -> bool: ...  # noqa: D102 - documented above
-
-    @property
+    @abstractmethod
     def progress(self) -> tuple[float, str]:
         """The fraction that is done, and a message."""
-        ...
 
+    @abstractmethod
     def prepare(self, head: PlayHead | None) -> bool:
         """Move the play head before a frame of the window; return whether time stands still for the video."""
-        ...
 
+    @abstractmethod
     def add(self, picture: Picture) -> None:
         """Add a picture of the window, (height, width, 3) uint8, blue, green, red."""
 
     def stop(self) -> None:
         """End the video with the frames recorded."""
+        self.is_done = True
 
-    def finish(self, head: PlayHead | None) -> int:
-        """Complete the file; return its number of frames."""
-        ...
+    def finish(self, head: PlayHead | None) -> int:  # noqa: ARG002 - some videos move the play head back
+        """Complete the file; return its number of frames, 0 if there is no picture."""
+        if self._file is None:
+            return 0
+        self._file.finish()
+        return self._file.count
 
     def discard(self) -> None:
         """Stop, and remove the file."""
+        if self._file is not None:
+            self._file.discard()
+
+    def _write(self, picture: Picture, times: int = 1) -> None:
+        """Add a picture to the file; one of another size is scaled to that of the first."""
+        if self._file is None:
+            self._size = picture.shape[1], picture.shape[0]
+            self._file = VideoFile(self.path, *self._size, self._frames_per_s)
+        if (picture.shape[1], picture.shape[0]) != self._size:
+            picture = np.asarray(cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        for _ in range(times):
+            self._file.write(picture)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,63 +223,24 @@ class VideoRange:
         return self.start_utc_s + number * self.speed / self.frames_per_s
 
 
-class _Recording:
-    """The file of a video, opened with the size of its first picture."""
-
-    def __init__(self, path: Path, frames_per_s: float) -> None:
-        self.path = path
-        self._frames_per_s = frames_per_s
-        self._file: VideoFile | None = None
-        self._size: tuple[int, int] = (0, 0)
-
-    def write(self, picture: Picture, times: int = 1) -> None:
-        """Add a picture; one of another size is scaled to that of the first."""
-        if self._file is None:
-            self._size = picture.shape[1], picture.shape[0]
-            self._file = VideoFile(self.path, *self._size, self._frames_per_s)
-        if (picture.shape[1], picture.shape[0]) != self._size:
-            picture = np.asarray(cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        for _ in range(times):
-            self._file.write(picture)
-
-    def finish(self) -> int:
-        """Complete the file; return its number of frames, 0 if there is no picture."""
-        if self._file is None:
-            return 0
-        self._file.finish()
-        return self._file.count
-
-    def discard(self) -> None:
-        """Remove the file."""
-        if self._file is not None:
-            self._file.discard()
-
-
-class ScreenVideo:
+class ScreenVideo(Video):
     """Records the picture while the viewer is used, at a constant frame rate of the clock.
 
     `clock`: returns seconds from any origin.
     """
 
     def __init__(self, path: Path, frames_per_s: float, clock: Callable[[], float]) -> None:
-        self.path = path
-        self._recording = _Recording(path, frames_per_s)
-        self._frames_per_s, self._clock = frames_per_s, clock
+        super().__init__(path, frames_per_s)
+        self._clock = clock
         self._began_s: float | None = None
         self._count = 0
-        self._is_stopped = False
-
-    @property
-    def is_done(self) -> bool:
-        """Whether it has been stopped."""
-        return self._is_stopped
 
     @property
     def progress(self) -> tuple[float, str]:
         """No fraction, and the seconds recorded."""
         return 0.0, f"{self._count / self._frames_per_s:.0f} s recorded"
 
-    def prepare(self, head: PlayHead | None) -> bool:  # noqa: ARG002 - of the protocol
+    def prepare(self, head: PlayHead | None) -> bool:  # noqa: ARG002 - the play head is the user's
         """Leave the play head to the user."""
         return False
 
@@ -265,42 +253,24 @@ class ScreenVideo:
         self._began_s = now_s if self._began_s is None else self._began_s
         due = floor((now_s - self._began_s) * self._frames_per_s) + 1 - self._count
         if due > 0:
-            self._recording.write(picture, min(due, _MOST_REPEATED))
+            self._write(picture, min(due, _MOST_REPEATED))
             self._count += due
 
-    def stop(self) -> None:
-        """Stop after this frame."""
-        self._is_stopped = True
 
-    def finish(self, head: PlayHead | None) -> int:  # noqa: ARG002 - of the protocol
-        """Complete the file; see `Video`."""
-        return self._recording.finish()
-
-    def discard(self) -> None:
-        """Remove the file."""
-        self._recording.discard()
-
-
-class RangeVideo:
+class RangeVideo(Video):
     """Records a range of the flight: the play head goes to the time of each frame, however long drawing takes."""
 
     def __init__(self, path: Path, part: VideoRange) -> None:
-        self.path = path
-        self._recording = _Recording(path, part.frames_per_s)
-        self._part, self._count = part, part.count
+        super().__init__(path, part.frames_per_s)
+        self._part = part
         self._settling = _SETTLING_FRAMES
         self._number = 0
         self._before: tuple[float, bool] | None = None
 
     @property
-    def is_done(self) -> bool:
-        """Whether all frames have been recorded."""
-        return self._number >= self._count
-
-    @property
     def progress(self) -> tuple[float, str]:
         """The fraction of frames that are recorded, and a message."""
-        return self._number / max(self._count, 1), f"{self._number} of {self._count} frames"
+        return self._number / self._part.count, f"{self._number} of {self._part.count} frames"
 
     def prepare(self, head: PlayHead | None) -> bool:
         """Move the play head to the next frame of the video; see `Video`."""
@@ -313,27 +283,17 @@ class RangeVideo:
 
     def add(self, picture: Picture) -> None:
         """Add a picture, after the window is drawn without the dialog; `picture` (height, width, 3) uint8."""
-        if self._settling or self.is_done:
+        if self._settling:
             self._settling -= 1
             return
-        self._recording.write(picture)
+        self._write(picture)
         self._number += 1
-
-    def stop(self) -> None:
-        """Keep the frames recorded and end the video here."""
-        self._count = self._number
+        self.is_done = self._number >= self._part.count
 
     def finish(self, head: PlayHead | None) -> int:
         """Complete the file and put the play head where it was; see `Video`."""
-        self._restore(head)
-        return self._recording.finish()
-
-    def discard(self) -> None:
-        """Remove the file."""
-        self._recording.discard()
-
-    def _restore(self, head: PlayHead | None) -> None:
         if head is not None and self._before is not None:
             utc_s, playing = self._before
             head.seek(utc_s)
             head.playing = playing
+        return super().finish(head)

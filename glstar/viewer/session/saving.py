@@ -1,9 +1,4 @@
-"""Files that the viewer saves: frames with their truth, settings, and pictures of comparisons.
-
-Pictures of what the viewer shows: cut from the window, saved, copied or added to a video.
-
-The report of a problem: all that somebody needs to see the same.
-"""
+"""What the viewer saves: frames with their truth, settings, comparisons, pictures of the window, problem reports."""
 
 import os
 import platform
@@ -12,7 +7,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from glstar import __version__
@@ -26,7 +20,7 @@ from glstar.export.run.prepare import prepare_export
 from glstar.flight import Flight
 from glstar.render.opengl import Framebuffer
 from glstar.system.files import write_atomically
-from glstar.system.imagefiles import copy_png
+from glstar.system.imagefiles import copy_png, encode_png
 from glstar.system.installation import library_versions
 from glstar.telemetry import as_table
 from glstar.viewer.picture.comparison import compose, save_view
@@ -72,9 +66,9 @@ def save_range(
 ) -> None:
     """Begin to export the camera's exposures of a part of the flight.
 
-    `session`: its attribute `export` becomes the running export; `start_s`, `stop_s`: from the flight's first attitude,
-    s; of a live flight, the part that is in the buffer; `image_format` {"png", "png16", "tiff", "fits", "jpeg"} or
-    None: none for the one that fits the sensor; `noiseless`: write the noiseless image too.
+    Its `export` becomes the running export.  `start_s`, `stop_s`: from the flight's first attitude, s; only the part of
+    a live flight that is in the buffer is exported; `image_format`: None for the one that fits the sensor; `noiseless`:
+    whether to write the noiseless image too.
     """
     loaded = session.loaded
     if loaded is None:
@@ -121,7 +115,7 @@ def _write_inputs_and_prepare(
     new = [file for file in inputs if not file.exists()]
     try:
         for file, content in inputs.items():
-            write_text(file, content)
+            write_file(file, content.encode())
         loaded = None if is_live else flight
         chosen = ExportOptions(seed=seed, **options)
         return prepare_export(Config.load(settings), log, directory, chosen, flight=loaded, only=only)
@@ -134,11 +128,8 @@ def _write_inputs_and_prepare(
 
 def save_settings(session: Session, path: Path) -> None:
     """Save the settings as TOML, for ``glstar export --config``."""
-    try:
-        write_text(path, session.config.to_toml())
-    except GlstarError as error:
-        session.notify(str(error), is_error=True)
-    else:
+    with session.errors_reported():
+        write_file(path, session.config.to_toml().encode())
         session.notify(f"settings: {path}")
 
 
@@ -163,13 +154,10 @@ def save_comparison(session: Session) -> None:
         real_gain=comparison.real_gain,
     )
     path = unused_path(session.output / f"{real[0].path.stem}-{comparison.mode.replace(' ', '-')}.png")
-    try:
+    with session.errors_reported():
         with explain_disk_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         save_view(path, picture, comparison.describe(real[0], session.scene.exposure))
-    except GlstarError as error:
-        session.notify(str(error), is_error=True)
-    else:
         session.notify(f"comparison: {path}")
 
 
@@ -206,11 +194,11 @@ def unused_path(path: Path) -> Path:
     return chosen
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, complete or not at all; its folder is made; raises ExportError if it cannot be written."""
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file, complete or not at all; its folder is made; raises ExportError if it cannot be written."""
     with explain_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
+        write_atomically(path, content)
 
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
@@ -247,13 +235,8 @@ def write_picture(session: Session, path: Path, picture: Picture, what: str) -> 
 
     `picture` (height, width, 3) uint8: blue, green, red; `what`: its name in the message.
     """
-    try:
-        with explain_disk_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, _png(picture))
-    except GlstarError as error:
-        session.notify(str(error), is_error=True)
-    else:
+    with session.errors_reported():
+        write_file(path, _png(picture))
         session.notify(f"{what}: {path}")
 
 
@@ -292,17 +275,17 @@ def record(session: Session, video: Video, picture: Picture | None) -> None:
 
 
 def _png(picture: Picture) -> bytes:
-    return bytes(cv2.imencode(".png", picture)[1].tobytes())
+    return encode_png(picture[..., ::-1])
 
 
 def problem_report(session: Session) -> str:
-    """Return what the window shows and runs on, for an issue.
+    """Return what the window shows and runs on, as Markdown for an issue.
 
-    Returns: markdown: versions, OpenGL, the flight's facts, the messages, and the settings as TOML. It has no path and
-    no sample of the log, but the site that the settings give.
+    It has versions, OpenGL, the flight's facts, the messages, and the settings as TOML with their site; it has no path
+    and no sample of the log.
     """
     info = session.renderer.context.info
-    libraries = ", ".join(f"{name} {found or 'missing'}" for name, found in library_versions().items())
+    libraries = ", ".join(f"{name} {version or 'missing'}" for name, version in library_versions().items())
     lines = [
         "**What happened, and what did you expect?**",
         "",
@@ -327,14 +310,11 @@ def problem_report(session: Session) -> str:
 
 
 def save_problem_report(session: Session) -> str:
-    """Write the report of a problem to a file, say where, and return it.
-
-    Returns: as of `problem_report`; if the file cannot be written, the window says so.
-    """
+    """Write the report of a problem to a file, notify the user where it is, or why it is not, and return it."""
     report = problem_report(session)
     path = unused_path(session.output / "problem-report.md")
     try:
-        write_text(path, report)
+        write_file(path, report.encode())
     except ExportError as error:
         session.notify(f"the report is in the clipboard only: {error}", is_error=True)
     else:

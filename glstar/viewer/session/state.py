@@ -1,7 +1,8 @@
 """The state of the viewer: a flight, settings, a play head and the image of its exposure; no window, no imgui."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from math import floor
 from pathlib import Path
@@ -22,8 +23,7 @@ from glstar.viewer.flight.loaded import (
     SITE_KEYS,
     FlightLoader,
     LoadedFlight,
-    MissingFromLink,
-    MissingFromLog,
+    MissingInputs,
     flight_keys,
 )
 from glstar.viewer.flight.navigator import NavigatorView
@@ -52,11 +52,7 @@ class Session:
     """The state of the viewer, and every change of it.
 
     `renderer`: on the window's context; `output`: where frames, settings and pictures are saved; by default
-    ``glstar-saved`` in the working directory; `clock`: returns seconds from any origin.  `config`: the present
-    settings; `loaded`: the flight shown; None until the first is loaded; `live`: the flight that a link receives, if
-    there is a link; `loader`: its attribute `missing` lists the missing inputs of the log opened last; `notify`: shows
-    a message for some seconds: `Notifications.add`; `name_vmag_limit`: magnitude limit of star names; `export`: the
-    export that is running; `video`: the video that is being recorded.
+    ``glstar-saved`` in the working directory; `clock`: returns seconds from any origin.
     """
 
     def __init__(
@@ -67,30 +63,35 @@ class Session:
         output: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.renderer, self.config = renderer, config
+        self.renderer = renderer
+        self.config = config  # The present settings
         self.output = Path.cwd() / "glstar-saved" if output is None else output
-        self.loaded: LoadedFlight | None = None
-        self.live: LiveFlight | None = None
+        self.loaded: LoadedFlight | None = None  # The flight shown; None until the first is loaded
+        self.live: LiveFlight | None = None  # The flight that a link receives, if there is a link
         self.loader = FlightLoader()
         self.times = FrameTimes()
         self.image = SimulatedImage(renderer, self.times)
         self.notifications = Notifications(clock)
-        self.notify = self.notifications.add
-        self.view, self.navigator = ImageView(), NavigatorView()
+        self.notify = self.notifications.add  # Shows a message for some seconds
+        self.view = ImageView()
+        self.navigator = NavigatorView()
         self.stretch = Stretch.for_sensor(config.sensor())
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
-        self.night, self.shows_processed, self.name_vmag_limit = False, False, 3.0
+        self.night = False
+        self.shows_processed = False
+        self.name_vmag_limit = 3.0  # Magnitude limit of star names
         self.comparison = ComparisonState(clock)
-        self.export: BackgroundExport | None = None
-        self.video: Video | None = None
+        self.export: BackgroundExport | None = None  # The export that is running
+        self.video: Video | None = None  # The video that is being recorded
         # Reason why the flight opened last could not be loaded.
         self._opening_error = ""
-        self._missing_site: MissingFromLink | None = None
+        self._missing_site: MissingInputs | None = None
         self._current_conditions = CurrentConditions(clock)
         # Keys of the config that were given for the log shown; no other log is read with them.
         self._given: Mapping[str, Any] = {}
         # Whether the link's flight is shown or awaited; its epoch; and the time for which its stars were computed.
-        self._shows_link, self._epoch = False, 0
+        self._shows_link = False
+        self._epoch = 0
         self._stars_utc_s = 0.0
         self._latest: LatestAttitude | None = None
 
@@ -110,6 +111,19 @@ class Session:
     def scene(self) -> Scene | None:
         """The scene of the image shown; None until there is one."""
         return self.image.scene
+
+    @property
+    def is_playing(self) -> bool:
+        """Whether a flight is shown whose play head moves."""
+        return self.head is not None and self.head.playing
+
+    @contextmanager
+    def errors_reported(self) -> Iterator[None]:
+        """Show a `GlstarError` that is raised inside as a notification."""
+        try:
+            yield
+        except GlstarError as error:
+            self.notify(str(error), is_error=True)
 
     # --- frames ---
 
@@ -140,7 +154,9 @@ class Session:
 
     def follow(self, live: LiveFlight) -> None:
         """Show the flight that a link receives, as soon as its sky can be drawn; `live`: the session closes it."""
-        self.live, self.navigator.live, self._shows_link = live, live, False
+        self.live = live
+        self.navigator.live = live
+        self._shows_link = False
         self.go_live()
 
     def go_live(self) -> None:
@@ -150,9 +166,12 @@ class Session:
         elif self._shows_link and self.loaded is not None:
             self.loaded.head.last()
         else:
-            self.config, self._given = self._own_config, {}
-            self._shows_link, self._epoch = True, 0
-            self.loaded, self._opening_error = None, ""
+            self.config = self._own_config
+            self._given = {}
+            self._shows_link = True
+            self._epoch = 0
+            self.loaded = None
+            self._opening_error = ""
             self.loader.missing = None
             self.loader.drop()
             self.image.clear()
@@ -219,7 +238,7 @@ class Session:
     @property
     def busy(self) -> bool:
         """Whether the next frame may differ from this one without any event."""
-        playing = self.head is not None and self.head.playing and self.stale_s is None
+        playing = self.is_playing and self.stale_s is None
         works = self.export is not None or self.video is not None or self.loader.works
         return playing or self.comparison.is_blinking or works or self.comparison.waiting
 
@@ -244,22 +263,22 @@ class Session:
         self.loader.read(path, self._own_config, {})
 
     @property
-    def missing(self) -> MissingFromLog | MissingFromLink | None:
+    def missing(self) -> MissingInputs | None:
         """The missing inputs of the log opened last or of the link, until the user gives them or cancels."""
         return self.loader.missing or self._missing_site
 
     def ask_for_site(self) -> None:
         """Ask for the site of the link's flight: `missing` is set."""
         if self.live is not None:
-            self._missing_site = MissingFromLink(self.live.status.endpoint, self.loader.typed_site)
+            self._missing_site = MissingInputs.from_link(self.live.status.endpoint, self.loader.typed_site)
 
-    def give(self, missing: MissingFromLog | MissingFromLink, typed: Mapping[str, str]) -> None:
+    def give(self, missing: MissingInputs, typed: Mapping[str, str]) -> None:
         """Use the inputs that the user typed: read the log again, or show the link's flight from that site.
 
         `typed`: by key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.  Raises
         ConfigError if something is missing or not valid; nothing changes then.
         """
-        if isinstance(missing, MissingFromLog):
+        if missing.path is not None:
             self.loader.read_again(self._own_config, missing, typed)
             return
         site = self._own_config.override(**flight_keys(missing.fields, typed)).flight.site
@@ -310,7 +329,8 @@ class Session:
         before = self.loaded
         if loaded.given != self._given:
             own = self._own_config
-            self.config, self._given = own.override(**loaded.given) if loaded.given else own, loaded.given
+            self.config = own.override(**loaded.given) if loaded.given else own
+            self._given = loaded.given
         loaded.use(self.config)
         self._shows_link = loaded.is_live
         if self._shows_link and self.live is not None:
@@ -319,7 +339,9 @@ class Session:
             self._epoch = self.live.epoch
         elif before is not None:
             loaded.continue_from(before)
-        self.loaded, self._opening_error, self.image.error = loaded, "", ""
+        self.loaded = loaded
+        self._opening_error = ""
+        self.image.error = ""
         self.comparison.flight_offset_s = loaded.flight.time_offset_s
         for note in loaded.flight.notes:
             self.notify(note)
@@ -351,10 +373,8 @@ class Session:
 
         `**keys`: by dotted key: ``session.change(**{"exposure.duration_s": 1.0})``.
         """
-        try:
+        with self.errors_reported():
             self.use(self.config.override(**keys))
-        except GlstarError as error:
-            self.notify(str(error), is_error=True)
 
     def use(self, config: Config) -> None:
         """Take settings; a `GlstarError` says that the simulator refuses them, and nothing changes then."""

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from glstar.errors import GlstarError
 from glstar.render.opengl import Context, Texture
-from glstar.viewer.overlays.belief import arrow_strokes, residual_scale
+from glstar.viewer.overlays.canvas import arrow_strokes, residual_scale
 from glstar.viewer.picture.comparison import ComparisonMode
-from glstar.viewer.picture.content import Display, PanelContent
+from glstar.viewer.picture.content import Display, PanelContent, Picture
 from glstar.viewer.picture.fitting import (
     CalibratedPhoto,
     CalibratePhoto,
@@ -135,7 +135,8 @@ class PhotoPanel:
             self._drawn = drawn
             content = PanelContent(self._texture, self._white_dn, None, ComparisonMode.OFF, 0.5, 0.0, 0.0, 1.0)
             pixels = round(size[0] * scale), round(size[1] * scale)
-            self._name = self._display.draw(content, self._view, self._stretch, pixels, scale=scale, night=night)
+            picture = Picture.of(content, self._view, self._stretch, pixels, scale=scale, night=night)
+            self._name = self._display.draw(picture)
         return self._name
 
     def _draw_marks(

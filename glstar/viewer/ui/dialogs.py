@@ -1,12 +1,6 @@
-"""Dialogs: a range to export, the UTC and the site that a log or a link lacks; and the list of keys.
+"""Dialogs: files and folders, a range to export or to record, missing inputs of a log, and telemetry links.
 
-What dialogs that ask for a part of the flight have in common.
-
-The dialog that asks which range of the flight a video shows, and how fast.
-
-The dialog that connects to a telemetry link.
-
-Choosing a file or a folder: the system's own dialog, or a text field if there is none.
+Files are chosen in the system's own dialog, or typed into a text field if there is none.
 """
 
 import os
@@ -23,11 +17,11 @@ from imgui_bundle import portable_file_dialogs as pfd
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import ImageFormat
 from glstar.link import serial_ports
-from glstar.viewer.flight.loaded import MissingFromLink, MissingFromLog
+from glstar.viewer.flight.loaded import MissingInputs
 from glstar.viewer.session.recording import RangeVideo, VideoRange
 from glstar.viewer.session.saving import SCREEN_FRAMES_PER_S, file_stem, save_range, unused_path
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import button_size, centre_next_window, error, scaled_across
+from glstar.viewer.ui.theme import button_size, centre_next_window, draw_wrapped, error, scaled_across
 
 Kind = Literal["open", "save", "folder"]
 
@@ -71,7 +65,9 @@ class FileChooser:
             return
         self._take = take
         if not self._native:
-            self._title, self._text, self._opening = title, str(path), True
+            self._title = title
+            self._text = str(path)
+            self._opening = True
         elif kind == "open":
             self._dialog = pfd.open_file(title, str(path))
         elif kind == "save":
@@ -110,9 +106,7 @@ class FileChooser:
             imgui.close_current_popup()
             if self._text.strip():
                 self._take(Path(self._text.strip()).expanduser())
-        imgui.same_line()
-        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
-            imgui.close_current_popup()
+        _draw_cancel()
         imgui.end_popup()
 
     def close(self) -> None:
@@ -120,6 +114,15 @@ class FileChooser:
         if self._dialog is not None:
             self._dialog.kill()
             self._dialog = None
+
+
+def _draw_cancel() -> bool:
+    """Draw the button Cancel beside the last one; return whether it, or Escape, has closed the dialog."""
+    imgui.same_line()
+    cancels = imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape)
+    if cancels:
+        imgui.close_current_popup()
+    return cancels
 
 
 class RangeDialog(ABC):
@@ -184,9 +187,7 @@ class RangeDialog(ABC):
             imgui.close_current_popup()
             self.accept(session)
         imgui.end_disabled()
-        imgui.same_line()
-        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
-            imgui.close_current_popup()
+        _draw_cancel()
 
 
 class ExportDialog(RangeDialog):
@@ -238,7 +239,7 @@ class MissingDialog:
     _TITLE: Final = "Missing UTC or position"
 
     def __init__(self) -> None:
-        self._missing: MissingFromLog | MissingFromLink | None = None
+        self._missing: MissingInputs | None = None
         self._typed: dict[str, str] = {}
         self._error = ""
         self._focus = False
@@ -247,9 +248,11 @@ class MissingDialog:
         """Draw the dialog if something is missing."""
         missing = session.missing
         if missing is not self._missing:
-            self._missing, self._error = missing, ""
+            self._missing = missing
+            self._error = ""
             if missing is not None:
-                self._typed, self._focus = dict(missing.typed), True
+                self._typed = dict(missing.typed)
+                self._focus = True
                 imgui.open_popup(self._TITLE)
         centre_next_window()
         if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
@@ -261,7 +264,7 @@ class MissingDialog:
         elif missing is not None:
             session.cancel_missing()  # closed with Escape
 
-    def _draw_fields(self, session: Session, missing: MissingFromLog | MissingFromLink) -> None:
+    def _draw_fields(self, session: Session, missing: MissingInputs) -> None:
         width_px = scaled_across(_WIDTH)
         imgui.push_text_wrap_pos(width_px)
         imgui.text(missing.message)
@@ -279,9 +282,7 @@ class MissingDialog:
                 self._error = ""
             entered |= enter
         if self._error:
-            imgui.push_text_wrap_pos(width_px)
-            imgui.text_colored(error(), self._error)
-            imgui.pop_text_wrap_pos()
+            draw_wrapped(self._error, error(), wrap_px=width_px)
         if imgui.button("OK", button_size()) or entered:
             try:
                 session.give(missing, self._typed)
@@ -289,10 +290,8 @@ class MissingDialog:
                 self._error = str(refusal)
             else:
                 imgui.close_current_popup()
-        imgui.same_line()
-        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
+        if _draw_cancel():
             session.cancel_missing()
-            imgui.close_current_popup()
 
 
 class VideoDialog(RangeDialog):
@@ -403,9 +402,7 @@ class ConnectDialog:
         imgui.set_next_item_width(width)
         entered, self._link = imgui.input_text("##link", self._link, _ENTER)
         connect = imgui.button("Connect", button_size()) or entered
-        imgui.same_line()
-        if imgui.button("Cancel", button_size()) or imgui.is_key_pressed(imgui.Key.escape):
-            imgui.close_current_popup()
+        _draw_cancel()
         if connect and self._link.strip():
             imgui.close_current_popup()
             return self._link.strip()

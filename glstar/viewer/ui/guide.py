@@ -1,9 +1,4 @@
-"""What the window shows before there is a flight: recent flights, flights to try, and how to open one's own.
-
-The tour of the window: six steps, each beside the panel that it is about.
-
-The manual in a window: a list of its pages, and the text of one of them.
-"""
+"""What guides the user: the welcome before there is a flight, the tour, the manual, and the list of keys."""
 
 import re
 from collections.abc import Callable
@@ -15,10 +10,20 @@ from imgui_bundle import ImVec2, imgui
 from glstar.system.resources import bundled_flight, manual_pages
 from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import accent, centre_next_window, dialog_size, scaled, scaled_across
+from glstar.viewer.ui.theme import (
+    DIALOG,
+    accent,
+    centre_next_window,
+    dialog_size,
+    draw_button,
+    draw_wrapped,
+    scaled,
+    scaled_across,
+)
 
 _WELCOME_WIDTH: Final = 420.0
-# Of the panels on the right of the image, in the initial layout: it needs to stay free, also in a small window.
+# Width of the panels on the right of the image in the initial layout, as a fraction of the window and at least, px: the
+# welcome leaves it free.
 _RIGHT_FRACTION: Final = 0.26
 _RIGHT_PX: Final = 300.0
 _WELCOME_FLAGS: Final = int(
@@ -33,7 +38,7 @@ _ORBIT: Final = Path("fly:orbit?radius_m=300&gusts=light")
 
 
 def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyAction], None]) -> None:
-    """Draw the panel if there is neither a flight nor a link, and none is being opened.
+    """Draw the welcome if there is neither a flight nor a link, and none is being opened.
 
     `recent`: the flights opened last, the latest first; `perform`: performs an action of the table of keys.
     """
@@ -73,13 +78,7 @@ _TOUR_WIDTH_PX: Final = 260.0
 # At the right edge, where it covers the ends of the panels only, above the notifications: its lower edge in the window.
 _MARGIN_PX: Final = 12.0
 _LOWEST_FRACTION: Final = 0.82
-_TOUR_FLAGS: Final = int(
-    imgui.WindowFlags_.no_docking
-    | imgui.WindowFlags_.no_saved_settings
-    | imgui.WindowFlags_.no_focus_on_appearing
-    | imgui.WindowFlags_.no_collapse
-    | imgui.WindowFlags_.always_auto_resize
-)
+_TOUR_FLAGS: Final = DIALOG | int(imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.always_auto_resize)
 
 
 class _Step(NamedTuple):
@@ -175,18 +174,15 @@ class Tour:
         imgui.end_disabled()
         if not is_last:
             imgui.same_line()
-            if imgui.button("Skip the tour"):
+            if draw_button("Skip the tour", "Help, Tour shows it again"):
                 self.step = None
-            imgui.set_item_tooltip("Help, Tour shows it again")
 
 
 def _draw_text(text: str, width_px: float) -> None:
     """Draw the text of a step, with room for the longest: the buttons stay where they are from step to step."""
     wrap_px = width_px - imgui.get_cursor_pos().x
     highest_px = max(imgui.calc_text_size(_with_keys(step.text), wrap_width=wrap_px).y for step in STEPS)
-    imgui.push_text_wrap_pos(width_px)
-    imgui.text_unformatted(_with_keys(text))
-    imgui.pop_text_wrap_pos()
+    draw_wrapped(_with_keys(text), wrap_px=width_px)
     imgui.dummy(ImVec2(0.0, highest_px - imgui.get_item_rect_size().y))
 
 
@@ -211,9 +207,6 @@ _FIRST_PAGE: Final = "viewer"
 # Size of the window and width of the list of pages, screen px at scale 1.
 _MANUAL_SIZE: Final = (900.0, 680.0)
 _LIST_WIDTH: Final = 130.0
-_MANUAL_FLAGS: Final = int(
-    imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
-)
 _TABLE: Final = int(imgui.TableFlags_.borders_inner_h | imgui.TableFlags_.sizing_stretch_prop)
 
 # Markdown that has no form here: emphasis, code and the targets of links.
@@ -244,7 +237,7 @@ class ManualWindow:
         pages = manual_pages()
         centre_next_window()
         imgui.set_next_window_size(dialog_size(*_MANUAL_SIZE), int(imgui.Cond_.appearing))
-        expanded, stays = imgui.begin("Manual", True, _MANUAL_FLAGS)
+        expanded, stays = imgui.begin("Manual", True, DIALOG)
         if expanded:
             imgui.begin_child("##pages", ImVec2(scaled(_LIST_WIDTH), 0))
             for topic in pages:
@@ -264,10 +257,9 @@ class ManualWindow:
 
 
 def blocks_of(markdown: str) -> list[tuple[str, str]]:
-    """Return the blocks of a page.
+    """Return the blocks of a page: kind and text, which has several lines in code and tables, otherwise one.
 
-    Returns the kind, which is ``"heading"``, ``"code"``, ``"table"``, ``"item"`` or ``"paragraph"``, and the text: of a
-    paragraph or an item in one line, of code and tables in several.
+    The kinds are ``"heading"``, ``"code"``, ``"table"``, ``"item"`` and ``"paragraph"``.
     """
     blocks: list[tuple[str, str]] = []
     in_code = False
@@ -344,14 +336,13 @@ _HELP_PX: Final = (880.0, 730.0)
 
 
 def draw_help(is_open: bool) -> bool:
-    """Draw the window with the table of keys; returns whether it stays open."""
+    """Draw the window with the table of keys; return whether it stays open."""
     if not is_open:
         return False
     centre_next_window()
     size = dialog_size(*_HELP_PX)
     imgui.set_next_window_size(size)
-    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
-    expanded, stays = imgui.begin("Keys", True, int(flags))
+    expanded, stays = imgui.begin("Keys", True, DIALOG)
     if expanded:
         columns = 2 if size.x >= scaled(_HELP_PX[0]) - 1 else 1  # two in a narrow window would cut off the text
         imgui.columns(columns, "##keys", False)

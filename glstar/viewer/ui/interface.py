@@ -1,7 +1,4 @@
-"""The interface: panels, menus and keys of a session, drawn with imgui on the current OpenGL context.
-
-From keys to actions: the chords of the table of keys, as imgui sees them.
-"""
+"""The interface: panels, menus and keys of a session, drawn with imgui on the current OpenGL context."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +8,6 @@ import numpy as np
 from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
-from glstar.errors import GlstarError
 from glstar.render.opengl import Context, Framebuffer
 from glstar.viewer.picture.content import Display
 from glstar.viewer.session.actions import is_on, perform
@@ -27,7 +23,7 @@ from glstar.viewer.ui.layout import OBJECT, Panels
 from glstar.viewer.ui.panels.image import ImagePanel
 from glstar.viewer.ui.search import CommandPalette, FindWindow
 from glstar.viewer.ui.status import draw_notifications, draw_status_bar
-from glstar.viewer.ui.theme import apply_theme, load_font, resized_text
+from glstar.viewer.ui.theme import ANY_POPUP, apply_theme, load_font, resized_text
 
 _KEY_NAMES: Final = {
     "Left": "left_arrow",
@@ -46,7 +42,6 @@ _KEY_NAMES: Final = {
     **{str(digit): f"_{digit}" for digit in range(10)},
 }
 _MODIFIERS: Final = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
-_ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
 
 class Keyboard:
@@ -69,7 +64,7 @@ class Keyboard:
 
     def poll(self, perform: Callable[[AnyAction], None]) -> None:
         """Perform the actions of the keys that are pressed; Escape closes menus and dialogs."""
-        popup = imgui.is_popup_open("", _ANY_POPUP)
+        popup = imgui.is_popup_open("", ANY_POPUP)
         modifiers_now, before = imgui.get_io().key_mods, self._modifiers_before
         self._modifiers_before = modifiers_now
         # In a slow frame Ctrl may be up again before the letter is seen: a released modifier still counts.  It does
@@ -104,11 +99,7 @@ class Interface:
 
     `context`: the current one, the renderer's; `layout`: the file that stores the layout of the panels; without it the
     layout is not stored; `scale`: of the screen: 2 if it has twice the pixels; `native_dialogs`: whether files are
-    chosen in the system's dialogs.  `screenshot`: where to save a picture of the next frame; `picture`: what to do with
-    a picture of the next frame; `wanted_link`: the connection string of a link that the user has asked for; `recent`:
-    the flights opened last, the latest first; `text_scale`: size of the text that the user has chosen; 1 at first;
-    `drawn_notifications`: those of the last frame; a paused window is drawn again when they change; `selection`: the
-    star, constellation or body that the user has selected.
+    chosen in the system's dialogs.
     """
 
     def __init__(
@@ -123,11 +114,12 @@ class Interface:
         self.session = session
         self.wants_to_quit = False
         self.wants_full_screen = False
-        self.screenshot: Path | None = None
-        self.picture: PictureAction | None = None
-        self.wanted_link: str | None = None
-        self.recent: list[str] = []
-        self.text_scale = 1.0
+        self.screenshot: Path | None = None  # Where to save a picture of the next frame
+        self.picture: PictureAction | None = None  # What to do with a picture of the next frame
+        self.wanted_link: str | None = None  # Connection string of a link that the user has requested
+        self.recent: list[str] = []  # The flights opened last, the latest first
+        self.text_scale = 1.0  # Size of the text that the user has chosen
+        # Those of the last frame: a paused window is drawn again when they change.
         self.drawn_notifications: list[Notification] = []
         self._context = context
         self._imgui = imgui.create_context()
@@ -144,11 +136,15 @@ class Interface:
         has_layout = layout is not None and layout.exists()
         self._panels = Panels(session, self._image, self.selection, self.perform, has_layout=has_layout)
         self.files = FileChooser(native=native_dialogs)
-        self.keyboard, self.tour = Keyboard(), Tour()
-        self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
+        self.keyboard = Keyboard()
+        self.tour = Tour()
+        self._exports = ExportDialog()
+        self._missing = MissingDialog()
+        self._manual = ManualWindow()
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
-        self._connect, self._palette = ConnectDialog(), CommandPalette()
+        self._connect = ConnectDialog()
+        self._palette = CommandPalette()
         self.calibration = CalibrateWindow(context, self.files)
         self._dialogs: dict[AnyAction, _Asks] = {
             Action.PALETTE: self._palette,
@@ -159,7 +155,8 @@ class Interface:
             Action.TOUR: self.tour,
             Action.CALIBRATE: self.calibration,
         }
-        self._history, self._initial = SettingsHistory(), session.config
+        self._history = SettingsHistory()
+        self._initial = session.config
         self._help = False
         self._hidden = False
         self._themed: bool | None = None
@@ -230,7 +227,7 @@ class Interface:
     @property
     def covers_picture(self) -> bool:
         """Whether a menu or a dialog is open, which a picture or a video should not show."""
-        return bool(imgui.is_popup_open("", _ANY_POPUP))
+        return bool(imgui.is_popup_open("", ANY_POPUP))
 
     def plain_picture(self) -> NDArray[np.uint8] | None:
         """Return the visible part of the picture without overlays; see `ImagePanel.plain_picture`."""
@@ -288,10 +285,8 @@ class Interface:
         if config is None:
             self.session.notify(f"nothing to {action}")
             return True
-        try:
+        with self.session.errors_reported():
             self.session.use(config)
-        except GlstarError as error:
-            self.session.notify(str(error), is_error=True)
         return True
 
     def _ask_for_path(self, action: AnyAction) -> bool:

@@ -25,11 +25,17 @@ from glstar.viewer.ui.panels.playback import PlaybackControls
 from glstar.viewer.ui.panels.settings import draw_settings
 from glstar.viewer.ui.panels.timeline import Timeline
 from glstar.viewer.ui.status import draw_link
-from glstar.viewer.ui.theme import scaled
+from glstar.viewer.ui.theme import draw_checkbox, scaled
 
 # Titles of the panels; imgui stores their layout by title.
-_IMAGE, _TIMELINE, _LINK, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Link", "Settings", "View", "Compare"
-OBJECT, _FLIGHT = "Object", "Flight"
+_IMAGE: Final = "Image"
+_TIMELINE: Final = "Time"
+_LINK: Final = "Link"
+_SETTINGS: Final = "Settings"
+_DISPLAY: Final = "View"
+_COMPARE: Final = "Compare"
+OBJECT: Final = "Object"
+_FLIGHT: Final = "Flight"
 
 _PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
 _BARE: Final = int(
@@ -66,7 +72,10 @@ class Panels:
         *,
         has_layout: bool,
     ) -> None:
-        self._session, self._image, self._selection, self._perform = session, image, selection, perform
+        self._session = session
+        self._image = image
+        self._selection = selection
+        self._perform = perform
         self._lays_out = not has_layout
         # Number of frames in which the first panel of each dock is brought to the front.
         self._fronts = _DOCKING_FRAMES
@@ -76,8 +85,10 @@ class Panels:
         self._timeline_of: PlayHead | None = None
         self._lines: FlightLines | None = None
         self._image_times: tuple[object, NDArray[np.float64]] = None, np.empty(0)
-        self._compare, self._fit = ComparisonPanel(session.comparison), FitPanel()
-        self._display_settings, self._flight = DisplayPanel(), FlightPanel()
+        self._compare = ComparisonPanel(session.comparison)
+        self._fit = FitPanel()
+        self._display_settings = DisplayPanel()
+        self._flight = FlightPanel()
         # The panels that share the right side, in the order of their tabs.
         self._right: dict[str, Callable[[], None]] = {
             _LINK: self._draw_link,
@@ -120,8 +131,8 @@ class Panels:
                     draw()
                 imgui.end()
         if self._fronts:
-            # Of the panels that share a place the first one is in front, also with a stored layout, in which another
-            # one may have been: that one may be empty now.
+            # The first of the panels that share a place is in front, also with a stored layout: the panel that was in
+            # front when it was stored may be empty now.
             imgui.set_window_focus(_LINK if has_link else _SETTINGS)
             self._fronts -= 1
         self._lays_out = False
@@ -160,7 +171,10 @@ class Panels:
         if name in self._docked:
             imgui.set_next_window_bg_alpha(0.0)
         visible = imgui.begin(name, None, flags)[0]
-        (self._docked.add if imgui.is_window_docked() else self._docked.discard)(name)
+        if imgui.is_window_docked():
+            self._docked.add(name)
+        else:
+            self._docked.discard(name)
         return visible
 
     def _draw_image_panel(self, dock: int) -> None:
@@ -185,11 +199,13 @@ class Panels:
 
     def _samples(self, timeline: Timeline) -> SkySamples | None:
         """Return the samples that the chosen curves need; they are computed for logs only."""
-        loaded, found = self._session.loaded, self._selection.selected
+        loaded, selected = self._session.loaded, self._selection.selected
         if loaded is None or loaded.is_live or not any(curve.is_sampled for curve in timeline.curves):
             return None
-        wants_star = TimelineCurve.SNR in timeline.curves and found is not None and found.kind is ObjectKind.STAR
-        star_id = found.star_id if wants_star and found is not None else None
+        is_star = selected is not None and selected.kind is ObjectKind.STAR
+        star_id = (
+            selected.star_id if selected is not None and is_star and TimelineCurve.SNR in timeline.curves else None
+        )
         return self._session.loader.sampler.of(loaded.simulator, loaded.head.exposure_section, star_id)
 
     def _images_s(self) -> NDArray[np.float64]:
@@ -197,19 +213,18 @@ class Panels:
         comparison, head = self._session.comparison, self._session.head
         if comparison.images is None or head is None:
             return np.empty(0)
-        wanted = (id(comparison.images), comparison.ahead_s, head.origin_s)
-        if self._image_times[0] != wanted:
+        inputs = (id(comparison.images), comparison.ahead_s, head.origin_s)
+        if self._image_times[0] != inputs:
             times_s = [comparison.log_utc_s(image) - head.origin_s for image in comparison.images]
-            self._image_times = wanted, np.array(times_s)
+            self._image_times = inputs, np.array(times_s)
         return self._image_times[1]
 
     def _draw_overlay_switches(self) -> None:
         imgui.separator_text("Overlays")
         for key in KEYS:
             if key.menu == "Overlays":
-                changed, _ = imgui.checkbox(key.label, is_on(key.action, self._session))
-                imgui.set_item_tooltip(f"key {shown_chord(key.chords[0])}")
-                if changed:
+                is_shown = is_on(key.action, self._session)
+                if draw_checkbox(key.label, is_shown, f"key {shown_chord(key.chords[0])}") != is_shown:
                     self._perform(key.action)
 
     def _draw_comparison(self) -> None:

@@ -1,8 +1,6 @@
-"""A window that searches while the user types: Up and Down choose a match, Enter takes it, Escape closes the window.
+"""Windows that search while the user types: for commands by their labels, and for objects of the sky by their names.
 
-The command palette: every action of the menus, searched by its label.
-
-The window that searches stars, constellations and bodies by name.
+Up and Down choose a match, Enter takes it, Escape closes the window.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,16 +12,11 @@ from glstar.viewer.session.actions import select_object
 from glstar.viewer.session.keys import KEYS, AnyAction, KeyBinding, shown_chord
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection, SkyObject
-from glstar.viewer.ui.theme import scaled_across
+from glstar.viewer.ui.theme import DIALOG, scaled_across
 
 T = TypeVar("T")
 
-_FLAGS: Final = int(
-    imgui.WindowFlags_.no_docking
-    | imgui.WindowFlags_.no_saved_settings
-    | imgui.WindowFlags_.no_collapse
-    | imgui.WindowFlags_.always_auto_resize
-)
+_FLAGS: Final = DIALOG | int(imgui.WindowFlags_.always_auto_resize)
 _WIDTH: Final = 420.0
 # Distance from the top of the window, screen px.
 _TOP: Final = 60.0
@@ -36,7 +29,9 @@ class SearchWindow(Generic[T]):
     """
 
     def __init__(self, title: str, hint: str, nothing: str) -> None:
-        self._title, self._hint, self._nothing = title, hint, nothing
+        self._title = title
+        self._hint = hint
+        self._nothing = nothing
         self._is_open = self._focus = False
         self._query = ""
         self._matches: list[T] = []
@@ -45,7 +40,9 @@ class SearchWindow(Generic[T]):
     def open(self, matches: Sequence[T] = ()) -> None:
         """Open the window with an empty query; `matches`: listed until the user types."""
         self._is_open = self._focus = True
-        self._query, self._matches, self._chosen = "", list(matches), 0
+        self._query = ""
+        self._matches = list(matches)
+        self._chosen = 0
 
     def draw(self, search: Callable[[str], Sequence[T]], label: Callable[[T], str]) -> T | None:
         """Draw the window if it is open.
@@ -65,7 +62,8 @@ class SearchWindow(Generic[T]):
             self._focus = False
         changed, self._query = imgui.input_text_with_hint("##query", self._hint, self._query)
         if changed:
-            self._matches, self._chosen = list(search(self._query)), 0
+            self._matches = list(search(self._query))
+            self._chosen = 0
         taken = self._draw_matches(label)
         imgui.end()
         self._is_open = bool(stays) and taken is None and not imgui.is_key_pressed(imgui.Key.escape)
@@ -101,7 +99,7 @@ class CommandPalette:
         self._window.open(KEYS[:_ACTION_ROWS])
 
     def draw(self) -> AnyAction | None:
-        """Draw the window if it is open; returns the action that the user has taken in this frame."""
+        """Draw the window if it is open; return the action that the user has taken in this frame."""
         taken = self._window.draw(lambda query: matching_actions(query)[:_ACTION_ROWS], _action_line)
         return None if taken is None else taken.action
 
@@ -109,16 +107,16 @@ class CommandPalette:
 def matching_actions(query: str) -> list[KeyBinding]:
     """Return the actions whose menu and label contain all words of a query.
 
-    `query`: words or their beginnings, in any order and case.  Returns: those whose label begins with the query first,
-    then in the order of the menus.
+    Actions whose label begins with the query come first; the others follow in the order of the menus.  `query`: words
+    or their beginnings, in any order and case.
     """
     parts = query.casefold().split()
-    found = [
+    matches = [
         key
         for key in KEYS
         if all(any(word.startswith(part) for word in f"{key.menu} {key.label}".casefold().split()) for part in parts)
     ]
-    return sorted(found, key=lambda key: not key.label.casefold().startswith(" ".join(parts)))
+    return sorted(matches, key=lambda key: not key.label.casefold().startswith(" ".join(parts)))
 
 
 def _action_line(key: KeyBinding) -> str:
@@ -148,17 +146,17 @@ class FindWindow:
             self._window.open()
 
     def draw(self, session: Session) -> bool:
-        """Draw the window if it is open; returns whether the user has selected an object in this frame."""
+        """Draw the window if it is open; return whether the user has selected an object in this frame."""
         if session.loaded is None:
             return False
         catalogue = session.loaded.simulator.sky.catalogue
-        found = self._window.draw(
+        target = self._window.draw(
             lambda query: self._selection.search(catalogue).matches(query, limit=_OBJECT_ROWS), _object_line
         )
-        if found is not None:
-            select_object(session, self._selection, found)
-        return found is not None
+        if target is not None:
+            select_object(session, self._selection, target)
+        return target is not None
 
 
-def _object_line(found: SkyObject) -> str:
-    return f"{found.label}   " + (f"V {found.vmag:.2f}" if found.star_id else found.kind)
+def _object_line(target: SkyObject) -> str:
+    return f"{target.label}   " + (f"V {target.vmag:.2f}" if target.star_id else target.kind)

@@ -1,7 +1,4 @@
-"""The status bar at the bottom of the window, and the notifications above it.
-
-The panel with the state of a telemetry link and its latest events.
-"""
+"""The status bar, the notifications above it, and the panel with the state of a telemetry link and its events."""
 
 import time
 from math import degrees
@@ -17,12 +14,8 @@ from glstar.viewer.flight.sky import Conditions
 from glstar.viewer.session.actions import is_on, listen_to, perform
 from glstar.viewer.session.keys import Action
 from glstar.viewer.session.memory import Notification
-from glstar.viewer.session.recording import BackgroundExport, Video
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import accent, error, scaled, scaled_across
-
-_TABLE: Final = int(imgui.TableFlags_.sizing_fixed_fit)
-_STRETCH: Final = int(imgui.TableColumnFlags_.width_stretch)
+from glstar.viewer.ui.theme import accent, draw_button, draw_rows, draw_wrapped, error, scaled, scaled_across
 
 
 def draw_link(session: Session, live: LiveFlight) -> None:
@@ -50,17 +43,16 @@ def _draw_status(live: LiveFlight) -> None:
     status = live.status
     imgui.text_wrapped(f"{status.endpoint}: {status.state}")
     if status.problem is not None:
-        imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(error(), status.problem)
-        imgui.pop_text_wrap_pos()
+        draw_wrapped(status.problem, error())
     imgui.separator_text("Vehicle")
-    _rows(
+    rows = (
         ("vehicle", f"{status.vehicle or 'none yet'}{'' if status.sysid is None else f', system {status.sysid}'}"),
         ("attitude", f"{status.rate_hz:.1f} Hz"),
         ("latest", "none yet" if status.age_s is None else f"{status.age_s:.2f} s ago"),
         ("UTC", status.utc_source or "unknown"),
         ("position", status.position_source or "unknown"),
     )
+    draw_rows("##vehicle", rows)
 
 
 def _draw_vehicles(session: Session, live: LiveFlight) -> None:
@@ -79,7 +71,7 @@ def _draw_vehicles(session: Session, live: LiveFlight) -> None:
 def _draw_link(live: LiveFlight) -> None:
     status, recording = live.status, live.link.recording
     imgui.separator_text("Link")
-    _rows(
+    rows = (
         ("latency", latency_label(live)),
         ("packets", str(status.packets)),
         ("lost", f"{status.lost}{_percentage(status.lost, status.packets)}"),
@@ -87,6 +79,7 @@ def _draw_link(live: LiveFlight) -> None:
         ("recorded", f"{status.recorded_bytes} bytes" if status.recorded_bytes else "nothing"),
         *([("to", recording.path.name)] if recording.path is not None else []),
     )
+    draw_rows("##link", rows)
 
 
 def _draw_actions(session: Session) -> None:
@@ -102,9 +95,8 @@ def _draw_actions(session: Session) -> None:
         (Action.DISCONNECT, "Disconnect", "Closes the link; what was received of the flight can be replayed"),
     )
     for action, label, tooltip in buttons:
-        if imgui.button(f"{label}###{action}"):
+        if draw_button(f"{label}###{action}", tooltip):
             perform(action, session)
-        imgui.set_item_tooltip(tooltip)
         imgui.same_line()
     imgui.new_line()
 
@@ -126,20 +118,6 @@ def latency_label(live: LiveFlight) -> str:
 
 def _percentage(lost: int, packets: int) -> str:
     return f", {100 * lost / (lost + packets):.1f} %" if lost else ""
-
-
-def _rows(*rows: tuple[str, str]) -> None:
-    if not imgui.begin_table("##rows", 2, _TABLE):
-        return
-    imgui.table_setup_column("name")
-    imgui.table_setup_column("value", _STRETCH)
-    for name, value in rows:
-        imgui.table_next_row()
-        imgui.table_next_column()
-        imgui.text_disabled(name)
-        imgui.table_next_column()
-        imgui.text_wrapped(value)
-    imgui.end_table()
 
 
 _BAR: Final = int(
@@ -187,10 +165,10 @@ def _draw_items(session: Session) -> None:
     _draw_conditions(session.conditions)
     if session.loader.path is not None:
         _item(f"reading {session.loader.path.name} ...", accent())
-    if session.export is not None:
-        _draw_progress(session.export)
-    if session.video is not None:
-        _draw_video(session.video)
+    if session.export is not None and _draw_progress(session.export.progress, "export"):
+        session.export.cancel()
+    if session.video is not None and _draw_progress(session.video.progress, "video"):
+        session.video.stop()
     _draw_driver(session)
 
 
@@ -246,8 +224,7 @@ def _draw_conditions(conditions: Conditions | None) -> None:
 
 def _draw_driver(session: Session) -> None:
     """Draw the frame rate and the OpenGL driver at the right edge, if they fit."""
-    head = session.head
-    rate = f"{session.times.frames_per_s:.0f} fps   " if head is not None and head.playing else ""
+    rate = f"{session.times.frames_per_s:.0f} fps   " if session.is_playing else ""
     text = rate + session.renderer.driver.split(" (")[0]
     width = imgui.calc_text_size(text).x
     imgui.same_line(0.0, _MARGIN_PX)
@@ -273,23 +250,12 @@ def _draw_link_item(session: Session, live: LiveFlight) -> None:
     imgui.same_line(0.0, _GROUP_SPACING_PX)
 
 
-def _draw_progress(export: BackgroundExport) -> None:
-    fraction = export.done / export.of if export.of else 0.0
+def _draw_progress(progress: tuple[float, str], name: str) -> bool:
+    """Draw a fraction and a message as a bar; return whether the button beside it was pressed."""
     imgui.same_line(0.0, _SPACING_PX)
-    label = f"{export.done} of {export.of} frames" if export.of else f"{export.done} frames"
-    imgui.progress_bar(fraction, ImVec2(scaled(_PROGRESS_PX), imgui.get_text_line_height()), label)
+    imgui.progress_bar(progress[0], ImVec2(scaled(_PROGRESS_PX), imgui.get_text_line_height()), progress[1])
     imgui.same_line()
-    if imgui.small_button("stop"):
-        export.cancel()
-
-
-def _draw_video(video: Video) -> None:
-    fraction, message = video.progress
-    imgui.same_line(0.0, _SPACING_PX)
-    imgui.progress_bar(fraction, ImVec2(scaled(_PROGRESS_PX), imgui.get_text_line_height()), message)
-    imgui.same_line()
-    if imgui.small_button("stop##video"):
-        video.stop()
+    return imgui.small_button(f"stop##{name}")
 
 
 def _item(text: str, colour: ImVec4 | None = None) -> None:
@@ -301,10 +267,9 @@ def _item(text: str, colour: ImVec4 | None = None) -> None:
 
 
 def draw_notifications(session: Session) -> list[Notification]:
-    """Draw the notifications in the bottom right corner, the latest lowest.
+    """Draw the notifications in the bottom right corner, the latest lowest, and return them.
 
-    A click dismisses an error. A message lets the mouse through to the controls that it covers for some seconds.
-    Returns: those that were drawn.
+    A click dismisses an error.  A message lets the mouse through to the controls that it covers for some seconds.
     """
     viewport = imgui.get_main_viewport()
     right = viewport.work_pos.x + viewport.work_size.x - _MARGIN_PX
@@ -315,10 +280,7 @@ def draw_notifications(session: Session) -> list[Notification]:
         imgui.set_next_window_bg_alpha(0.95)
         ignored = 0 if notification.is_error else int(imgui.WindowFlags_.no_mouse_inputs)
         imgui.begin(f"##notification{index}", None, _NOTIFICATION | ignored)
-        imgui.push_text_wrap_pos(scaled_across(_WRAP_PX))
-        colour = error() if notification.is_error else imgui.get_style_color_vec4(imgui.Col_.text)
-        imgui.text_colored(colour, notification.message)
-        imgui.pop_text_wrap_pos()
+        draw_wrapped(notification.message, error() if notification.is_error else None, wrap_px=scaled_across(_WRAP_PX))
         if imgui.is_window_hovered() and imgui.is_mouse_clicked(0):
             session.notifications.dismiss(notification)
         bottom -= imgui.get_window_height() + 8.0

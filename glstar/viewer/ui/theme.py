@@ -1,6 +1,10 @@
-"""Colours and fonts of the window: dark, or red by night to preserve dark adaptation."""
+"""Colours, fonts, sizes and small widgets that all panels and dialogs of the window share.
 
-from collections.abc import Sequence
+The window is dark, or red by night to preserve dark adaptation.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -70,7 +74,13 @@ _COLOURS: Final[dict[str, Rgba]] = {
     "modal_window_dim_bg": (0.0, 0.0, 0.0, 0.45),
 }
 
-# Of the window that a dialog leaves free on each side, and above and below, px.
+# Flags of a window of its own: it is not docked, and its position is not stored.
+DIALOG: Final = int(
+    imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
+)
+# For `imgui.is_popup_open`: menus and dialogs of any name.
+ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+# Margin that a dialog leaves free in the window on each side, and above and below, px.
 _DIALOG_MARGIN_PX: Final = (20.0, 30.0)
 # Width of the buttons that end a dialog, px.
 _BUTTON_PX: Final = 90.0
@@ -102,17 +112,14 @@ def load_font(scale: float = 1.0) -> None:
 
 
 def resized_text(scale: float, steps: int) -> float:
-    """Return a size of the text.
-
-    `scale`: the present one; 1 at first; `steps`: steps of a tenth; negative ones shrink.  Returns: 0.7 to 2.5.
-    """
+    """Return a size of the text from 0.7 to 2.5; `scale`: the present one; `steps`: in tenths; negative ones shrink."""
     return min(max(round(10 * scale) + steps, _TEXT_TENTHS[0]), _TEXT_TENTHS[1]) / 10
 
 
 def scaled(px: float) -> float:
-    """Return a length on this screen: it grows with the resolution of the screen and with the text.
+    """Return a length in px of this screen: it grows with the resolution of the screen and with the text.
 
-    `px`: the length on a usual screen with text of the first size.  Returns: px of this screen.
+    `px`: the length on a usual screen with text of the first size.
     """
     style = imgui.get_style()
     return float(px * style.font_scale_dpi * style.font_scale_main)
@@ -170,6 +177,62 @@ def centre_next_window() -> None:
     imgui.set_next_window_pos(centre, int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))
 
 
+def draw_wrapped(text: str, colour: ImVec4 | None = None, *, wrap_px: float = 0.0) -> None:
+    """Write text, which may contain percent signs, wrapped at a distance from the window's left edge.
+
+    `colour`: by default that of text; `wrap_px`: 0 for the window's right edge.
+    """
+    imgui.push_text_wrap_pos(wrap_px)
+    imgui.push_style_color(int(imgui.Col_.text), colour or imgui.get_style_color_vec4(int(imgui.Col_.text)))
+    imgui.text_unformatted(text)
+    imgui.pop_style_color()
+    imgui.pop_text_wrap_pos()
+
+
+def draw_rows(name: str, rows: Iterable[tuple[str, str]]) -> None:
+    """Draw a table of labels and values; `name`: its identity, such as ``"##state"``."""
+    if not imgui.begin_table(name, 2, int(imgui.TableFlags_.sizing_fixed_fit)):
+        return
+    imgui.table_setup_column("label")
+    imgui.table_setup_column("value", int(imgui.TableColumnFlags_.width_stretch))
+    for label, value in rows:
+        imgui.table_next_column()
+        imgui.text_disabled(label)
+        imgui.table_next_column()
+        imgui.text_wrapped(value)
+    imgui.end_table()
+
+
+def draw_choice(label: str, shown: str, choices: Mapping[str, str], present: str | None) -> str | None:
+    """Draw a list that opens below a control, and return the name that the user has chosen in this frame.
+
+    `shown`: text of the control; `choices`: tooltips by name; empty for none; `present`: the name chosen before.
+    """
+    chosen = None
+    if imgui.begin_combo(label, shown):
+        for name, tooltip in choices.items():
+            if imgui.selectable(name, name == present)[0]:
+                chosen = name
+            if tooltip:
+                imgui.set_item_tooltip(tooltip)
+        imgui.end_combo()
+    return chosen
+
+
+def draw_button(label: str, tooltip: str) -> bool:
+    """Draw a button with a tooltip; return whether it was pressed."""
+    is_pressed = imgui.button(label)
+    imgui.set_item_tooltip(tooltip)
+    return is_pressed
+
+
+def draw_checkbox(label: str, is_on: bool, tooltip: str) -> bool:
+    """Draw a checkbox with a tooltip; return whether it is on now."""
+    _, now_on = imgui.checkbox(label, is_on)
+    imgui.set_item_tooltip(tooltip)
+    return now_on
+
+
 # Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
 _BEHIND: Final = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
 _NO_MARKER: Final = int(implot.Marker_.none)
@@ -177,39 +240,23 @@ _DOWN, _UP, _SQUARE = (int(each) for each in (implot.Marker_.down, implot.Marker
 _MARK_PX: Final = 3.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class Palette:
-    """The colours of the timeline.
+    """The styles of the timeline."""
 
-    `lines`: of roll, pitch and yaw, and of the rates about their axes; `gap`, `part`, `exposures`, `shown`, `missing`,
-    `marker`, `head`: of gaps, the part between the in and out points, exposures, the exposure shown, the same if it
-    touches a gap, markers, and the play head; `mode`, `message`, `trigger`, `image`: of flight modes, messages,
-    triggers of the camera and times of real images; `light`: of day and of civil, nautical and astronomical twilight.
-    """
-
-    def __init__(
-        self,
-        lines: tuple[Rgba, Rgba, Rgba],
-        gap: Rgba,
-        part: Rgba,
-        exposures: Rgba,
-        shown: Rgba,
-        missing: Rgba,
-        marker: Rgba,
-        head: Rgba,
-        mode: Rgba,
-        message: Rgba,
-        trigger: Rgba,
-        image: Rgba,
-        light: Sequence[Rgba],
-    ) -> None:
-        self.lines, self.line_colours = [_line(colour, flags=0) for colour in lines], lines
-        self.gap, self.part, self.exposures = _fill(gap), _fill(part), _fill(exposures)
-        self.shown, self.missing = _fill(shown), _fill(missing)
-        self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
-        self.mode = _line(mode)
-        self.message, self.trigger, self.image = _mark(message, _DOWN), _mark(trigger, _UP), _mark(image, _SQUARE)
-        names = (name for name, _ in LIGHT_LEVELS)
-        self.light = dict(zip(names, map(_fill, light), strict=False))
+    lines: tuple[implot.Spec, ...]  # Roll, pitch and yaw, and the rates about their axes
+    gap: implot.Spec
+    part: implot.Spec  # Between the in and out points
+    exposures: implot.Spec
+    shown: implot.Spec  # The exposure shown, and the same if it touches a gap
+    missing: implot.Spec
+    marker: implot.Spec
+    head: implot.Spec  # The play head
+    mode: implot.Spec  # Flight modes
+    message: implot.Spec
+    trigger: implot.Spec  # Triggers of the camera
+    image: implot.Spec  # Times of real images
+    light: dict[str, implot.Spec]  # Day and twilight, by the names of `LIGHT_LEVELS`
 
 
 def _line(colour: Rgba, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
@@ -227,33 +274,41 @@ def _fill(colour: Rgba) -> implot.Spec:
     return implot.Spec(line_color=clear, fill_color=colour, marker=_NO_MARKER, flags=_BEHIND)
 
 
+def _lines(*colours: Rgba) -> tuple[implot.Spec, ...]:
+    return tuple(_line(colour, flags=0) for colour in colours)
+
+
+def _light(*colours: Rgba) -> dict[str, implot.Spec]:
+    return {name: _fill(colour) for (name, _), colour in zip(LIGHT_LEVELS, colours, strict=False)}
+
+
 DAY_PALETTE: Final = Palette(
-    lines=((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
-    gap=(0.75, 0.2, 0.2, 0.35),
-    part=(0.3, 0.7, 1.0, 0.14),
-    exposures=(1.0, 1.0, 1.0, 0.10),
-    shown=(1.0, 0.85, 0.3, 0.40),
-    missing=(1.0, 0.2, 0.2, 0.60),
-    marker=(0.9, 0.5, 1.0, 0.9),
-    head=(1.0, 0.85, 0.3, 1.0),
-    mode=(0.85, 0.87, 0.9, 0.45),
-    message=(0.55, 0.85, 0.9, 0.9),
-    trigger=(1.0, 0.6, 0.3, 0.9),
-    image=(0.95, 0.95, 0.95, 0.9),
-    light=((1.0, 0.95, 0.65, 0.26), (1.0, 0.65, 0.35, 0.22), (0.45, 0.50, 1.0, 0.20), (0.35, 0.40, 0.9, 0.11)),
+    lines=_lines((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
+    gap=_fill((0.75, 0.2, 0.2, 0.35)),
+    part=_fill((0.3, 0.7, 1.0, 0.14)),
+    exposures=_fill((1.0, 1.0, 1.0, 0.10)),
+    shown=_fill((1.0, 0.85, 0.3, 0.40)),
+    missing=_fill((1.0, 0.2, 0.2, 0.60)),
+    marker=_line((0.9, 0.5, 1.0, 0.9), weight=2.0),
+    head=_line((1.0, 0.85, 0.3, 1.0), weight=2.0),
+    mode=_line((0.85, 0.87, 0.9, 0.45)),
+    message=_mark((0.55, 0.85, 0.9, 0.9), _DOWN),
+    trigger=_mark((1.0, 0.6, 0.3, 0.9), _UP),
+    image=_mark((0.95, 0.95, 0.95, 0.9), _SQUARE),
+    light=_light((1.0, 0.95, 0.65, 0.26), (1.0, 0.65, 0.35, 0.22), (0.45, 0.50, 1.0, 0.20), (0.35, 0.40, 0.9, 0.11)),
 )
 NIGHT_PALETTE: Final = Palette(
-    lines=((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
-    gap=(0.6, 0.0, 0.0, 0.35),
-    part=(1.0, 0.0, 0.0, 0.16),
-    exposures=(1.0, 0.0, 0.0, 0.12),
-    shown=(1.0, 0.0, 0.0, 0.40),
-    missing=(1.0, 0.0, 0.0, 0.75),
-    marker=(0.8, 0.0, 0.0, 0.9),
-    head=(1.0, 0.0, 0.0, 1.0),
-    mode=(0.7, 0.0, 0.0, 0.6),
-    message=(0.8, 0.0, 0.0, 0.9),
-    trigger=(1.0, 0.0, 0.0, 0.9),
-    image=(0.6, 0.0, 0.0, 0.9),
-    light=tuple((1.0, 0.0, 0.0, opacity) for opacity in (0.26, 0.19, 0.13, 0.07)),
+    lines=_lines((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
+    gap=_fill((0.6, 0.0, 0.0, 0.35)),
+    part=_fill((1.0, 0.0, 0.0, 0.16)),
+    exposures=_fill((1.0, 0.0, 0.0, 0.12)),
+    shown=_fill((1.0, 0.0, 0.0, 0.40)),
+    missing=_fill((1.0, 0.0, 0.0, 0.75)),
+    marker=_line((0.8, 0.0, 0.0, 0.9), weight=2.0),
+    head=_line((1.0, 0.0, 0.0, 1.0), weight=2.0),
+    mode=_line((0.7, 0.0, 0.0, 0.6)),
+    message=_mark((0.8, 0.0, 0.0, 0.9), _DOWN),
+    trigger=_mark((1.0, 0.0, 0.0, 0.9), _UP),
+    image=_mark((0.6, 0.0, 0.0, 0.9), _SQUARE),
+    light=_light(*((1.0, 0.0, 0.0, opacity) for opacity in (0.26, 0.19, 0.13, 0.07))),
 )

@@ -45,6 +45,7 @@ def test_both_kinds_of_orbit_agree_in_calm_air() -> None:
         np.testing.assert_allclose(getattr(guided, name), getattr(held, name), rtol=0, atol=1e-7, err_msg=name)
 
 
+@pytest.mark.slow
 @given(
     wind_m_per_s=st.floats(0, 15),
     wind_from_rad=st.floats(0, 2 * np.pi),
@@ -116,6 +117,7 @@ def test_a_stationary_aircraft_turns_about_its_vertical_axis_only() -> None:
     assert not path.bank_rad.any()
 
 
+@pytest.mark.slow
 def test_waypoints_are_passed_near_with_limited_bank_and_roll_rate() -> None:
     corners = [(0.0, 0.0, 0.0), (800.0, 0.0, 40.0), (800.0, 700.0, 40.0), (0.0, 700.0, 0.0)]
     wind = Wind(3, -5)

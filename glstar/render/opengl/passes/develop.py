@@ -1,8 +1,6 @@
-"""The develop pass: from the noiseless signal to digital numbers.
+"""The develop pass: from the noiseless signal to digital numbers, with the GLSL of the active effects.
 
-GLSL of the develop pass, composed of that of the active effects.
-
-Charge that moves along columns or rows: lines are read from the GPU, changed on the CPU and uploaded again.
+Where charge moves along columns or rows, these are read from the GPU, changed on the CPU and uploaded again.
 """
 
 import re
@@ -18,17 +16,10 @@ from numpy.typing import NDArray
 
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.render.effects import (
-    EFFECTS,
-    ChargeTransfer,
-    Effect,
-    EffectTexture,
-    Stage,
-    UniformValue,
-    Values,
-    active_effects,
-)
+from glstar.render.effects import EFFECTS, active_effects
+from glstar.render.effects.effect import ChargeTransfer, Effect, EffectTexture, Stage, UniformValue, Values
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.targets import Targets
 from glstar.render.scene.scene import Scene
 
 # A declaration of numbers that an effect's GLSL reads.
@@ -59,25 +50,26 @@ def composed_sources(effects: Sequence[Effect]) -> EffectSources:
     called += ["vec4 with_effects(vec4 signal_dn, uvec2 quad) {"]
     called += [f"    signal_dn = {effect.name}(signal_dn, quad);" for effect in effects]
     called += ["    return signal_dn;", "}"]
-    given = [f"uniform {kind} given_{name};\nflat out {kind} {name};" for name, kind in types.items()]
-    given += ["void set_numbers_of_effects() {", *(f"    {name} = given_{name};" for name in types), "}"]
+    numbers = [f"uniform {kind} given_{name};\nflat out {kind} {name};" for name, kind in types.items()]
+    numbers += ["void set_numbers_of_effects() {", *(f"    {name} = given_{name};" for name in types), "}"]
     return EffectSources(
-        sources | {"effects.glsl": "\n".join(called) + "\n", "numbers of effects": "\n".join(given) + "\n"},
+        sources | {"effects.glsl": "\n".join(called) + "\n", "numbers of effects": "\n".join(numbers) + "\n"},
         {f"given_{name}": name for name in types},
     )
 
 
 def _with_inputs(line: str, types: dict[str, str]) -> str:
     """Return a line of GLSL in which numbers are inputs, and add their types by name; other lines stay."""
-    found = _NUMBERS.fullmatch(line)
-    if found is None:
+    declaration = _NUMBERS.fullmatch(line)
+    if declaration is None:
         return line
-    kind, names = found[1], re.split(", ?", found[3])
-    added = len(names) * int(found[2] or 1)
-    if added + sum(int(known[-1]) if known[-1].isdigit() else 1 for known in types.values()) > _MOST_COMPONENTS:
+    kind, components, names, comment = declaration.groups()
+    by_name = dict.fromkeys(re.split(", ?", names), kind)
+    added = len(by_name) * int(components or 1)
+    if added + sum(int(earlier[-1]) if earlier[-1].isdigit() else 1 for earlier in types.values()) > _MOST_COMPONENTS:
         return line
-    types.update(dict.fromkeys(names, kind))
-    return f"flat in {kind} {found[3]};{found[4]}"
+    types.update(by_name)
+    return f"flat in {kind} {names};{comment}"
 
 
 # Lines changed at once, which bounds the memory: 256 columns of 3040 px in float64 are 6 MB.
@@ -120,8 +112,8 @@ class ChargeTransferPass:
     ) -> None:
         """Draw an image in which charge moves.
 
-        `width_px`: width of the image, px; `image`: the target of the image, whose texels have several pixels each;
-        `developed`: draws the image, or the signal before the charge moves.
+        `image` is its target, whose texels have several pixels each; `developed` draws the image, or the signal before
+        the charge moves.
         """
         by_columns = transfer.along == "columns"
         lines = 1 if by_columns else 2
@@ -151,9 +143,9 @@ class ChargeTransferPass:
         """Draw the image as if no charge moved; return the largest signal of each of its texels, (rows, columns)."""
         largest_dn = np.empty(image.size[::-1], np.float32)
         with ExitStack() as owned:
-            _, both = self._target(owned, image.size, 1, image, *image.color_attachments)
-            developed(both, output)
-            both.read_into(largest_dn, components=1, attachment=1, dtype="f4")
+            _, target = self._target(owned, image.size, 1, image, *image.color_attachments)
+            developed(target, output)
+            target.read_into(largest_dn, components=1, attachment=1, dtype="f4")
         return largest_dn
 
     def _target(
@@ -195,8 +187,8 @@ def _transfer_charge(transfer: ChargeTransfer, signal_dn: NDArray[np.float32], w
     lines_dn = rows.T if transfer.along == "columns" else rows[:, :width_px]
     above = np.flatnonzero(lines_dn.max(axis=1) > transfer.threshold_dn)
     for first in range(0, len(above), _LINES_AT_ONCE):
-        some = above[first : first + _LINES_AT_ONCE]
-        lines_dn[some] = transfer.moved(lines_dn[some].astype(np.float64))
+        lines = above[first : first + _LINES_AT_ONCE]
+        lines_dn[lines] = transfer.moved(lines_dn[lines].astype(np.float64))
 
 
 # Largest number of a float of 16 bits.
@@ -210,17 +202,14 @@ _FEW_IN = 2000
 _LARGE_PX = 1_000_000
 
 
-PixelType = type[np.uint8] | type[np.uint16]
-
-
 class DevelopPass:
     """Applies the effects to the noiseless signal: sky, noise, quantisation and others.
 
     The shader is composed of the GLSL of the active effects in the order of their stages; each combination of active
-    effects and their options is compiled when it is first used.  `context`: the context to draw with, current on this
-    thread.  Raises ShaderError if the driver rejects the shader of the effects that are active by default.  Teague &
-    Chahl, eq. (40).  The image is drawn as texels of 16 bytes, each of them 16 pixels of 8 bits or 8 pixels of 16 bits
-    side by side, because that takes half the time on software OpenGL.
+    effects and their options is compiled when it is first used.  The image is drawn as texels of 16 bytes, each of them
+    16 pixels of 8 bits or 8 pixels of 16 bits side by side, because that takes half the time on software OpenGL.
+    Raises ShaderError if the driver rejects the shader of the effects that are active by default.  Teague & Chahl, eq.
+    (40).
     """
 
     def __init__(self, context: moderngl.Context, effects: Sequence[Effect] = EFFECTS) -> None:
@@ -232,42 +221,30 @@ class DevelopPass:
         for dtype in (np.uint8, np.uint16):
             self._program(dtype, _in_this_pass(Sensor(), self._effects), _DIGITAL_NUMBERS)
 
-    def draw(
-        self,
-        scene: Scene,
-        signal: moderngl.Texture,
-        guard_band_px: int,
-        image: moderngl.Framebuffer,
-        dtype: PixelType,
-        *,
-        seed: int,
-        noiseless: bool = False,
-    ) -> None:
-        """Develop an image.
+    def draw(self, scene: Scene, targets: Targets, *, seed: int, noiseless: bool = False) -> None:
+        """Develop the image of some targets from their noiseless signal; `noiseless` leaves out the noise.
 
-        `signal`: the noiseless signal with its guard band, one float32 a texel, DN; `guard_band_px`: width of the guard
-        band around the image, px; `image`: where to draw: four unsigned integers of 32 bits a texel; `dtype`: the type
-        of the image's pixels; `seed`: seed of the noise, 0 to 2**32 - 1; `noiseless`: whether to leave out the noise.
-        Raises ShaderError if the driver rejects the shader of these effects; RenderError if an effect declares a
+        Raises ShaderError if the driver rejects the shader of these effects, and RenderError if an effect declares a
         uniform and gives no value for it, or several effects move charge.
         """
         active = _in_this_pass(scene.sensor, self._effects, noiseless=noiseless)
-        inputs = _Inputs(scene, signal, guard_band_px, dtype, seed, _settings(active, scene))
+        inputs = _Inputs(scene, targets, seed, _settings(active, scene))
         moving = [number for number, effect in enumerate(active) if effect.transfer is not None]
         if not moving:
-            self._draw_in_parts(active, inputs, image)
+            self._draw_in_parts(active, inputs)
         elif len(moving) == 1:
-            self._draw_with_moved_charge(active, moving[0], inputs, image)
+            self._draw_with_moved_charge(active, moving[0], inputs)
         else:
             raise RenderError(f"at most one effect moves charge, not {' and '.join(active[k].name for k in moving)}")
 
-    def _draw_in_parts(self, active: tuple[Effect, ...], inputs: "_Inputs", image: moderngl.Framebuffer) -> None:
+    def _draw_in_parts(self, active: tuple[Effect, ...], inputs: "_Inputs") -> None:
         """Draw an image; effects that change few pixels of a large one only around these."""
-        some = _changed_px(active, inputs.scene)
-        self._draw(tuple(effect for effect in active if effect not in some), inputs, image, _DIGITAL_NUMBERS)
-        if some:
-            points = np.concatenate(list(some.values())).astype(np.float32)
-            points[:, 0] = points[:, 0] // (16 // np.dtype(inputs.dtype).itemsize)
+        image = inputs.targets.image
+        changed = _changed_px(active, inputs.scene)
+        self._draw(tuple(effect for effect in active if effect not in changed), inputs, image, _DIGITAL_NUMBERS)
+        if changed:
+            points = np.concatenate(list(changed.values())).astype(np.float32)
+            points[:, 0] = points[:, 0] // inputs.targets.pixels_per_texel
             program = self._with_uniforms(active, inputs, image, _AT_POINTS)
             buffer = self._context.buffer(points)
             vertices = self._context.vertex_array(program.program, [(buffer, "2f", "point")])
@@ -275,12 +252,10 @@ class DevelopPass:
             vertices.release()
             buffer.release()
 
-    def _draw_with_moved_charge(
-        self, active: tuple[Effect, ...], number: int, inputs: "_Inputs", image: moderngl.Framebuffer
-    ) -> None:
+    def _draw_with_moved_charge(self, active: tuple[Effect, ...], number: int, inputs: "_Inputs") -> None:
         """Draw an image in which the effect of some number moves charge."""
-        transfer, scene = active[number].transfer, inputs.scene
-        assert transfer is not None
+        effect, scene = active[number], inputs.scene
+        assert effect.transfer is not None
 
         def developed(
             target: moderngl.Framebuffer,
@@ -291,8 +266,8 @@ class DevelopPass:
             effects = active[:number] if output.output == 2 else active
             self._draw(effects, inputs, target, output, textures, rectangles)
 
-        given = transfer(active[number].values(scene.sensor), scene)
-        self._charge_transfer_pass.draw(given, scene.camera.width_px, image, developed)
+        transfer = effect.transfer(inputs.settings[effect].values, scene)
+        self._charge_transfer_pass.draw(transfer, scene.camera.width_px, inputs.targets.image, developed)
 
     def _draw(
         self,
@@ -322,20 +297,20 @@ class DevelopPass:
         """Return the program of some effects, after setting its uniforms, textures and target."""
         scene = inputs.scene
         options = {name: value for effect in active for name, value in inputs.settings[effect].options.items()}
-        program = self._program(inputs.dtype, active, output, options)
+        program = self._program(inputs.targets.dtype, active, output, options)
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
-            "signal_border_px": inputs.guard_band_px,
-            "signal_size_px": inputs.signal.size,
+            "signal_border_px": inputs.targets.guard_band_px,
+            "signal_size_px": inputs.targets.light.size,
             "image_size_px": (scene.camera.width_px, scene.camera.height_px),
             "noise_seed": inputs.seed,
             "target_size": target.size,
         }
-        inputs.signal.use(location=0)
+        inputs.targets.light_texture.use(location=0)
         units = count(1)
-        for sampler, given in textures.items():
+        for sampler, moved in textures.items():
             uniforms[sampler] = unit = next(units)
-            given.use(location=unit)
+            moved.use(location=unit)
         for effect in active:
             values, of_effect, _ = inputs.settings[effect]
             uniforms |= of_effect
@@ -344,14 +319,14 @@ class DevelopPass:
                 self._texture(effect, texture, values, scene).use(location=unit)
         if missing := set(program.names.values()) - uniforms.keys():
             raise RenderError(f"no effect gives a value to the uniform {min(missing)} of the develop shader")
-        set_uniforms(program.program, **{name: uniforms[given] for name, given in program.names.items()})
+        set_uniforms(program.program, **{name: uniforms[number] for name, number in program.names.items()})
         self._context.enable_only(moderngl.NOTHING)
         target.use()
         return program
 
     def _program(
         self,
-        dtype: PixelType,
+        dtype: type[np.uint8] | type[np.uint16],
         active: tuple[Effect, ...],
         output: DevelopOutput,
         options: Mapping[str, int] = MappingProxyType({}),
@@ -377,23 +352,24 @@ class DevelopPass:
         return self._programs[key]
 
     def _texture(self, effect: Effect, texture: EffectTexture, values: Values, scene: Scene) -> moderngl.Texture:
-        key, depends_on = (effect.name, texture.sampler), texture.depends_on(values, scene)
-        known = self._textures.get(key)
-        if known is not None and known.depends_on == depends_on:
-            return known.texture
-        if known is not None:
+        key = effect.name, texture.sampler
+        depends_on = texture.depends_on(values, scene)
+        earlier = self._textures.get(key)
+        if earlier is not None:
+            if earlier.depends_on == depends_on:
+                return earlier.texture
             del self._textures[key]
-            known.texture.release()
+            earlier.texture.release()
         texels = np.atleast_3d(np.asarray(texture.texels(values, scene), dtype=np.float32))
         rows, columns, components = texels.shape
         kind, dtype = ("f2", np.float16) if texture.per_quad else ("f4", np.float32)
         content = np.ascontiguousarray(np.clip(texels, -_MOST_HALF, _MOST_HALF) if texture.per_quad else texels, dtype)
-        made = self._context.texture((columns, rows), components, content, dtype=kind)
+        uploaded = self._context.texture((columns, rows), components, content, dtype=kind)
         if texture.per_quad:
-            made.filter = moderngl.NEAREST, moderngl.NEAREST
-        made.repeat_x = made.repeat_y = False
-        self._textures[key] = _Texture(made, depends_on)
-        return made
+            uploaded.filter = moderngl.NEAREST, moderngl.NEAREST
+        uploaded.repeat_x = uploaded.repeat_y = False
+        self._textures[key] = _Texture(uploaded, depends_on)
+        return uploaded
 
     def release(self) -> None:
         """Release programs and textures."""
@@ -403,16 +379,15 @@ class DevelopPass:
                 owned.callback(program.whole_image.release)
             for texture in self._textures.values():
                 owned.callback(texture.texture.release)
-            self._programs, self._textures = {}, {}
+            self._programs = {}
+            self._textures = {}
 
 
 class _Inputs(NamedTuple):
-    """What an image is developed from."""
+    """The inputs of a developed image."""
 
     scene: Scene
-    signal: moderngl.Texture
-    guard_band_px: int
-    dtype: PixelType
+    targets: Targets
     seed: int
     settings: Mapping[Effect, "_Settings"]
 
@@ -447,13 +422,13 @@ def _settings(effects: Sequence[Effect], scene: Scene) -> dict[Effect, _Settings
 def _changed_px(effects: Sequence[Effect], scene: Scene) -> dict[Effect, NDArray[np.int64]]:
     """Return the effects that change few pixels of a large image, with the columns and rows of these, (n, 2)."""
     size_px = scene.camera.width_px * scene.camera.height_px
-    some = {}
+    changed = {}
     for effect in effects if size_px >= _LARGE_PX else ():
         if effect.only_at is not None:
             pixels = effect.only_at(effect.values(scene.sensor), scene)
             if pixels is not None and len(pixels) * _FEW_IN <= size_px:
-                some[effect] = pixels
-    return some
+                changed[effect] = pixels
+    return changed
 
 
 def _in_this_pass(sensor: Sensor, effects: Sequence[Effect], *, noiseless: bool = False) -> tuple[Effect, ...]:

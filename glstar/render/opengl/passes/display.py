@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.textures import ImageTexture
 
 # Screen pixels coarser than this many image pixels sum up to 2 x 2 of them, or any number: see SHRINKS in display.frag.
 _SHRINK_STEPS: Final = (1.0, 2.0)
@@ -78,7 +79,8 @@ class WindowPart:
 
         It is cut at the edges of `clip_px`.
         """
-        left, top = max(self.corner_px[0] + part[0], self.clip_px[0]), max(self.corner_px[1] + part[1], self.clip_px[1])
+        left = max(self.corner_px[0] + part[0], self.clip_px[0])
+        top = max(self.corner_px[1] + part[1], self.clip_px[1])
         right = min(self.corner_px[0] + part[0] + part[2], self.clip_px[2])
         bottom = min(self.corner_px[1] + part[1] + part[3], self.clip_px[3])
         return left, self.size[1] - bottom, max(right - left, 0), max(bottom - top, 0)
@@ -94,7 +96,8 @@ class DisplayPass:
         self._programs: dict[tuple[int, bool, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._target: moderngl.Framebuffer | None = None
         self._texture: moderngl.Texture | None = None
-        self._real, self._processed = _Uploaded(context), _Uploaded(context)
+        self._real = ImageTexture(context)
+        self._processed = ImageTexture(context)
         self._processed_program: tuple[moderngl.Program, moderngl.VertexArray] | None = None
         self._colour_map: moderngl.Texture | None = None
 
@@ -108,9 +111,9 @@ class DisplayPass:
     ) -> int:
         """Draw the picture and return the OpenGL name of its texture, which is valid until the size changes.
 
-        `image` moderngl.Texture or (height, width, 3) uint8: a developed image of one unsigned integer component, or
-        the red, green and blue of a processed one, which is shown without stretch and comparison; row 0 is the top;
-        `white_dn`: its largest digital number.
+        `image` is a developed one of one unsigned integer component, or (height, width, 3) uint8: red, green and blue
+        of a processed one, which is shown without stretch and comparison.  Row 0 is the top; `white_dn` is its largest
+        digital number.
         """
         target, texture = self._target_of(placement.size)
         panel = self._prepared(image, white_dn, placement, tone, compared, None)
@@ -127,10 +130,7 @@ class DisplayPass:
         tone: Tone,
         compared: ComparisonInput | None = None,
     ) -> None:
-        """Draw the picture onto a window that has been cleared: the pixels of `draw`.
-
-        `part`: of the size of `placement`; `image`, `white_dn`, `placement`, `tone`, `compared`: as for `draw`.
-        """
+        """Draw the picture of `draw` onto a part, of the size of `placement`, of a window that has been cleared."""
         panel = self._prepared(image, white_dn, placement, tone, compared, part)
         part.framebuffer.use()
         self._context.viewport = 0, 0, *part.size
@@ -264,7 +264,8 @@ class DisplayPass:
         if self._target is not None and self._texture is not None:
             self._target.release()
             self._texture.release()
-        self._target = self._texture = None
+        self._target = None
+        self._texture = None
 
     def close(self) -> None:
         """Release all OpenGL objects; a second call does nothing."""
@@ -274,39 +275,11 @@ class DisplayPass:
         if self._colour_map is not None:
             self._colour_map.release()
             self._colour_map = None
-        more = [] if self._processed_program is None else [self._processed_program]
-        for program, panel in (*self._programs.values(), *more):
+        programs = list(self._programs.values())
+        if self._processed_program is not None:
+            programs.append(self._processed_program)
+        for program, panel in programs:
             panel.release()
             program.release()
         self._programs.clear()
         self._processed_program = None
-
-
-class _Uploaded:
-    """A texture with the pixels of an array, which is uploaded again only if it is another array."""
-
-    def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
-        self._texture: moderngl.Texture | None = None
-        self._pixels: NDArray[Any] | None = None
-
-    def of(self, pixels: NDArray[Any]) -> moderngl.Texture:
-        """Return the texture of (height, width) or (height, width, components) uint8 or uint16."""
-        size, dtype = (pixels.shape[1], pixels.shape[0]), f"u{pixels.itemsize}"
-        components = 1 if pixels.ndim == 2 else pixels.shape[2]
-        texture = self._texture
-        if texture is None or (texture.size, texture.dtype, texture.components) != (size, dtype, components):
-            self.release()
-            texture = self._texture = self._context.texture(size, components, dtype=dtype, alignment=1)
-            texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            texture.repeat_x = texture.repeat_y = False
-        if self._pixels is not pixels:
-            texture.write(np.ascontiguousarray(pixels), alignment=1)
-            self._pixels = pixels
-        return texture
-
-    def release(self) -> None:
-        """Release the texture; a second call does nothing."""
-        if self._texture is not None:
-            self._texture.release()
-        self._texture = self._pixels = None

@@ -1,6 +1,6 @@
 """The distortion pass: the undistorted signal is resampled into the pixels behind a lens.
 
-A distorted image divided into patches in which the undistorted position is a biquadratic function of the pixel.
+The image is divided into patches in which the undistorted position is a biquadratic function of the pixel.
 """
 
 from dataclasses import replace
@@ -36,12 +36,11 @@ _POSITION_ERROR_PX: Final = 1e-3
 
 @lru_cache(maxsize=2)
 def distortion_patches(camera: Camera) -> tuple[NDArray[np.float32], Bounds]:
-    """Return the patches of an image and their bounds in the undistorted plane.
+    """Return the patches of an image, (n, 25) float32, and their bounds in the undistorted plane.
 
-    Patches are divided until a biquadratic function is accurate; at the limit of the lens they are single pixels.
-    `camera`: with a lens.  Returns `patches` (n, 25) float32: the vertices of warp.vert: left, top and side, bounds in
-    the undistorted plane, nine coefficients for x and y; `bounds_px`: left, top, right, bottom, px.  Raises
-    RenderError if no pixel of the image sees anything.
+    Patches, the vertices of warp.vert, have left, top and side, bounds in the undistorted plane, and nine coefficients
+    for x and y.  They are divided until a biquadratic function is accurate; at the limit of the lens they are single
+    pixels.  Raises RenderError if no pixel of the image sees anything.
     """
     accepted_patches: list[Float] = []
     side_px = LARGE_PATCH_PX if camera.width_px * camera.height_px > _LARGE_IMAGE_PX2 else _PATCH_PX
@@ -75,12 +74,10 @@ def distortion_patches(camera: Camera) -> tuple[NDArray[np.float32], Bounds]:
 
 
 def max_pixel_sides_px(patches: NDArray[np.float32]) -> Float:
-    """Return the largest extent of a pixel of each patch in the undistorted plane.
-
-    `patches` (n, 25) float32: see `distortion_patches`.  Returns (n, 2) across and down, px.
-    """
+    """Return the largest extent, across and down, of a pixel of each of n patches, undistorted, (n, 2) px."""
     u, v = np.array([(-1, -1), (1, -1), (0, 0), (-1, 1), (1, 1)]).T
-    zero, one = np.zeros(5), np.ones(5)
+    zero = np.zeros(5)
+    one = np.ones(5)
     # Derivatives of 1, u, v, uu, vv, uv, uuv, uvv, uuvv.
     by_u = np.stack([zero, one, zero, 2 * u, zero, v, 2 * u * v, v * v, 2 * u * v * v])
     by_v = np.stack([zero, zero, one, zero, 2 * v, u, u * u, 2 * u * v, 2 * u * u * v])
@@ -175,11 +172,11 @@ class _PatchGroup(NamedTuple):
 class DistortionPass:
     """The lens of one camera on the GPU.
 
-    `camera`: with a lens.  Raises RenderError if the lens's field of view is too wide for a plane; ShaderError if the
-    driver rejects a shader.  Teague & Chahl, section 2.3: the distortion is applied after a star is rendered, so that
-    its point spread function is distorted too.  The paper does not say what happens to its brightness.  Here the flux
-    is preserved: behind a barrel distortion a star is smaller and its peak higher towards the corners, and the sum over
-    its pixels stays `Sensor.flux_dn`.
+    Raises RenderError if its field of view is too wide for a plane, and ShaderError if the driver rejects a shader.
+    Teague & Chahl, section 2.3: the distortion is applied after a star is rendered, so that its point spread function
+    is distorted too.  The paper does not say what happens to its brightness.  Here the flux is preserved: behind a
+    barrel distortion a star is smaller and its peak higher towards the corners, and the sum over its pixels stays
+    `Sensor.flux_dn`.
     """
 
     def __init__(self, context: moderngl.Context, camera: Camera) -> None:
@@ -202,7 +199,8 @@ class DistortionPass:
         It is the largest magnification of the lens, or more for stars narrower than 1.5 px.  Stars below 0.5 px are
         mostly pixel: the part of a pixel that they are drawn wider by counts as their width.
         """
-        sigma_px, least_px = sensor.core.psf_sigma_px, _MIN_SIGMA_PX
+        sigma_px = sensor.core.psf_sigma_px
+        least_px = _MIN_SIGMA_PX
         if sigma_px < _MOSTLY_PIXEL_PX and _pixel_px2(sensor):
             sigma_px = hypot(sigma_px, sqrt(_pixel_px2(sensor)) * _drawn_pixel_px(sensor))
             least_px = _MIN_WITH_PIXEL_PX
@@ -211,42 +209,39 @@ class DistortionPass:
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene as a pinhole sees it, with a field and a resolution sufficient for resampling.
 
-        `scene`: of this camera.  Returns the same stars and times; stars are narrower by as much as resampling widens
-        them.
+        Stars and times are the same; stars are narrower by as much as resampling widens them.
         """
         # A frame needs it several times.
         if self._undistorted is None or self._undistorted[0] is not scene:
-            self._undistorted = scene, self._made_undistorted(scene, scene.sensor)
+            self._undistorted = scene, self._pinhole_scene(scene, scene.sensor)
         return self._undistorted[1]
 
     def undistorted_gaussians(self, scene: Scene) -> list[Scene]:
-        """Return scenes as a pinhole sees them, with one Gaussian per star, which add up to `undistorted`.
-
-        `scene`: of this camera.
-        """
+        """Return scenes as a pinhole sees them, with one Gaussian per star, which add up to `undistorted`."""
         if scene.sensor.point_spread.is_gaussian:
             return gaussian_scenes(self.undistorted(scene))
         oversampling = self.oversampling(scene.sensor)
-        made = []
+        pinholes = []
         for gaussian in gaussian_scenes(scene):
-            dx_px, dy_px = gaussian.camera.cx_px - self.camera.cx_px, gaussian.camera.cy_px - self.camera.cy_px
-            pinhole = self._made_undistorted(gaussian, scene.sensor)
-            cx_px, cy_px = pinhole.camera.cx_px + oversampling * dx_px, pinhole.camera.cy_px + oversampling * dy_px
-            made.append(replace(pinhole, camera=replace(pinhole.camera, cx_px=cx_px, cy_px=cy_px)))
-        return made
+            pinhole = self._pinhole_scene(gaussian, scene.sensor)
+            cx_px = pinhole.camera.cx_px + oversampling * (gaussian.camera.cx_px - self.camera.cx_px)
+            cy_px = pinhole.camera.cy_px + oversampling * (gaussian.camera.cy_px - self.camera.cy_px)
+            pinholes.append(replace(pinhole, camera=replace(pinhole.camera, cx_px=cx_px, cy_px=cy_px)))
+        return pinholes
 
-    def _made_undistorted(self, scene: Scene, whole: Sensor) -> Scene:
+    def _pinhole_scene(self, scene: Scene, whole: Sensor) -> Scene:
         """Return a scene as a pinhole sees it; `whole` is the sensor with the whole point spread function."""
-        oversampling, drawn_pixel_px = self.oversampling(whole), _drawn_pixel_px(whole)
+        oversampling = self.oversampling(whole)
+        drawn_pixel_px = _drawn_pixel_px(whole)
         left, top, right, bottom = self._bounds_px
         camera = Camera(
-            ceil((right - left) * oversampling) + 2 * _SPLINE_SUPPORT_PX,
-            ceil((bottom - top) * oversampling) + 2 * _SPLINE_SUPPORT_PX,
-            self.camera.fx_px * oversampling,
-            self.camera.fy_px * oversampling,
-            (self.camera.cx_px - left) * oversampling + _SPLINE_SUPPORT_PX,
-            (self.camera.cy_px - top) * oversampling + _SPLINE_SUPPORT_PX,
-            self.camera.skew_px * oversampling,
+            width_px=ceil((right - left) * oversampling) + 2 * _SPLINE_SUPPORT_PX,
+            height_px=ceil((bottom - top) * oversampling) + 2 * _SPLINE_SUPPORT_PX,
+            fx_px=self.camera.fx_px * oversampling,
+            fy_px=self.camera.fy_px * oversampling,
+            cx_px=(self.camera.cx_px - left) * oversampling + _SPLINE_SUPPORT_PX,
+            cy_px=(self.camera.cy_px - top) * oversampling + _SPLINE_SUPPORT_PX,
+            skew_px=self.camera.skew_px * oversampling,
         )
         sigma_px = scene.sensor.psf_sigma_px
         variance_px2 = sigma_px**2 + _pixel_px2(whole) * drawn_pixel_px**2 - _INTERPOLATION_PX2 / oversampling**2
@@ -260,22 +255,19 @@ class DistortionPass:
         draw_list = scene.draw_list
         draw_list = replace(draw_list, truncation_radius_px=oversampling * draw_list.truncation_radius_px)
         bodies = None if scene.bodies is None else scene.bodies.magnified(oversampling)
-        satellites = tuple(self._made_undistorted(one, whole) for one in scene.satellites)
+        satellites = tuple(self._pinhole_scene(satellite, whole) for satellite in scene.satellites)
         return replace(scene, camera=camera, sensor=sensor, draw_list=draw_list, bodies=bodies, satellites=satellites)
 
     def resampling_px2(self, sensor: Sensor) -> float:
         """Return the variance that resampling adds to the undistorted signal, px^2 of its target.
 
-        Returns: of the interpolation and of the samples of a pixel on the axis.
+        It is that of the interpolation, and of the samples of a pixel on the axis.
         """
         sampled_px2 = _pixel_px2(sensor) * (1 - _drawn_pixel_px(sensor) ** 2)
         return _INTERPOLATION_PX2 + sampled_px2 * self.oversampling(sensor) ** 2
 
     def target_for(self, undistorted: Scene, guard_band_px: int) -> SignalTarget:
-        """Return the target for the signal of an undistorted scene.
-
-        Returns: owned by this object, and valid until another size is requested.
-        """
+        """Return the target for an undistorted signal: owned here, and valid until another size is requested."""
         key = (undistorted.camera.width_px, undistorted.camera.height_px, guard_band_px)
         if self._target is None or self._target.key != key:
             self._drop_target()
@@ -283,10 +275,9 @@ class DistortionPass:
         return self._target
 
     def resample(self, scene: Scene, light: moderngl.Framebuffer, *, channel: Channel | None = None) -> None:
-        """Resample the undistorted signal into the pixels of an image.
+        """Resample the undistorted signal into the pixels of the image of a scene: all, or those of a mosaic's channel.
 
-        `scene`: the distorted one; `light`: one float per pixel, of the image's size; `channel` {"r", "g", "b"} or
-        None: draw only its pixels of the scene's mosaic, and keep the others; None for all.
+        `light` has one float per pixel, and the size of the image.
         """
         assert self._target is not None
         colour = scene.sensor.colour

@@ -1,8 +1,7 @@
 """The path pass: where stars are during the segments of an exposure, as textures.
 
-Textures in which a column is a star and a row is a time or a segment of the exposure.
-
-Gaussians of the same stars that are drawn together: those of a point spread function, each of its own width.
+A column of these textures is a star, and a row a time or a segment.  The Gaussians of a point spread function are drawn
+together, as stars of one scene, each of its own width.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,14 +17,9 @@ from numpy.typing import NDArray
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.segmentation import SHAPE_LIMITS
 from glstar.render.motion.trailmodels import AnalyticSegments
+from glstar.render.opengl import textures
 from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
-from glstar.render.opengl.textures import (
-    STARS_PER_ROW,
-    TEXELS_PER_TIME,
-    PassageTexture,
-    ReadoutClock,
-    projection_uniforms,
-)
+from glstar.render.opengl.textures import ReadoutClock, StarTarget
 from glstar.render.readout.openings import are_worth_dividing
 from glstar.render.readout.pieces import PIECE_COSTS
 from glstar.render.scene.culling import DrawList
@@ -33,10 +27,7 @@ from glstar.render.scene.scene import Scene
 
 
 class TextureTable:
-    """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment.
-
-    `count`: number of textures.
-    """
+    """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment."""
 
     def __init__(self, context: moderngl.Context, count: int) -> None:
         self._context = context
@@ -71,7 +62,9 @@ class TextureTable:
         for resource in (self._target, *self._textures):
             if resource is not None:
                 resource.release()
-        self._target, self._textures, self._size = None, [], (0, 0)
+        self._target = None
+        self._textures = []
+        self._size = (0, 0)
 
 
 Float32 = NDArray[np.float32]
@@ -93,19 +86,13 @@ class SegmentKinds(NamedTuple):
 
 
 def surely_short(scene: Scene, trails: AnalyticSegments) -> bool:
-    """Return whether all segments of a scene are surely SHORT.
-
-    `scene`: its stars are plain Gaussians; `trails`: the scene's.
-    """
+    """Return whether all segments of a scene of plain Gaussians are surely SHORT."""
     limit_px = SHAPE_LIMITS.short_sigma * scene.sensor.effective_sigma_px
     return trails.longest_segment_px(scene.camera.pinhole) < _SURELY_SHORT * limit_px
 
 
 def drawn_sigma_px(sensor: Sensor) -> float:
-    """Return the width of the Gaussians that are drawn: with that of a pixel, or of the parts of a narrow one.
-
-    Returns: px.
-    """
+    """Return the width of the Gaussians that are drawn, px: with that of a pixel, or of the parts of a narrow one."""
     if sensor.needs_erf:
         return float(np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2))
     return sensor.effective_sigma_px
@@ -117,9 +104,9 @@ def falloff_per_px2(sensor: Sensor) -> float:
 
 
 def still_peak_dn(sensor: Sensor, duration_s: float, span: float = 1.0) -> float:
-    """Return the peak, as drawn, of a star of magnitude 0 that does not move.
+    """Return the peak, as drawn, of a star of magnitude 0 that does not move, DN.
 
-    `duration_s`: exposure time, s; `span`: of a rolling shutter: `ReadoutClock.span`.  Returns: DN.
+    `span` is `ReadoutClock.span` of a rolling shutter.
     """
     peak = (sensor.psf_sigma_px / drawn_sigma_px(sensor)) ** 2
     return peak * float(sensor.peak_dn(0.0, duration_s)) * span
@@ -128,7 +115,7 @@ def still_peak_dn(sensor: Sensor, duration_s: float, span: float = 1.0) -> float
 class PathPass:
     """Computes the paths of stars: `project_stars.frag` their positions, `star_path.frag` the paths through these.
 
-    `stars`, `segments`: the largest numbers of a call.  Raises ShaderError if the driver rejects a shader.
+    `stars` and `segments` are the largest numbers of a call.  Raises ShaderError if the driver rejects a shader.
     """
 
     def __init__(self, context: moderngl.Context, stars: int, segments: int) -> None:
@@ -136,19 +123,21 @@ class PathPass:
         # By ROWS of readout.glsl and the kinds of segments.
         self._programs: dict[tuple[int, SegmentKinds], _PathProgram] = {}
         with ExitStack() as owned:
-            self._projection = linked(context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=STARS_PER_ROW)
+            self._projection = linked(
+                context, "whole_image.vert", "project_stars.frag", STARS_PER_ROW=textures.STARS_PER_ROW
+            )
             owned.callback(self._projection.release)
             set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
             self._all_positions = context.vertex_array(self._projection, [])
             owned.callback(self._all_positions.release)
             self._positions = TextureTable(context, 1)
             owned.callback(self._positions.release)
-            self._pointing = context.texture((TEXELS_PER_TIME, 2 * segments + 1), 4, dtype="f4")
+            self._pointing = context.texture((textures.TEXELS_PER_TIME, 2 * segments + 1), 4, dtype="f4")
             self._chosen = context.texture((stars, 4), 3, dtype="f4")
             for texture in (self._pointing, self._chosen):
                 texture.filter = moderngl.NEAREST, moderngl.NEAREST
                 owned.callback(texture.release)
-            self._passage = PassageTexture(context)
+            self._passage = textures.PassageTexture(context)
             owned.callback(self._passage.release)
             owned.callback(self._release_programs)
             self._kinds = SegmentKinds(are_short=False)
@@ -156,17 +145,13 @@ class PathPass:
             self._owned = owned.pop_all()
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
 
-    def set_scene(
-        self, scene: Scene, trails: AnalyticSegments, guard_band_px: int, clock: ReadoutClock, kinds: SegmentKinds
-    ) -> None:
-        """Set the uniforms for a scene.
-
-        `trails`: the scene's; `guard_band_px`: width of the target's border around the image; `clock`: when the pixels
-        of the target open.
-        """
-        sensor = scene.sensor
+    def set_scene(self, scene: Scene, trails: AnalyticSegments, target: StarTarget, kinds: SegmentKinds) -> None:
+        """Set the uniforms for a scene, given its trails, and their kinds of segments."""
+        sensor, clock = scene.sensor, target.clock
         sigma_px = drawn_sigma_px(sensor)
-        set_uniforms(self._projection, **projection_uniforms(scene.camera, trails.pointing, guard_band_px))
+        set_uniforms(
+            self._projection, **textures.projection_uniforms(scene.camera, trails.pointing, target.guard_band_px)
+        )
         self._kinds = kinds
         self._path = self._program(clock.rows)
         program = self._path.program
@@ -181,23 +166,23 @@ class PathPass:
         clock.bind(program, sigma_px)
 
     def set_times(self, texels: Float32) -> None:
-        """Set the orientations at the ends and the middles of segments.
+        """Set the orientations at the ends and the middles of m segments, (2 m + 1, 5, 4) float32.
 
-        `texels` (2 m + 1, 5, 4) float32: with durations, weights and starts of segments: the uniform ``pointing`` of
-        star_path.frag.
+        They include durations, weights and starts of segments: the uniform ``pointing`` of star_path.frag.
         """
-        self._pointing.write(texels, viewport=(0, 0, TEXELS_PER_TIME, len(texels)))
+        self._pointing.write(texels, viewport=(0, 0, textures.TEXELS_PER_TIME, len(texels)))
 
     def filled(
         self, number: int, field: moderngl.Texture, chosen: Float32, passage: Float32 | None, segments: int
     ) -> list[moderngl.Texture]:
-        """Return the textures of the paths of some stars.
+        """Return the outputs of star_path.frag: textures of the paths of some stars.
 
-        `number`: the textures hold until the next call with the same number and kind; `field`: all stars; `chosen` (2
-        or 4, c, 3) float32: the uniform ``chosen`` of project_stars.frag and star_path.frag; `passage` (m, c) float32
-        or None: transmission of cloud; `segments`: m.  Returns the outputs of star_path.frag.
+        They are valid until the next call with the same `number` and kinds of segments.  `field` has all stars;
+        `chosen` (2 or 4, c, 3) float32 is the uniform ``chosen`` of project_stars.frag and star_path.frag; `passage`
+        (m, c) float32 is the transmission of cloud, None without cloud; `segments` is m.
         """
-        rows, stars, times = *chosen.shape[:2], 2 * segments + 1
+        rows, stars = chosen.shape[:2]
+        times = 2 * segments + 1
         self._passage.write_table(np.ones((1, 1), np.float32) if passage is None else passage)
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, stars, rows))
         for location, texture in enumerate((field, self._chosen, self._pointing)):
@@ -276,9 +261,9 @@ class StarComponents(NamedTuple):
     of_star: NDArray[np.intp]  # (k,) intp: the Gaussian that each star of the scene's draw list has
 
     def texels(self, duration_s: float, span: float) -> Float32:
-        """Return what star_path.frag reads of each star of the draw list, (2, k, 3): rows 2 and 3 of `chosen`.
+        """Return what star_path.frag reads of each of k stars of the draw list, (2, k, 3) float32.
 
-        `duration_s`: exposure time, s; `span`: `ReadoutClock.span`.  Returns (2, k, 3) float32.
+        These are rows 2 and 3 of `chosen`; `span` is `ReadoutClock.span`.
         """
         rows = [
             (
@@ -297,22 +282,23 @@ class StarComponents(NamedTuple):
 
 
 def drawn_together(scenes: Iterable[Scene], clock: ReadoutClock) -> Iterator[list[Scene]]:
-    """Yield scenes whose stars are plain Gaussians: those that `in_one_scene` joins as one list, others one by one.
+    """Yield scenes of plain Gaussians in their order: lists that `in_one_scene` joins, or of one scene.
 
-    `scenes`: those without stars are left out; `clock`: when the pixels of the target open.  Yields: in the same order;
-    several have the same stars on the same paths, whose segments are well below their widths.
+    Several have the same stars on the same paths, whose segments are well below their widths.  Scenes without stars are
+    left out.
     """
-    drawn = (one for one in scenes if len(one.draw_list))
-    for _, same in groupby(drawn, key=lambda one: (id(one.stars), id(one.trails), one.camera)):
+    drawn = (scene for scene in scenes if len(scene.draw_list))
+    for _, same in groupby(drawn, key=lambda scene: (id(scene.stars), id(scene.trails), scene.camera)):
         several = list(same)
         if len(several) > 1 and clock.rows < 2 and _are_short(several, rolling=clock.rows > 0):
             yield several
         else:
-            yield from ([one] for one in several)
+            yield from ([scene] for scene in several)
 
 
 def _are_short(scenes: Sequence[Scene], *, rolling: bool) -> bool:
-    trails, narrowest = scenes[0].trails, min(scenes, key=lambda one: one.sensor.effective_sigma_px)
+    trails = scenes[0].trails
+    narrowest = min(scenes, key=lambda scene: scene.sensor.effective_sigma_px)
     if not isinstance(trails, AnalyticSegments) or len(trails) >= PIECE_COSTS.min_segments:
         return False
     if rolling and are_worth_dividing(trails, narrowest.camera, narrowest.sensor.effective_sigma_px):
@@ -324,21 +310,21 @@ def _are_short(scenes: Sequence[Scene], *, rolling: bool) -> bool:
 def in_one_scene(scenes: Sequence[Scene]) -> tuple[Scene, StarComponents]:
     """Return scenes of `drawn_together` as one, in which a star occurs once for each of its Gaussians.
 
-    Returns `scene`: with the sensor of the first one.
+    It has the sensor of the first one.
     """
     lists = [scene.draw_list for scene in scenes]
-    of_star = np.repeat(np.arange(len(scenes)), [len(one) for one in lists])
+    of_star = np.repeat(np.arange(len(scenes)), [len(stars) for stars in lists])
     components = StarComponents(tuple(scene.sensor for scene in scenes), of_star)
     return replace(scenes[0], draw_list=_joined(lists)), components
 
 
 def _joined(lists: Sequence[DrawList]) -> DrawList:
-    extinctions_mag = [one.extinction_mag for one in lists if one.extinction_mag is not None]
-    passages = [one.passage for one in lists if one.passage is not None]
+    extinctions_mag = [stars.extinction_mag for stars in lists if stars.extinction_mag is not None]
+    passages = [stars.passage for stars in lists if stars.passage is not None]
     return DrawList(
-        np.concatenate([one.index for one in lists]),
-        np.concatenate([one.truncation_radius_px for one in lists]),
-        np.concatenate([one.min_trail_px for one in lists]),
+        np.concatenate([stars.index for stars in lists]),
+        np.concatenate([stars.truncation_radius_px for stars in lists]),
+        np.concatenate([stars.min_trail_px for stars in lists]),
         np.concatenate(extinctions_mag) if extinctions_mag else None,
         np.concatenate(passages) if passages else None,
     )

@@ -13,18 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.motion.trailmodels import TrailPieces
+from glstar.render.opengl import textures
 from glstar.render.opengl.passes.path import drawn_sigma_px, falloff_per_px2, still_peak_dn
 from glstar.render.opengl.program import linked, set_uniforms, set_used_uniforms
-from glstar.render.opengl.textures import (
-    GLOBAL_SHUTTER,
-    STARS_PER_ROW,
-    TEXELS_PER_TIME,
-    PassageTexture,
-    ReadoutClock,
-    StarTextures,
-    pointing_texels,
-    projection_uniforms,
-)
+from glstar.render.opengl.textures import TEXELS_PER_TIME, RecentFields, StarTarget
 from glstar.render.readout.openings import EndPieces
 from glstar.render.readout.pieces import PIECES_PER_SPRITE, ScenePart
 from glstar.render.scene.scene import Scene
@@ -42,12 +34,16 @@ _UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3, "p
 class StarSprites:
     """A list of sprites, each a column (star) and a row (part of its trail), the textures they read, and programs.
 
-    `stars`: not released here; `pointing_size`: columns and rows of the texture of orientations; `chosen_rows`: rows of
-    the texture of what is known of each star of a call.
+    `pointing_size` is columns and rows of the texture of orientations, and `chosen_rows` rows of the texture with the
+    properties of the stars of a call.  `stars` are not released here.
     """
 
     def __init__(
-        self, context: moderngl.Context, stars: StarTextures, pointing_size: tuple[int, int], chosen_rows: int
+        self,
+        context: moderngl.Context,
+        stars: RecentFields[moderngl.Texture],
+        pointing_size: tuple[int, int],
+        chosen_rows: int,
     ) -> None:
         self._context = context
         self._stars = stars
@@ -56,13 +52,13 @@ class StarSprites:
             self._sprites = context.buffer(reserve=4 * _SPRITES_PER_CALL, dynamic=True)
             owned.callback(self._sprites.release)
             sizes = (*pointing_size, 4), (STARS_PER_CALL, chosen_rows, 3), (STARS_PER_CALL, 1, 4)
-            self.pointing, self._chosen, self._tints = textures = [
+            self.pointing, self._chosen, self._tints = owned_textures = [
                 context.texture((columns, rows), components, dtype="f4") for columns, rows, components in sizes
             ]
-            for texture in textures:
+            for texture in owned_textures:
                 owned.callback(texture.release)
                 texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._passage = PassageTexture(context)
+            self._passage = textures.PassageTexture(context)
             owned.callback(self._passage.release)
             owned.callback(self._release_programs)
             self._owned = owned.pop_all()
@@ -70,18 +66,19 @@ class StarSprites:
     def program(
         self, vertices: str, fragments: str, **constants: float
     ) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        """Return the program of two shaders, and its vertices: made when it is first needed."""
+        """Return the program of two shaders and its vertices, created when it is first needed."""
         key = vertices, fragments, *constants.items()
         if key not in self._programs:
-            program = linked(self._context, vertices, fragments, generated={}, STARS_PER_ROW=STARS_PER_ROW, **constants)
+            program = linked(
+                self._context, vertices, fragments, generated={}, STARS_PER_ROW=textures.STARS_PER_ROW, **constants
+            )
             set_used_uniforms(program, **_UNITS)
             self._programs[key] = program, self._context.vertex_array(program, [(self._sprites, "2u2", "sprite")])
         return self._programs[key]
 
     def bind(self, field: StarField) -> None:
         """Use the textures for the stars of a field, and add what is drawn to the target."""
-        textures = self.pointing, self._stars.of(field), self._chosen, self._tints
-        for unit, texture in enumerate(textures):
+        for unit, texture in enumerate((self.pointing, self._stars.of(field), self._chosen, self._tints)):
             texture.use(unit)
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
@@ -89,10 +86,10 @@ class StarSprites:
     def write_stars(
         self, chosen: NDArray[np.float32], tints: NDArray[np.float32] | None, passage: NDArray[np.float32] | None
     ) -> None:
-        """Write what is known of the stars of a call.
+        """Write the properties of the k stars of a call, (rows, k, 3) float32.
 
-        `chosen` (rows, k, 3) float32; `tints` (k, 4) float32 or None: their colours in a mosaic; `passage` (n, k)
-        float32 or None: what cloud transmits of them during each part of their trails; None without cloud.
+        `tints` (k, 4) float32 are their colours in a mosaic; `passage` (n, k) float32 is the transmission of cloud
+        during each part of their trails.  Both are None without it.
         """
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, chosen.shape[1], len(chosen)))
         if tints is not None:
@@ -103,9 +100,9 @@ class StarSprites:
     def draw(self, vertices: moderngl.VertexArray, sprites: NDArray[np.uint16]) -> None:
         """Draw sprites, (c, 2): column and row."""
         for first in range(0, len(sprites), _SPRITES_PER_CALL):
-            some = sprites[first : first + _SPRITES_PER_CALL]
-            self._sprites.write(np.ascontiguousarray(some))
-            vertices.render(moderngl.POINTS, vertices=len(some))
+            of_call = sprites[first : first + _SPRITES_PER_CALL]
+            self._sprites.write(np.ascontiguousarray(of_call))
+            vertices.render(moderngl.POINTS, vertices=len(of_call))
 
     def _release_programs(self) -> None:
         for program, vertices in self._programs.values():
@@ -124,12 +121,9 @@ _PIECES_PER_CALL: Final = 4096
 
 
 class PiecePass:
-    """Adds the flux of `TrailPieces` to a target.
+    """Adds the flux of `TrailPieces` to a target; raises ShaderError if the driver rejects a shader."""
 
-    `stars`: not released here.  Raises ShaderError if the driver rejects a shader.
-    """
-
-    def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
+    def __init__(self, context: moderngl.Context, stars: RecentFields[moderngl.Texture]) -> None:
         self._context = context
         self._sprites = StarSprites(context, stars, (_TEXELS, _PIECES_PER_CALL), 2)
         try:
@@ -138,20 +132,16 @@ class PiecePass:
             self.release()
             raise
 
-    def draw(
-        self, part: ScenePart, light: moderngl.Framebuffer, guard_band_px: int, clock: ReadoutClock = GLOBAL_SHUTTER
-    ) -> None:
-        """Add the flux of a scene's stars to a target.
-
-        `part`: behind cloud with the passage of each piece; `light`: 32-bit float; in use afterwards; `guard_band_px`:
-        width of its border around the image; `clock`: when the pixels of the target open.
-        """
-        scene, drawn = part.scene, part.scene.draw_list
-        tints = cell_tints(scene, guard_band_px)
+    def draw(self, part: ScenePart, target: StarTarget) -> None:
+        """Add the flux of a scene's stars to a target, which is in use afterwards; cloud has a passage per piece."""
+        scene = part.scene
+        drawn = scene.draw_list
+        tints = cell_tints(scene, target.guard_band_px)
         program, vertices = self._program(mosaic=tints is not None, rolling=part.drawn is not None)
-        self._set_uniforms(program, scene, light, guard_band_px, clock.span)
-        texels, chosen = _piece_texels(part.pieces), _texels_of_stars(part)
-        light.use()
+        self._set_uniforms(program, scene, target)
+        texels = _piece_texels(part.pieces)
+        chosen = _texels_of_stars(part)
+        target.light.use()
         self._sprites.bind(scene.stars)
         for first in range(0, len(texels), _PIECES_PER_CALL):
             of_call = slice(first, first + _PIECES_PER_CALL)
@@ -169,17 +159,16 @@ class PiecePass:
                 self._sprites.draw(vertices, np.argwhere(near.T).astype(np.uint16))
         self._context.enable_only(moderngl.NOTHING)
 
-    def _set_uniforms(
-        self, program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int, span: float
-    ) -> None:
+    def _set_uniforms(self, program: moderngl.Program, scene: Scene, target: StarTarget) -> None:
         sensor, pointing = scene.sensor, scene.trails.pointing
+        peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
         set_uniforms(
             program,
-            **projection_uniforms(scene.camera, pointing, guard_band_px),
+            **textures.projection_uniforms(scene.camera, pointing, target.guard_band_px),
             sine_horizon=pointing.sine_horizon,
-            target_px=light.size,
+            target_px=target.light.size,
             sigma_px=sensor.effective_sigma_px,
-            vmag_0_peak_dn=sensor.effective_peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * span,
+            vmag_0_peak_dn=sensor.effective_peak * peak_dn * target.clock.span,
         )
 
     def _program(self, *, mosaic: bool, rolling: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
@@ -197,8 +186,8 @@ class PiecePass:
 
 
 def _piece_texels(pieces: TrailPieces) -> NDArray[np.float32]:
-    """Return the texture of pieces, (n rounded up to fours, 7, 4) float32; those that are none last for no time."""
-    orientations = pointing_texels(pieces.pointing, multiple=PIECES_PER_SPRITE)
+    """Return the texture of n pieces, rounded up to fours with pieces of no duration, (rows, 7, 4) float32."""
+    orientations = textures.pointing_texels(pieces.pointing, multiple=PIECES_PER_SPRITE)
     texels = np.zeros((len(orientations), _TEXELS, 4), np.float32)
     texels[:, :TEXELS_PER_TIME] = orientations
     covariance = pieces.covariance_rad2
@@ -244,30 +233,25 @@ _TIMES_OF_END: Final = 3
 
 
 class EndPass:
-    """Adds the flux of `EndPieces` to a target; `stars`: not released here."""
+    """Adds the flux of `EndPieces` to a target."""
 
-    def __init__(self, context: moderngl.Context, stars: StarTextures) -> None:
+    def __init__(self, context: moderngl.Context, stars: RecentFields[moderngl.Texture]) -> None:
         self._context = context
         self._sprites = StarSprites(context, stars, (TEXELS_PER_TIME, _TIMES_OF_END * _END_PIECES_PER_CALL), 1)
 
-    def draw(
-        self, scene: Scene, ends: EndPieces, light: moderngl.Framebuffer, guard_band_px: int, clock: ReadoutClock
-    ) -> None:
-        """Add the flux of a scene's stars during some pieces to a target.
-
-        `ends`: of its draw list; `light`: 32-bit float, in use; `guard_band_px`: width of its border around the image;
-        `clock`: when the pixels of the target open, of a rolling shutter.
-        """
-        drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
+    def draw(self, scene: Scene, ends: EndPieces, target: StarTarget) -> None:
+        """Add the flux of a scene's stars during some pieces to a target that is in use, under a rolling shutter."""
+        drawn = scene.draw_list
+        tints = cell_tints(scene, target.guard_band_px)
         program, vertices = self._sprites.program(
             "end_pieces.vert",
             "trail_short.frag",
             NARROW=int(scene.sensor.needs_erf),
             MOSAIC=int(tints is not None),
-            ROWS=clock.rows,
+            ROWS=target.clock.rows,
             COMPONENTS=0,
         )
-        _set_uniforms(program, scene, light, guard_band_px, clock)
+        _set_uniforms(program, scene, target)
         chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
         texels = _end_texels(ends)
         self._sprites.bind(scene.stars)
@@ -288,25 +272,24 @@ class EndPass:
         self._sprites.release()
 
 
-def _set_uniforms(
-    program: moderngl.Program, scene: Scene, light: moderngl.Framebuffer, guard_band_px: int, clock: ReadoutClock
-) -> None:
-    sensor, sigma_px = scene.sensor, drawn_sigma_px(scene.sensor)
+def _set_uniforms(program: moderngl.Program, scene: Scene, target: StarTarget) -> None:
+    sensor = scene.sensor
+    sigma_px = drawn_sigma_px(sensor)
     uniforms: dict[str, Any] = {
-        **projection_uniforms(scene.camera, scene.trails.pointing, guard_band_px),
-        "target_px": light.size,
+        **textures.projection_uniforms(scene.camera, scene.trails.pointing, target.guard_band_px),
+        "target_px": target.light.size,
         "falloff_per_px2": falloff_per_px2(sensor),
         "sigma_px": sigma_px,
         "effective_sigma_px": sensor.effective_sigma_px,
-        "vmag_0_peak_dn": still_peak_dn(sensor, scene.exposure.duration_s, clock.span),
+        "vmag_0_peak_dn": still_peak_dn(sensor, scene.exposure.duration_s, target.clock.span),
     }
     set_used_uniforms(program, **uniforms)
-    clock.bind(program, sigma_px)
+    target.clock.bind(program, sigma_px)
 
 
 def _end_texels(ends: EndPieces) -> NDArray[np.float32]:
     """Return the texture of pieces by piece, (n, 3, 5, 4) float32: see end_pieces.vert."""
-    texels = pointing_texels(ends.pointing).reshape(-1, _TIMES_OF_END, TEXELS_PER_TIME, 4)
+    texels = textures.pointing_texels(ends.pointing).reshape(-1, _TIMES_OF_END, TEXELS_PER_TIME, 4)
     texels[:, 0, 0, 3] = ends.begin
     texels[:, 0, 1, 3] = ends.duration
     return texels
@@ -314,7 +297,8 @@ def _end_texels(ends: EndPieces) -> NDArray[np.float32]:
 
 def _sprites(ends: EndPieces, first_star: int, first_piece: int) -> NDArray[np.uint16]:
     """Return which stars of a draw call are drawn during which of its pieces, (c, 2), star by star."""
-    star, piece = ends.star - first_star, ends.piece - first_piece
-    some = (star >= 0) & (star < STARS_PER_CALL) & (piece >= 0) & (piece < _END_PIECES_PER_CALL)
+    star = ends.star - first_star
+    piece = ends.piece - first_piece
+    in_call = (star >= 0) & (star < STARS_PER_CALL) & (piece >= 0) & (piece < _END_PIECES_PER_CALL)
     # Software OpenGL finds the sprites of a tile near each other in memory.
-    return np.stack([star[some], piece[some]], axis=1).astype(np.uint16)
+    return np.stack([star[in_call], piece[in_call]], axis=1).astype(np.uint16)

@@ -1,7 +1,4 @@
-"""The trail pass: analytic trails, one sprite or quad per star and segment of the exposure.
-
-Draws to one target that wait until the textures they read are filled.
-"""
+"""The trail pass: analytic trails, one sprite or quad per star and segment of the exposure."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -15,19 +12,11 @@ from numpy.typing import NDArray
 
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.trailmodels import AnalyticSegments
-from glstar.render.opengl.passes.path import (
-    PathPass,
-    SegmentKinds,
-    StarComponents,
-    drawn_sigma_px,
-    falloff_per_px2,
-    in_one_scene,
-    surely_short,
-)
+from glstar.render.opengl.passes import path
 from glstar.render.opengl.passes.piece import EndPass, PiecePass
 from glstar.render.opengl.program import linked, set_used_uniforms
-from glstar.render.opengl.textures import GLOBAL_SHUTTER, ReadoutClock, StarTextures, pointing_texels
-from glstar.render.readout.openings import SegmentColumns, divided_trails, whole_trails
+from glstar.render.opengl.textures import RecentFields, StarTarget, pointing_texels, star_texture
+from glstar.render.readout.openings import PixelOpenings, SegmentColumns, divided_trails, whole_trails
 from glstar.render.readout.pieces import in_pieces
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import cell_tints
@@ -35,28 +24,27 @@ from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 
 
 class DrawQueue:
-    """Draws to one target, in the order in which they were added.
+    """Draws to one target, which is cleared first, in the order in which they were added.
 
     Software OpenGL finishes what was drawn to a target whenever another is bound.  In an image of 12 megapixels each
-    time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.  `light`: the target; it is
-    cleared first.
+    time takes 2 ms and more.  What is drawn to other targets first does not interrupt it.
     """
 
-    def __init__(self, light: moderngl.Framebuffer) -> None:
-        self.light = light
-        self._waiting: list[Callable[[], None]] = [light.clear]
+    def __init__(self, target: StarTarget) -> None:
+        self.target = target
+        self._waiting: list[Callable[[], None]] = [target.light.clear]
 
     def __len__(self) -> int:
         """Return how many draws wait."""
         return len(self._waiting)
 
     def add(self, draw: Callable[[], None]) -> None:
-        """Let a draw wait; `draw`: called when the target is bound."""
+        """Let a draw wait until the target is bound."""
         self._waiting.append(draw)
 
     def run(self) -> None:
         """Bind the target and draw what waits."""
-        self.light.use()
+        self.target.light.use()
         while self._waiting:
             self._waiting.pop(0)()
 
@@ -87,7 +75,7 @@ _SHAPES: Final = (
     _Shape(1, ("trail.vert", "trail.frag"), moderngl.POINTS, 2, "2u2 4x"),
     _Shape(2, ("trail.vert", "trail_middle.frag"), moderngl.TRIANGLES, 6, "2u2"),
 )
-# Those of segments during which a row of a rolling shutter opens or closes.
+# Shapes of segments during which a row of a rolling shutter opens or closes.
 _ROW_SHAPES: Final = (
     _Shape(0, ("trail_rows.vert", "trail_short.frag"), moderngl.POINTS, 1, "2u2 12x"),
     _Shape(1, ("trail_rows.vert", "trail.frag"), moderngl.POINTS, 1, "2u2 12x"),
@@ -123,19 +111,19 @@ class TrailPass:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._owned = ExitStack()
-        self._stars = StarTextures(context)
+        self._stars = RecentFields(partial(star_texture, context))
         self._owned.callback(self._stars.release)
         # By whether the point spread function is narrow, and there is a mosaic, ROWS of readout.glsl, COMPONENTS.
         self._draw_passes: dict[tuple[bool, bool, int, bool], list[_DrawPass]] = {}
         try:
-            self._make()
+            self._create_programs()
         except BaseException:
             self.release()
             raise
 
-    def _make(self) -> None:
+    def _create_programs(self) -> None:
         context = self._context
-        self._path_pass = PathPass(context, _STARS_PER_CALL, _SEGMENTS_PER_CALL)
+        self._path_pass = path.PathPass(context, _STARS_PER_CALL, _SEGMENTS_PER_CALL)
         self._owned.callback(self._path_pass.release)
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
@@ -149,119 +137,100 @@ class TrailPass:
         self._end_pass = EndPass(context, self._stars)
         self._owned.callback(self._end_pass.release)
 
-    def draw(
-        self,
-        scene: Scene,
-        trails: AnalyticSegments,
-        queue: DrawQueue,
-        guard_band_px: int,
-        clock: ReadoutClock = GLOBAL_SHUTTER,
-    ) -> None:
-        """Add the flux of a scene's stars to a target.
-
-        `trails`: the scene's; `queue`: its target is of 32-bit float; some draws wait when this returns;
-        `guard_band_px`: width of its border around the image; `clock`: when the pixels of the target open.
-        """
-        openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
+    def draw(self, scene: Scene, trails: AnalyticSegments, queue: DrawQueue) -> None:
+        """Add the flux of a scene's stars to the target of a queue, in which some draws may wait afterwards."""
+        target = queue.target
+        openings = target.clock.openings(target.guard_band_px, scene.sensor.effective_sigma_px)
         if openings is not None and len(trails) > _SEGMENTS_PER_CALL:
-            self._draw_segments(scene, trails, queue, guard_band_px, clock)
+            self._draw_segments(scene, trails, queue, target)
             return
         divided = in_pieces(scene, trails, largest_point_px=self._point_size_px, openings=openings)
         if divided is None:
-            self._draw_trails(scene, trails, queue, guard_band_px, clock)
+            self._draw_trails(scene, trails, queue, openings)
             return
         # The last bits of a sum depend on its order, which stays as it is.
-        if clock.rows and len(divided.rest.draw_list):
-            self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
+        if target.clock.rows and len(divided.rest.draw_list):
+            self._draw_segments(divided.rest, trails, queue, target)
         for part in divided.parts:
             if part.ends is not None:
-                queue.add(partial(self._end_pass.draw, part.scene, part.ends, queue.light, guard_band_px, clock))
-            queue.add(partial(self._piece_pass.draw, part, queue.light, guard_band_px, clock))
-        if not clock.rows and len(divided.rest.draw_list):
-            self._draw_segments(divided.rest, trails, queue, guard_band_px, clock)
+                queue.add(partial(self._end_pass.draw, part.scene, part.ends, target))
+            queue.add(partial(self._piece_pass.draw, part, target))
+        if not target.clock.rows and len(divided.rest.draw_list):
+            self._draw_segments(divided.rest, trails, queue, target)
 
-    def draw_components(
-        self, scenes: Sequence[Scene], queue: DrawQueue, guard_band_px: int, clock: ReadoutClock
-    ) -> None:
-        """Add the flux of several Gaussians of the same stars to a target: scenes that `drawn_together` lists together.
-
-        `queue`, `guard_band_px`, `clock`: as for `draw`.
-        """
-        scene, components = in_one_scene(scenes)
+    def draw_components(self, scenes: Sequence[Scene], queue: DrawQueue) -> None:
+        """Add the flux of several Gaussians of the same stars: scenes that `drawn_together` lists together."""
+        scene, components = path.in_one_scene(scenes)
         assert isinstance(scene.trails, AnalyticSegments)
-        self._draw_segments(scene, scene.trails, queue, guard_band_px, clock, components=components)
+        self._draw_segments(scene, scene.trails, queue, queue.target, components=components)
 
     def _draw_trails(
-        self,
-        scene: Scene,
-        trails: AnalyticSegments,
-        queue: DrawQueue,
-        guard_band_px: int,
-        clock: ReadoutClock,
+        self, scene: Scene, trails: AnalyticSegments, queue: DrawQueue, openings: PixelOpenings | None
     ) -> None:
         """Draw the trails of a scene in segments; where all rows are open, as under a global shutter."""
-        openings = clock.openings(guard_band_px, scene.sensor.effective_sigma_px)
+        target = queue.target
         divided = None if openings is None else divided_trails(scene, trails, openings)
         if divided is None:
-            self._draw_segments(scene, trails, queue, guard_band_px, clock)
+            self._draw_segments(scene, trails, queue, target)
             return
-        queue.add(partial(self._end_pass.draw, scene, divided.ends, queue.light, guard_band_px, clock))
-        for parts, how in ((divided.while_open, replace(clock, rows=0)), (divided.whole, clock)):
+        queue.add(partial(self._end_pass.draw, scene, divided.ends, target))
+        while_open = target._replace(clock=replace(target.clock, rows=0))
+        for parts, how in ((divided.while_open, while_open), (divided.whole, target)):
             if len(parts.star):
-                self._draw_segments(scene, trails, queue, guard_band_px, how, parts)
+                self._draw_segments(scene, trails, queue, how, parts)
 
     def _draw_segments(
         self,
         scene: Scene,
         trails: AnalyticSegments,
         queue: DrawQueue,
-        guard_band_px: int,
-        clock: ReadoutClock,
+        target: StarTarget,
         parts: SegmentColumns | None = None,
         *,
-        components: StarComponents | None = None,
+        components: path.StarComponents | None = None,
     ) -> None:
         """Draw the trails of a scene, or parts of them, in segments."""
         has_components = components is not None
-        kinds = SegmentKinds(has_components or surely_short(scene, trails), has_components)
-        self._path_pass.set_scene(scene, trails, guard_band_px, clock, kinds)
+        kinds = path.SegmentKinds(has_components or path.surely_short(scene, trails), has_components)
+        self._path_pass.set_scene(scene, trails, target, kinds)
         texels = _segment_texels(trails)
-        drawn, tints = scene.draw_list, cell_tints(scene, guard_band_px)
+        drawn = scene.draw_list
+        tints = cell_tints(scene, target.guard_band_px)
         parts = whole_trails(scene, trails) if parts is None else parts
-        field, chosen = self._stars.of(scene.stars), _texels_of_parts(scene, parts)
+        field = self._stars.of(scene.stars)
+        chosen = _texels_of_parts(scene, parts)
         runs: list[tuple[Sensor, NDArray[np.bool_] | None]] = [(scene.sensor, None)]
         if components is not None:
-            chosen = np.concatenate([chosen, components.texels(scene.exposure.duration_s, clock.span)])
+            chosen = np.concatenate([chosen, components.texels(scene.exposure.duration_s, target.clock.span)])
             runs = list(components.runs())
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
             self._path_pass.set_times(texels[times])
             for begin in range(0, chosen.shape[1], _STARS_PER_CALL):
-                some = slice(begin, begin + _STARS_PER_CALL)
-                stars = parts.star[some]
+                columns = slice(begin, begin + _STARS_PER_CALL)
+                stars = parts.star[columns]
                 segments = slice(first // 2, first // 2 + _SEGMENTS_PER_CALL)
                 passage = None if drawn.passage is None else drawn.passage[stars, segments].T
                 near = _near_image(scene, trails, times, stars)
                 if near.size > _MOST_WAITING_TEXELS or len(queue) > _MOST_WAITING:
                     queue.run()
-                filled = self._path_pass.filled(len(queue), field, chosen[:, some], passage, len(near))
+                filled = self._path_pass.filled(len(queue), field, chosen[:, columns], passage, len(near))
                 of_columns = None if tints is None else tints[drawn.index[stars]]
-                for sensor, columns in runs:
-                    of_run = near if columns is None else near & columns[some]
-                    queue.add(partial(self._draw, sensor, clock, queue.light, filled, of_columns, of_run, kinds))
+                for sensor, has_star in runs:
+                    of_run = near if has_star is None else near & has_star[columns]
+                    queue.add(partial(self._draw, sensor, target, filled, of_columns, of_run, kinds))
 
     def _draw(
         self,
         sensor: Sensor,
-        clock: ReadoutClock,
-        light: moderngl.Framebuffer,
+        target: StarTarget,
         paths: list[moderngl.Texture],
         tints: NDArray[np.float32] | None,
         near: NDArray[np.bool_],
-        kinds: SegmentKinds,
+        kinds: path.SegmentKinds,
     ) -> None:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
-        draw_passes = self._passes_with_uniforms(sensor, clock, light, kinds)
+        draw_passes = self._passes_with_uniforms(sensor, target, kinds)
         for location, texture in enumerate(paths):
             texture.use(location)
         if tints is not None:
@@ -278,23 +247,21 @@ class TrailPass:
                 vertex_array.render(shape.mode, vertices=shape.vertices * len(primitives))
         self._context.enable_only(moderngl.NOTHING)
 
-    def _passes_with_uniforms(
-        self, sensor: Sensor, clock: ReadoutClock, light: moderngl.Framebuffer, kinds: SegmentKinds
-    ) -> list[_DrawPass]:
+    def _passes_with_uniforms(self, sensor: Sensor, target: StarTarget, kinds: path.SegmentKinds) -> list[_DrawPass]:
         """Return the draw passes for a sensor, after setting their uniforms."""
-        sigma_px = drawn_sigma_px(sensor)
+        sigma_px = path.drawn_sigma_px(sensor)
         uniforms: dict[str, Any] = {
-            "target_px": light.size,
-            "falloff_per_px2": falloff_per_px2(sensor),
+            "target_px": target.light.size,
+            "falloff_per_px2": path.falloff_per_px2(sensor),
             "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
             "sigma_px": sigma_px,
         }
         mosaic = sensor.colour.mosaic != "none"
-        draw_passes = self._draw_passes_of(sensor.needs_erf, mosaic, clock.rows, kinds.have_components)
-        draw_passes = [one for one in draw_passes if one.shape.number == 0 or not kinds.are_short]
+        draw_passes = self._draw_passes_of(sensor.needs_erf, mosaic, target.clock.rows, kinds.have_components)
+        draw_passes = [each for each in draw_passes if each.shape.number == 0 or not kinds.are_short]
         for program, *_ in draw_passes:
             set_used_uniforms(program, **uniforms)
-            clock.bind(program, sigma_px)
+            target.clock.bind(program, sigma_px)
         return draw_passes
 
     def _draw_passes_of(self, narrow: bool, mosaic: bool, rows: int, components: bool) -> list[_DrawPass]:
@@ -318,8 +285,7 @@ class TrailPass:
                 COMPONENTS=int(components),
             )
         )
-        units = _PATH_TEXTURES | {"tints_of_stars": _TINTS_UNIT}
-        set_used_uniforms(program, **units)
+        set_used_uniforms(program, **_PATH_TEXTURES, tints_of_stars=_TINTS_UNIT)
         corners = self._corners if shape.mode == moderngl.TRIANGLES else None
         content = [(self._drawn, shape.layout, "segment")]
         vertex_array = self._context.vertex_array(program, content, index_buffer=corners, index_element_size=4)
@@ -362,7 +328,8 @@ def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: NDA
 
     Between two times a star comes closer to the boresight than at both by at most half of the boresight's rotation.
     """
-    camera, boresight = scene.camera, trails.pointing.boresight_eq[times]
+    camera = scene.camera
+    boresight = trails.pointing.boresight_eq[times]
     chord = np.diff(boresight, axis=0)
     rotation_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
     margin_px = scene.draw_list.truncation_radius_px.max() + 1

@@ -1,9 +1,4 @@
-"""The panel in which real images are opened, chosen and compared.
-
-The part of the Compare panel that fits clock and mount to the real images.
-
-The part of the Compare panel with the paper's measures of the real image shown.
-"""
+"""The panel Compare: real images are opened, chosen and compared, clock and mount fitted, residuals measured."""
 
 from dataclasses import dataclass, replace
 from math import degrees
@@ -19,9 +14,8 @@ from glstar.viewer.overlays.table import Overlay
 from glstar.viewer.picture.comparison import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState, span
 from glstar.viewer.picture.fitting import FitRequest, FitResult, ImageFit, ResidualRequest, TrailResiduals
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import error
+from glstar.viewer.ui.theme import draw_button, draw_checkbox, draw_rows, draw_wrapped, error
 
-_ERROR: Final = ImVec4(1.0, 0.45, 0.35, 1.0)
 _MORE: Final = ImVec4(*MORE_RGB, 1.0)
 _LESS: Final = ImVec4(*LESS_RGB, 1.0)
 # Range of the slider of the clock offset, s, for fine adjustment; larger offsets are typed.
@@ -47,31 +41,26 @@ class ComparisonPanel:
         self._listed: RealImage | None = None
 
     def draw(
-        self,
-        utc_s: float,
-        image: RealImage | None,
-        fitted: FittedImage | None,
-        *,
-        status: str = "",
+        self, utc_s: float, image: RealImage | None, fitted: FittedImage | None, *, status: str = ""
     ) -> PanelRequests:
         """Draw the panel, and change the state as the user does.
 
         `utc_s`: the play head, UTC seconds since 1970 of the log's clock; `image`: the real image that is shown;
         `fitted`: its pixels, None while they are decoded; `status`: why no simulated image belongs to the real one; see
-        `comparisonview.outside`.
+        `glstar.viewer.picture.comparison.outside`.
         """
         state = self._state
         self._draw_opening()
         images = state.images
         if images is None:
             return PanelRequests()
-        _text(images.time_sources)
+        draw_wrapped(images.time_sources)
         self._draw_mode()
         seek_utc_s = self._draw_images(images, image, utc_s)
         if image is not None:
             _draw_image(image, fitted, utc_s - state.log_utc_s(image))
         if status:
-            _text(status, _ERROR)
+            draw_wrapped(status, error())
         self._draw_clock()
         self._draw_levels()
         imgui.begin_disabled(fitted is None)
@@ -93,7 +82,7 @@ class ComparisonPanel:
         if state.opening is not None:
             imgui.text_disabled("reading names and times ...")
         if state.error:
-            _text(state.error, _ERROR)
+            draw_wrapped(state.error, error())
 
     def _draw_mode(self) -> None:
         state = self._state
@@ -168,13 +157,13 @@ class ComparisonPanel:
 def _draw_image(image: RealImage, fitted: FittedImage | None, behind_s: float) -> None:
     time = image.time
     length = "" if time.exposure_s is None else f", {time.exposure_s:g} s long"
-    _text(f"{image.path.name}: {format_utc(time.utc_s)[:-4]}Z by {time.source}{length}")
+    draw_wrapped(f"{image.path.name}: {format_utc(time.utc_s)[:-4]}Z by {time.source}{length}")
     if abs(behind_s) >= 0.0005:
         imgui.text_disabled(f"{span(abs(behind_s))} {'before' if behind_s > 0 else 'after'} the play head")
     if fitted is None:
         imgui.text_disabled("decoding ...")
     elif fitted.note:
-        _text(fitted.note)
+        draw_wrapped(fitted.note)
 
 
 def _signed(seconds: float) -> str:
@@ -186,7 +175,7 @@ def _draw_problems(images: RealImages) -> None:
     if count and imgui.tree_node(f"{count} file{'s' * (count > 1)} not usable###problems"):
         for problem in images.problems:
             imgui.bullet()
-            _text(problem, _ERROR)
+            draw_wrapped(problem, error())
         imgui.tree_pop()
 
 
@@ -196,17 +185,6 @@ def _same_line_if_it_fits(label: str, right_px: float) -> None:
     needed_px = imgui.calc_text_size(label).x + imgui.get_frame_height() + style.item_inner_spacing.x
     if right_px - imgui.get_item_rect_max().x > needed_px + style.item_spacing.x:
         imgui.same_line()
-
-
-def _text(text: str, colour: ImVec4 | None = None) -> None:
-    """Write text unformatted, because it may contain percent signs, wrapped at the panel's edge."""
-    imgui.push_text_wrap_pos(0.0)
-    if colour is not None:
-        imgui.push_style_color(imgui.Col_.text, colour)
-    imgui.text_unformatted(text)
-    if colour is not None:
-        imgui.pop_style_color()
-    imgui.pop_text_wrap_pos()
 
 
 class FitPanel:
@@ -227,20 +205,17 @@ class FitPanel:
             if imgui.button("Stop fitting"):
                 fit.cancel()
             return
-        _, self._fits_time = imgui.checkbox("camera clock", self._fits_time)
-        imgui.set_item_tooltip("fits camera clock - log clock, as glstar compare --fit-time-offset")
+        about = "fits camera clock - log clock, as glstar compare --fit-time-offset"
+        self._fits_time = draw_checkbox("camera clock", self._fits_time, about)
         imgui.same_line()
-        _, self._fits_mount = imgui.checkbox("mount", self._fits_mount)
-        imgui.set_item_tooltip("fits yaw, pitch and roll of the camera on the aircraft, as glstar compare --fit-mount")
+        about = "fits yaw, pitch and roll of the camera on the aircraft, as glstar compare --fit-mount"
+        self._fits_mount = draw_checkbox("mount", self._fits_mount, about)
         imgui.begin_disabled(not (self._fits_time or self._fits_mount))
-        if imgui.button("Fit"):
+        if draw_button("Fit", "moves star trails onto those of up to 48 images; nothing changes until Apply"):
             self._start(session)
         imgui.end_disabled()
-        imgui.set_item_tooltip("moves star trails onto those of up to 48 images; nothing changes until Apply")
         if fit is not None and fit.error:
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text_colored(error(), fit.error)
-            imgui.pop_text_wrap_pos()
+            draw_wrapped(fit.error, error())
         if fit is not None and fit.result is not None:
             self._draw_result(session, fit.result)
 
@@ -251,27 +226,24 @@ class FitPanel:
         assert comparison.fit_images is not None
         flight = replace(loaded.simulator.flight, time_offset_s=comparison.ahead_s)
         request = FitRequest(
-            loaded.simulator.with_flight(flight),
-            tuple(comparison.images),
-            session.config.exposure.starting_at(0.0),
-            comparison.time_reference,
-            comparison.match_exposure,
-            self._fits_time,
-            self._fits_mount,
+            simulator=loaded.simulator.with_flight(flight),
+            images=tuple(comparison.images),
+            exposure=session.config.exposure.starting_at(0.0),
+            reference=comparison.time_reference,
+            own_length=comparison.match_exposure,
+            fits_time=self._fits_time,
+            fits_mount=self._fits_mount,
         )
         comparison.fit = ImageFit(request, comparison.fit_images)
 
     def _draw_result(self, session: Session, result: FitResult) -> None:
         for line in fit_report(result, session.comparison.ahead_s):
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text_unformatted(line)
-            imgui.pop_text_wrap_pos()
-        if imgui.button("Apply"):
+            draw_wrapped(line)
+        if draw_button("Apply", "takes the clock and the mount; Ctrl+Z takes back the mount"):
             session.comparison.offset_s += result.clock_change_s or 0.0
             if result.mount_keys:
                 session.change(**result.mount_keys)
             session.comparison.fit = None
-        imgui.set_item_tooltip("takes the clock and the mount; Ctrl+Z takes back the mount")
         imgui.same_line()
         if imgui.button("Discard"):
             session.comparison.fit = None
@@ -296,9 +268,9 @@ def fit_report(result: FitResult, ahead_s: float) -> list[str]:
 
 
 def residuals_of(session: Session) -> TrailResiduals | str | None:
-    """Return the residuals of the real image shown, if they are shown.
+    """Return the residuals of the real image shown, or why there are none.
 
-    Returns: or why there are none; None while they are measured, without a real image, and if they are not shown.
+    Returns None while they are measured, without a real image, and if they are not shown.
     """
     comparison, loaded = session.comparison, session.loaded
     if Overlay.RESIDUALS not in session.shown_overlays or loaded is None or comparison.residuals.measure is None:
@@ -323,22 +295,14 @@ def draw_residual_figures(session: Session) -> None:
         return
     imgui.separator_text("Residuals")
     is_shown = Overlay.RESIDUALS in session.shown_overlays
-    if imgui.checkbox("arrows and figures", is_shown)[0]:
+    about = "measures each trail of the real image against the simulated one, as glstar compare"
+    if draw_checkbox("arrows and figures", is_shown, about) != is_shown:
         session.shown_overlays ^= {Overlay.RESIDUALS}
-    imgui.set_item_tooltip("measures each trail of the real image against the simulated one, as glstar compare")
-    found = residuals_of(session)
-    if isinstance(found, TrailResiduals):
-        imgui.text_disabled(f"{len(found.shift_px)} of {found.predicted} trails found; simulated minus real")
-        if imgui.begin_table("##residuals", 2, int(imgui.TableFlags_.sizing_fixed_fit)):
-            for label, value in found.figures:
-                imgui.table_next_column()
-                imgui.text_disabled(label)
-                imgui.table_next_column()
-                imgui.text_unformatted(value)
-            imgui.end_table()
-    elif found is not None:
-        imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(error(), found)
-        imgui.pop_text_wrap_pos()
+    residuals = residuals_of(session)
+    if isinstance(residuals, TrailResiduals):
+        imgui.text_disabled(f"{len(residuals.shift_px)} of {residuals.predicted} trails found; simulated minus real")
+        draw_rows("##residuals", residuals.figures)
+    elif residuals is not None:
+        draw_wrapped(residuals, error())
     elif session.comparison.residuals.is_running:
         imgui.text_disabled("measuring ...")

@@ -11,7 +11,7 @@ from glstar.viewer.picture.view import ColourMap, Histogram, Stretch, StretchKin
 from glstar.viewer.session.actions import fit_stretch, perform
 from glstar.viewer.session.keys import Action
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import accent, scaled
+from glstar.viewer.ui.theme import accent, draw_button, draw_checkbox, draw_choice, scaled
 
 _LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
 # Width of the controls, of the panel's.
@@ -44,18 +44,17 @@ class DisplayPanel:
         imgui.set_item_tooltip("Faintest star whose name is written, V magnitude")
         if changed:
             session.name_vmag_limit = limit
-        changed, _ = imgui.checkbox("Processed image", session.shows_processed)
-        imgui.set_item_tooltip(
+        tooltip = (
             "The image as [output] writes it: defects, black level, colours, tone curve (Shift+P);"
             "\nstretch and colour map do not change it"
         )
-        if changed:
+        if draw_checkbox("Processed image", session.shows_processed, tooltip) != session.shows_processed:
             perform(Action.PROCESSED, session)
-        _, session.view.pixel_grid = imgui.checkbox("Pixel grid", session.view.pixel_grid)
-        imgui.set_item_tooltip(
+        tooltip = (
             "Borders of the image's own pixels, when it is magnified 8 times or more;"
             "\nfrom 40 times on their digital numbers (J)"
         )
+        session.view.pixel_grid = draw_checkbox("Pixel grid", session.view.pixel_grid, tooltip)
         imgui.pop_item_width()
 
     def _draw_histogram(self, session: Session) -> None:
@@ -73,9 +72,8 @@ class DisplayPanel:
         white_dn = _white_dn(session)
         real = session.real
         shown = {} if real is None else {"real": (real[1].pixels, white_dn / real[1].white_dn)}
-        playing = session.head is not None and session.head.playing
         # While the flight plays, the latest histogram stays: pixels would have to be read from the GPU in every frame.
-        pixels = None if playing else session.image.pixels
+        pixels = None if session.is_playing else session.image.pixels
         if pixels is not None:
             shown["simulated"] = pixels, 1.0
         elif "simulated" in self._counted:
@@ -117,24 +115,18 @@ def _drag_limits(session: Session, white_dn: int) -> None:
 def _draw_stretch(session: Session) -> None:
     stretch = session.stretch
     white_dn = _white_dn(session)
-    if imgui.button("Auto"):
+    if draw_button("Auto", "Fit black and white to the image: the sky is dark, and faint stars can be seen (Shift+A)"):
         fit_stretch(session)
         stretch = session.stretch
-    imgui.set_item_tooltip("Fit black and white to the image: the sky is dark, and faint stars can be seen (Shift+A)")
     imgui.same_line()
-    if imgui.button("Reset##stretch"):
+    if draw_button("Reset##stretch", "The stretch that suits the sensor, as at the start"):
         stretch = Stretch.for_sensor(session.config.sensor())
-    imgui.set_item_tooltip("The stretch that suits the sensor, as at the start")
     imgui.same_line()
-    changed, is_asinh = imgui.checkbox("Asinh", stretch.kind is StretchKind.ASINH)
-    imgui.set_item_tooltip("Brightens faint signals without clipping bright ones (I)")
-    if changed:
-        stretch = replace(stretch, kind=StretchKind.ASINH if is_asinh else StretchKind.LINEAR)
-    if imgui.begin_combo("Colours", stretch.colours):
-        for colours in ColourMap:
-            if imgui.selectable(colours.value, colours is stretch.colours)[0]:
-                stretch = replace(stretch, colours=colours)
-        imgui.end_combo()
+    is_asinh = stretch.kind is StretchKind.ASINH
+    if draw_checkbox("Asinh", is_asinh, "Brightens faint signals without clipping bright ones (I)") != is_asinh:
+        stretch = stretch.other_kind()
+    if name := draw_choice("Colours", stretch.colours, dict.fromkeys(ColourMap, ""), stretch.colours):
+        stretch = replace(stretch, colours=ColourMap(name))
     imgui.set_item_tooltip("Colour map of the brightness (Shift+C for the next); night vision stays red")
     highest = max(1024.0, 4.0 * white_dn)
     changed, boost = imgui.slider_float("Boost", stretch.boost, 0.125, highest, "x%.2f", _LOGARITHMIC)

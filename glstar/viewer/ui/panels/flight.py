@@ -1,8 +1,6 @@
-"""The panel with the artificial horizon, the state of the aircraft and a map of its ground track.
+"""The panel Flight: the artificial horizon, the state of the aircraft, and a map.
 
-The map of the panel Flight: coast, graticule, ground track, and the direction of the camera.
-
-Colours of the panel Flight by day and by night.
+The map shows coast, graticule, ground track, the direction of the camera, and the ground that its image shows.
 """
 
 from collections.abc import Sequence
@@ -29,7 +27,7 @@ from glstar.viewer.flight.map import (
 from glstar.viewer.overlays.belief import Belief
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.panels.settings import draw_attitude_controls
-from glstar.viewer.ui.theme import error, scaled
+from glstar.viewer.ui.theme import draw_button, draw_rows, error, scaled
 
 Colour = tuple[float, float, float, float]
 
@@ -79,7 +77,9 @@ class FlightMap:
         self._track_m: Float = np.empty((0, 2))
         self._coast: Coastlines | None = None
         self._graticule: tuple[MapLimits | None, list[GraticuleLine]] = None, []
-        self._is_fitted, self._is_hovered, self._fits_footprint = True, False, False
+        self._is_fitted = True
+        self._is_hovered = False
+        self._fits_footprint = False
         # Height of the ground above the ellipsoid, m; None until it is typed: the lowest of the flight.
         self._typed_ground_m: float | None = None
         self._lowest_m = 0.0
@@ -105,7 +105,8 @@ class FlightMap:
         size = ImVec2(-1, min(max(height_px, scaled(_LEAST_PX)), scaled(_MOST_PX)))
         plot_id = imgui.get_id("##map")
         implot.push_style_var(int(implot.StyleVar_.plot_padding), ImVec2(0, 0))
-        usual_rate, implot.get_input_map().zoom_rate = implot.get_input_map().zoom_rate, _ZOOM_RATE
+        usual_rate = implot.get_input_map().zoom_rate
+        implot.get_input_map().zoom_rate = _ZOOM_RATE
         if implot.begin_plot("##map", size, _FLAGS):
             implot.setup_axes("", "", _AXIS, _AXIS)
             condition = int(implot.Cond_.always if self._is_fitted else implot.Cond_.once)
@@ -127,7 +128,8 @@ class FlightMap:
             if self._is_hovered:  # the wheel is the map's, not the panel's
                 imgui.internal.set_key_owner(imgui.Key.mouse_wheel_y, plot_id)
             if self._is_hovered and imgui.is_mouse_double_clicked(0):
-                self._is_fitted, self._fits_footprint = True, False
+                self._is_fitted = True
+                self._fits_footprint = False
             implot.end_plot()
         implot.get_input_map().zoom_rate = usual_rate
         implot.pop_style_var()
@@ -138,8 +140,10 @@ class FlightMap:
         """Take the track of the flight shown; its first position is the map's origin."""
         is_other = loaded is not self._track_of
         if is_other:
-            self._track_of, self._typed_ground_m = loaded, None
-            self._is_fitted, self._fits_footprint = True, False
+            self._track_of = loaded
+            self._typed_ground_m = None
+            self._is_fitted = True
+            self._fits_footprint = False
         position = loaded.flight.position
         if is_other or loaded.is_live:
             self._lowest_m = float(np.min(position.coordinates(position.utc_s)[2]))
@@ -222,9 +226,8 @@ class FlightMap:
         )
         if not footprint.is_empty:
             imgui.same_line()
-            if imgui.button("show it"):
+            if draw_button("show it", "zooms the map to the footprint; a double click returns to the track"):
                 self._is_fitted = self._fits_footprint = True
-            imgui.set_item_tooltip("zooms the map to the footprint; a double click returns to the track")
         if np.isfinite(footprint.axis).all():
             latitude_rad, longitude_rad, _ = (float(each) for each in geodetic(footprint.axis))
             distance_m = 1000 * hypot(*surface_offset_km(site, latitude_rad, longitude_rad))
@@ -411,7 +414,8 @@ def _draw_aircraft(draw_list: imgui.ImDrawList, centre: Float, width: float, col
     """Draw the fixed symbol of the aircraft: two wings and a dot."""
     for side in (-1.0, 1.0):
         inner, outer = ImVec2(*centre), ImVec2(*centre)
-        inner.x, outer.x = centre[0] + side * 0.05 * width, centre[0] + side * 0.16 * width
+        inner.x = centre[0] + side * 0.05 * width
+        outer.x = centre[0] + side * 0.16 * width
         draw_list.add_line(inner, outer, colour, 3.0)
     draw_list.add_circle_filled(ImVec2(*centre), 3.0, colour)
 
@@ -438,12 +442,6 @@ def _draw_numbers(state: AircraftState, beliefs: Sequence[Belief]) -> None:
     if not isnan(state.ground_speed_m_per_s):
         rows.insert(3, ("speed, climb", f"{state.ground_speed_m_per_s:.1f} m/s  {state.climb_m_per_s:+.1f} m/s"))
     rows += [(belief.name, belief.figures) for belief in beliefs]
-    if imgui.begin_table("##state", 2, int(imgui.TableFlags_.sizing_fixed_fit)):
-        for label, value in rows:
-            imgui.table_next_column()
-            imgui.text_disabled(label)
-            imgui.table_next_column()
-            imgui.text(value)
-        imgui.end_table()
+    draw_rows("##state", rows)
     if state.view:
         imgui.text_colored(error(), state.view)

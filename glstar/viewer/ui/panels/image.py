@@ -18,7 +18,7 @@ from glstar.viewer.session.actions import select_object
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import Selection, star_at
 from glstar.viewer.ui.panels.compare import residuals_of
-from glstar.viewer.ui.panels.imagelayers import draw_comparison_labels, draw_pixel_grid, draw_shapes
+from glstar.viewer.ui.panels.imagelayers import Edges, draw_comparison_labels, draw_pixel_grid, draw_shapes
 from glstar.viewer.ui.theme import accent, error
 
 Float = NDArray[np.float64]
@@ -37,8 +37,6 @@ _MARGIN: Final = 10.0
 _VEIL: Final = (0.45, 0.46, 0.48, 0.55)
 # Opacity of the background of a message over the image.
 _BANNER_OPACITY: Final = 0.85
-# Two corners of a picture, as fractions of its size.
-_EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
 
 
 class ImagePanel:
@@ -95,7 +93,7 @@ class ImagePanel:
         self._take_mouse(session, corner, hovered=hovered)
         texture = self._show(session, shown, corner, (round(width * scale), round(height * scale)), is_lowest=is_lowest)
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
-        edges = view.to_screen(_EDGES * shown.size_px - 0.5)
+        edges = view.edges(*shown.size_px)
         if texture is not None:
             _put(draw_list, texture, edges, corner, (width, height))
         self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
@@ -108,8 +106,7 @@ class ImagePanel:
         if session.stale_s is not None:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
-        playing = session.head is not None and session.head.playing
-        if hovered and self.has_readout and not playing and not imgui.is_item_active():
+        if hovered and self.has_readout and not session.is_playing and not imgui.is_item_active():
             _draw_readout(session, view.to_picture(_mouse() - corner))
         conditions = session.conditions
         warning = "" if conditions is None else conditions.viewing.warning
@@ -144,9 +141,7 @@ class ImagePanel:
         picture = Picture.of(shown, view, session.stretch, size_px, scale=scale, night=night)
         return self._picture.show(picture, inputs, _place(corner, scale) if is_lowest else None)
 
-    def _draw_overlays(
-        self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: tuple[float, float, float, float]
-    ) -> None:
+    def _draw_overlays(self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
         scene, view = session.scene, session.view
         if scene is None or session.loaded is None or not session.shown_overlays:
             return
@@ -157,6 +152,7 @@ class ImagePanel:
         )
         if region.left_px >= region.right_px or region.top_px >= region.bottom_px:
             return
+        residuals = residuals_of(session)
         shapes = session.loaded.overlays.shapes(
             scene,
             session.shown_overlays,
@@ -165,13 +161,13 @@ class ImagePanel:
             region=region,
             zoom=view.zoom,
             beliefs=session.navigator.beliefs(session.loaded, session.image.simulator, scene),
-            residuals=found if isinstance(found := residuals_of(session), TrailResiduals) else None,
+            residuals=residuals if isinstance(residuals, TrailResiduals) else None,
         )
 
         def to_screen(xy_px: ArrayLike) -> Float:
             return view.to_screen(xy_px) + corner
 
-        edges = to_screen([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
+        edges = view.edges(camera.width_px, camera.height_px) + corner
         (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
         draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
 
@@ -225,7 +221,7 @@ def _reading(session: Session) -> str:
     return f"reading {session.loader.path.name} ..." if session.loader.path else "drop a flight log here"
 
 
-def _banner(draw_list: imgui.ImDrawList, text: str, clip: tuple[float, float, float, float]) -> None:
+def _banner(draw_list: imgui.ImDrawList, text: str, clip: Edges) -> None:
     """Write a message over the top of the image."""
     size = imgui.calc_text_size(text, wrap_width=clip[2] - clip[0] - 4 * _MARGIN)
     left, top = clip[0] + _MARGIN, clip[1] + _MARGIN
@@ -250,15 +246,11 @@ def _select_star(session: Session, selection: Selection, position: Float) -> Non
 
 
 def _draw_selected(
-    session: Session,
-    selection: Selection,
-    draw_list: imgui.ImDrawList,
-    corner: Float,
-    clip: tuple[float, float, float, float],
+    session: Session, selection: Selection, draw_list: imgui.ImDrawList, corner: Float, clip: Edges
 ) -> None:
     """Draw a ring around the selected object, or an arrow at the edge of the panel towards it."""
-    found, scene, simulator = selection.selected, session.scene, session.image.simulator
-    if found is None or scene is None or simulator is None:
+    selected, scene, simulator = selection.selected, session.scene, session.image.simulator
+    if selected is None or scene is None or simulator is None:
         return
     place = selection.place(simulator, scene)
     if place is None:
@@ -270,16 +262,14 @@ def _draw_selected(
         inside = clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]
         if inside:
             draw_list.add_circle(ImVec2(*at), _SELECTED_PX, colour, 0, 1.5)
-            draw_list.add_text(ImVec2(at[0] + _SELECTED_PX, at[1] + _SELECTED_PX), colour, found.name)
+            draw_list.add_text(ImVec2(at[0] + _SELECTED_PX, at[1] + _SELECTED_PX), colour, selected.name)
             return
         towards = at - (np.array(clip[:2]) + clip[2:]) / 2
         towards = towards / np.linalg.norm(towards)
-    _draw_arrow(draw_list, towards, clip, colour, found.name)
+    _draw_arrow(draw_list, towards, clip, colour, selected.name)
 
 
-def _draw_arrow(
-    draw_list: imgui.ImDrawList, towards: Float, clip: tuple[float, float, float, float], colour: int, label: str
-) -> None:
+def _draw_arrow(draw_list: imgui.ImDrawList, towards: Float, clip: Edges, colour: int, label: str) -> None:
     """Draw an arrow at the edge of a rectangle in a direction from its middle, with a label inside."""
     middle = (np.array(clip[:2]) + clip[2:]) / 2
     half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX

@@ -1,8 +1,7 @@
-"""Draws the shapes of the overlays with imgui, in the colours of the table of overlays or in red by night.
+"""What is drawn over the image with imgui, in the colours of the table of overlays or in red by night.
 
-Labels of the two sides of a comparison, and the handle of the line between them.
-
-The borders and the digital numbers of magnified pixels.
+The shapes of the overlays; labels of the two sides of a comparison, with the handle of the line between them; and the
+borders and digital numbers of magnified pixels.
 """
 
 from collections.abc import Callable
@@ -19,6 +18,8 @@ from glstar.viewer.session.state import Session
 from glstar.viewer.ui.theme import accent
 
 Float = NDArray[np.float64]
+# Left, top, right, bottom, screen px.
+Edges = tuple[float, float, float, float]
 
 _OVERLAYS: Final[dict[str, Overlay]] = {overlay.value: overlay for overlay in Overlay}
 
@@ -40,27 +41,18 @@ _PLAIN: Final = str.maketrans(_RARE, "456789")
 
 
 def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
-    """Return the colour of an overlay.
-
-    `night`: whether to use shades of red only.  Returns `red, green, blue, opacity`: 0 to 255.
-    """
+    """Return the colour of an overlay; `night`: whether to use shades of red only."""
     red, green, blue, opacity = overlay.spec.colour
     return (overlay.spec.night_red, 0, 0, opacity) if night else (red, green, blue, opacity)
 
 
 def draw_shapes(
-    draw_list: Any,
-    shapes: Shapes,
-    to_screen: Callable[[Float], Float],
-    clip: tuple[float, float, float, float],
-    *,
-    night: bool = False,
+    draw_list: Any, shapes: Shapes, to_screen: Callable[[Float], Float], clip: Edges, *, night: bool = False
 ) -> None:
     """Draw shapes into an imgui draw list.
 
     `draw_list`: of a window of the current frame; `to_screen`: converts positions on the image (n, 2), px, to positions
-    on the screen (n, 2), px; `clip`: left, top, right, bottom of the panel, screen px; nothing is drawn outside;
-    `night`: whether to use shades of red only.
+    on the screen; `clip`: the panel; nothing is drawn outside; `night`: whether to use shades of red only.
     """
     draw_list.push_clip_rect(clip[:2], clip[2:], True)
     for lines in shapes.lines:
@@ -113,11 +105,7 @@ def _draw_marks(draw_list: Any, marks: Marks, to_screen: Callable[[Float], Float
 
 
 def _draw_labels(
-    draw_list: Any,
-    labels: Labels,
-    to_screen: Callable[[Float], Float],
-    clip: tuple[float, float, float, float],
-    colour: Rgba,
+    draw_list: Any, labels: Labels, to_screen: Callable[[Float], Float], clip: Edges, colour: Rgba
 ) -> None:
     ink, edge = _packed(colour, 255), _packed((0, 0, 0, _EDGE_OPACITY))
     left, top, right, bottom = clip
@@ -125,8 +113,8 @@ def _draw_labels(
     origin, clear = to_screen(np.array([[0.0, 0.0], [labels.clear_px, 0.0]]))
     gap = _GAP + float(np.linalg.norm(clear - origin))
     has_all = all(map(imgui.get_font().is_glyph_in_font, map(ord, _RARE)))
-    for given, (x, y), (across, down) in zip(labels.text, positions, labels.anchor.tolist(), strict=True):
-        text = given if has_all else given.translate(_PLAIN)
+    for name, (x, y), (across, down) in zip(labels.text, positions, labels.anchor.tolist(), strict=True):
+        text = name if has_all else name.translate(_PLAIN)
         width, height = imgui.calc_text_size(text)
         x0 = x - across * width + (1 - 2 * across) * gap
         y0 = y - down * height + (1 - 2 * down) * gap
@@ -144,19 +132,13 @@ _TEXT: Final = ((0.92, 0.93, 0.95, 1.0), (0.9, 0.0, 0.0, 1.0))
 _HANDLE: Final = 9.0
 
 
-def draw_comparison_labels(
-    session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: tuple[float, float, float, float]
-) -> None:
-    """Write which image is which, and draw the line of a wipe with its handle.
-
-    `corner` (2,): the panel's top-left corner, screen px; `clip`: left, top, right, bottom of the panel, screen px.
-    """
+def draw_comparison_labels(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
+    """Write which image is which, and draw the line of a wipe with its handle; `corner` (2,), `clip`: of the panel."""
     shown = session.shown
     is_compared = shown is not None and shown.real is not None and shown.comparison is not ComparisonMode.OFF
     if shown is None or not (is_compared or session.comparison.blinks_noise):
         return
-    width_px, height_px = shown.size_px
-    edges = session.view.to_screen([[-0.5, -0.5], [width_px - 0.5, height_px - 0.5]]) + corner
+    edges = session.view.edges(*shown.size_px) + corner
     (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
     if not is_compared:
         _write(session, draw_list, "without noise" if session.image.is_noiseless else "with noise", left, top, right)
@@ -227,15 +209,10 @@ _ON_BRIGHT: Final = ((0.05, 0.05, 0.05, 0.9), (0.0, 0.0, 0.0, 0.9))
 _BRIGHT: Final = 0.55
 
 
-def draw_pixel_grid(
-    session: Session,
-    draw_list: imgui.ImDrawList,
-    corner: NDArray[np.float64],
-    clip: tuple[float, float, float, float],
-) -> None:
+def draw_pixel_grid(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
     """Draw the borders of the image's pixels, and their digital numbers while the flight does not play.
 
-    `corner` (2,): the panel's top-left corner, screen px; `clip`: left, top, right, bottom of the panel, screen px.
+    `corner` (2,) and `clip`: of the panel, screen px.
     """
     view, scene = session.view, session.scene
     if scene is None or view.zoom < _BORDERS_FROM:
@@ -252,17 +229,12 @@ def draw_pixel_grid(
         draw_list.add_line(ImVec2(x, top), ImVec2(x, bottom), colour)
     for y in (np.floor(np.linspace(top, bottom, last[1] - first[1] + 1)) + 0.5).tolist():
         draw_list.add_line(ImVec2(left, y), ImVec2(right, y), colour)
-    playing = session.head is not None and session.head.playing
-    if view.zoom >= _NUMBERS_FROM and not playing:
+    if view.zoom >= _NUMBERS_FROM and not session.is_playing:
         _draw_numbers(session, draw_list, corner, first, last)
 
 
 def _draw_numbers(
-    session: Session,
-    draw_list: imgui.ImDrawList,
-    corner: NDArray[np.float64],
-    first: NDArray[np.int_],
-    last: NDArray[np.int_],
+    session: Session, draw_list: imgui.ImDrawList, corner: Float, first: NDArray[np.int_], last: NDArray[np.int_]
 ) -> None:
     """Write the digital numbers of the pixels from a first (column, row) to before a last one."""
     pixels, scene = session.image.pixels, session.scene
@@ -278,5 +250,6 @@ def _draw_numbers(
     )
     for (row, column), value in np.ndenumerate(shown):
         text = str(value)
-        size, x, y = imgui.calc_text_size(text), across[column], down[row]
-        draw_list.add_text(ImVec2(x - size.x / 2, y - size.y / 2), colours[bool(bright[row, column])], text)
+        size = imgui.calc_text_size(text)
+        at = ImVec2(across[column] - size.x / 2, down[row] - size.y / 2)
+        draw_list.add_text(at, colours[bool(bright[row, column])], text)

@@ -12,7 +12,7 @@ from glstar.sky.place.timescale import format_utc
 from glstar.viewer.session.actions import select_object
 from glstar.viewer.session.state import Session
 from glstar.viewer.skyobjects import CutOut, ObjectPlace, Selection, star_cut_out
-from glstar.viewer.ui.theme import accent, scaled
+from glstar.viewer.ui.theme import accent, draw_rows, draw_wrapped, scaled
 
 # Height of the profile's plot, and largest side of the cut-out, screen px.
 _PLOT_HEIGHT: Final = 130.0
@@ -25,23 +25,22 @@ _NO_INPUT: Final = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot
 
 def draw_object(session: Session, selection: Selection) -> None:
     """Draw the panel."""
-    found, scene, simulator = selection.selected, session.scene, session.image.simulator
-    if found is None or scene is None or simulator is None:
-        _wrapped("Click a star in the image, or press Ctrl+F to find a star, constellation or planet by name.")
+    selected, scene, simulator = selection.selected, session.scene, session.image.simulator
+    if selected is None or scene is None or simulator is None:
+        draw_wrapped("Click a star in the image, or press Ctrl+F to find a star, constellation or planet by name.")
         return
-    imgui.text_colored(accent(), found.name)
-    if found.other_names:
-        imgui.text(", ".join(found.other_names))
+    imgui.text_colored(accent(), selected.name)
+    if selected.other_names:
+        imgui.text(", ".join(selected.other_names))
     place = selection.place(simulator, scene)
     direction_eq = selection.direction_eq(simulator, scene)
     if place is None or direction_eq is None:
-        _wrapped(f"{found.name} is not among the stars drawn: it is fainter than the magnitude limit.")
+        draw_wrapped(f"{selected.name} is not among the stars drawn: it is fainter than the magnitude limit.")
         return
-    _draw_direction(found.vmag, place, direction_eq)
+    _draw_direction(selected.vmag, place, direction_eq)
     imgui.separator()
     pixels, tested = session.image.pixels, session.image.tested
-    playing = session.head is not None and session.head.playing
-    if playing or pixels is None or tested is None:
+    if session.is_playing or pixels is None or tested is None:
         imgui.text_disabled("Pause to measure it in the image.")
         return
     truth = selection.star_truth(scene, tested)
@@ -51,7 +50,7 @@ def draw_object(session: Session, selection: Selection) -> None:
         if cut_out is not None:
             _draw_cut_out(cut_out, cut_out.saturated(tested, scene.sensor.saturation_dn), night=session.night)
     if not place.on_image:
-        _wrapped(place.message(found.name))
+        draw_wrapped(place.message(selected.name))
         if imgui.button("Go to when it is in the image"):
             _go_there(session, selection)
         imgui.same_line()
@@ -60,17 +59,17 @@ def draw_object(session: Session, selection: Selection) -> None:
 
 
 def _go_there(session: Session, selection: Selection) -> None:
-    found, scene, simulator = selection.selected, session.scene, session.image.simulator
-    assert found is not None
+    selected, scene, simulator = selection.selected, session.scene, session.image.simulator
+    assert selected is not None
     assert scene is not None
     assert simulator is not None
     assert session.head is not None
     utc_s = selection.next_in_image_s(simulator, scene)
     if utc_s is None:
-        session.notify(f"{found.name} is never in the image during this flight")
+        session.notify(f"{selected.name} is never in the image during this flight")
     else:
         session.head.seek(utc_s)
-        session.notify(f"{found.name} is in the image at {format_utc(utc_s)}")
+        session.notify(f"{selected.name} is in the image at {format_utc(utc_s)}")
 
 
 def _draw_direction(vmag: float, place: ObjectPlace, direction_eq: np.ndarray) -> None:
@@ -84,7 +83,7 @@ def _draw_direction(vmag: float, place: ObjectPlace, direction_eq: np.ndarray) -
         rows.insert(0, ("magnitude", f"V {vmag:.2f}"))
     if place.on_image:
         rows.append(("pixel", f"x {place.x_px:.2f}  y {place.y_px:.2f}"))
-    _table("##direction", rows)
+    draw_rows("##direction", rows)
 
 
 def _draw_truth(truth: dict[str, Any]) -> None:
@@ -105,7 +104,7 @@ def _draw_truth(truth: dict[str, Any]) -> None:
             rows.append((label, form % truth[key]))
     if truth["saturated"]:
         rows.append(("saturated", "yes"))
-    _table("##truth", rows)
+    draw_rows("##truth", rows)
 
 
 def _draw_cut_out(cut_out: CutOut, is_saturated: NDArray[np.bool_], *, night: bool) -> None:
@@ -143,22 +142,6 @@ def _pixel_colour(level: float, *, saturated: bool, night: bool) -> tuple[float,
     """Return the colour of a pixel of the cut-out for its level, 0 to 1."""
     red, other = (1.0, 0.33) if saturated else (level, level)
     return (red, 0.0, 0.0, 1.0) if night else (red, other, 2 * other if saturated else other, 1.0)
-
-
-def _table(name: str, rows: list[tuple[str, str]]) -> None:
-    if imgui.begin_table(name, 2, int(imgui.TableFlags_.sizing_fixed_fit)):
-        for label, value in rows:
-            imgui.table_next_column()
-            imgui.text_disabled(label)
-            imgui.table_next_column()
-            imgui.text(value)
-        imgui.end_table()
-
-
-def _wrapped(text: str) -> None:
-    imgui.push_text_wrap_pos(0.0)
-    imgui.text_unformatted(text)
-    imgui.pop_text_wrap_pos()
 
 
 def _hours(angle_rad: float) -> str:

@@ -7,7 +7,7 @@ from imgui_bundle import imgui
 from glstar.errors import ConfigError
 from glstar.sky.place.timescale import format_utc
 from glstar.viewer.flight.playhead import FASTEST, SLOWEST, Mode, PlayHead
-from glstar.viewer.ui.theme import scaled
+from glstar.viewer.ui.theme import draw_choice, scaled
 
 # Width of the time field and the text beside it, px.
 _TIME_PX: Final = 600
@@ -117,12 +117,9 @@ def _live(head: PlayHead) -> None:
 def _speeds(head: PlayHead) -> None:
     _wrap("", width_px=scaled(75))
     imgui.set_next_item_width(scaled(75))
-    if imgui.begin_combo("##speed", _times(head.speed)):
-        for speed in _SPEEDS:
-            signed = speed if head.speed > 0 else -speed
-            if imgui.selectable(_times(signed), signed == head.speed)[0]:
-                head.speed = signed
-        imgui.end_combo()
+    speeds = {_times(signed): signed for signed in (speed if head.speed > 0 else -speed for speed in _SPEEDS)}
+    if name := draw_choice("##speed", _times(head.speed), dict.fromkeys(speeds, ""), _times(head.speed)):
+        head.speed = speeds[name]
     imgui.set_item_tooltip("seconds of flight per second")
 
 

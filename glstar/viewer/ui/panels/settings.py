@@ -1,7 +1,4 @@
-"""The settings panel: every value that a frame depends on.
-
-Controls of the attitude of a log: its source, the interpolation between its samples, and the offset of its clock.
-"""
+"""The settings panel: every value that a frame depends on; and the controls of the attitude of a log."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -20,6 +17,7 @@ from glstar.flight.gimbal import GimbalMode
 from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.flight.loaded import AttitudeChoices
 from glstar.viewer.session.state import Session
+from glstar.viewer.ui.theme import draw_choice
 
 _LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
 # Width of a control over that of the panel; its label takes the rest.
@@ -124,7 +122,9 @@ def _groups(effects: Sequence[Effect], noise: NoiseModel) -> dict[str, list[Effe
             groups.setdefault(effect.section.replace("_", " ").capitalize(), []).append(effect)
         elif effect.stage in _GROUPS:
             groups.setdefault(_GROUPS[effect.stage], []).append(effect)
-    return {title: group for title, group in groups.items() if any(key.control for one in group for key in one.keys)}
+    return {
+        title: group for title, group in groups.items() if any(key.control for effect in group for key in effect.keys)
+    }
 
 
 def _sky(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
@@ -243,13 +243,9 @@ def _default_values() -> dict[str, float]:
 def _camera(config: Config, changes: dict[str, Any]) -> None:
     presets = camera_presets()
     current = config.resolved()["camera"].get("preset")
-    if imgui.begin_combo("Preset", current if current in presets else "as in the settings"):
-        for name, description in presets.items():
-            chosen, _ = imgui.selectable(name, name == current)
-            imgui.set_item_tooltip(description)
-            if chosen:
-                changes["camera.preset"] = name
-        imgui.end_combo()
+    shown = current if current in presets else "as in the settings"
+    if name := draw_choice("Preset", shown, presets, current):
+        changes["camera.preset"] = name
     camera = config.camera()
     imgui.text_disabled(f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.1f} px")
 
@@ -259,14 +255,11 @@ def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) 
     noise = config.sensor().noise
     _choice("sensor.noise", "Noise model", noise, get_args(NoiseModel), changes)
     current = config.resolved()["sensor"].get("preset")
-    if imgui.begin_combo("Sensor preset", current or "as in the settings"):
-        for mode in (mode for preset in sensor_presets().values() for mode in preset.modes):
-            chosen, _ = imgui.selectable(mode.name, mode.name == current)
-            imgui.set_item_tooltip(f"{mode.width_px} x {mode.height_px} px behind a 6 mm f/1.2 lens")
-            if chosen:
-                changes |= {"camera.preset": mode.name, "sensor.preset": mode.name, **_LENS}
-                changes["exposure.readout_s"] = mode.readout_s
-        imgui.end_combo()
+    modes = {mode.name: mode for preset in sensor_presets().values() for mode in preset.modes}
+    sizes = {name: f"{mode.width_px} x {mode.height_px} px behind a 6 mm f/1.2 lens" for name, mode in modes.items()}
+    if name := draw_choice("Sensor preset", current or "as in the settings", sizes, current):
+        changes |= {"camera.preset": name, "sensor.preset": name, **_LENS}
+        changes["exposure.readout_s"] = modes[name].readout_s
     _sliders(_SENSOR if noise == "paper" else _ELECTRONS, config, changes)
     shown = [effect for effect in effects if effect.section == "sensor" and effect.noise_model in (None, noise)]
     _effects([effect for effect in shown if effect.stage not in _GROUPS], config, changes)
@@ -307,19 +300,16 @@ def draw_attitude_controls(session: Session) -> None:
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
     imgui.begin_disabled(choices is None)
     shown = AttitudeChoices() if choices is None else choices
-    if imgui.begin_combo("Source", section.attitude):
-        for name in shown.sources(section.attitude):
-            if imgui.selectable(name, name == section.attitude)[0]:
-                changes["flight.attitude"] = name
-            imgui.set_item_tooltip(shown.attitudes.get(name, _source_of(name, section.attitude)))
-        imgui.end_combo()
+    names = shown.sources(section.attitude)
+    sources = {name: shown.attitudes.get(name, _source_of(name, section.attitude)) for name in names}
+    if name := draw_choice("Source", section.attitude, sources, section.attitude):
+        changes["flight.attitude"] = name
     imgui.set_item_tooltip(f"flight.attitude = {section.attitude}\nThe message of the log that gives the attitude")
-    if imgui.begin_combo("Between samples", section.interpolation):
-        for interpolation in shown.interpolations(section.interpolation):
-            if imgui.selectable(interpolation, interpolation == section.interpolation)[0]:
-                changes["flight.interpolation"] = interpolation
-            imgui.set_item_tooltip(_INTERPOLATIONS[interpolation])
-        imgui.end_combo()
+    interpolations: dict[str, str] = {
+        name: _INTERPOLATIONS[name] for name in shown.interpolations(section.interpolation)
+    }
+    if name := draw_choice("Between samples", section.interpolation, interpolations, section.interpolation):
+        changes["flight.interpolation"] = name
     imgui.set_item_tooltip(f"flight.interpolation = {section.interpolation}")
     imgui.end_disabled()
     _time_offset(section.time_offset_s, changes)

@@ -1,9 +1,4 @@
-"""The timeline of a flight, drawn with imgui and implot.
-
-What the timeline marks besides curves: flight modes, messages, triggers of the camera and real images.
-
-Colours of the timeline, by day and in night mode, and the boxes that it draws behind the curves.
-"""
+"""The timeline of a flight: curves, boxes behind them, and marks of events, drawn with imgui and implot."""
 
 from dataclasses import dataclass
 from math import inf
@@ -18,7 +13,7 @@ from glstar.flight import EventKind, Flight
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.flight.sky import SkySamples, light_intervals
 from glstar.viewer.flight.traces import ANGLES, FlightLines, TimeAxis, TimelineCurve, Trace, motion_traces
-from glstar.viewer.ui.theme import DAY_PALETTE, NIGHT_PALETTE, Palette, scaled
+from glstar.viewer.ui.theme import DAY_PALETTE, NIGHT_PALETTE, Palette, draw_checkbox, scaled
 
 Float = NDArray[np.float64]
 
@@ -68,10 +63,10 @@ class TimelineEvents:
         events, triggers = flight.events, flight.triggers
         self._triggers_s = np.empty(0) if triggers is None else triggers.utc_s - origin_s
         self._trigger_name = "" if triggers is None else triggers.source
-        found = [] if events is None else list(zip(events.utc_s - origin_s, events.kinds, events.texts, strict=True))
-        self._modes = [(float(second), text) for second, kind, text in found if kind is EventKind.MODE]
-        self._messages = [(float(second), text) for second, kind, text in found if kind is EventKind.MESSAGE]
-        self.count = len(found) + self._triggers_s.size
+        entries = [] if events is None else list(zip(events.utc_s - origin_s, events.kinds, events.texts, strict=True))
+        self._modes = [(float(second), text) for second, kind, text in entries if kind is EventKind.MODE]
+        self._messages = [(float(second), text) for second, kind, text in entries if kind is EventKind.MESSAGE]
+        self.count = len(entries) + self._triggers_s.size
 
     def draw(self, axis: TimeAxis, width_px: float, palette: Palette, images_s: Float) -> None:
         """Draw the marks into the current plot, on its axis from 0 to 1.
@@ -163,27 +158,17 @@ _ALWAYS: Final = int(implot.Cond_.always)
 
 @dataclass(frozen=True, slots=True)
 class _Verticals:
-    """What every plot shows at its full height: day and twilight, gaps, exposures, markers and the play head."""
+    """What every plot shows at its full height."""
 
     palette: Palette
-    light: dict[str, Bands]
-    gaps: Bands
-    part: Bands | None
-    exposures: Bands | None
-    shown: Bands
-    shown_style: implot.Spec
+    # Day and twilight, gaps, the part between the in and out points, exposures, and the exposure shown.
+    bands: list[tuple[str, Bands, implot.Spec]]
     markers_s: Float
     head_s: Float
 
     def draw_behind(self) -> None:
-        for name, bands in self.light.items():
-            bands.draw(f"##{name}", self.palette.light[name])
-        self.gaps.draw("##gaps", self.palette.gap)
-        if self.part is not None:
-            self.part.draw("##part", self.palette.part)
-        if self.exposures is not None:
-            self.exposures.draw("##exposures", self.palette.exposures)
-        self.shown.draw("##shown", self.shown_style)
+        for name, bands, style in self.bands:
+            bands.draw(name, style)
 
     def draw_in_front(self) -> None:
         if self.markers_s.size:
@@ -196,18 +181,17 @@ class Timeline:
 
     A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, and a double click
     shows the complete flight.  `lines`: its curves, if they have been computed already; `grows`: whether the flight is
-    live.  `axis`: the part of the flight that is shown; `follow`: whether the axis follows the play head; `grows`:
-    whether the flight is live; `utc`: whether the axis shows the time of day instead of seconds from the first
-    attitude; `curves`: the plots that are shown; `shows_events`: whether flight modes, messages, triggers and real
-    images are marked.
+    live.
     """
 
     def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
         first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
         self.axis = TimeAxis(last_s - first_s, max_span_s=_LIVE_S if grows else inf)
-        self.follow, self.utc, self.grows = True, False, grows
+        self.follow = True  # Whether the axis follows the play head
+        self.utc = False  # Whether the axis shows the time of day instead of seconds from the first attitude
+        self.grows = grows
         self.curves = {TimelineCurve.ATTITUDE, TimelineCurve.RATES}
-        self.shows_events = True
+        self.shows_events = True  # Whether flight modes, messages, triggers and real images are marked
         # Names of lines that the user has hidden.
         self._hidden: set[str] = set()
         self.show(FlightLines.of(flight.aircraft_attitude, first_s) if lines is None else lines)
@@ -231,7 +215,8 @@ class Timeline:
 
     def show_flight(self, flight: Flight) -> None:
         """Show positions and events of a newer copy of the same flight."""
-        self._flight, self._position = flight, flight.position
+        self._flight = flight
+        self._position = flight.position
         self._motion: dict[TimelineCurve, tuple[Trace, ...]] | None = None
         self._events = TimelineEvents(flight, self._origin_s)
 
@@ -280,14 +265,14 @@ class Timeline:
         imgui.set_item_tooltip("choose what is plotted over time")
         if imgui.begin_popup("##curves"):
             for curve in TimelineCurve:
-                changed, shown = imgui.checkbox(curve.spec.label, curve in self.curves)
-                imgui.set_item_tooltip(curve.spec.about)
-                if changed and (shown or len(self.curves) > 1):
+                is_shown = curve in self.curves
+                changed = draw_checkbox(curve.spec.label, is_shown, curve.spec.about) != is_shown
+                if changed and (not is_shown or len(self.curves) > 1):
                     self.curves ^= {curve}
             imgui.end_popup()
         imgui.same_line()
-        _, self.shows_events = imgui.checkbox("events", self.shows_events)
-        imgui.set_item_tooltip("flight modes, messages, triggers of the camera and real images")
+        about = "flight modes, messages, triggers of the camera and real images"
+        self.shows_events = draw_checkbox("events", self.shows_events, about)
 
     def _plots(self, samples: SkySamples | None) -> "list[tuple[TimelineCurve, list[tuple[Float, Float]]]]":
         """Return the plots that fit into the panel, and the points of their lines."""
@@ -331,18 +316,17 @@ class Timeline:
     def _verticals(self, head: PlayHead, palette: Palette) -> _Verticals:
         shown = head.exposure()
         gap = self._lines.attitude.gap_within(shown.start_utc_s, shown.stop_utc_s)
-        opens_s = shown.start_utc_s - head.origin_s
-        return _Verticals(
-            palette,
-            self._light_until(head.last_s),
-            self._gaps,
-            _part(head),
-            self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
-            Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.span_s]]), BOX),
-            palette.shown if gap is None else palette.missing,
-            np.array(head.markers) - head.origin_s,
-            np.array([head.second]),
-        )
+        opens_s = np.array([shown.start_utc_s - head.origin_s])
+        bands = [(f"##{name}", light, palette.light[name]) for name, light in self._light_until(head.last_s).items()]
+        bands.append(("##gaps", self._gaps, palette.gap))
+        if head.in_s is not None or head.out_s is not None:
+            ends_s = np.array(head.part) - head.origin_s
+            bands.append(("##part", Bands.of(ends_s[:1], ends_s[1:]), palette.part))
+        if head.mode is Mode.CAMERA:
+            bands.append(("##exposures", self._camera_exposures(head), palette.exposures))
+        style = palette.shown if gap is None else palette.missing
+        bands.append(("##shown", Bands.of(opens_s, opens_s + shown.span_s), style))
+        return _Verticals(palette, bands, np.array(head.markers) - head.origin_s, np.array([head.second]))
 
     def _light_until(self, last_s: float) -> dict[str, Bands]:
         """Return day and twilight up to a time; computed again when a live flight has outgrown them."""
@@ -379,8 +363,9 @@ class Timeline:
         """Write the names of the lines beside their plot; a click hides a line."""
         imgui.same_line(0.0, 0.0)
         imgui.begin_group()
-        for name, (red, green, blue, _) in zip(curve.spec.names, palette.line_colours, strict=False):
-            imgui.text_colored((red, green, blue, _HIDDEN_OPACITY if name in self._hidden else 1.0), name)
+        for name, style in zip(curve.spec.names, palette.lines, strict=False):
+            colour, opacity = style.line_color, _HIDDEN_OPACITY if name in self._hidden else 1.0
+            imgui.text_colored((colour.x, colour.y, colour.z, opacity), name)
             imgui.set_item_tooltip("a click hides or shows this line")
             if imgui.is_item_clicked():
                 self._hidden ^= {name}
@@ -394,10 +379,10 @@ class Timeline:
         first = max(int((axis.start_s - section.span_s) / section.interval_s), 0)
         last = min(int(axis.stop_s / section.interval_s), count - 1)
         crowded = section.interval_s * second_px < _MIN_INTERVAL_PX or section.interval_s <= section.span_s
-        wanted = (section, crowded, count) if crowded else (section, first, last)
-        if wanted != self._exposures_of:
+        inputs = (section, crowded, count) if crowded else (section, first, last)
+        if inputs != self._exposures_of:
             self._exposures = _bands(section, *((0, count - 1) if crowded else (first, last)), crowded=crowded)
-            self._exposures_of = wanted
+            self._exposures_of = inputs
         return self._exposures
 
     def _take_mouse(self, head: PlayHead) -> None:
@@ -436,14 +421,6 @@ class Timeline:
         angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
         happened = self._events.near(second, self._width_px, self.axis) if self.shows_events else []
         imgui.set_tooltip("\n".join([f"{second:.3f} s", angles, *happened]).replace("%", "%%"))
-
-
-def _part(head: PlayHead) -> Bands | None:
-    """Return the box between the in and out points, if there is one."""
-    if head.in_s is None and head.out_s is None:
-        return None
-    ends_s = np.array(head.part) - head.origin_s
-    return Bands.of(ends_s[:1], ends_s[1:])
 
 
 def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> Bands:
