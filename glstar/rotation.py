@@ -13,9 +13,9 @@ NED): glstar's `q_body_ned` is the conjugate of the logged quaternion.
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Float = NDArray[np.float64]
+from glstar.arrays import Float
 
 # Below this angle between two quaternions, rad, slerp is linear: its sines lose digits, and the difference is below
 # the resolution of float64.

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from glstar.arrays import Float, Index, Mask
+
 State = TypeVar("State")
 
 # Converged when a step reduces the sum of squares by less than this fraction.

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Index
 from glstar.calibrate.identify.platesolution import ReferenceStars, sidereal_trails
 from glstar.calibrate.photo.photograph import Photograph, encoded_image, linearised, recorded_again
 from glstar.calibrate.photo.psf import fit_stars
@@ -26,9 +27,6 @@ from glstar.render.scene.starcomponents import in_band
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 from glstar.sky.place.site import Site
-
-Float = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 # Largest distance of the sub-exposures of a sidereal trail, px.
 _SPACING_PX: Final = 0.25

@@ -29,14 +29,13 @@ from typing import NoReturn
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.system.userinput import read_text
 
-Float = NDArray[np.float64]
 Keys = Mapping[object, object]
 
 # Limits a value quoted in a message to one short line, however large or deep it is.

@@ -24,11 +24,11 @@ from math import isfinite
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import CalibrationError
 
-Float = NDArray[np.float64]
 Coefficients = tuple[float, ...]
 LensModel = Literal["plumb_bob", "rational", "fisheye"]
 

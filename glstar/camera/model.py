@@ -8,11 +8,10 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.camera.distortion import Lens
 from glstar.errors import CalibrationError, RenderError
 from glstar.rotation import matrix_from_euler, turn_from_matrix
-
-Float = NDArray[np.float64]
 
 # Samples along each side of the image at which properties of a lens are evaluated.
 _SAMPLES_PER_SIDE = 65

@@ -10,12 +10,12 @@ from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.pixelpattern import read_map, smooth
 
-Float = NDArray[np.float64]
 VignettingModel = Literal["none", "cos4", "polynomial", "flat"]
 
 VIGNETTINGS: Final = ("none", "cos4", "polynomial", "flat")

@@ -18,11 +18,10 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.stats import chi2
 from scipy.stats import t as student
 
+from glstar.arrays import Float
 from glstar.camera.model import Mount
 from glstar.compare.pairs import Pairing
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
-
-Float = NDArray[np.float64]
 
 # The motions: three rotations of the camera, time, and the readout time.
 _TURN: Final = slice(0, 3)

@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.compare.detection import SubtractedImage
 from glstar.compare.pairs import CrossCorrelation, coarse_side, shrunk
 from glstar.render.simulator import Simulator
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.compare.alignment import Alignment
 from glstar.compare.detection import SubtractedImage
 from glstar.compare.pairs import Cutouts, Measures, Pair, Pairing
 from glstar.errors import ImagesError
 from glstar.sky.photometry import magnitude_difference
-
-Float = NDArray[np.float64]
 
 # Number of cells along the longer side of the field, for 20 pairs per cell on average.
 _MIN_CELLS, _MAX_CELLS = 3, 8

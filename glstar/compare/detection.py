@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import erf
 
+from glstar.arrays import Float
 from glstar.calibrate.photo.detection import background_of
-
-Float = NDArray[np.float64]
 
 # A pixel above this fraction of the largest digital number counts as saturated.
 _SATURATION_FRACTION: Final = 0.98

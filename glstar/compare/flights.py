@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
@@ -27,7 +28,6 @@ from glstar.render.scene.scene import Renderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
 
-Float = NDArray[np.float64]
 OnStep = Callable[[int, int], None]
 
 # Memory for background-subtracted images between the iterations of a fit, bytes.

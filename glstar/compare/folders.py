@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, rejection
 from glstar.compare.detection import SubtractedImage, subtract_background
 from glstar.compare.pairs import measure, pair_trails
@@ -24,8 +25,6 @@ from glstar.errors import ImagesError
 from glstar.images import read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH
 from glstar.render.truth.frame import as_current_schema
-
-Float = NDArray[np.float64]
 
 # Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
 _PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
+from glstar.arrays import Float
 from glstar.compare.detection import SubtractedImage
 from glstar.compare.prediction import Stamp, Trails, moved_path, stamp_of
 from glstar.compare.trailfit import FoundTrail, find_trail
-
-Float = NDArray[np.float64]
 
 # The common shift is searched for on images binned to at most this size, px.
 _COARSE_SIDE_PX: Final = 512

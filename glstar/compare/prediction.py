@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Mask
 from glstar.render.readout.rows import recorded_paths
 from glstar.render.scene.scene import Frame, Scene
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Number = TypeVar("Number", bound=np.generic)
 
 # Largest number of samples along a path.

@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.compare.alignment import Alignment
 from glstar.compare.comparison import Comparison, by_star, column, shift_grid
 from glstar.compare.pairs import Cutouts, Pair
@@ -23,8 +24,6 @@ from glstar.export.directory import explain_disk_errors
 from glstar.sky.catalogue.reading import star_label
 from glstar.sky.photometry import magnitude_difference
 from glstar.system.files import write_atomically
-
-Float = NDArray[np.float64]
 
 SCHEMA: Final = "glstar-compare-2"
 

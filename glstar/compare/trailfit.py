@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
+from glstar.arrays import Float
 from glstar.compare.detection import SubtractedImage
 from glstar.compare.prediction import Stamp, deformation, offsets_and_directions, stamp_of
-
-Float = NDArray[np.float64]
 
 # Pixels around the trail that give the background level, and the largest shift before the cutout is moved, px.
 _MARGIN_PX: Final = 3

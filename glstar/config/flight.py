@@ -17,14 +17,7 @@ from glstar.flight.gimbal import Gimbal, GimbalMode
 from glstar.flight.navigator import AttitudeErrorModel, MountError
 from glstar.flight.synthetic.syntheticflight import FlightPath, SyntheticFlight
 from glstar.sky.air.extinction import Extinction
-from glstar.sky.place.site import (
-    HEIGHTS_M,
-    PRESSURES_HPA,
-    STANDARD_PRESSURE_HPA,
-    STANDARD_TEMPERATURE_C,
-    TEMPERATURES_C,
-    Site,
-)
+from glstar.sky.place import site
 from glstar.sky.place.timescale import parse_known_utc, parse_utc
 from glstar.telemetry import FlightOptions, read_track
 from glstar.telemetry.synthetic import KEYS, PREFIX, Setting, synthetic_flight
@@ -244,16 +237,16 @@ class AirSection(Section):
 
     # Pressure at the aircraft (not reduced to sea level), hPa.
     pressure_hpa: float = Field(
-        default=STANDARD_PRESSURE_HPA,
-        ge=PRESSURES_HPA[0],
-        le=PRESSURES_HPA[1],
+        default=site.STANDARD_PRESSURE_HPA,
+        ge=site.PRESSURES_HPA[0],
+        le=site.PRESSURES_HPA[1],
         description="a number of hPa from 0 to 1200",
     )
     # Temperature at the aircraft, degrees Celsius.
     temperature_c: float = Field(
-        default=STANDARD_TEMPERATURE_C,
-        ge=TEMPERATURES_C[0],
-        le=TEMPERATURES_C[1],
+        default=site.STANDARD_TEMPERATURE_C,
+        ge=site.TEMPERATURES_C[0],
+        le=site.TEMPERATURES_C[1],
         description="degrees Celsius, from -120 to 100",
     )
     # Extinction per air mass at sea level by the air, the aerosol and the ozone, mag.
@@ -278,7 +271,7 @@ class FlightSection(Section):
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
     # Height of that site above the WGS84 ellipsoid, m; None means 0.
     height_m: float | None = Field(
-        default=None, ge=HEIGHTS_M[0], le=HEIGHTS_M[1], description="a number of metres from -1000 to 100000"
+        default=None, ge=site.HEIGHTS_M[0], le=site.HEIGHTS_M[1], description="a number of metres from -1000 to 100000"
     )
     # For telemetry logs of several vehicles: the MAVLink system ID of the vehicle.
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
@@ -299,11 +292,11 @@ class FlightSection(Section):
     )
 
     @property
-    def site(self) -> Site | None:
+    def site(self) -> site.Site | None:
         """The fixed site, in standard air; None if the log's positions are used."""
         if self.latitude_deg is None or self.longitude_deg is None:
             return None
-        return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
+        return site.Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
 
     @property
     def options(self) -> FlightOptions:

@@ -8,8 +8,9 @@ from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import orjson
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.config.flight import SYNTHETIC
@@ -23,8 +24,6 @@ from glstar.render.simulator import Simulator
 from glstar.render.truth.frame import frame_truth
 from glstar.sky.place.site import Site
 from glstar.system.resources import bundled_flight
-
-Float = NDArray[np.float64]
 
 # With poses the end of the flight is unknown: the errors of the navigator are drawn for this time, s.
 _HORIZON_S: Final = 6 * 3600.0

@@ -16,6 +16,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.config import Config
@@ -32,8 +33,6 @@ from glstar.render.truth.frame import camera_keys
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_from_quaternion
 from glstar.sky.place.timescale import format_utc
 from glstar.system.files import publish, temporary_path, write_atomically
-
-Float = NDArray[np.float64]
 
 NAV_SCHEMA: Final = "glstar-nav-1"
 _INSTANTS: Final = ("start", "middle", "end")

@@ -13,17 +13,15 @@ from itertools import pairwise
 from typing import Final, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float, Integer, Mask
 from glstar.errors import TelemetryError, TrackRangeError
 from glstar.flight.gyroaided import DATA_GAP_INTERVALS, GyroTrack, gyro_aided
 from glstar.flight.spline import RotationSpline
 from glstar.rotation import slerp, turn_between
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
 from glstar.statistics import robust_std
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +102,6 @@ def _departures(step_s: Float, q: Float) -> Float:
     departure[large] = np.minimum.reduce(differences)
     return departure
 
-
-Integer = NDArray[np.int64]
 
 # Attitude between two samples: at a constant rate; along a cubic spline; from integrated gyro rates.
 Interpolation = Literal["slerp", "spline", "gyro"]

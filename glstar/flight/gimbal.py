@@ -7,12 +7,11 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import TelemetryError
 from glstar.flight.attitude import AttitudeTrack, Interpolation
 from glstar.flight.flight import Flight, GimbalAttitude
 from glstar.rotation import euler_from_quaternion, multiply, quaternion_from_euler
-
-Float = NDArray[np.float64]
 
 GimbalMode = Literal["none", "level", "log"]
 

@@ -4,15 +4,12 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float, Mask
 from glstar.flight.spline import RotationSpline, apply, cubic, vector_of_rate
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quaternion_from_turn, slerp, turn_between
 from glstar.statistics import robust_std
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 # Two successive gyro readings with an interval above this many median intervals are separated by a data gap.
 DATA_GAP_INTERVALS: Final = 3

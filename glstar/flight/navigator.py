@@ -4,13 +4,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.flight.attitude import AttitudeTrack
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion, multiply, quaternion_from_turn
-
-Float = NDArray[np.float64]
 
 # Samples of the drift per correlation time: linear interpolation between them loses 0.3 % of its variance.
 _SAMPLES_A_CORRELATION: Final = 100

@@ -6,11 +6,10 @@ from itertools import pairwise
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float, Mask
 from glstar.rotation import multiply, quaternion_from_turn, turn_between
-
-Float = NDArray[np.float64]
 
 # Below this angle, rad, the closed forms lose digits by cancellation; three terms of the series are exact there.
 _SERIES_RAD: Final = 0.1
@@ -91,8 +90,6 @@ def _cross(v: Float) -> Float:
 def _scaled(factor: Float, matrix: Float) -> Float:
     return factor[:, np.newaxis, np.newaxis] * matrix
 
-
-Mask = NDArray[np.bool_]
 
 # The iteration for the rates at the samples stops when it changes the turns by less than this, rad: 2e-5".
 _CONVERGED_RAD: Final = 1e-10

@@ -17,15 +17,13 @@ from math import inf
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.link.clock import BootClock
 from glstar.link.history import RowBuffer
 from glstar.link.packets import GIMBAL_IDS, MessageId, MessageRate
 from glstar.telemetry.mavlink.vehicles import gimbal_samples
 from glstar.telemetry.source import GimbalSamples
-
-Float = NDArray[np.float64]
 
 # A worse message, or another gimbal, is used if the better one has not been received for this time, s.
 _TIMEOUT_S: Final = 2.0

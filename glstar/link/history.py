@@ -20,8 +20,8 @@ from math import inf, radians
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import TelemetryError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.link.packets import MessageId, MessageRate
@@ -29,8 +29,6 @@ from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import HEIGHTS_M
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
 from glstar.telemetry.source import REBOOT, UNIT_TOLERANCE
-
-Float = NDArray[np.float64]
 
 # Largest numbers of attitudes and positions: ten minutes at 200 Hz and 20 Hz, 10 MB.
 _MAX_ATTITUDES: Final = 120_000

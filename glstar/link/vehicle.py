@@ -24,15 +24,13 @@ from threading import Event
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError, TelemetryError
 from glstar.flight import AttitudeTrack, Flight, GimbalAttitude
 from glstar.link.packets import Framer, MessageId, dialect
 from glstar.link.transport import Transport
 from glstar.rotation import conjugate, euler_from_quaternion
-
-Float = NDArray[np.float64]
 
 _GIMBAL_HZ: Final = 10.0
 _DEFAULT_HZ: Final = {

@@ -5,8 +5,8 @@ from math import ceil
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure, Trail
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor.sensor import Sensor
@@ -30,8 +30,6 @@ from glstar.sky.observed.solarsystem import observed_bodies
 from glstar.sky.observed.stars import Sky
 from glstar.sky.photometry import StarBrightness
 from glstar.sky.place.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

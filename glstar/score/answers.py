@@ -31,12 +31,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import AnswersError, GlstarError
 from glstar.rotation import about_y, about_z, matrix_from_quaternion
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_text
-
-Float = NDArray[np.float64]
 
 INSTANTS: Final = ("start", "middle", "end")
 _QUATERNION: Final = ("qw", "qx", "qy", "qz")

@@ -12,6 +12,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.distortion import Lens
 from glstar.camera.model import AttitudeError, Camera
 from glstar.errors import AnswersError
@@ -22,8 +23,6 @@ from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.apparent import direction, proper_motion
 from glstar.sky.place.site import Site, surface_offset_km
 from glstar.sky.place.timescale import parse_utc
-
-Float = NDArray[np.float64]
 
 # Keys of a frame's truth that describe the light and the cloud under which it was taken.
 CONDITIONS: Final = (

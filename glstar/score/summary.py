@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.score.frames import FrameScore, Outcome
 from glstar.score.metrics import METRICS, Group, Spread
 from glstar.sky.place.apparent import ARCSEC_RAD
-
-Float = NDArray[np.float64]
 
 _TURN_RAD: Final = 2 * np.pi
 # Smallest number of positions to fit a circle to.

@@ -15,12 +15,11 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.errors import CalibrationError
 from glstar.sky.catalogue.starfield import StarField
 from glstar.system.resources import asset
 from glstar.system.userinput import read_bytes
-
-Float = NDArray[np.float64]
 
 # Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
 USUAL_BV: Final = 0.65

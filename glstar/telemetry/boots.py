@@ -26,10 +26,9 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.telemetry.source import EVERYWHERE, Boot, Span, spikes
 
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 # File positions and times by the clock, s, of each kind of records.
 _Series = Sequence[tuple[Integer, Float]]
 # File positions, times by the clock and by another one, s.

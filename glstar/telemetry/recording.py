@@ -6,8 +6,8 @@ from pathlib import PurePath
 from typing import Final, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import LogFormatError, TelemetryError
 from glstar.flight import (
     AttitudeTrack,
@@ -32,8 +32,6 @@ from glstar.telemetry.source import (
     TriggerSamples,
 )
 from glstar.telemetry.tracks import GivenTrack
-
-Float = NDArray[np.float64]
 
 # A track that is shorter than the flight by less than this is not reported, s.
 _TRACK_ENDS_S: Final = 5.0

@@ -26,14 +26,11 @@ from pathlib import Path
 from typing import Any, Final, Literal, Self, get_args, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, LogFormatError
 from glstar.system.userinput import did_you_mean
 from glstar.telemetry import source
 from glstar.telemetry.tables.mapped import q_body_ned_of
-
-Float = NDArray[np.float64]
 
 _MAGICS: Final = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 _METADATA: Final = "metadata.yaml"

@@ -20,11 +20,10 @@ from typing import Final, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Mask
 from glstar.errors import LogFormatError
 from glstar.flight import EventKind, FlightEvents, GimbalAttitude
 from glstar.sky.place.site import HEIGHTS_M
-
-Float = NDArray[np.float64]
 
 # Reason of the gap between two boots.
 REBOOT: Final = "a reboot of the autopilot"
@@ -315,8 +314,6 @@ def check_only_boot(name: str, number: int | None) -> None:
     if number not in {None, 1}:
         raise LogFormatError(name, f"the log has no boot {number} (--boot): it has 1 boot")
 
-
-Mask = NDArray[np.bool_]
 
 # Largest deviation of the norm of a quaternion from 1: rounding to float32 gives 1e-6, damage more than 1 %.
 UNIT_TOLERANCE = 0.01

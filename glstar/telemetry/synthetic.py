@@ -11,8 +11,8 @@ from typing import Any, Final, Self
 from urllib.parse import parse_qsl
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.flight.synthetic.gusts import AttitudeResponse, VibrationLine
@@ -227,9 +227,6 @@ class SyntheticSource(TelemetrySource):
 
     def close(self) -> None:
         """Do nothing: there is no open file."""
-
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

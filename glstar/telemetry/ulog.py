@@ -38,6 +38,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.rotation import conjugate
@@ -48,8 +49,6 @@ from glstar.telemetry.ulogfile import CsvTopics, LogTopics, Topics, joined_logs
 
 _MAGIC: Final = b"ULog\x01\x12\x35"
 
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 # Times, quaternions and segment numbers of one instance of a topic.
 _Attitude = tuple[Float, Float, NDArray[np.int64]]
 

@@ -23,13 +23,11 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
 from glstar.telemetry.source import Span, suppressed_output
 from glstar.telemetry.tables.files import Dump, dump_separator
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 
 class Topics(Protocol):

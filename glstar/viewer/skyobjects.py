@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.flight import AttitudeTrack
 from glstar.render.motion.pointing import Pointing
 from glstar.render.readout.rows import recorded_positions
@@ -30,8 +31,6 @@ from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.sky.place.site import Site
 from glstar.viewer.overlays.canvas import ned_to_camera_matrix
-
-Float = NDArray[np.float64]
 
 # Interval at which a flight is searched for an object, s: a frame of 50 deg takes as long to pass at 200 deg/s.
 _SEARCH_STEP_S: Final = 0.25

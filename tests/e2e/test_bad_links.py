@@ -26,7 +26,7 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
 # A sender of 10,000 packets a second, each attitude ten times within its millisecond.
 FLOOD = """
 import socket, sys, time
-from glstar.link.messages import dialect
+from glstar.link.packets import dialect
 mavlink = dialect()
 link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 server = socket.create_server(("127.0.0.1", int(sys.argv[1])))

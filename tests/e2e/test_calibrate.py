@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from glstar.cli import app
+from glstar.cli.calibration.output import write_files
 from glstar.config import Config
 from tests.support.plainphotos import all_sky
 
@@ -411,3 +412,10 @@ def test_several_images_are_identified_by_the_flight_s_attitudes(ground: Path, t
         report = json.loads((tmp_path / f"c.{image.stem}.json").read_text(encoding="utf-8"))
         assert report["identification"]["method"] == "by attitude"
         assert report["identification"]["altitude_deg"] == pytest.approx(85.0, abs=1)
+
+
+def test_a_calibration_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
+    written = write_files(tmp_path / "C.TOML", {"C.toml": b"sensor", "C.png": b"report"})
+
+    assert written == [tmp_path / "C.TOML", tmp_path / "C.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["C.TOML", "C.png"]

@@ -86,7 +86,7 @@ def test_no_frame_is_written_into_a_folder_that_is_replaced_by_a_link(
     config.write_text(SETTINGS + "[sweep]\ndraws = 10050\nstart_s = { min = 0, max = 9 }\n", encoding="utf-8")
     script = f"""
 import os
-from glstar.export import executors
+from glstar.export.run import executors
 draw_frames = executors.draw_frames
 def planted(*words, **settings):
     os.symlink({str(tmp_path / "elsewhere")!r}, {str(tmp_path / "set" / "frames_010000")!r})

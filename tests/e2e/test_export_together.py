@@ -306,7 +306,7 @@ TOGETHER = """
 import os, sys, time
 from pathlib import Path
 meeting, count, driver = Path(sys.argv.pop(1)), int(sys.argv.pop(1)), sys.argv.pop(1)
-from glstar.export.executors import SerialExecutor
+from glstar.export.run.executors import SerialExecutor
 preflight = SerialExecutor.preflight
 
 def preflight_together(executor, task, number):

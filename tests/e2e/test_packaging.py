@@ -42,7 +42,7 @@ for name in assets:
     path = resources.asset(name)
     assert path.stat().st_size > 50, name
     assert path.is_relative_to(home), f"{path} lies outside of the installation"
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue.reading import StarCatalogue
 print(StarCatalogue.open("bsc5").count)
 """
 

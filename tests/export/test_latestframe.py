@@ -75,7 +75,7 @@ def test_an_invalid_name_and_a_frame_that_is_too_large_are_refused(tmp_path: Pat
 # Writes frames, reports it, and ends at the end of its input or when it is killed.
 WRITER = """
 import sys, numpy as np
-from glstar.export.latestframe import LatestFrameWriter
+from glstar.export.publish.latest import LatestFrameWriter
 with LatestFrameWriter(sys.argv[1], 4) as writer:
     for number in range(3):
         writer.write(np.full((2, 2), 7, dtype=np.uint8), b'{"by": "the first"}')

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.calibrate.photo.photograph import read_image
 from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

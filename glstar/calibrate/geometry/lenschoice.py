@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
@@ -20,7 +20,6 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
 
-Float = NDArray[np.float64]
 LensChoice = Literal["auto", "none", "plumb_bob", "rational", "fisheye"]
 
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Index
 from glstar.calibrate.geometry.lenschoice import BestLens, LensChoice, LensTrial, best_lens, fit_candidate, simple_lens
 from glstar.calibrate.identify.leastsquares import IdentifiedStars
 from glstar.calibrate.identify.matching import mutual_nearest, offset_probability, significant
@@ -23,8 +24,6 @@ from glstar.camera.distortion import COEFFICIENTS
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
-
-Float = NDArray[np.float64]
 
 # Smallest error of a centroid, due to pixels and catalogue, px.
 _LEAST_NOISE_PX: Final = 0.05
@@ -80,8 +79,6 @@ def require_explained(
         stars_used=len(matches),
     )
 
-
-Index = NDArray[np.intp]
 
 # Matching and fitting alternate at most this often.
 _ROUNDS: Final = 6

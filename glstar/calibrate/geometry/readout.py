@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.calibrate.geometry.lenschoice import BestLens, LensChoice, best_lens, scatter_px
 from glstar.calibrate.geometry.lensfit import require_one_camera
 from glstar.calibrate.identify.leastsquares import (
@@ -27,8 +27,6 @@ from glstar.calibrate.minimise import Minimum, minimise
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-
-Float = NDArray[np.float64]
 
 # Readout times are searched up to this, s; sensors need 5 to 130 ms.
 LONGEST_READOUT_S: Final = 0.25

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from glstar.arrays import Float
 from glstar.calibrate.geometry.lenschoice import LensCandidate, best_lens, scatter_px
 from glstar.calibrate.geometry.lensfit import fit_camera
 from glstar.calibrate.identify.leastsquares import CameraPoses, FreeParameters, IdentifiedStars, fit_parameters
@@ -19,8 +19,6 @@ from glstar.calibrate.minimise import Minimum
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.errors import CalibrationError
 from glstar.sky.air.refraction import refraction_displacement
-
-Float = NDArray[np.float64]
 
 # With fewer identified stars the zenith is not sought.
 _LEAST_STARS: Final = 30

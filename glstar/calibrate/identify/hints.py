@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from glstar.arrays import Float
 from glstar.calibrate.identify.matching import refine, refine_outwards
 from glstar.calibrate.identify.platesolution import (
     MIN_STARS,
@@ -163,8 +164,6 @@ def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:
     count = int(np.ceil(_ROLL_ERROR_RAD / step))
     yield from sorted(np.arange(-count, count + 1) * step, key=abs)
 
-
-Float = NDArray[np.float64]
 
 # A label belongs to the nearest detection within this distance, px.
 _LABEL_RADIUS_PX: Final = 8.0

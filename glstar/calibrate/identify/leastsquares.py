@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float, Index
 from glstar.calibrate.identify.platesolution import PlateSolution
 from glstar.calibrate.identify.rollingshutter import RowTurns
 from glstar.calibrate.minimise import Minimum, minimise
@@ -17,8 +17,6 @@ from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
-
-Float = NDArray[np.float64]
 
 # Step of the numerical derivative in the normalised image plane.
 _STATE_STEP: Final = 1e-6
@@ -45,8 +43,6 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
     turned[:, 1] = np.column_stack([1 + y * y, -x * y, -x])
     return bent, np.asarray(by_position), np.asarray(by_position @ turned)
 
-
-Index = NDArray[np.intp]
 
 # Prior standard deviation of the principal point, over the image's width.
 _PRINCIPAL_POINT_SD: Final = 0.02

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
+from glstar.arrays import Float
 from glstar.calibrate.identify.matching import refine, refine_outwards
 from glstar.calibrate.identify.platesolution import (
     CENTRAL_RADIUS_RAD,
@@ -29,8 +29,6 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.system.installation import install_command
-
-Float = NDArray[np.float64]
 
 # Relative error allowed in the given field of view.
 _FOV_TOLERANCE: Final = 0.15

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
+from glstar.arrays import Float, Index, Mask
 from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
@@ -33,9 +33,6 @@ from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.model import Camera
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.statistics import robust_std
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Smallest probability of a real match that is kept.
 _LEAST_PROBABILITY: Final = 0.9
@@ -99,9 +96,6 @@ def _completeness(matched: Mask, chance: float) -> Float:
     by_chance = chance * others
     fraction = (seen + 0.5 - by_chance - np.sqrt(by_chance)) / ((others + 1) * (1 - min(chance, 0.9)))
     return np.asarray(np.clip(fraction, *_COMPLETENESS))
-
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)

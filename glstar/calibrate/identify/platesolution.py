@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float, Index
 from glstar.calibrate.identify.rollingshutter import ReadoutTime, RowTurns
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import DetectedStars
@@ -23,9 +23,6 @@ from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S, Sky
 from glstar.sky.place.horizon import diurnal_aberration_rad
 from glstar.sky.place.site import Site
-
-Float = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,15 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import OPPOSITE, Readout
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_quaternion, turn_between
-
-Float = NDArray[np.float64]
 
 # A star's row depends on its position and its position on the row: iterated until it moves by less than this, px.
 _CONVERGED_PX: Final = 1e-4

@@ -5,16 +5,13 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.special import erf
 
+from glstar.arrays import Float, Index, Mask
 from glstar.calibrate.minimise import minimise_each
 from glstar.camera.sensor.sensor import MIN_WIDENED_SIGMA_PX, PIXEL_VARIANCE_PX2
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 
 # Half the side of a star's stamp, sigma, besides one pixel: it holds 99.9 % of the flux and some sky.
 _STAMP_SIGMA: Final = 4.0

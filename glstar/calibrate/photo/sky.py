@@ -5,14 +5,11 @@ from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from glstar.arrays import Float, Mask
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Radius that a star hides, px plus sigma, and its growth with each factor of e in brightness over the noise, sigma.
 _STAR_PX: Final = 3.0

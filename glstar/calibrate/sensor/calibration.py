@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from glstar import __version__
+from glstar.arrays import Float
 from glstar.calibrate.geometry.camera import GeometryCalibration, calibration_toml, camera_notes, refraction_notes
 from glstar.calibrate.identify.platesolution import Matches, ReferenceStars
 from glstar.calibrate.notes import SHAPE_NOTES, Note, NoteKind, notes_without
@@ -19,8 +19,6 @@ from glstar.calibrate.sensor.fit import LIGHT_DEX_PER_MAG, BrightnessFit, Criter
 from glstar.calibrate.sensor.misfit import Misfit, RadialProfile
 from glstar.calibrate.sensor.misfitmeasurement import measure_misfit
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, EffectValue, Sensor
-
-Float = NDArray[np.float64]
 
 _STAR_COLUMNS = (
     "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.special import ndtri
 
+from glstar.arrays import Float, Index, Mask
 from glstar.calibrate.identify.leastsquares import projection_jacobian
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars
@@ -18,9 +19,6 @@ from glstar.errors import CalibrationError
 from glstar.sky.photometry import brightness_ratio, magnitude_difference
 from glstar.statistics import robust_std
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 Criterion = Literal["median", "paper"]
 
 # Change of flux per magnitude, dex: eq. (36).

@@ -6,17 +6,13 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 from scipy.special import erf
 
+from glstar.arrays import Float, Index, Mask
 from glstar.camera.sensor.pointspread import PointSpread
 from glstar.errors import ConfigError
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

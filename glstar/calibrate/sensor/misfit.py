@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import SkyLevel
 from glstar.camera.sensor.sensor import Sensor
-
-Float = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)

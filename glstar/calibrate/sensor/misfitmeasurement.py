@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Index
 from glstar.calibrate.identify.platesolution import Matches
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
@@ -14,9 +15,6 @@ from glstar.calibrate.sensor.fit import BrightnessFit, MeasuredStars
 from glstar.calibrate.sensor.misfit import WING_RADIUS_SIGMA, Measurement, Misfit, RadialProfile
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.statistics import robust_std
-
-Float = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 # Wings are measured up to this radius, and the sky beneath them between the next two, in sigma as the pixels record it.
 _OUTER_SIGMA: Final = 8.0

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from scipy.special import erf
 
 from glstar import __version__
+from glstar.arrays import Float, Index, Mask
 from glstar.calibrate.geometry.camera import calibration_toml
 from glstar.calibrate.identify.platesolution import sidereal_trails
 from glstar.calibrate.notes import MODEL_NOTES, notes_without
@@ -25,9 +26,6 @@ from glstar.camera.vignetting import relative_solid_angle
 from glstar.errors import CalibrationError
 from glstar.render.scene.starcomponents import colours_used
 from glstar.sky.photometry import USUAL_BV, star_colours
-
-Float = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 # A hot pixel exceeds the sky by this, standard deviations: noise does so in one of 10^15 pixels.
 _HOT_PIXEL_BRIGHT: Final = 8.0
@@ -91,8 +89,6 @@ def light_beside_star(joint: JointPsf) -> float:
         beside += 4 * one.flux_fraction * middle * next_to_it
     return float(beside / centre)
 
-
-Mask = NDArray[np.bool_]
 
 # The shape is measured on at most this number of stars, the brightest, of this signal-to-noise ratio, and at least on
 # this number.

@@ -8,12 +8,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.calibrate.photo.photograph import Photograph, encoded_image, read_image
 from glstar.camera.sensor.pixelpattern import smooth
 from glstar.config.keys import toml_value
 from glstar.errors import CalibrationError
-
-Float = NDArray[np.float64]
 
 # Variance of rounding to whole numbers, DN^2.
 _ROUNDING_DN2: Final = 1 / 12

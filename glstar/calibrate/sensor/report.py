@@ -4,8 +4,8 @@ from io import BytesIO
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.calibrate.geometry.camera import GeometryCalibration
 from glstar.calibrate.identify.platesolution import sidereal_trails
 from glstar.calibrate.photo.psf import draw_stars
@@ -13,8 +13,6 @@ from glstar.calibrate.sensor.calibration import Calibration
 from glstar.calibrate.sensor.fit import lens_scale
 from glstar.calibrate.sensor.misfitmeasurement import corner_distance
 from glstar.sky.catalogue.reading import star_label
-
-Float = NDArray[np.float64]
 
 _NAMED_STARS: Final = 30
 # If stars are closer than this fraction of the image's width, only the brightest is labelled.

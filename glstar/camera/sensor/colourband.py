@@ -7,12 +7,12 @@ from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.sky.photometry import VALID_BV
 
-Float = NDArray[np.float64]
 BandName = Literal["v", "imx477", "imx219", "ov5647", "bare", "custom"]
 Mosaic = Literal["none", "rggb", "bggr", "grbg", "gbrg"]
 Channel = Literal["r", "g", "b"]

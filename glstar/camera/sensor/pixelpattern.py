@@ -10,10 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Float32
 from glstar.errors import ConfigError
-
-Float = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 # Dark current of hot pixels over that of the others: from, to; falling with the square in between.
 _HOT_FACTOR: Final = (10.0, 1000.0)

@@ -7,12 +7,12 @@ from math import cos, degrees, log, pi, radians, sin, sqrt
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.sky.photometry import USUAL_BV, VALID_BV
 
-Float = NDArray[np.float64]
 Profile = Literal["gaussian", "moffat"]
 
 # Full width at half maximum of a Gaussian of sigma 1.

@@ -6,15 +6,14 @@ from math import exp, hypot, isfinite, log10, nan, pi, sqrt
 from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.camera.sensor import pointspread
 from glstar.camera.sensor.colourband import ColourBand
 from glstar.camera.sensor.pointspread import PointSpread, PsfComponent
 from glstar.errors import ConfigError
 from glstar.sky.photometry import brightness_ratio
-
-Float = NDArray[np.float64]
 
 # Temperature at which data sheets give the dark current, degrees Celsius.
 DARK_REFERENCE_C: Final = 25.0

@@ -10,9 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.system.userinput import is_number, read_text
-
-Float = NDArray[np.float64]
 
 # Names of tone curves, the default first.
 GAMMAS: Final = ("linear", "srgb", "rpi")

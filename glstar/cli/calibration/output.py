@@ -38,21 +38,23 @@ def showing_progress() -> Iterator[tuple[Callable[[int, int], None], Callable[[s
         yield on_step, lambda text: echo_note(f"note: {text}")
 
 
-def write_files(directory: Path, files: dict[str, bytes]) -> None:
-    """Write files into a directory, by file name."""
-    for name, content in files.items():
-        with explain_disk_errors(directory / name):
-            directory.mkdir(parents=True, exist_ok=True)
-            write_atomically(directory / name, content)
+def write_files(output: Path, files: dict[str, bytes]) -> list[Path]:
+    """Write files beside an output, by file name, and return their paths; that of its stem as the output itself."""
+    paths = [output if name == f"{output.stem}.toml" else output.with_name(name) for name in files]
+    for path, content in zip(paths, files.values(), strict=True):
+        with explain_disk_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, content)
+    return paths
 
 
 def write_and_print(
     result: pipeline.CalibrationResult, output: Path, camera_out: Path | None, *, twin: bool, as_json: bool
 ) -> None:
     """Write the files of a calibration, with the twin of its photograph if that is requested, and print the result."""
-    write_files(output.parent, pipeline.calibration_files(result, output.stem))
+    write_files(output, pipeline.calibration_files(result, output.stem))
     if camera_out is not None:
-        write_files(camera_out.parent, {camera_out.name: pipeline.camera_file(result).encode()})
+        write_files(camera_out, {camera_out.name: pipeline.camera_file(result).encode()})
     if twin:
         _write_and_print_twin(result, output, as_json=as_json)
     else:
@@ -171,10 +173,10 @@ def write_twin(calibration: Calibration, output: Path) -> TwinResult:
     Raises CalibrationError if the photograph has too few stars or too little sky.
     """
     model = measure_photograph(calibration)
-    write_files(output.parent, model_files(model, output.stem))
+    write_files(output, model_files(model, output.stem))
     # The twin is made from what was written.
     twin = make_twin(calibration, model, Config.load(output))
-    write_files(output.parent, pipeline.image_files(twin.calibration, output.stem) | twin.files(output.stem))
+    write_files(output, pipeline.image_files(twin.calibration, output.stem) | twin.files(output.stem))
     return twin
 
 
@@ -213,7 +215,7 @@ def calibrate_from_darks(
     """
     with progress_bar("images") as on_image:
         transfer = measure_darks(darks, flats, bit_depth=bit_depth, on_image=on_image)
-    write_files(output.parent, transfer.files(output.stem))
+    write_files(output, transfer.files(output.stem))
     hot_fraction = transfer.hot / transfer.dark_frame_dn.size
     if hot_fraction > _MANY_HOT:
         echo_note(f"note: {100 * hot_fraction:.1f} % of the pixels are hot: is the lens capped, and the sensor cool?")

@@ -81,9 +81,7 @@ def _result(photograph: pipeline.IdentifiedPhotograph, result: Calibration | Geo
     ]
 
     def save(path: Path) -> list[Path]:
-        files = pipeline.calibration_files(result, path.stem)
-        write_files(path.parent, files)
-        return [path.with_name(name) for name in files]
+        return write_files(path, pipeline.calibration_files(result, path.stem))
 
     return CalibratedPhoto(
         name=tuple(names),

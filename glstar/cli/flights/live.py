@@ -13,21 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
+from glstar.cli.flights import windowoptions
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
-from glstar.cli.flights.windowoptions import (
-    Headless,
-    Screenshot,
-    Show,
-    Size,
-    Stats,
-    calibrate_photo,
-    layout_of,
-    overlays_of,
-    require_window_libraries,
-    size_of,
-    surface_of,
-    write_stats,
-)
 from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.config import Config
@@ -198,11 +185,11 @@ def live(
     seed: Seed = 0,
     force: Force = False,
     as_json: Json = False,
-    show: Show = None,
-    size: Size = None,
-    screenshot: Screenshot = None,
-    stats: Stats = None,
-    headless: Headless = False,
+    show: windowoptions.Show = None,
+    size: windowoptions.Size = None,
+    screenshot: windowoptions.Screenshot = None,
+    stats: windowoptions.Stats = None,
+    headless: windowoptions.Headless = False,
 ) -> None:
     """Show what the camera on an aircraft sees now, from its telemetry link, in a window; or write it as frames.
 
@@ -215,7 +202,7 @@ def live(
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
     frames = _ExportOptions.of(export, FramePublishing(latest_frame, with_truth), format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
-    size_of(size)
+    windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
     injection = _Injection.of(endpoint, inject, inject_host, answers, inject_as, exports=frames is not None)
@@ -288,19 +275,19 @@ def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:
 
 def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_s: float | None) -> dict[str, object]:
     """Show the link in the viewer's window, and return the report of its images."""
-    require_window_libraries()
+    windowoptions.require_window_libraries()
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
 
-    overlays = overlays_of(window.show)
+    overlays = windowoptions.overlays_of(window.show)
     script = Script(overlays=overlays, screenshot=window.screenshot, play_s=duration_s)
     report: dict[str, Any] = {}
     with ExitStack() as stack:
-        surface = surface_of(size_of(window.size), headless=window.headless)
+        surface = windowoptions.surface_of(windowoptions.size_of(window.size), headless=window.headless)
         stack.callback(surface.close)
-        layout = layout_of("live") if script == Script(overlays=overlays) else None
+        layout = windowoptions.layout_of("live") if script == Script(overlays=overlays) else None
         viewer = stack.enter_context(Viewer(surface, settings, layout=layout))
         viewer.follow(link, on_event=_log)
-        viewer.interface.calibration.calibrate = calibrate_photo
+        viewer.interface.calibration.calibrate = windowoptions.calibrate_photo
         if overlays is not None:
             viewer.session.shown_overlays = set(overlays)
         if window.answers is not None:
@@ -310,7 +297,7 @@ def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_
             if script.screenshot is not None or script.play_s is not None:
                 report = viewer.play(script)
             if window.stats is not None:
-                write_stats(window.stats, report)
+                windowoptions.write_stats(window.stats, report)
             if duration_s is None and not window.headless:
                 viewer.run()
     return _image_summary(report)

@@ -9,21 +9,7 @@ import numpy as np
 import typer
 
 from glstar.cli.flightoptions import Flight, FlightFlags, flights_of, with_flight_flags
-from glstar.cli.flights.windowoptions import (
-    Headless,
-    Screenshot,
-    Show,
-    Size,
-    Stats,
-    calibrate_photo,
-    layout_of,
-    memory_of,
-    overlays_of,
-    require_window_libraries,
-    size_of,
-    surface_of,
-    write_stats,
-)
+from glstar.cli.flights import windowoptions
 
 if TYPE_CHECKING:
     from glstar.viewer.loop import Viewer
@@ -112,17 +98,17 @@ def view(
     flags: FlightFlags,
     at: At = None,
     sliding: Sliding = False,
-    show: Show = None,
+    show: windowoptions.Show = None,
     processed: Processed = False,
     images: Images = None,
     answers: Answers = None,
     answers_to: AnswersTo = None,
-    size: Size = None,
-    screenshot: Screenshot = None,
+    size: windowoptions.Size = None,
+    screenshot: windowoptions.Screenshot = None,
     play: Play = None,
-    stats: Stats = None,
+    stats: windowoptions.Stats = None,
     leave: Annotated[bool, typer.Option("--exit", help="Exit afterwards.")] = False,
-    headless: Headless = False,
+    headless: windowoptions.Headless = False,
 ) -> None:
     """Replay a flight in a window, as the camera would have recorded it.
 
@@ -134,16 +120,16 @@ def view(
     scripted = screenshot is not None or play is not None
     _refuse_idle(headless=headless, scripted=scripted)
     _refuse_lone_options(answers, answers_to, stats, play)
-    require_window_libraries()
+    windowoptions.require_window_libraries()
     from glstar.cli.flights.navigatoranswers import placed_answers  # noqa: PLC0415 - the link
     from glstar.viewer.flight.playhead import Mode  # noqa: PLC0415 - imgui, only if a window is opened
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
 
-    overlays, asks = overlays_of(show), not (scripted or leave)
-    memory = memory_of("viewer") if asks and not headless else None
-    surface = surface_of(size_of(size, memory), headless=headless)
+    overlays, asks = windowoptions.overlays_of(show), not (scripted or leave)
+    memory = windowoptions.memory_of("viewer") if asks and not headless else None
+    surface = windowoptions.surface_of(windowoptions.size_of(size, memory), headless=headless)
     try:
-        layout = None if headless or scripted else layout_of("viewer")
+        layout = None if headless or scripted else windowoptions.layout_of("viewer")
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
             _enable_measurements(viewer)
             viewer.session.shows_processed = processed
@@ -157,7 +143,7 @@ def view(
                 viewer.session.comparison.open(images)
             report = viewer.play(script) if is_scripted else {}
             if stats is not None:
-                write_stats(stats, report)
+                windowoptions.write_stats(stats, report)
             _say_if_raw(viewer)
             if not (leave or headless):
                 viewer.run()
@@ -171,7 +157,7 @@ def _enable_measurements(viewer: "Viewer") -> None:
     """Give the window the functions of ``glstar compare`` and ``glstar calibrate``."""
     viewer.session.comparison.fit_images = fit_images
     viewer.session.comparison.residuals.measure = measure_image
-    viewer.interface.calibration.calibrate = calibrate_photo
+    viewer.interface.calibration.calibrate = windowoptions.calibrate_photo
 
 
 def _say_if_raw(viewer: "Viewer") -> None:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from glstar.arrays import Float
 from glstar.errors import ExportError
 from glstar.export.directory import explain_disk_errors
 from glstar.export.imagefiles.formats import decode
@@ -33,7 +34,6 @@ from glstar.export.truth.lines import count_frames_of_truth, read_truth
 from glstar.rotation import conjugate, multiply, quaternion_from_matrix
 from glstar.sky.place.timescale import parse_utc
 
-Float = NDArray[np.float64]
 Step = Callable[[int, int], object]
 
 _WORLD, _BODY, _CAMERA = "map", "base_link", "camera_optical"

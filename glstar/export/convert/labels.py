@@ -21,14 +21,13 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar import __version__
+from glstar.arrays import Float
 from glstar.errors import ExportError
 from glstar.export.directory import explain_disk_errors, new_directory
 from glstar.export.imagefiles.formats import decode
 from glstar.export.imagefiles.masks import MASK_SUFFIXES
 from glstar.export.truth.splits import NO_SPLIT, ConvertedSet
 from glstar.system.files import publish, temporary_path
-
-Float = NDArray[np.float64]
 
 CATEGORIES: Final = ("star", "planet", "moon", "sun")
 # Half width of an outline, standard deviations of the point spread function: 95 % of the light of a long trail, 86 % of

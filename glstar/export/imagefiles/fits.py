@@ -16,11 +16,10 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.render.motion.pointing import Pointing
 from glstar.render.scene.scene import Frame, Scene
 from glstar.sky.place.timescale import format_utc
-
-Float = NDArray[np.float64]
 
 # The polynomial has the lowest order whose largest error is below this, px; SIP allows orders up to 9.
 _SUFFICIENT_PX: Final = 0.002

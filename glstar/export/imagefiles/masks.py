@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.config import Config
 from glstar.config.sky import HORIZONS
 from glstar.render.effects import active_effects
@@ -16,7 +17,6 @@ from glstar.render.scene.scene import Frame, Scene
 from glstar.render.truth.mask import trail_mask
 from glstar.system.imagefiles import encode_png
 
-Float = NDArray[np.float64]
 MaskKind = Literal["trails", "saturated", "cloud", "flare", "ground"]
 
 # The kinds of masks, in the order of the manifest, with the type of their pixels.

@@ -10,11 +10,9 @@ from math import pi, sqrt
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
-
-Float = NDArray[np.float64]
 
 # Outputs of `DrydenGusts.system`: speeds forward, right and down, m/s; rates about the same axes, rad/s.
 GUST_NAMES: Final = ("u", "v", "w", "p", "q", "r")

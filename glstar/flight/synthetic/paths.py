@@ -10,11 +10,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
-
-Float = NDArray[np.float64]
 
 GRAVITY_M_PER_S2: Final = 9.80665
 # Number of nodes of one orbit in wind: the error of the time along it is 1e-10 s.

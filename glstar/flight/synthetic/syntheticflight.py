@@ -5,27 +5,17 @@ from math import pi
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.flight.attitude import AttitudeTrack
 from glstar.flight.flight import Flight
 from glstar.flight.position import PositionTrack
+from glstar.flight.synthetic import paths
 from glstar.flight.synthetic.gusts import AttitudeResponse, DrydenGusts, VibrationLine, vibration_turns
-from glstar.flight.synthetic.paths import (
-    FlownPath,
-    Wind,
-    ground_orbit_period_s,
-    held_orbit,
-    orbit_over_ground,
-    stationary,
-    straight,
-    through_waypoints,
-)
 from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_turn
 from glstar.sky.place.site import Site
 
-Float = NDArray[np.float64]
 FlightPath = Literal["orbit", "transit", "waypoints", "hover", "spin", "still"]
 FLIGHT_PATHS: Final[tuple[FlightPath, ...]] = get_args(FlightPath)
 
@@ -63,7 +53,7 @@ class SyntheticFlight:
     climb_rad: float = 0.0  # Angle of climb of a transit, rad
     yaw_rate_rad_per_s: float = pi / 18  # Of a spin
     waypoints: tuple[Site, ...] = ()  # For ``waypoints``
-    wind: Wind = field(default_factory=Wind)
+    wind: paths.Wind = field(default_factory=paths.Wind)
     # Mean wind 20 ft above the ground that scales the Dryden gusts, m/s; 0: none, 7.7: light, 15.4: moderate, 23.2:
     # severe.
     gusts_20ft_m_per_s: float = 0.0
@@ -123,19 +113,21 @@ class SyntheticFlight:
             return 60.0
         if self.guidance == "attitude":
             return self.turns * 2 * pi * self.radius_m / self.airspeed_m_per_s
-        return self.turns * ground_orbit_period_s(
+        return self.turns * paths.ground_orbit_period_s(
             radius_m=self.radius_m, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind
         )
 
-    def _flown(self) -> FlownPath:
+    def _flown(self) -> paths.FlownPath:
         if self.path == "waypoints":
             legs = [self._local_m(site) for site in self.waypoints]
-            return through_waypoints(1 / self.rate_hz, legs, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind)
+            return paths.through_waypoints(
+                1 / self.rate_hz, legs, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind
+            )
         # UTC in float64 has a resolution of 0.24 microseconds: attitudes are evaluated at the rounded times.
         steps = np.arange(round(self._duration_s() * self.rate_hz) + 1)
         t_s = (self.start_utc_s + steps / self.rate_hz) - self.start_utc_s
         if self.path == "orbit":
-            fly = orbit_over_ground if self.guidance == "ground" else held_orbit
+            fly = paths.orbit_over_ground if self.guidance == "ground" else paths.held_orbit
             return fly(
                 t_s,
                 radius_m=self.radius_m,
@@ -145,7 +137,7 @@ class SyntheticFlight:
                 bearing_rad=self.heading_rad,
             )
         if self.path == "transit":
-            return straight(
+            return paths.straight(
                 t_s,
                 course_rad=self.heading_rad,
                 airspeed_m_per_s=self.airspeed_m_per_s,
@@ -153,7 +145,7 @@ class SyntheticFlight:
                 climb_rad=self.climb_rad,
             )
         rate = self.yaw_rate_rad_per_s if self.path == "spin" else 0.0
-        return stationary(t_s, yaw_rad=self.heading_rad, yaw_rate_rad_per_s=rate)
+        return paths.stationary(t_s, yaw_rad=self.heading_rad, yaw_rate_rad_per_s=rate)
 
     def _turns(self, t_s: Float) -> Float:
         """Return the rotation of the body by gusts and vibration relative to the attitude of the path, (n, 3), rad."""
@@ -183,7 +175,7 @@ class SyntheticFlight:
         north_rad = site.latitude_rad - origin.latitude_rad
         return north_rad * north_m, east_rad * east_m, site.height_m - origin.height_m
 
-    def _positions(self, path: FlownPath, utc_s: Float) -> PositionTrack:
+    def _positions(self, path: paths.FlownPath, utc_s: Float) -> PositionTrack:
         origin, (north_m, east_m) = self._origin(), self._radii_m()
         latitude = origin.latitude_rad + path.north_m / north_m
         if np.abs(latitude).max() >= np.deg2rad(89.9):

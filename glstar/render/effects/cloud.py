@@ -4,15 +4,13 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.effects.effect import Control, Effect, Key, Stage
 from glstar.render.scene.clouds import CLOUD_DEFAULTS, cloud_sheet, sheet_crossing
 from glstar.render.scene.scene import Scene
 from glstar.sky.air.clouds import SheetCrossing
-
-Float = NDArray[np.float64]
 
 # Columns and rows at which the mean transmission of a frame is sampled.
 _SAMPLES: Final = (49, 37)

@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.render.effects.effect import ChargeTransfer, Control, Effect, Key, Stage, Values, electron_model
 from glstar.render.scene.scene import Scene
@@ -93,8 +93,6 @@ _BLOOMING_CHOICES: Final = Key(
 _FRACTION: Final = Key(
     "blooming_fraction", 1.0, "a number from 0 to 1", Control("Blooming charge"), minimum=0.0, maximum=1.0
 )
-
-Float = NDArray[np.float64]
 
 
 def bloomed(lines: Float, full_well: float, fraction: float = 1.0) -> Float:

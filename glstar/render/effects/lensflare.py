@@ -7,22 +7,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
+from glstar.render.effects import sky as skylight
 from glstar.render.effects.cloud import transmission_towards
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
-from glstar.render.effects.sky import (
-    FINE_GRID,
-    has_natural_sky,
-    interpolates_by_quads,
-    lighting_of,
-    node_positions,
-    node_rays,
-)
 from glstar.render.scene.clouds import horizontal_axes
 from glstar.render.scene.scene import Scene
 from glstar.sky.photometry import brightness_ratio
-
-Float = NDArray[np.float64]
 
 _SOURCES: Final = ("Sun", "Moon", "Venus", "Jupiter")
 # A lamp of this magnitude is none.
@@ -164,7 +156,8 @@ def flare_at_nodes(scene: Scene, *, step: int = 1) -> Float:
 
     It is that of the middle of the exposure.
     """
-    positions_px, rays = node_positions(scene.camera, FINE_GRID), node_rays(scene.camera, FINE_GRID)
+    positions_px = skylight.node_positions(scene.camera, skylight.FINE_GRID)
+    rays = skylight.node_rays(scene.camera, skylight.FINE_GRID)
     return _flare_dn(scene, positions_px[::step, ::step], rays[::step, ::step])
 
 
@@ -182,15 +175,15 @@ def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
 def _depends_on(values: Values, scene: Scene) -> Hashable:
     return (
         *values.items(),
-        *lighting_of(scene),
+        *skylight.lighting_of(scene),
         float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s)),
     )
 
 
 def _options(_values: Values, scene: Scene) -> Mapping[str, int]:
     return {
-        "FLARE_WITH_SKY": int(has_natural_sky(scene.sensor)),
-        "FLARE_BY_QUADS": int(interpolates_by_quads(scene.camera, FINE_GRID)),
+        "FLARE_WITH_SKY": int(skylight.has_natural_sky(scene.sensor)),
+        "FLARE_BY_QUADS": int(skylight.interpolates_by_quads(scene.camera, skylight.FINE_GRID)),
     }
 
 

@@ -9,6 +9,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.errors import RenderError
 from glstar.render.effects import sky as skylight
@@ -22,8 +23,6 @@ from glstar.sky.air.clouds import CloudLights, cloud_from_above, cloud_from_belo
 from glstar.sky.air.extinction import Extinction, air_mass
 from glstar.sky.observed.solarsystem import Body
 from glstar.sky.photometry import brightness_ratio, magnitude_difference
-
-Float = NDArray[np.float64]
 
 # Distance of nodes with a horizon profile at most, px: sky and ground are linear along 8 or 16 pixels of a row.
 _RIDGE_PX: Final = 12

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.pixelpattern import read_map, resampled
 from glstar.camera.sensor.sensor import Sensor
@@ -18,8 +19,6 @@ from glstar.errors import ConfigError
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, quads_of
 from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.scene.scene import Scene
-
-Float = NDArray[np.float64]
 
 SKY_MAP_KEY = Key("sky_map", "", "the path of an image: PNG, TIFF, FITS or NPY")
 SKY_BRIGHTNESS: Final = Key(

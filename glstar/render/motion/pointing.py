@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight
@@ -21,8 +22,6 @@ from glstar.sky.air.refraction import LOWEST_ALTITUDE_RAD, refraction_displaceme
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.horizon import HorizonProfile, diurnal_aberration_rad
 from glstar.sky.place.site import Site
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,8 @@ from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.starpaths import end_weights, probe_rays
@@ -21,7 +21,6 @@ from glstar.render.motion.trailmodels import SegmentLimit, SpriteCost
 from glstar.rotation import turn_from_matrix
 from glstar.sky.air.refraction import refraction_displacement
 
-Float = NDArray[np.float64]
 # Start and end times of segments, (segments,) each, UTC seconds since 1970.
 Segments = tuple[Float, Float]
 # Probe paths, (times, segments, probes, 2) px, and the error of each segment divided by the tolerance, (segments,):

@@ -12,6 +12,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.segmentation import TOLERANCES, segment_excess
@@ -19,8 +20,6 @@ from glstar.render.motion.starpaths import end_weights, probe_rays
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn, turn_from_matrix
 from glstar.sky.air.refraction import refraction_displacement
-
-Float = NDArray[np.float64]
 
 # Weight of no correction relative to the mean weight of the samples: segments shorter than three samples leave some
 # corrections undetermined.

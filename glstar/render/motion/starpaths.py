@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
-
-Float = NDArray[np.float64]
 
 # Pixel positions that are computed together: 32768 of them, 512 KiB, stay in the processor's cache.
 _POSITIONS_PER_BLOCK: Final = 1 << 15

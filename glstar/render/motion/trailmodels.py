@@ -15,19 +15,10 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
+from glstar.render.motion import starpaths
 from glstar.render.motion.pointing import Pointing
-from glstar.render.motion.starpaths import (
-    QUADRATURE_NODES,
-    QUADRATURE_WEIGHTS,
-    ConicPaths,
-    SampledPaths,
-    end_weights,
-    parameter_at,
-    probe_rays,
-)
-
-Float = NDArray[np.float64]
 
 # Distance between sub-exposures along a trail, sigma: a sampling ripple of 0.03 % at 1.5 sigma, 1.4 % at 2, 22 % at 3.
 SAMPLE_SPACING_SIGMA: Final = 1.5
@@ -55,7 +46,7 @@ class TrailModel(Protocol):
 
     def star_paths(
         self, camera: Camera, direction_eq: ArrayLike, sigma_px: float
-    ) -> Iterator[SampledPaths | ConicPaths]:
+    ) -> Iterator[starpaths.SampledPaths | starpaths.ConicPaths]:
         """Yield the paths of stars as they are drawn, in one or several consecutive parts of the exposure.
 
         `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox; `sigma_px`: standard
@@ -114,11 +105,11 @@ class SubExposures:
         camera: Camera,
         direction_eq: ArrayLike,
         sigma_px: float,  # noqa: ARG002 - the protocol's
-    ) -> Iterator[SampledPaths]:
+    ) -> Iterator[starpaths.SampledPaths]:
         """Yield the positions in each sub-exposure: see `TrailModel.star_paths`."""
         for block in self.pointing.blocks(len(np.asarray(direction_eq))):
             xy = camera.project(block.to_camera(direction_eq))
-            yield SampledPaths(np.moveaxis(xy, -1, 0), np.full(len(block), 1 / len(self)), is_at_rest=True)
+            yield starpaths.SampledPaths(np.moveaxis(xy, -1, 0), np.full(len(block), 1 / len(self)), is_at_rest=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +139,7 @@ class AnalyticSegments:
     def end_weight(self) -> Float:
         """Projective weight of the ends of each segment, (m,): see `starpaths.end_weights`."""
         C = self.pointing.C_camera_eq
-        return end_weights(C[:-2:2], C[2::2])
+        return starpaths.end_weights(C[:-2:2], C[2::2])
 
     def longest_trail_px(self, camera: Camera) -> float:
         """Return an upper bound of the length of any star's trail on the image, px."""
@@ -167,18 +158,18 @@ class AnalyticSegments:
 
     def star_paths(
         self, camera: Camera, direction_eq: ArrayLike, sigma_px: float
-    ) -> Iterator[SampledPaths | ConicPaths]:
+    ) -> Iterator[starpaths.SampledPaths | starpaths.ConicPaths]:
         """Yield conic paths, or behind a lens their samples every 1.5 sigma: see `TrailModel.star_paths`."""
         paths = self._conic_paths(camera, direction_eq, SAMPLE_SPACING_SIGMA * sigma_px)
         if camera.lens is None:
             yield from paths.pieces()
             return
         for xy, time_fraction in paths.samples(np.arange(paths.nodes.shape[2])):
-            yield SampledPaths(np.moveaxis(xy, -1, 0), time_fraction)
+            yield starpaths.SampledPaths(np.moveaxis(xy, -1, 0), time_fraction)
 
-    def _conic_paths(self, camera: Camera, direction_eq: ArrayLike, spacing_px: float) -> ConicPaths:
+    def _conic_paths(self, camera: Camera, direction_eq: ArrayLike, spacing_px: float) -> starpaths.ConicPaths:
         nodes = self.pointing.to_camera(direction_eq).transpose(2, 0, 1)
-        return ConicPaths(camera, nodes, self.end_weight, self.time_fraction, spacing_px)
+        return starpaths.ConicPaths(camera, nodes, self.end_weight, self.time_fraction, spacing_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +241,7 @@ class CameraPath:
     def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
         self._trails = trails
         self._camera = camera
-        self._rays = probe_rays(camera)
+        self._rays = starpaths.probe_rays(camera)
         self._weight = trails.end_weight
         weight = self._weight[:, np.newaxis, np.newaxis]
         C = trails.pointing.C_camera_eq
@@ -261,7 +252,7 @@ class CameraPath:
 
     def _orientation(self, segment: NDArray[np.intp], u: Float) -> Float:
         """Return orientations times a factor of nearly 1, (k, 3, 3), at elapsed fractions of segments, (k,) both."""
-        u = parameter_at(u, self._weight[segment])[:, np.newaxis, np.newaxis]
+        u = starpaths.parameter_at(u, self._weight[segment])[:, np.newaxis, np.newaxis]
         start, middle, end = (C.take(segment, axis=0) for C in (self._start, self._middle, self._end))
         return np.asarray(start + u * (4 * middle - 3 * start - end + 2 * u * (start - 2 * middle + end)))
 
@@ -343,7 +334,7 @@ class CameraPath:
 @lru_cache(maxsize=64)
 def _px_per_turn(camera: Camera) -> Float:
     """Return displacements of the probes in the image, x and y, per rotation vector of the camera, (2, 3, probes)."""
-    rays = probe_rays(camera)
+    rays = starpaths.probe_rays(camera)
     x, y = rays[:2] / rays[2]
     per_turn = np.array([[-x * y, -(1 + y * y)], [1 + x * x, x * y], [-y, x]])
     px = np.array([[camera.fx_px, 0.0], [camera.skew_px, camera.fy_px]])
@@ -377,12 +368,19 @@ class _Quadrature(NamedTuple):
         ends = np.union1d(bounds, np.arange(len(time_fraction) + 1))
         begins, spans = ends[:-1], np.diff(ends)
         segment = begins.astype(np.intp)
-        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * QUADRATURE_NODES
-        time = ((time_fraction[segment] * spans)[:, np.newaxis] * QUADRATURE_WEIGHTS).ravel()
-        first = len(QUADRATURE_NODES) * np.searchsorted(ends, bounds[:-1])
+        u = (begins - segment)[:, np.newaxis] + spans[:, np.newaxis] * starpaths.QUADRATURE_NODES
+        time = ((time_fraction[segment] * spans)[:, np.newaxis] * starpaths.QUADRATURE_WEIGHTS).ravel()
+        first = len(starpaths.QUADRATURE_NODES) * np.searchsorted(ends, bounds[:-1])
         duration = np.add.reduceat(time, first)
         piece = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(time))))
-        return cls(np.repeat(segment, len(QUADRATURE_NODES)), u.ravel(), piece, time / duration[piece], first, duration)
+        return cls(
+            np.repeat(segment, len(starpaths.QUADRATURE_NODES)),
+            u.ravel(),
+            piece,
+            time / duration[piece],
+            first,
+            duration,
+        )
 
     def of_segments(self, count: int) -> Float:
         """Return `TrailPieces.of_segments` of some segments."""

@@ -12,6 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import Pointing
@@ -233,8 +234,6 @@ class ImageTexture:
         self.texture = None
         self._pixels = None
 
-
-Float = NDArray[np.float64]
 
 # Texture unit of the opening times behind a lens, above those of all other textures.
 _TEXTURE_UNIT: Final = 7

@@ -11,13 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import MotionTable, Pointing
 from glstar.render.motion.trailmodels import AnalyticSegments, CameraPath
 from glstar.render.scene.occlusion import NEVER, rise_and_set
 from glstar.render.scene.scene import Scene
-
-Float = NDArray[np.float64]
 
 # Minimum number of times between which the meeting of a star with an opening row is found by a line.
 _ZONE_TIMES: Final = 12

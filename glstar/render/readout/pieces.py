@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.pointspread import TRUNCATION_DN
 from glstar.render.motion.trailmodels import AnalyticSegments, CameraPath, TrailPieces
@@ -18,8 +19,6 @@ from glstar.render.scene.bodies import BODIES
 from glstar.render.scene.occlusion import NEVER, rise_and_set
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import drawn_peak_dn
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,12 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import MotionTable, Pointing, rates_rad_per_s
 from glstar.render.motion.starpaths import ConicPaths, SampledPaths
 from glstar.render.scene.scene import Scene
-
-Float = NDArray[np.float64]
 
 # Decimal places of times (a hundredth of a microsecond) and of flux in truth.
 _TIME_DIGITS: Final = 8

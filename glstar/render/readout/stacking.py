@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import Pointing
@@ -16,8 +17,6 @@ from glstar.render.motion.trailmodels import TrailModel
 from glstar.render.readout.rows import RecordedTimes
 from glstar.render.scene.culling import DrawList
 from glstar.render.scene.scene import Frame, Scene, StarListing
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

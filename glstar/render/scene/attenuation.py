@@ -8,6 +8,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
@@ -22,8 +23,6 @@ from glstar.render.scene.transmission import Attenuator, Sources, Transmission, 
 from glstar.sky.air.extinction import Scintillation
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.photometry import brightness_ratio
-
-Float = NDArray[np.float64]
 
 # Segments are divided until no star's light changes by more than `Attenuator.max_change` within one, relative to its
 # largest; of stars fainter than this fraction of the brightest light that arrives, relative to 1.

@@ -9,13 +9,12 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import Pointing
 from glstar.render.scene.culling import DrawList
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.observed.solarsystem import Body
-
-Float = NDArray[np.float64]
 
 # The catalogue of the sources.
 BODIES: Final = "bodies"

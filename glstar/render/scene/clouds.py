@@ -5,16 +5,15 @@ from math import ceil
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.sensor import Sensor
 from glstar.flight import Flight
 from glstar.render.motion.pointing import CameraMotion
 from glstar.render.scene.transmission import Sources
 from glstar.sky.air.clouds import CloudSheet, SheetCrossing
-
-Float = NDArray[np.float64]
 
 CLOUD_DEFAULTS: Final[dict[str, float | int]] = {
     "coverage": 0.0,

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.pointing import Pointing
@@ -20,8 +21,6 @@ from glstar.sky.air.extinction import air_mass
 from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.catalogue.starfield import SkyCells, StarField
 from glstar.sky.photometry import brightness_ratio
-
-Float = NDArray[np.float64]
 
 # Fraction of the flux of all stars that touch an image that may be left out: half of what is promised, because some
 # of these stars are on the image only for a part of the exposure.

@@ -5,8 +5,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
@@ -21,8 +21,6 @@ from glstar.render.scene.transmission import Sources
 from glstar.sky.air.extinction import Extinction
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.place.site import Site
-
-Float = NDArray[np.float64]
 
 # A sample of the log within 20 microseconds of the start or the end of an exposure does not divide it: rounding of the
 # exposure's time must not change the image.

@@ -11,13 +11,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.render.motion.pointing import CameraMotion, Pointing
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.transmission import Sources
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
-
-Float = NDArray[np.float64]
 
 # Between the times at which the height of stars above the horizon is computed, they move by this at most, px.
 _RIDGE_STEP_PX: Final = 0.1

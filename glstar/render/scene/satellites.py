@@ -9,8 +9,8 @@ from math import ceil, pi
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, MotionSamples
@@ -20,8 +20,6 @@ from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.observed.satellites import Satellite, SatelliteView, visible_vmag
 from glstar.sky.observed.solarsystem import observed_bodies
 from glstar.sky.photometry import brightness_ratio
-
-Float = NDArray[np.float64]
 
 # Interval at which the light of a satellite is computed, s: it enters the Earth's shadow in some ten seconds.
 _LIGHT_STEP_S: Final = 0.25

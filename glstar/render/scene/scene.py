@@ -10,6 +10,7 @@ from typing import Final, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor
@@ -27,8 +28,6 @@ from glstar.sky.observed.stars import Sky
 from glstar.sky.place.site import Site
 from glstar.system.files import write_atomically
 from glstar.system.imagefiles import encode_png
-
-Float = NDArray[np.float64]
 
 # Strength of the asinh stretch for display, no unit: 13 % of the maximum above the median is shown as half white.
 _DISPLAY_STRETCH: Final = 30.0

@@ -8,10 +8,9 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.render.scene.bodies import BodySources
 from glstar.sky.catalogue.starfield import StarField
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

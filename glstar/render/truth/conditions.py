@@ -5,8 +5,8 @@ from functools import lru_cache
 from math import asin, degrees, isfinite, log10, nan, pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.sensor.sensor import limiting_mag, noise_equivalent_area_px2
 from glstar.errors import RenderError
 from glstar.render.effects.cloud import axis_transmission, frame_transmission, sky_fraction
@@ -20,8 +20,6 @@ from glstar.sky.air.skybrightness import light_name
 from glstar.sky.observed.solarsystem import Body, observed_bodies
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.site import Site
-
-Float = NDArray[np.float64]
 
 # The Sun and the Moon are computed for the middle of every interval of this length, s: the Moon moves by 15" in half
 # of it, and its parallax changes by 8".

@@ -9,6 +9,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.vignetting import Vignetting
 from glstar.render.effects import effects_truth
@@ -61,8 +62,6 @@ _DIGITS: Final = 6
 
 # Standard deviation of rounding to whole numbers, DN.
 _QUANTISATION_STD_DN: Final = 12**-0.5
-
-Float = NDArray[np.float64]
 
 
 def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Mapping[str, Any] | None = None) -> bytes:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.sensor.sensor import Sensor
 from glstar.camera.vignetting import Vignetting
 from glstar.render.effects.naturalsky import natural_sky_dn
@@ -14,8 +15,6 @@ from glstar.render.readout.rows import recorded_samples
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import colours_used, psf_scale
 from glstar.render.truth.statistics import TrailStatistics
-
-Float = NDArray[np.float64]
 
 # The largest value of a 16-bit mask.
 MOST_TRAILS: Final = 65535

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Float32
 from glstar.camera.model import Camera
 from glstar.camera.sensor.sensor import Sensor, noise_equivalent_area_px2
 from glstar.render.motion.trailmodels import AnalyticSegments, TrailModel
@@ -22,7 +23,6 @@ from glstar.render.scene.starcomponents import psf_scale
 from glstar.render.scene.transmission import Transmission
 from glstar.sky.photometry import USUAL_BV
 
-Float = NDArray[np.float64]
 Stars = slice | NDArray[np.intp]
 
 # Lines of an exposure, at least.
@@ -192,8 +192,6 @@ def normal_cumulative(z: Float) -> Float:
     tail = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) * polynomial
     return np.asarray(np.where(z < 0, tail, 1 - tail))
 
-
-Float32 = NDArray[np.float32]
 
 # Example directions across and down the image.
 _GRID: Final = (8, 6)

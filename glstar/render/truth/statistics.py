@@ -5,13 +5,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Mask
 from glstar.camera.model import Camera
 from glstar.render.motion.starpaths import ConicPaths, SampledPaths
 from glstar.render.readout.rows import RecordedPart, RecordedTimes, RowTimeSearch, recorded_parts, recorded_rows
 from glstar.render.scene.scene import Scene
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
 # Side of the cells in which saturated pixels are counted, px.

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Float = NDArray[np.float64]
+from glstar.arrays import Float
 
 # Mean radius of the Earth, m.
 _EARTH_RADIUS_M: Final = 6371008.8

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Float = NDArray[np.float64]
+from glstar.arrays import Float
 
 # Height in which the pressure falls to 1/e, m, and the pressure at sea level, hPa: Green 1992.
 _PRESSURE_SCALE_M: Final = 7996.0

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glstar.sky.place.horizon import Float
+from glstar.arrays import Float
 from glstar.sky.place.site import STANDARD_PRESSURE_HPA
 
 # Eq. (25) is a fit for higher altitudes, rad: below, it decreases again, and it is singular at -5.11 deg.

@@ -15,11 +15,10 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.sky.air.extinction import Extinction
 from glstar.sky.photometry import brightness_ratio
 from glstar.system.resources import asset
-
-Float = NDArray[np.float64]
 
 # V of a dark sky at the zenith, mag/arcsec2, which Patat's twilight ends in.
 _DARK_MAG: Final = 21.6

@@ -28,15 +28,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import CatalogueError, ExportError
 from glstar.sky.catalogue.names import ProperName, designation, proper_names
 from glstar.sky.catalogue.reading import CatalogueFile, CatalogueRow, StarCatalogue
 from glstar.sky.catalogue.writing import write_catalogue
 from glstar.system.installation import install_command
 
-Float = NDArray[np.float64]
 StrPath = str | os.PathLike[str]
 
 _USE = "give the wheel or the table itself with --from"

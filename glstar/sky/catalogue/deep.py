@@ -24,20 +24,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import CatalogueError
+from glstar.sky.catalogue import writing
 from glstar.sky.catalogue.published import gaia_content, read_gaia_bin, read_hip_main, read_tycho2
 from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
-from glstar.sky.catalogue.writing import (
-    CatalogueColumns,
-    bv_from_tycho,
-    space_motion_to_j2000,
-    vmag_from_gaia,
-    vmag_from_tycho,
-    write_rows,
-)
 from glstar.system.installation import install_command
-
-Float = NDArray[np.float64]
 
 _MAS_RAD: Final = np.pi / 648000 / 1000
 _LARGEST_NUMBER: Final = 2**31 - 1
@@ -99,7 +91,7 @@ class _Columns:
         return np.full(len(next(iter(self.by_name.values()))), np.nan) if values is None else values
 
 
-def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None = None) -> CatalogueColumns:
+def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None = None) -> writing.CatalogueColumns:
     """Read a star table.
 
     `path`: CSV with a header (also ``.csv.gz``), or FITS with a table; `columns`: columns of the table by quantity, a
@@ -135,7 +127,7 @@ def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None =
     number, designation = _numbers(table, vmag)
     parallax_rad = np.nan_to_num(parallax).clip(min=0) * _MAS_RAD
     ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr = moved
-    stars = CatalogueColumns(
+    stars = writing.CatalogueColumns(
         number,
         ra_rad,
         dec_rad,
@@ -160,7 +152,7 @@ def _moved(
     for epoch in np.unique(epoch_yr[~np.isnan(epoch_yr)]):
         at = epoch_yr == epoch
         (ra, dec), (pm_ra, pm_dec) = place_rad[:, at], pm_rad_per_yr[:, at]
-        moved[:, at] = space_motion_to_j2000(
+        moved[:, at] = writing.space_motion_to_j2000(
             (ra, dec), (pm_ra, pm_dec), parallax_rad[at], velocity_m_per_s[at], float(epoch)
         )
     return moved
@@ -192,9 +184,9 @@ def _magnitudes(table: _Columns) -> tuple[Float, Float]:
         return vmag, np.where(np.isnan(bv), bmag - vmag, bv) if bmag is not None else bv
     if "vt_mag" in table.chosen:
         bt, vt = table.unless_missing("bt_mag"), table.unless_missing("vt_mag")
-        return vmag_from_tycho(bt, vt), np.where(np.isnan(bv), bv_from_tycho(bt, vt), bv)
+        return writing.vmag_from_tycho(bt, vt), np.where(np.isnan(bv), writing.bv_from_tycho(bt, vt), bv)
     if "g_mag" in table.chosen:
-        return vmag_from_gaia(table.unless_missing("g_mag"), table.unless_missing("bp_rp")), bv
+        return writing.vmag_from_gaia(table.unless_missing("g_mag"), table.unless_missing("bp_rp")), bv
     raise CatalogueError(
         table.path,
         f"has no column of V magnitudes, nor of Tycho's V_T or Gaia's G, among {_named(table.by_name)};"
@@ -352,7 +344,7 @@ def build_table(
 
 
 def _written(
-    destination: Path, stars: CatalogueColumns, sources: Sequence[Path], facts: Mapping[str, str]
+    destination: Path, stars: writing.CatalogueColumns, sources: Sequence[Path], facts: Mapping[str, str]
 ) -> CatalogueFile:
     """Check the stars, write the file and open it."""
     invalid = ~((stars.vmag > -2) & (stars.vmag < 25))
@@ -370,11 +362,11 @@ def _written(
         "equinox": "J2000 (ICRS)",
         "builder": _BUILDER,
     }
-    write_rows(destination, stars[np.argsort(stars.number)].rows(), provenance)
+    writing.write_rows(destination, stars[np.argsort(stars.number)].rows(), provenance)
     return StarCatalogue.open(destination)
 
 
-def _unique(stars: CatalogueColumns) -> CatalogueColumns:
+def _unique(stars: writing.CatalogueColumns) -> writing.CatalogueColumns:
     """Return the stars without the later entries of stars that the supplement repeats."""
     _, first = np.unique(stars.number, return_index=True)
     return stars[np.sort(first)]

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import CatalogueError
 from glstar.system.resources import asset
-
-Float = NDArray[np.float64]
 
 # Greek letters by the first three (or two) letters of their names, as in the Bright Star Catalogue.
 _GREEK = {

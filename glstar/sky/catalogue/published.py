@@ -11,12 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import CatalogueError
 from glstar.sky.catalogue.names import proper_names
 from glstar.sky.catalogue.reading import StarCatalogue, tycho_number
 from glstar.sky.catalogue.writing import CatalogueColumns, bv_from_tycho, space_motion_to_j2000, vmag_from_tycho
-
-Float = NDArray[np.float64]
 
 _MAS_RAD: Final = np.pi / 648000 / 1000
 _HIPPARCOS_EPOCH_YR: Final = 1991.25

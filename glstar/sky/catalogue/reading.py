@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from platformdirs import user_data_path
 
+from glstar.arrays import Float
 from glstar.errors import CatalogueError
 from glstar.system.resources import asset
-
-Float = NDArray[np.float64]
 
 NAMES = ("bsc5", "hipparcos", "tycho2", "gaia")
 ALL_NAMES = f"{', '.join(NAMES[:-1])} or {NAMES[-1]}"

@@ -7,7 +7,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from glstar.arrays import Float
 
 # Width of a cell, rad: 2 deg.
 _CELL_RAD: Final = np.deg2rad(2.0)

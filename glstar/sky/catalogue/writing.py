@@ -12,10 +12,9 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ExportError
 from glstar.sky.catalogue.reading import APPLICATION_ID, CatalogueRow
-
-Float = NDArray[np.float64]
 
 _TABLES = """
 CREATE TABLE star (

@@ -10,15 +10,14 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.rotation import about_z
 from glstar.sky.place.horizon import C_ned_eq
 from glstar.sky.place.site import Site, geocentric_m
 from glstar.sky.place.timescale import UNIX_EPOCH_JD, EarthOrientation
-
-Float = NDArray[np.float64]
 
 _KEY: Final = "sky.satellites"
 _LIGHT_KM_PER_S: Final = 299792.458

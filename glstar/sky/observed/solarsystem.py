@@ -19,6 +19,7 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import CatalogueError
 from glstar.sky.air.refraction import refraction_rad
 from glstar.sky.catalogue.reading import StarCatalogue
@@ -28,8 +29,6 @@ from glstar.sky.place.horizon import C_ned_eq, diurnal_aberration_rad, ned_to_az
 from glstar.sky.place.site import Site, geocentric_m
 from glstar.sky.place.timescale import JulianDate, centuries_since_j2000, tt_julian_date
 from glstar.system.resources import asset
-
-Float = NDArray[np.float64]
 
 # V of the Sun at 1 au.
 _SUN_VMAG: Final = -26.75

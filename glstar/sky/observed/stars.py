@@ -5,26 +5,19 @@ from functools import lru_cache
 from math import sin
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.rotation import about_z
 from glstar.sky.air.refraction import refraction_rad, refraction_scale
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.observed.satellites import Satellites
+from glstar.sky.place import horizon
 from glstar.sky.place.apparent import ASTROMETRY, Astrometry, right_ascension_declination, sun_direction
-from glstar.sky.place.horizon import (
-    C_ned_eq,
-    HorizonProfile,
-    dip_rad,
-    diurnal_aberration_rad,
-    ned_to_azimuth_altitude_rad,
-)
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import EarthOrientation, earth_orientation
-
-Float = NDArray[np.float64]
 
 # Rotation rate of the Earth relative to the equinox, rad per second of UT1.
 SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
@@ -78,7 +71,7 @@ class Sky:
     dut1_s: float | None = 0.0
     refraction: bool = True
     dip: bool = False
-    profile: HorizonProfile | None = None
+    profile: horizon.HorizonProfile | None = None
     satellites: Satellites | None = None
 
     def __post_init__(self) -> None:
@@ -140,8 +133,8 @@ class Sky:
         first_rad = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s)
         at_greenwich = first_rad + SIDEREAL_RAD_PER_S * (times - first_s)
         if earth.x_pole_rad == earth.y_pole_rad == 0:
-            return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
-        return np.asarray(C_ned_eq(latitude_rad, longitude_rad) @ earth.polar_motion @ about_z(at_greenwich))
+            return horizon.C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
+        return np.asarray(horizon.C_ned_eq(latitude_rad, longitude_rad) @ earth.polar_motion @ about_z(at_greenwich))
 
     def earth(self, utc_s: float) -> EarthOrientation:
         """Return the Earth orientation parameters at one time.
@@ -187,7 +180,7 @@ class Sky:
         """
         if self.profile is not None:
             return sin(self.profile.lowest_rad - _BELOW_PROFILE_RAD)
-        return -sin(dip_rad(height_m)) if self.dip else 0.0
+        return -sin(horizon.dip_rad(height_m)) if self.dip else 0.0
 
     def observed_places(self, utc_s: float, site: Site) -> ObservedPlaces:
         """Return the observed places of the stars at a site.
@@ -209,8 +202,8 @@ class Sky:
         stars = self.star_field(utc_s)
         ra_rad, dec_rad = right_ascension_declination(stars.direction_eq)
         C = self.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
-        towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
-        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
+        towards_east = np.array([0.0, horizon.diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
+        azimuth_rad, altitude_rad = horizon.ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
         refracted_rad = altitude_rad + refraction_rad(altitude_rad, self.refraction_scale(site))
         return ObservedPlaces(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, refracted_rad)
 
@@ -224,7 +217,7 @@ def _at_greenwich_rad(astrometry: Astrometry, utc_s: float, dut1_s: float) -> fl
 def sun_altitude_rad(utc_s: float, site: Site) -> float:
     """Return the altitude of the Sun, rad, without refraction; `utc_s`: UTC seconds since 1970."""
     sidereal_rad = ASTROMETRY["erfa"].sidereal_time_rad(utc_s, 0.0)
-    _, altitude_rad = ned_to_azimuth_altitude_rad(
-        C_ned_eq(site.latitude_rad, sidereal_rad + site.longitude_rad) @ sun_direction(utc_s)
+    _, altitude_rad = horizon.ned_to_azimuth_altitude_rad(
+        horizon.C_ned_eq(site.latitude_rad, sidereal_rad + site.longitude_rad) @ sun_direction(utc_s)
     )
     return float(altitude_rad)

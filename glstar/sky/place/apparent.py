@@ -13,12 +13,11 @@ from typing import Final, Literal, NamedTuple
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.rotation import about_x, about_y, about_z
 from glstar.sky.place.timescale import centuries_since_j2000, mean_sidereal_time_rad, tt_julian_date, ut1_julian_date
-
-Float = NDArray[np.float64]
 
 ARCSEC_RAD: Final = np.pi / 648000
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.system.userinput import is_number
 
-Float = NDArray[np.float64]
 _EARTH_ROTATION_RAD_PER_S = 7.292115e-5
 _WGS84_A_M = 6378137.0
 _WGS84_F = 1 / 298.257223563

@@ -6,12 +6,11 @@ from typing import Final
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.sky.place.horizon import C_ned_eq
-
-Float = NDArray[np.float64]
 
 # The standard air of eqs (25) and (27).
 STANDARD_PRESSURE_HPA = 1010.0

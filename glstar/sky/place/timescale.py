@@ -21,11 +21,9 @@ from typing import Any, Final
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError
-
-Float = NDArray[np.float64]
 
 # Times with a smaller difference, s, are equal: the resolution of a float64 for today's seconds since 1970 is 0.24 us.
 CLOCK_GRAIN_S: Final = 1e-6

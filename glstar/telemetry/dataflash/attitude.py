@@ -8,12 +8,11 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.rotation import conjugate, euler_from_quaternion, multiply, quaternion_from_euler
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
 from glstar.telemetry.source import AttitudeSamples, quaternion_lengths, unit_quaternions, valid_times
 
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 # Quaternions of EKF3 and of EKF2, one for each lane.
 _OF_LANES = ("XKQ", "NKQ")
 # Messages with the attitude of an EKF: quaternions, Euler angles, and the attitude in use.

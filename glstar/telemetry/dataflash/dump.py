@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.sky.place.timescale import leap_seconds
 from glstar.telemetry import source
@@ -31,9 +31,6 @@ from glstar.telemetry.dataflash.attitude import preferred_messages
 from glstar.telemetry.dataflash.reader import LOGGED_LATE_S, DataFlashReader, boots_of
 from glstar.telemetry.dataflash.records import Records, stamped
 from glstar.telemetry.tables.files import Dump
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])Time(US|MS)((?P=separator)|\s*$)")
 # Messages that are read from other files in the directory.

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.rotation import quaternion_from_euler
@@ -28,9 +28,6 @@ from glstar.telemetry.dataflash.attitude import (
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, nearest, numbered, stamped
 from glstar.telemetry.dataflash.text import TextRecords, is_dataflash_text
 from glstar.telemetry.mavlink.vehicles import ardupilot_mode
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 _FIX_3D = 3
 # Delay from a GPS sample to its record, s: 16 to 30 ms in the mean of logs with GPA, 21 ms by SYSTEM_TIME in the

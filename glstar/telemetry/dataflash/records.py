@@ -20,14 +20,13 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
 from glstar.telemetry.source import Span, suppressed_output
 
 DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 _HEAD1, _HEAD2, _FMT = DATAFLASH_MAGIC
 _FMT_LAYOUT = struct.Struct("<BB4s16s64s")  # type, length, name, layout, columns

@@ -27,13 +27,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
 from glstar.telemetry.dataflash.records import PartedRecords
 from glstar.telemetry.source import Span
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 _DEFINITION = re.compile(rb"^FMT\s*,\s*\d+\s*,\s*\d+\s*,", re.MULTILINE)
 # The first line of a log: the FMT line of FMT.

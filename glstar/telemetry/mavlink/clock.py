@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float, Integer
 from glstar.telemetry.boots import find_boots, within
 from glstar.telemetry.mavlink.packets import (
     AT,
@@ -19,9 +20,6 @@ from glstar.telemetry.mavlink.packets import (
     system_time_utc_s,
 )
 from glstar.telemetry.source import Boot, spikes
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 # Messages with the time since boot, besides HIL_STATE_QUATERNION.
 _TIMED: Final = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")

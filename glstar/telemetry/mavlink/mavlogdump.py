@@ -12,29 +12,17 @@ rows of SYSTEM_TIME and HEARTBEAT that cannot be from the autopilot are assigned
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import LogFormatError
-from glstar.telemetry.mavlink.packets import (
-    AT,
-    COMPONENT,
-    FIELDS_FROM,
-    MESSAGES,
-    NO_AUTOPILOT,
-    SYSTEM,
-    Packets,
-    Sender,
-    with_ms,
-)
+from glstar.telemetry.mavlink import packets
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader
 from glstar.telemetry.tables.files import Dump
 
-Float = NDArray[np.float64]
-
 _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])[A-Z][A-Z0-9_]*\.\w+((?P=separator)|\s*$)")
 
-_AUTOPILOT: Sender = (1, 1)
-_OTHER: Sender = (0, 0)
+_AUTOPILOT: packets.Sender = (1, 1)
+_OTHER: packets.Sender = (0, 0)
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
 _POSITION = "GLOBAL_POSITION_INT"
 # A time since boot that differs by more from that of the nearest attitude is from another clock, ms.
@@ -65,22 +53,22 @@ class MavlogdumpReader(TelemetryLogReader):
 
     format = "CSV of a MAVLink telemetry log, by mavlogdump"
 
-    def _open(self) -> Packets:
+    def _open(self) -> packets.Packets:
         return _Rows(self.name)
 
 
-class _Rows(Packets):
+class _Rows(packets.Packets):
     """The rows of a table as packets of one autopilot."""
 
     checked = False
 
     def __init__(self, path: str) -> None:
-        columns = [f"{name}.{field}" for name, fields in MESSAGES.values() for field in fields]
+        columns = [f"{name}.{field}" for name, fields in packets.MESSAGES.values() for field in fields]
         self._dump = Dump(path, ["timestamp", *columns], texts="STATUSTEXT.text")
         self.count = self._dump.line.size
         self.whole_bytes = int(self._dump.line[-1]) if self.count else 1
         self.unread_bytes = 0
-        self._messages = {name: self._read(name, fields) for name, fields in MESSAGES.values() if fields}
+        self._messages = {name: self._read(name, fields) for name, fields in packets.MESSAGES.values() if fields}
         self._attribute()
         if (mixed := self._mixed()) is not None:
             raise LogFormatError(
@@ -94,11 +82,11 @@ class _Rows(Packets):
         """Return the rows of one message, in the order of the file."""
         return self._messages[name]
 
-    def texts(self, sender: Sender) -> list[str]:  # noqa: ARG002 - the table has no senders
+    def texts(self, sender: packets.Sender) -> list[str]:  # noqa: ARG002 - the table has no senders
         """Return all status texts."""
         return list(self._dump.texts)
 
-    def called(self, sender: Sender) -> str:  # noqa: ARG002 - the table has no senders
+    def called(self, sender: packets.Sender) -> str:  # noqa: ARG002 - the table has no senders
         """Return the name of a sender, for messages."""
         return "another sender"
 
@@ -110,43 +98,43 @@ class _Rows(Packets):
         names = [f"{name}.{field}" for field in fields]
         columns = self._dump.columns
         if "timestamp" not in columns or not columns.keys() >= set(names):
-            return np.empty((0, FIELDS_FROM + len(fields)))
+            return np.empty((0, packets.FIELDS_FROM + len(fields)))
         sender = [np.full(self._dump.line.size, float(number)) for number in _AUTOPILOT]
         heads = [self._dump.line, columns["timestamp"], *sender]
         rows = np.stack([*heads, *(columns[name] for name in names)], axis=-1)
-        return with_ms(name, rows[np.isfinite(rows).all(axis=-1)])
+        return packets.with_ms(name, rows[np.isfinite(rows).all(axis=-1)])
 
     def _attribute(self) -> None:
         """Assign rows that cannot be from the autopilot to another sender."""
         beats = self._messages["HEARTBEAT"]
-        beats[beats[:, FIELDS_FROM] == NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _OTHER
+        beats[beats[:, packets.FIELDS_FROM] == packets.NO_AUTOPILOT, packets.SYSTEM : packets.COMPONENT + 1] = _OTHER
         attitude = self._attitude_heads()
         for name in ("SYSTEM_TIME", _POSITION) if len(attitude) else ():
             rows = self._messages[name]
-            near = np.searchsorted(attitude[:, AT], rows[:, AT]).clip(max=len(attitude) - 1)
-            difference_ms = np.abs(rows[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
-            rows[difference_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _OTHER
+            near = np.searchsorted(attitude[:, packets.AT], rows[:, packets.AT]).clip(max=len(attitude) - 1)
+            difference_ms = np.abs(rows[:, packets.FIELDS_FROM] - attitude[near, packets.FIELDS_FROM])
+            rows[difference_ms > _SAME_CLOCK_MS, packets.SYSTEM : packets.COMPONENT + 1] = _OTHER
 
     def _attitude_heads(self) -> Float:
         """Return the rows of all messages with attitude up to their time since boot, in the order of the file."""
-        heads = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
-        return heads[np.argsort(heads[:, AT], kind="stable")]
+        heads = np.concatenate([self._messages[name][:, : packets.FIELDS_FROM + 1] for name in _ATTITUDES])
+        return heads[np.argsort(heads[:, packets.AT], kind="stable")]
 
     def _mixed(self) -> str | None:
         """Return the message that several vehicles sent; None if there is only one vehicle."""
         # The clocks of two vehicles alternate, and so do their attitudes.
-        if _goes_back(self._attitude_heads()[:, FIELDS_FROM], _SAME_CLOCK_MS):
+        if _goes_back(self._attitude_heads()[:, packets.FIELDS_FROM], _SAME_CLOCK_MS):
             return " and ".join(name for name in _ATTITUDES if len(self._messages[name]))
         for name, decimals in ((_ATTITUDES[0], 1.0), (_ATTITUDES[1], 1.0), (_POSITION, 1e-7)):
             rows = self._messages[name]
-            rows = rows[rows[:, SYSTEM] == _AUTOPILOT[0]]
-            values = rows[:, FIELDS_FROM + 1 : FIELDS_FROM + 5] * decimals
+            rows = rows[rows[:, packets.SYSTEM] == _AUTOPILOT[0]]
+            values = rows[:, packets.FIELDS_FROM + 1 : packets.FIELDS_FROM + 5] * decimals
             least = _ALTERNATES_RAD
             if name == _POSITION:
                 values, least = values[:, :2], _ALTERNATES_DEG
             elif name == _ATTITUDES[1]:
                 values = np.concatenate([np.cos(values), np.sin(values)], axis=-1)
-            if _goes_back(rows[:, FIELDS_FROM], 0.0) or _alternates(values, least):
+            if _goes_back(rows[:, packets.FIELDS_FROM], 0.0) or _alternates(values, least):
                 return name
         return None
 

@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.telemetry.source import YEAR_2010_S, plausible_utc, suppressed_output
 
-Float = NDArray[np.float64]
 # System and component of a sender.
 Sender = tuple[int, int]
 

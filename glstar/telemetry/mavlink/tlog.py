@@ -40,13 +40,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import LogFormatError
 from glstar.flight import EventKind
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry import source
+from glstar.telemetry.mavlink import vehicles
 from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, clock_readings, other_clocks, readings_source
 from glstar.telemetry.mavlink.packets import (
     EULER,
@@ -60,19 +61,6 @@ from glstar.telemetry.mavlink.packets import (
     has_boot_ms,
     system_time_utc_s,
 )
-from glstar.telemetry.mavlink.vehicles import (
-    ARDUPILOT,
-    PX4,
-    ardupilot_mode,
-    autopilot,
-    gimbal_of_packets,
-    px4_mode,
-    vehicle_kind,
-    version,
-)
-
-Float = NDArray[np.float64]
-Integer = NDArray[np.int64]
 
 # Messages with gyro rates, and their unit, rad/s.  Of equally frequent ones the first is used.
 _GYROS: Final = {"HIGHRES_IMU": 1.0, "SCALED_IMU": 1e-3, "RAW_IMU": 1e-3, "SCALED_IMU2": 1e-3, "SCALED_IMU3": 1e-3}
@@ -135,7 +123,7 @@ class TelemetryLogReader(source.TelemetrySource):
             yield from _events(self._packets, sender, clock, boot.number)
             yield from _rates(self._packets, sender, clock, boot.number)
             yield from _triggers(self._packets, sender, clock, boot.number)
-            yield from gimbal_of_packets(self._packets, sender, clock, boot.number)
+            yield from vehicles.gimbal_of_packets(self._packets, sender, clock, boot.number)
 
     def boots(self) -> tuple[source.Boot, ...]:
         """Return the boots of the autopilot in the log, or the requested one.
@@ -185,7 +173,7 @@ class TelemetryLogReader(source.TelemetrySource):
         if not numbers.size:
             return None
         name = (_vehicle_of(self._packets, sender) or "").split(" ")[0]
-        return " ".join(filter(None, (name, version(int(numbers[-1])))))
+        return " ".join(filter(None, (name, vehicles.version(int(numbers[-1])))))
 
     def _vehicle(self) -> tuple[Sender, list[int]]:
         """Return the sender whose flight is read, and the systems of all candidates."""
@@ -304,8 +292,10 @@ def _events(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) ->
     vehicle = _vehicle_of(packets, sender)
     if len(modes) and vehicle is not None:
         numbers = modes[:, FIELDS_FROM].astype(np.int64).tolist()
-        is_px4 = _autopilot_number(packets, sender) == PX4
-        names = [px4_mode(number) if is_px4 else ardupilot_mode(vehicle, number) for number in numbers]
+        is_px4 = _autopilot_number(packets, sender) == vehicles.PX4
+        names = [
+            vehicles.px4_mode(number) if is_px4 else vehicles.ardupilot_mode(vehicle, number) for number in numbers
+        ]
         yield source.EventSamples.of(EventKind.MODE, clock.on_arrival(modes), names, boot)
     rows, texts = packets.status_texts(sender)
     if len(rows):
@@ -367,7 +357,7 @@ def _rates(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> 
     if packets.timestamps_are_utc(sender):
         return
     least = max([2, *(len(packets.rows(name, sender)) for name in packets.attitude_messages(sender))])
-    is_ardupilot = np.any(packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM] == ARDUPILOT)
+    is_ardupilot = np.any(packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM] == vehicles.ARDUPILOT)
     names = [name for name in _GYROS if name != "RAW_IMU" or is_ardupilot]
     # Packets are counted before they are decoded, so that only one message is.
     often = [name for name in sorted(names, key=packets.amount, reverse=True) if packets.amount(name) >= least]
@@ -388,7 +378,7 @@ def _vehicle_of(packets: Packets, sender: Sender) -> str | None:
     """Return the name of an autopilot and its vehicle; None without a heartbeat."""
     number = _autopilot_number(packets, sender)
     types = packets.rows("HEARTBEAT", sender)[:, FIELDS_FROM + 1]
-    return None if number is None else autopilot(number, vehicle_kind(types))
+    return None if number is None else vehicles.autopilot(number, vehicles.vehicle_kind(types))
 
 
 def _autopilot_number(packets: Packets, sender: Sender) -> int | None:

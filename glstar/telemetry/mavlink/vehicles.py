@@ -12,12 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.telemetry.mavlink.clock import VehicleClock
 from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, SYSTEM, Packets, Sender
 from glstar.telemetry.source import GimbalSamples, unit_quaternions, valid_times
-
-Float = NDArray[np.float64]
 
 GIMBAL_STATUS: Final = "GIMBAL_DEVICE_ATTITUDE_STATUS"
 # The best one first: of several, only the first is used.

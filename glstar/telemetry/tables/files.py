@@ -20,10 +20,10 @@ from typing import Any, Final, Literal, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError
 from glstar.sky.place.timescale import parse_utc
 
-Float = NDArray[np.float64]
 Cells = Sequence[Any] | NDArray[Any]
 
 _SEPARATORS: Final = ",;\t|"

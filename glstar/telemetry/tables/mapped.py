@@ -16,8 +16,8 @@ from os import PathLike
 from typing import Any, Final, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float, Mask
 from glstar.errors import ConfigError, LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
@@ -48,8 +48,6 @@ _Q_WORLD_NED: Final = {
 }
 _Q_FRD_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Names = tuple[str, ...]
 World = Literal["NED", "ENU", "NWU"]
 Body = Literal["FRD", "FLU"]

@@ -29,6 +29,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import quaternion_from_euler
@@ -36,8 +37,6 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import nearest_word
 from glstar.telemetry import source
 from glstar.telemetry.tables.files import ROWS_AT_ONCE, UNIT_TOLERANCE, csv_rows, refuse_other_attitudes
-
-Float = NDArray[np.float64]
 
 _TIMES = ("utc", "utc_s")
 _EULER = ("roll_deg", "pitch_deg", "yaw_deg")

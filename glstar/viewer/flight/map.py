@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.flight import Flight
 from glstar.render.simulator import Simulator
@@ -21,8 +22,6 @@ from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
 from glstar.sky.place.horizon import C_ned_eq, ned_to_azimuth_altitude_rad
 from glstar.sky.place.site import Site, geocentric_m, north_east_down_m, semi_axes_m
 from glstar.system.resources import asset
-
-Float = NDArray[np.float64]
 
 # Points on each side of the image's border: near the zenith, azimuths change fast from point to point.
 _BORDER_POINTS: Final = 128

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.config import Config
 from glstar.export.navigator import LiveNavigator, Navigator
 from glstar.flight import Flight
@@ -18,8 +18,6 @@ from glstar.sky.place.timescale import CLOCK_GRAIN_S
 from glstar.viewer.flight.live import LiveFlight
 from glstar.viewer.flight.loaded import BEFORE_EXPOSURE_S, LoadedFlight
 from glstar.viewer.overlays.belief import Belief, PlacedAnswer
-
-Float = NDArray[np.float64]
 
 # Answers of a live link that are kept.
 _MOST_ANSWERS: Final = 1000

@@ -11,8 +11,8 @@ from threading import Event
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import GlstarError
@@ -25,8 +25,6 @@ from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.viewer.flight.playhead import PlayHead
 from glstar.viewer.flight.traces import TimelineCurve
 from glstar.viewer.skyobjects import star_signal_to_noise
-
-Float = NDArray[np.float64]
 
 # Number of exposures along the flight, and the strides in which they are composed: coarse first.
 _COUNT: Final = 241

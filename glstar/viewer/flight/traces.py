@@ -12,11 +12,10 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.flight import AttitudeTrack, Flight
 from glstar.rotation import euler_from_quaternion
 from glstar.sky.place.site import geocentric_m
-
-Float = NDArray[np.float64]
 
 
 class Trace:

@@ -5,11 +5,9 @@ from math import degrees, hypot
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import AttitudeError
-
-Float = NDArray[np.float64]
 
 _ONE_DEGREE: Final = float(np.deg2rad(1.0))
 

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.render.motion.pointing import Pointing
 from glstar.render.readout.rows import recorded_positions
@@ -68,8 +69,6 @@ class Shapes:
     labels: tuple[Labels, ...] = ()
     marks: tuple[Marks, ...] = ()
 
-
-Float = NDArray[np.float64]
 
 # Approximate size of a label on the screen, px, used to keep labels from overlapping; imgui draws the text.
 _CHARACTER_SCREEN_PX: Final = 7.5

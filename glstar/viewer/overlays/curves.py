@@ -14,13 +14,12 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.sky.catalogue.names import constellations
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.apparent import ASTROMETRY, direction
 from glstar.sky.place.horizon import HorizonProfile, ned_direction
-
-Float = NDArray[np.float64]
 
 # Largest distance of a chord from its curve, px of the image.
 TOLERANCE_PX: Final = 0.2

@@ -16,6 +16,7 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.config.keys import SECTIONS
@@ -24,7 +25,6 @@ from glstar.images import RealImage
 from glstar.images.times import TimeReference
 from glstar.render.simulator import Simulator
 
-Float = NDArray[np.float64]
 T = TypeVar("T")
 
 

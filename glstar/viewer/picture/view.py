@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.camera.sensor.sensor import Sensor
 from glstar.statistics import robust_std
 
@@ -163,8 +164,6 @@ class Stretch:
         kind = StretchKind.LINEAR if self.kind is StretchKind.ASINH else StretchKind.ASINH
         return replace(self, kind=kind)
 
-
-Float = NDArray[np.float64]
 
 # Limits of the zoom, screen px to one of the picture.
 _MIN_ZOOM: Final = 1 / 32

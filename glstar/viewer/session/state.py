@@ -17,15 +17,8 @@ from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.scene import Scene
 from glstar.telemetry import is_bag_directory
+from glstar.viewer.flight import loaded as loadedflight
 from glstar.viewer.flight.live import LiveFlight
-from glstar.viewer.flight.loaded import (
-    BEFORE_EXPOSURE_S,
-    SITE_KEYS,
-    FlightLoader,
-    LoadedFlight,
-    MissingInputs,
-    flight_keys,
-)
 from glstar.viewer.flight.navigator import NavigatorView
 from glstar.viewer.flight.playhead import PlayHead, no_exposure
 from glstar.viewer.flight.sky import Conditions, CurrentConditions
@@ -66,9 +59,9 @@ class Session:
         self.renderer = renderer
         self.config = config  # The present settings
         self.output = Path.cwd() / "glstar-saved" if output is None else output
-        self.loaded: LoadedFlight | None = None  # The flight shown; None until the first is loaded
+        self.loaded: loadedflight.LoadedFlight | None = None  # The flight shown; None until the first is loaded
         self.live: LiveFlight | None = None  # The flight that a link receives, if there is a link
-        self.loader = FlightLoader()
+        self.loader = loadedflight.FlightLoader()
         self.times = FrameTimes()
         self.image = SimulatedImage(renderer, self.times)
         self.notifications = Notifications(clock)
@@ -85,7 +78,7 @@ class Session:
         self.video: Video | None = None  # The video that is being recorded
         # Reason why the flight opened last could not be loaded.
         self._opening_error = ""
-        self._missing_site: MissingInputs | None = None
+        self._missing_site: loadedflight.MissingInputs | None = None
         self._current_conditions = CurrentConditions(clock)
         # Keys of the config that were given for the log shown; no other log is read with them.
         self._given: Mapping[str, Any] = {}
@@ -185,7 +178,7 @@ class Session:
             return
         begins = live.epoch != self._epoch
         if begins or abs(latest.utc_s - self._stars_utc_s) > _STARS_S:
-            flight = live.last(self.config.exposure.span_s + BEFORE_EXPOSURE_S)
+            flight = live.last(self.config.exposure.span_s + loadedflight.BEFORE_EXPOSURE_S)
             if flight is not None:
                 self._stars_utc_s = latest.utc_s
                 self.loader.make(self.config, flight)
@@ -263,16 +256,16 @@ class Session:
         self.loader.read(path, self._own_config, {})
 
     @property
-    def missing(self) -> MissingInputs | None:
+    def missing(self) -> loadedflight.MissingInputs | None:
         """The missing inputs of the log opened last or of the link, until the user gives them or cancels."""
         return self.loader.missing or self._missing_site
 
     def ask_for_site(self) -> None:
         """Ask for the site of the link's flight: `missing` is set."""
         if self.live is not None:
-            self._missing_site = MissingInputs.from_link(self.live.status.endpoint, self.loader.typed_site)
+            self._missing_site = loadedflight.MissingInputs.from_link(self.live.status.endpoint, self.loader.typed_site)
 
-    def give(self, missing: MissingInputs, typed: Mapping[str, str]) -> None:
+    def give(self, missing: loadedflight.MissingInputs, typed: Mapping[str, str]) -> None:
         """Use the inputs that the user typed: read the log again, or show the link's flight from that site.
 
         `typed`: by key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.  Raises
@@ -281,10 +274,10 @@ class Session:
         if missing.path is not None:
             self.loader.read_again(self._own_config, missing, typed)
             return
-        site = self._own_config.override(**flight_keys(missing.fields, typed)).flight.site
+        site = self._own_config.override(**loadedflight.flight_keys(missing.fields, typed)).flight.site
         if self.live is not None and site is not None:
             self.live.link.set_site(site)
-        self.loader.typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
+        self.loader.typed_site = {key: typed.get(key, "") for key in loadedflight.SITE_KEYS}
         self._missing_site = None
 
     def cancel_missing(self) -> None:
@@ -324,7 +317,7 @@ class Session:
             except MemoryError:
                 self.notify(f"{path}: is too large for this machine's memory", is_error=True)
 
-    def _install(self, loaded: LoadedFlight) -> None:
+    def _install(self, loaded: loadedflight.LoadedFlight) -> None:
         """Show a flight that has been loaded."""
         before = self.loaded
         if loaded.given != self._given:
@@ -404,7 +397,7 @@ class Session:
             self.live.close()
 
 
-def _exposure_to_show(loaded: LoadedFlight, comparison: ComparisonState) -> tuple[Exposure, int | None]:
+def _exposure_to_show(loaded: loadedflight.LoadedFlight, comparison: ComparisonState) -> tuple[Exposure, int | None]:
     """Return the exposure at the play head, or of the real image there, and its number if the camera records it."""
     head = loaded.head
     # The exposures of a live flight are counted from when the viewer started: their numbers mean nothing later.
@@ -421,7 +414,7 @@ def _exposure_to_show(loaded: LoadedFlight, comparison: ComparisonState) -> tupl
     return exposure, number
 
 
-def _status_at(loaded: LoadedFlight, comparison: ComparisonState, gap: Gap | None) -> str:
+def _status_at(loaded: loadedflight.LoadedFlight, comparison: ComparisonState, gap: Gap | None) -> str:
     """Return a message about the exposure shown; empty if all is well."""
     head, attitude = loaded.head, loaded.flight.attitude
     real = comparison.image_at(head.utc_s)
@@ -441,5 +434,5 @@ def _still_given(given: Mapping[str, Any], config: Config) -> Mapping[str, Any]:
     if config.flight.utc_start is not None:
         present.add("flight.utc_start")
     if config.flight.site is not None:
-        present.update(f"flight.{key}" for key in SITE_KEYS)
+        present.update(f"flight.{key}" for key in loadedflight.SITE_KEYS)
     return {key: value for key, value in given.items() if key not in present}

@@ -12,25 +12,18 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.errors import GlstarError
 from glstar.render.opengl import Context, Texture
 from glstar.viewer.overlays.canvas import arrow_strokes, residual_scale
+from glstar.viewer.picture import fitting
 from glstar.viewer.picture.comparison import ComparisonMode
 from glstar.viewer.picture.content import Display, PanelContent, Picture
-from glstar.viewer.picture.fitting import (
-    CalibratedPhoto,
-    CalibratePhoto,
-    CalibrationProgress,
-    CalibrationRequest,
-    CalibrationRun,
-    with_calibration,
-)
 from glstar.viewer.picture.view import ImageView, Stretch, StretchKind
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.dialogs import FileChooser
 from glstar.viewer.ui.theme import centre_next_window, dialog_size, error, scaled
 
-Float = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
 
 _IDENTIFIED: Final[tuple[Colour, Colour]] = ((0.38, 0.88, 0.66, 1.0), (0.9, 0.0, 0.0, 1.0))
@@ -76,7 +69,7 @@ class PhotoPanel:
         self._view = ImageView()
 
     def draw(
-        self, result: CalibratedPhoto | None, removed_px: list[tuple[float, float]], *, night: bool
+        self, result: fitting.CalibratedPhoto | None, removed_px: list[tuple[float, float]], *, night: bool
     ) -> tuple[float, float] | None:
         """Draw the photograph.
 
@@ -149,7 +142,13 @@ class PhotoPanel:
             draw_list.add_line(ImVec2(x - half_px, y + half_px), ImVec2(x + half_px, y - half_px), packed)
 
     def _draw_stars(
-        self, draw_list: imgui.ImDrawList, corner: Float, result: CalibratedPhoto, at: Float | None, *, night: bool
+        self,
+        draw_list: imgui.ImDrawList,
+        corner: Float,
+        result: fitting.CalibratedPhoto,
+        at: Float | None,
+        *,
+        night: bool,
     ) -> int | None:
         """Draw the identified stars with their residuals, and return the one under the mouse."""
         xy = self._view.to_screen(result.xy_px)
@@ -214,17 +213,17 @@ class CalibrateWindow:
     """
 
     def __init__(self, context: Context, files: FileChooser) -> None:
-        self.calibrate: CalibratePhoto | None = None
+        self.calibrate: fitting.CalibratePhoto | None = None
         self.is_open = False
-        self.run: CalibrationRun | None = None
-        self.result: CalibratedPhoto | None = None
+        self.run: fitting.CalibrationRun | None = None
+        self.result: fitting.CalibratedPhoto | None = None
         self.removed_px: list[tuple[float, float]] = []
-        self._first: CalibratedPhoto | None = None
+        self._first: fitting.CalibratedPhoto | None = None
         self._files, self._photo = files, PhotoPanel(context)
         self._path: Path | None = None
         self._typed = {"fov": "", "exposure": "", "utc": "", "latitude": "", "longitude": ""}
         self._own_camera, self._geometry_only = True, False
-        self._shown: CalibrationProgress | None = None
+        self._shown: fitting.CalibrationProgress | None = None
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-save-calibration")
         self._saving: Future[list[Path]] | None = None
 
@@ -248,7 +247,7 @@ class CalibrateWindow:
         """Whether a calibration is running or being written."""
         return self._saving is not None or (self.run is not None and self.run.running)
 
-    def save(self, result: CalibratedPhoto, path: Path) -> None:
+    def save(self, result: fitting.CalibratedPhoto, path: Path) -> None:
         """Write a result on a thread, because its report takes a second to draw; `path`: with the suffix ``.toml``."""
         self._saving = self._writer.submit(result.save, path)
 
@@ -325,7 +324,7 @@ class CalibrateWindow:
         except ValueError as problem:
             session.notify(str(problem), is_error=True)
             return
-        request = CalibrationRequest(
+        request = fitting.CalibrationRequest(
             self._path,
             session.config,
             fov_rad,
@@ -336,7 +335,7 @@ class CalibrateWindow:
             self._first if self.removed_px else None,
             tuple(self.removed_px),
         )
-        self.run = CalibrationRun(request, self.calibrate)
+        self.run = fitting.CalibrationRun(request, self.calibrate)
 
     def _fov_rad(self) -> float | None:
         """Return the width of the view that was typed; None for the camera of the settings."""
@@ -405,7 +404,7 @@ class CalibrateWindow:
         _, self._typed[name] = imgui.input_text_with_hint(label, hint, self._typed[name])
         imgui.set_item_tooltip(tooltip)
 
-    def _draw_result(self, session: Session, result: CalibratedPhoto) -> None:
+    def _draw_result(self, session: Session, result: fitting.CalibratedPhoto) -> None:
         imgui.separator_text("Result")
         for line in result.report:
             imgui.text_unformatted(line)
@@ -439,9 +438,9 @@ def _number(name: str, text: str) -> float | None:
         raise ValueError(f"{name} is no number: {text.strip()!r}") from None
 
 
-def _apply(session: Session, result: CalibratedPhoto) -> None:
+def _apply(session: Session, result: fitting.CalibratedPhoto) -> None:
     try:
-        session.use(with_calibration(session.config, result.toml))
+        session.use(fitting.with_calibration(session.config, result.toml))
     except GlstarError as problem:
         session.notify(str(problem), is_error=True)
     else:

@@ -10,16 +10,7 @@ from imgui_bundle import ImVec2, imgui
 from glstar.system.resources import bundled_flight, manual_pages
 from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_chord
 from glstar.viewer.session.state import Session
-from glstar.viewer.ui.theme import (
-    DIALOG,
-    accent,
-    centre_next_window,
-    dialog_size,
-    draw_button,
-    draw_wrapped,
-    scaled,
-    scaled_across,
-)
+from glstar.viewer.ui import theme
 
 _WELCOME_WIDTH: Final = 420.0
 # Width of the panels on the right of the image in the initial layout, as a fraction of the window and at least, px: the
@@ -45,12 +36,12 @@ def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyActi
     if session.loaded is not None or session.live is not None or session.loader.is_busy or session.status:
         return
     viewport = imgui.get_main_viewport()
-    free_px = viewport.size.x - max(_RIGHT_FRACTION * viewport.size.x, scaled(_RIGHT_PX))
+    free_px = viewport.size.x - max(_RIGHT_FRACTION * viewport.size.x, theme.scaled(_RIGHT_PX))
     image = ImVec2(viewport.pos.x + free_px / 2, viewport.pos.y + viewport.size.y * 0.36)
     imgui.set_next_window_pos(image, int(imgui.Cond_.always), ImVec2(0.5, 0.5))
     imgui.begin("##welcome", None, _WELCOME_FLAGS)
-    width = min(scaled(_WELCOME_WIDTH), free_px - 4 * imgui.get_style().window_padding.x)
-    imgui.text_colored(accent(), "glstar")
+    width = min(theme.scaled(_WELCOME_WIDTH), free_px - 4 * imgui.get_style().window_padding.x)
+    imgui.text_colored(theme.accent(), "glstar")
     imgui.text("What a camera fixed to an aircraft records of the night sky.")
     imgui.separator_text("Open")
     _button("Open a flight log  (Ctrl+O)", width, lambda: perform(Action.OPEN))
@@ -78,7 +69,9 @@ _TOUR_WIDTH_PX: Final = 260.0
 # At the right edge, where it covers the ends of the panels only, above the notifications: its lower edge in the window.
 _MARGIN_PX: Final = 12.0
 _LOWEST_FRACTION: Final = 0.82
-_TOUR_FLAGS: Final = DIALOG | int(imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.always_auto_resize)
+_TOUR_FLAGS: Final = theme.DIALOG | int(
+    imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.always_auto_resize
+)
 
 
 class _Step(NamedTuple):
@@ -155,8 +148,8 @@ class Tour:
         imgui.set_next_window_pos(corner, int(imgui.Cond_.appearing), ImVec2(1.0, 1.0))
         shown, is_open = imgui.begin(_TOUR_TITLE, True, _TOUR_FLAGS)
         if shown:
-            imgui.text_colored(accent(), f"{self.step + 1} of {len(STEPS)}: {step.title}")
-            _draw_text(step.text, scaled_across(_TOUR_WIDTH_PX))
+            imgui.text_colored(theme.accent(), f"{self.step + 1} of {len(STEPS)}: {step.title}")
+            _draw_text(step.text, theme.scaled_across(_TOUR_WIDTH_PX))
             self._draw_buttons()
         imgui.end()
         if not is_open:
@@ -174,7 +167,7 @@ class Tour:
         imgui.end_disabled()
         if not is_last:
             imgui.same_line()
-            if draw_button("Skip the tour", "Help, Tour shows it again"):
+            if theme.draw_button("Skip the tour", "Help, Tour shows it again"):
                 self.step = None
 
 
@@ -182,7 +175,7 @@ def _draw_text(text: str, width_px: float) -> None:
     """Draw the text of a step, with room for the longest: the buttons stay where they are from step to step."""
     wrap_px = width_px - imgui.get_cursor_pos().x
     highest_px = max(imgui.calc_text_size(_with_keys(step.text), wrap_width=wrap_px).y for step in STEPS)
-    draw_wrapped(_with_keys(text), wrap_px=width_px)
+    theme.draw_wrapped(_with_keys(text), wrap_px=width_px)
     imgui.dummy(ImVec2(0.0, highest_px - imgui.get_item_rect_size().y))
 
 
@@ -191,7 +184,7 @@ def _mark(panel: str) -> None:
     window = imgui.internal.find_window_by_name(panel)
     if window is not None and not window.hidden:
         last = ImVec2(window.pos.x + window.size.x, window.pos.y + window.size.y)
-        colour = imgui.get_color_u32(accent())
+        colour = imgui.get_color_u32(theme.accent())
         window.draw_list.push_clip_rect_full_screen()
         window.draw_list.add_rect(window.pos, last, colour, thickness=2.0)
         window.draw_list.pop_clip_rect()
@@ -235,11 +228,11 @@ class ManualWindow:
         if not self.is_open:
             return
         pages = manual_pages()
-        centre_next_window()
-        imgui.set_next_window_size(dialog_size(*_MANUAL_SIZE), int(imgui.Cond_.appearing))
-        expanded, stays = imgui.begin("Manual", True, DIALOG)
+        theme.centre_next_window()
+        imgui.set_next_window_size(theme.dialog_size(*_MANUAL_SIZE), int(imgui.Cond_.appearing))
+        expanded, stays = imgui.begin("Manual", True, theme.DIALOG)
         if expanded:
-            imgui.begin_child("##pages", ImVec2(scaled(_LIST_WIDTH), 0))
+            imgui.begin_child("##pages", ImVec2(theme.scaled(_LIST_WIDTH), 0))
             for topic in pages:
                 if imgui.selectable(topic, topic == self._topic)[0]:
                     self._topic = topic
@@ -299,7 +292,7 @@ def _draw_blocks(blocks: list[tuple[str, str]]) -> None:
     for number, (kind, text) in enumerate(blocks):
         if kind == "heading":
             imgui.spacing()
-            imgui.text_colored(accent(), text)
+            imgui.text_colored(theme.accent(), text)
         elif kind == "code":
             imgui.indent()
             imgui.text_disabled(text.rstrip())
@@ -339,23 +332,23 @@ def draw_help(is_open: bool) -> bool:
     """Draw the window with the table of keys; return whether it stays open."""
     if not is_open:
         return False
-    centre_next_window()
-    size = dialog_size(*_HELP_PX)
+    theme.centre_next_window()
+    size = theme.dialog_size(*_HELP_PX)
     imgui.set_next_window_size(size)
-    expanded, stays = imgui.begin("Keys", True, DIALOG)
+    expanded, stays = imgui.begin("Keys", True, theme.DIALOG)
     if expanded:
-        columns = 2 if size.x >= scaled(_HELP_PX[0]) - 1 else 1  # two in a narrow window would cut off the text
+        columns = 2 if size.x >= theme.scaled(_HELP_PX[0]) - 1 else 1  # two in a narrow window would cut off the text
         imgui.columns(columns, "##keys", False)
         half = (len(KEYS) + len(MENUS)) // 2
         rows = 0
         for menu in MENUS:
             if rows >= half - 3 and imgui.get_column_index() < columns - 1:
                 imgui.next_column()
-            imgui.text_colored(accent(), menu)
+            imgui.text_colored(theme.accent(), menu)
             rows += 1
             for key in (key for key in KEYS if key.menu == menu and key.chords):
                 imgui.text_disabled("  " + ", ".join(map(shown_chord, key.chords)))
-                imgui.same_line(scaled(130.0))
+                imgui.same_line(theme.scaled(130.0))
                 imgui.text(key.label)
                 rows += 1
         imgui.columns(1)

@@ -12,6 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.camera.model import Camera
 from glstar.camera.sensor.colourband import Channel
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
@@ -22,7 +23,6 @@ from glstar.render.opengl.textures import LensOpenings
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import FIRST_CHANNEL, gaussian_scenes
 
-Float = NDArray[np.float64]
 # Left, top, right, bottom, px.
 Bounds = tuple[float, float, float, float]
 

@@ -14,6 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.arrays import Float32
 from glstar.camera.sensor.sensor import Sensor
 from glstar.render.motion.segmentation import SHAPE_LIMITS
 from glstar.render.motion.trailmodels import AnalyticSegments
@@ -66,8 +67,6 @@ class TextureTable:
         self._textures = []
         self._size = (0, 0)
 
-
-Float32 = NDArray[np.float32]
 
 # Outputs of star_path.frag: the last one is that of a rolling shutter.
 _OUTPUTS: Final = 6

@@ -9,21 +9,11 @@ from typing import Final
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.sky.place.site import Site, geodetic, local_ned_m, north_east_down_m, surface_offset_km
+from glstar.viewer.flight import map as flightmap
 from glstar.viewer.flight.loaded import LoadedFlight
-from glstar.viewer.flight.map import (
-    AircraftState,
-    Coastlines,
-    Footprint,
-    GraticuleLine,
-    MapLimits,
-    aircraft_state,
-    graticule,
-    ground_footprint,
-    ground_track_m,
-)
 from glstar.viewer.overlays.belief import Belief
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.panels.settings import draw_attitude_controls
@@ -35,8 +25,6 @@ LINES: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0,
 AIRCRAFT: Final[tuple[Colour, Colour]] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
 BELIEF: Final[tuple[Colour, Colour]] = ((1.0, 0.77, 0.25, 0.9), (1.0, 0.0, 0.0, 0.9))
 
-
-Float = NDArray[np.float64]
 
 # Height of the map, screen px: that of the rest of the panel within these limits.
 _LEAST_PX, _MOST_PX = 190.0, 480.0
@@ -75,8 +63,8 @@ class FlightMap:
         self._track_of: LoadedFlight | None = None
         self._origin = Site(0.0, 0.0)
         self._track_m: Float = np.empty((0, 2))
-        self._coast: Coastlines | None = None
-        self._graticule: tuple[MapLimits | None, list[GraticuleLine]] = None, []
+        self._coast: flightmap.Coastlines | None = None
+        self._graticule: tuple[flightmap.MapLimits | None, list[flightmap.GraticuleLine]] = None, []
         self._is_fitted = True
         self._is_hovered = False
         self._fits_footprint = False
@@ -84,7 +72,9 @@ class FlightMap:
         self._typed_ground_m: float | None = None
         self._lowest_m = 0.0
 
-    def draw(self, loaded: LoadedFlight, state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
+    def draw(
+        self, loaded: LoadedFlight, state: flightmap.AircraftState, beliefs: Sequence[Belief], *, night: bool
+    ) -> None:
         """Draw the map into the current imgui window; `beliefs`: of the navigator."""
         self._take(loaded, state.site)
         here = self._east_north_m(state.site)
@@ -149,11 +139,11 @@ class FlightMap:
             self._lowest_m = float(np.min(position.coordinates(position.utc_s)[2]))
         if is_other or hypot(*self._east_north_m(site)) > _FARTHEST_M:
             self._origin = position.at(float(position.utc_s[0])) if is_other else site
-            self._coast = Coastlines(self._origin)
+            self._coast = flightmap.Coastlines(self._origin)
             self._graticule = None, []
             is_other = True
         if is_other or loaded.is_live:
-            self._track_m = ground_track_m(loaded.flight, self._origin)
+            self._track_m = flightmap.ground_track_m(loaded.flight, self._origin)
 
     def _east_north_m(self, site: Site) -> Float:
         """Return where a site is on the map."""
@@ -179,7 +169,7 @@ class FlightMap:
         if len(coast):
             _plot("##coast", coast, _COAST[night])
         if self._graticule[0] != limits:
-            self._graticule = limits, graticule(self._origin, limits)
+            self._graticule = limits, flightmap.graticule(self._origin, limits)
         implot.push_plot_clip_rect()
         for line in self._graticule[1]:
             _plot("##graticule", line.xy_m, _GRATICULE[night])
@@ -192,13 +182,13 @@ class FlightMap:
     def _ground_m(self) -> float:
         return self._lowest_m if self._typed_ground_m is None else self._typed_ground_m
 
-    def _footprint(self, loaded: LoadedFlight, state: AircraftState) -> Footprint | None:
+    def _footprint(self, loaded: LoadedFlight, state: flightmap.AircraftState) -> flightmap.Footprint | None:
         """Return the ground that the image shows; None if the image is above the horizon."""
         if not state.view:
             return None
-        return ground_footprint(loaded.simulator.camera, state.C_camera_ned, state.site, self._ground_m)
+        return flightmap.ground_footprint(loaded.simulator.camera, state.C_camera_ned, state.site, self._ground_m)
 
-    def _draw_footprint(self, footprint: Footprint, *, night: bool) -> None:
+    def _draw_footprint(self, footprint: flightmap.Footprint, *, night: bool) -> None:
         for line in self._lines_m(footprint):
             _plot("footprint", line, _FOOTPRINT[night])
         if np.isfinite(footprint.axis).all():
@@ -209,12 +199,12 @@ class FlightMap:
             north, east, _ = local_ned_m(self._origin, footprint.axis).tolist()
             implot.plot_scatter("footprint", np.array([east]), np.array([north]), spec)
 
-    def _lines_m(self, footprint: Footprint) -> list[Float]:
+    def _lines_m(self, footprint: flightmap.Footprint) -> list[Float]:
         """Return the lines of a footprint on the map: (n, 2) east and north, m."""
         lines = (footprint.border, footprint.horizon)
         return [local_ned_m(self._origin, line)[:, 1::-1] for line in lines if np.isfinite(line).any()]
 
-    def _draw_footprint_row(self, footprint: Footprint, site: Site) -> None:
+    def _draw_footprint_row(self, footprint: flightmap.Footprint, site: Site) -> None:
         """Say where the optical axis meets the ground, and let the user type the height of the ground."""
         imgui.set_next_item_width(scaled(_GROUND_PX))
         changed, typed_m = imgui.input_double("ground, m", self._ground_m, 10.0, 100.0, "%.1f")
@@ -240,10 +230,10 @@ class FlightMap:
             imgui.text_wrapped("no footprint: the aircraft is not above this ground; type the height of the ground")
 
 
-def _limits() -> MapLimits:
+def _limits() -> flightmap.MapLimits:
     """Return the part of the map that the current plot shows."""
     limits = implot.get_plot_limits()
-    return MapLimits(limits.x.min, limits.x.max, limits.y.min, limits.y.max)
+    return flightmap.MapLimits(limits.x.min, limits.x.max, limits.y.min, limits.y.max)
 
 
 def _plot(label: str, xy_m: Float, colour: Colour, weight: float = 1.0) -> None:
@@ -252,7 +242,7 @@ def _plot(label: str, xy_m: Float, colour: Colour, weight: float = 1.0) -> None:
     implot.plot_line(label, east_m, north_m, implot.Spec(line_color=ImVec4(*colour), line_weight=weight))
 
 
-def _label_place(line: GraticuleLine, limits: MapLimits) -> tuple[float, float] | None:
+def _label_place(line: flightmap.GraticuleLine, limits: flightmap.MapLimits) -> tuple[float, float] | None:
     """Return where to label a line: at the left end of a parallel, the lower end of a meridian; None outside."""
     x, y = line.xy_m.T
     with np.errstate(invalid="ignore"):
@@ -263,7 +253,7 @@ def _label_place(line: GraticuleLine, limits: MapLimits) -> tuple[float, float] 
     return float(x[end]), float(y[end])
 
 
-def _draw_label(line: GraticuleLine, limits: MapLimits, colour: Colour) -> None:
+def _draw_label(line: flightmap.GraticuleLine, limits: flightmap.MapLimits, colour: Colour) -> None:
     """Label a line of the graticule, if there is room."""
     if (at := _label_place(line, limits)) is None:
         return
@@ -277,7 +267,7 @@ def _draw_label(line: GraticuleLine, limits: MapLimits, colour: Colour) -> None:
         implot.get_plot_draw_list().add_text(ImVec2(left, top), imgui.get_color_u32(colour), line.label)
 
 
-def _plot_pointers(state: AircraftState, here: Float, length_m: float, *, night: bool) -> None:
+def _plot_pointers(state: flightmap.AircraftState, here: Float, length_m: float, *, night: bool) -> None:
     """Draw heading and azimuth of the camera as lines, and the azimuths of the image as a sector.
 
     The sector is a circle if the zenith or the nadir is in the image.
@@ -354,14 +344,14 @@ class FlightPanel:
         if attitude.gap_within(utc_s, utc_s) is not None:
             imgui.text_disabled("no attitude at this time: a gap of the log")
             return
-        state = aircraft_state(loaded.simulator, utc_s)
+        state = flightmap.aircraft_state(loaded.simulator, utc_s)
         beliefs = session.navigator.beliefs(loaded, session.image.simulator, scene)
         _draw_horizon(state, beliefs, night=session.night)
         _draw_numbers(state, beliefs)
         self._map.draw(loaded, state, beliefs, night=session.night)
 
 
-def _draw_horizon(state: AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
+def _draw_horizon(state: flightmap.AircraftState, beliefs: Sequence[Belief], *, night: bool) -> None:
     """Draw an artificial horizon: the ground is on the side of the lower wing, and below the nose that is up.
 
     The horizon of the aircraft's estimate is a second line.
@@ -420,7 +410,7 @@ def _draw_aircraft(draw_list: imgui.ImDrawList, centre: Float, width: float, col
     draw_list.add_circle_filled(ImVec2(*centre), 3.0, colour)
 
 
-def _azimuths(state: AircraftState) -> str:
+def _azimuths(state: flightmap.AircraftState) -> str:
     """Return the azimuths that the image covers."""
     first_rad, extent_rad = state.image_azimuths_rad
     if extent_rad >= 2 * np.pi:
@@ -430,7 +420,7 @@ def _azimuths(state: AircraftState) -> str:
     return f"{degrees(first_rad):.1f}° to {degrees(first_rad + extent_rad) % 360:.1f}°"
 
 
-def _draw_numbers(state: AircraftState, beliefs: Sequence[Belief]) -> None:
+def _draw_numbers(state: flightmap.AircraftState, beliefs: Sequence[Belief]) -> None:
     site = state.site
     rows = [
         ("roll, pitch", f"{degrees(state.roll_rad):+.2f}°  {degrees(state.pitch_rad):+.2f}°"),

@@ -7,6 +7,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.arrays import Float
 from glstar.render.opengl import Framebuffer
 from glstar.sky.catalogue.reading import star_label
 from glstar.viewer.overlays.curves import ImageRegion
@@ -20,8 +21,6 @@ from glstar.viewer.skyobjects import Selection, star_at
 from glstar.viewer.ui.panels.compare import residuals_of
 from glstar.viewer.ui.panels.imagelayers import Edges, draw_comparison_labels, draw_pixel_grid, draw_shapes
 from glstar.viewer.ui.theme import accent, error
-
-Float = NDArray[np.float64]
 
 # Zoom factor of a notch of the mouse wheel.
 _WHEEL: Final = 1.2

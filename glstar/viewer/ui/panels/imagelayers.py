@@ -11,13 +11,13 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.viewer.overlays.canvas import Labels, Lines, Mark, Marks, Shapes
 from glstar.viewer.overlays.table import Overlay, Rgba
 from glstar.viewer.picture.comparison import LESS_RGB, MORE_RGB, ComparisonMode
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.theme import accent
 
-Float = NDArray[np.float64]
 # Left, top, right, bottom, screen px.
 Edges = tuple[float, float, float, float]
 

@@ -6,16 +6,14 @@ from typing import Final
 
 import numpy as np
 from imgui_bundle import imgui, implot
-from numpy.typing import NDArray
 
+from glstar.arrays import Float
 from glstar.config import ExposureSection
 from glstar.flight import EventKind, Flight
 from glstar.viewer.flight.playhead import Mode, PlayHead
 from glstar.viewer.flight.sky import SkySamples, light_intervals
 from glstar.viewer.flight.traces import ANGLES, FlightLines, TimeAxis, TimelineCurve, Trace, motion_traces
 from glstar.viewer.ui.theme import DAY_PALETTE, NIGHT_PALETTE, Palette, draw_checkbox, scaled
-
-Float = NDArray[np.float64]
 
 # The y coordinates of a box of full height on an axis from 0 to 1.
 BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
