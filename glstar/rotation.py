@@ -10,12 +10,10 @@ A matrix `C_to_from` transforms the components of a vector from one frame to ano
 NED): glstar's `q_body_ned` is the conjugate of the logged quaternion.
 """
 
-from typing import Final
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from glstar.arrays import Float
+Float = NDArray[np.float64]
 
 # Below this angle between two quaternions, rad, slerp is linear: its sines lose digits, and the difference is below
 # the resolution of float64.
@@ -96,7 +94,7 @@ def _matrix_of_products() -> Float:
     return np.ascontiguousarray(np.reshape(rows, (9, 16)).T)
 
 
-_MATRIX_OF_PRODUCTS: Final = _matrix_of_products()
+_MATRIX_OF_PRODUCTS = _matrix_of_products()
 
 
 def quaternion_from_matrix(C: ArrayLike) -> Float:

@@ -4,7 +4,6 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +28,18 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_text
 
 # For images of unknown time: proper motion of most stars is below 1" in a few years.
-_DEFAULT_UTC_S: Final = parse_utc("2020-01-01T00:00:00Z")
-_ALL_STARS_VMAG: Final = 99.0
+_DEFAULT_UTC_S = parse_utc("2020-01-01T00:00:00Z")
+_ALL_STARS_VMAG = 99.0
 # Width of the view of a camera of which only labels are known, deg.
-_UNKNOWN_FOV_DEG: Final = 60.0
+_UNKNOWN_FOV_DEG = 60.0
 # An image is the config's camera, binned, if the ratios of its sides agree to this fraction.
-_SAME_ASPECT: Final = 0.01
+_SAME_ASPECT = 0.01
 # Turns during the readout that are smaller than this, deg, are below half a pixel of most cameras.
-_LEAST_TURN_DEG: Final = 0.01
+_LEAST_TURN_DEG = 0.01
 # Older files name the last column ``hr``.
-_LABEL_COLUMNS: Final = ("x", "y", "star_id")
+_LABEL_COLUMNS = ("x", "y", "star_id")
 # Largest label file, bytes; a label has about 30.
-_LARGEST_LABELS_BYTES: Final = 2**20
+_LARGEST_LABELS_BYTES = 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ thousand stars.  Problems with bounds and numerical derivatives are left to it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,13 +16,13 @@ from glstar.arrays import Float, Index, Mask
 State = TypeVar("State")
 
 # Converged when a step reduces the sum of squares by less than this fraction.
-_CONVERGED: Final = 1e-10
+_CONVERGED = 1e-10
 # Below this fraction the minimum is near.
-_NEAR_MINIMUM: Final = 0.1
-_NOTHING: Final = 1e-12
-_FIRST_DAMPING: Final = 1e-3
-_LEAST_DAMPING: Final = 1e-9
-_MOST_DAMPING: Final = 1e9
+_NEAR_MINIMUM = 0.1
+_NOTHING = 1e-12
+_FIRST_DAMPING = 1e-3
+_LEAST_DAMPING = 1e-9
+_MOST_DAMPING = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Final
 
 
 class NoteKind(Enum):
@@ -25,8 +24,8 @@ class NoteKind(Enum):
 
 
 # Effects of the shape of the stars, and of all that a model of one photograph describes.
-SHAPE_NOTES: Final = frozenset({NoteKind.WINGS, NoteKind.CORNER_WIDTH, NoteKind.ELLIPSE})
-MODEL_NOTES: Final = SHAPE_NOTES | {
+SHAPE_NOTES = frozenset({NoteKind.WINGS, NoteKind.CORNER_WIDTH, NoteKind.ELLIPSE})
+MODEL_NOTES = SHAPE_NOTES | {
     NoteKind.MOTION,
     NoteKind.GRADIENT,
     NoteKind.UNEVEN_SKY,

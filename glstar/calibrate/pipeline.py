@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -41,11 +41,11 @@ from glstar.errors import CalibrationError, ConfigError
 CalibrationResult: TypeAlias = Calibration | CombinedCalibration | GeometryCalibration | SharedGeometry
 
 # A given attitude is reported as wrong if the optical axis is off by more than this, rad.
-_ATTITUDE_TOLERANCE_RAD: Final = np.deg2rad(0.02)
+_ATTITUDE_TOLERANCE_RAD = np.deg2rad(0.02)
 # Progress steps of an image: read, detected, identified, calibrated.
-_STEPS: Final = 4
+_STEPS = 4
 # Suffix of the stars' measured brightness, beside the calibration of several photographs.
-BRIGHTNESS_SUFFIX: Final = ".brightness.csv"
+BRIGHTNESS_SUFFIX = ".brightness.csv"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,14 @@ from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 from glstar.sky.place.site import Site
 
 # Largest distance of the sub-exposures of a sidereal trail, px.
-_SPACING_PX: Final = 0.25
+_SPACING_PX = 0.25
 # Peaks above this multiple of the sky's noise are compared, and the widths of this number of the brightest stars.
-_PEAK_SNR: Final = 3.0
-_WIDTHS: Final = 60
-_BRIGHTEST: Final = 10
-_PROFILE_PX: Final = 10
+_PEAK_SNR = 3.0
+_WIDTHS = 60
+_BRIGHTEST = 10
+_PROFILE_PX = 10
 # Half the side of the square around a star whose median is its sky, px.
-_SKY_PX: Final = 12
+_SKY_PX = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,12 +306,12 @@ def _profile(image: Float, xy_px: Index) -> Float:
     return np.mean(profiles_dn, axis=0) if profiles_dn else np.zeros(_PROFILE_PX + 1)
 
 
-_DPI: Final = 110
+_DPI = 110
 # Black and white of the whole images, quantiles of the photograph; and of the details, noises about the sky.
 _BLACK, _WHITE = 0.001, 0.9995
-_DETAIL_SIGMA: Final = (-3.0, 12.0)
+_DETAIL_SIGMA = (-3.0, 12.0)
 # Side of the detail, px, which is shown at twice its size.
-_DETAIL_PX: Final = 220
+_DETAIL_PX = 220
 _MEASURED, _SIMULATED = "k", "tab:red"
 
 

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,7 +118,7 @@ def _smallest_root(ascending: ArrayLike) -> float:
 
 _POLYNOMIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 
-LENS_MODELS: Final[dict[str, LensFormulas]] = {
+LENS_MODELS: dict[str, LensFormulas] = {
     "plumb_bob": LensFormulas(_POLYNOMIAL[:5], _polynomial_radial, _polynomial_limit, has_tangential_terms=True),
     "rational": LensFormulas(_POLYNOMIAL, _polynomial_radial, _polynomial_limit, has_tangential_terms=True),
     "fisheye": LensFormulas(("k1", "k2", "k3", "k4"), _fisheye_radial, _fisheye_limit),
@@ -177,20 +177,20 @@ def tilt_homography(coefficients: Coefficients) -> Float:
 
 
 # The coefficients of each model, in OpenCV's order.
-COEFFICIENTS: Final = {name: model.coefficients for name, model in LENS_MODELS.items()}
+COEFFICIENTS = {name: model.coefficients for name, model in LENS_MODELS.items()}
 # Numbers of coefficients that do not split a pair such as p1, p2.
-_COUNTS_WITH_WHOLE_PAIRS: Final = (2, 4, 5, 6, 7, 8, 12, 14)
+_COUNTS_WITH_WHOLE_PAIRS = (2, 4, 5, 6, 7, 8, 12, 14)
 # Largest field angle: the tangent of 90 deg is infinite.
-_MAX_FIELD_RAD: Final = np.deg2rad(89.5)
+_MAX_FIELD_RAD = np.deg2rad(89.5)
 # Entries of the table of radii from which Newton's method starts.
-_TABLE_SIZE: Final = 1024
-_MAX_STEPS: Final = 12
+_TABLE_SIZE = 1024
+_MAX_STEPS = 12
 # Newton's method stops at this error, in tangents: a hundred millionth of a pixel at f = 10 000 px.
-_CONVERGED: Final = 1e-12
+_CONVERGED = 1e-12
 # Larger errors after the last step mean that the point has no undistorted position.
-_MAX_ERROR: Final = 1e-10
+_MAX_ERROR = 1e-10
 # Points that are undistorted together; limits memory.
-_BLOCK: Final = 1 << 18
+_BLOCK = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import ceil, isfinite
-from typing import Final, Literal, Self, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ Trail = Literal["auto", "analytic", "sprites"]
 # The direction in which a rolling shutter proceeds over the image: "down" opens the top row first.
 Readout = Literal["down", "up", "left", "right"]
 
-OPPOSITE: Final[dict[Readout, Readout]] = {"down": "up", "up": "down", "left": "right", "right": "left"}
+OPPOSITE: dict[Readout, Readout] = {"down": "up", "up": "down", "left": "right", "right": "left"}
 
 # How short exposures become one image.
 Stack = Literal["sum", "mean"]
@@ -23,9 +23,9 @@ Stack = Literal["sum", "mean"]
 Seconds = float | NDArray[np.float64]
 
 # Largest number of short exposures in one image: all their scenes are held in memory together.
-MAX_FRAMES: Final = 1000
+MAX_FRAMES = 1000
 # Largest digital number of an image file: 16 bits.
-MAX_DN: Final = 65535
+MAX_DN = 65535
 
 
 @dataclass(frozen=True, slots=True)

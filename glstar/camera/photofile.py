@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,15 @@ from glstar.camera.sensor.pixelpattern import read_fits
 from glstar.system.imagefiles import MAX_MEGAPIXELS, PNG_SIGNATURE
 from glstar.system.installation import install_command
 
-_FITS: Final = b"SIMPLE  ="
-_TIFF: Final = (b"II*\0", b"MM\0*")
+_FITS = b"SIMPLE  ="
+_TIFF = (b"II*\0", b"MM\0*")
 # The tag DNGVersion as an entry of a TIFF directory, of either byte order, and where the directory may lie.
-_DNG_TAGS: Final = (b"\x12\xc6\x01\x00\x04\x00\x00\x00", b"\xc6\x12\x00\x01\x00\x00\x00\x04")
-_HEAD_BYTES: Final = 1 << 16
-_HEIF_BRANDS: Final = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1", b"avif")
+_DNG_TAGS = (b"\x12\xc6\x01\x00\x04\x00\x00\x00", b"\xc6\x12\x00\x01\x00\x00\x00\x04")
+_HEAD_BYTES = 1 << 16
+_HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1", b"avif")
 # First bytes of the other formats that OpenCV reads.
-_PORTABLE_MAPS: Final = tuple(f"P{kind}".encode() for kind in "1234567fF")
-_SIGNATURES: Final = (
+_PORTABLE_MAPS = tuple(f"P{kind}".encode() for kind in "1234567fF")
+_SIGNATURES = (
     b"\x89PNG",
     b"\xff\xd8\xff",  # JPEG
     b"BM",
@@ -38,11 +38,11 @@ _SIGNATURES: Final = (
     b"MM\0+",
     *_PORTABLE_MAPS,
 )
-_LARGEST_DN: Final = 65535
+_LARGEST_DN = 65535
 # Stored numbers to a digital number of 15 to 9 bits that is in the highest of 16.
-_LEFT_ALIGNED: Final = frozenset(2.0**shift for shift in range(1, 8))
+_LEFT_ALIGNED = frozenset(2.0**shift for shift in range(1, 8))
 # LibRaw's number of a rotation, and the quarter turns to the left that make the image upright.
-_QUARTER_TURNS: Final = {3: 2, 5: 1, 6: 3}
+_QUARTER_TURNS = {3: 2, 5: 1, 6: 3}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +169,9 @@ def _refuse_large(width_px: int, height_px: int) -> None:
 
 
 # Tag of TIFF 6.0 with the largest value that a pixel can have.
-MAX_SAMPLE_VALUE: Final = 281
-_FILE_BITS: Final = 16
-_TIFF_SHORT: Final = 3
+MAX_SAMPLE_VALUE = 281
+_FILE_BITS = 16
+_TIFF_SHORT = 3
 
 
 def shift_bits(full_scale_dn: int) -> int:

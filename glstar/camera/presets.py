@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Final
+from typing import Any
 
 from glstar.camera.camerafile import label
 from glstar.camera.model import Camera
@@ -18,9 +18,9 @@ from glstar.system.resources import asset
 from glstar.system.userinput import nearest_word, read_text
 
 # Bits of the digital numbers in `assets/sensors.toml`.
-_TABLE_BITS: Final = 12
+_TABLE_BITS = 12
 # Size limit of a user's file of sensors, bytes.
-_LARGEST_BYTES: Final = 2**20
+_LARGEST_BYTES = 2**20
 
 
 @dataclass(frozen=True, slots=True)

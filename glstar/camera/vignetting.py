@@ -7,7 +7,7 @@ solid angle of the sky, which makes a surface fainter and leaves a star as it is
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,17 +18,17 @@ from glstar.camera.sensor.pixelpattern import read_map, smooth
 
 VignettingModel = Literal["none", "cos4", "polynomial", "flat"]
 
-VIGNETTINGS: Final = ("none", "cos4", "polynomial", "flat")
+VIGNETTINGS = ("none", "cos4", "polynomial", "flat")
 # Step of the finite differences of the distortion, tangents.
-_STEP: Final = 1e-5
+_STEP = 1e-5
 # Terms of the polynomials that the shader evaluates: as many as the tolerance asks for.  With all, the largest relative
 # errors of stars are 3e-5 up to 60 deg off the axis and 5e-4 up to 70 deg; those of the sky are 1e-4 behind a lens.
 # Behind a pinhole cos^4 has three terms.
-_TERMS: Final = range(3, 9)
+_TERMS = range(3, 9)
 # Relative error up to which a polynomial has fewer terms.
-_TOLERANCE: Final = 5e-6
+_TOLERANCE = 5e-6
 # Points of the image, along each side, that the polynomials are fitted to.
-_POINTS: Final = 65
+_POINTS = 65
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from importlib import import_module
 from inspect import cleandoc, signature
 from itertools import pairwise
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.markup import escape
@@ -24,7 +24,7 @@ __all__ = ["COMMANDS", "main"]
 
 
 # Key of the arguments of the command line, for the options that are processed before the others.
-_WORDS: Final = "glstar.words"
+_WORDS = "glstar.words"
 
 
 class _OneLineErrors(TyperGroup):
@@ -63,7 +63,7 @@ class _Command(NamedTuple):
     summary: str  # first paragraph of its help, shown by ``glstar --help``
 
 
-COMMANDS: Final = {
+COMMANDS = {
     "export": _Command(
         "images.export",
         "export",

@@ -4,7 +4,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final
 
 import typer
 from rich.console import Console
@@ -14,7 +13,7 @@ from rich.text import Text
 from glstar.cli.verbosity import Verbosity, verbosity
 
 # Time between two lines of progress, s: a log of an hour's export has some hundred lines.
-_LINE_EVERY_S: Final = 30.0
+_LINE_EVERY_S = 30.0
 
 
 class _Rate(ProgressColumn):

@@ -6,7 +6,7 @@ from contextvars import ContextVar
 from enum import IntEnum
 from functools import wraps
 from inspect import Parameter, signature
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
@@ -27,7 +27,7 @@ class Verbosity(IntEnum):
     """Details as well, and progress in lines where there is no terminal."""
 
 
-_CURRENT: Final = ContextVar("verbosity", default=Verbosity.NORMAL)
+_CURRENT = ContextVar("verbosity", default=Verbosity.NORMAL)
 
 
 def verbosity() -> Verbosity:

@@ -10,7 +10,6 @@ only widens the uncertainty.  ``python -m tests.bench.clockoffset`` checks the s
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,39 +23,39 @@ from glstar.compare.pairs import Pairing
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
 
 # The motions: three rotations of the camera, time, and the readout time.
-_TURN: Final = slice(0, 3)
-_TIME: Final = 3
-_READOUT: Final = 4
-_SHARED: Final = slice(0, 5)
-_MOTIONS: Final = 5
+_TURN = slice(0, 3)
+_TIME = 3
+_READOUT = 4
+_SHARED = slice(0, 5)
+_MOTIONS = 5
 # The attitude error of each image: three rotations, and three that grow during the exposure.
-_OWN: Final = np.array([0, 1, 2, 5, 6, 7])
+_OWN = np.array([0, 1, 2, 5, 6, 7])
 # Prior standard deviations of the motions, rad and s: so wide that they only keep the equations solvable.
-_PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 1.0, 1.0, 1.0])
-_MAX_ITERATIONS: Final = 8
+_PRIOR = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 1.0, 1.0, 1.0])
+_MAX_ITERATIONS = 8
 # The fit has converged when each step is below this fraction of the standard error, or below these (rad, s).
-_CONVERGED_FRACTION: Final = 0.05
-_CONVERGED: Final = np.array([1e-6, 1e-6, 1e-6, 2e-5, 2e-5])
+_CONVERGED_FRACTION = 0.05
+_CONVERGED = np.array([1e-6, 1e-6, 1e-6, 2e-5, 2e-5])
 # A clock offset with a larger standard error is not reported, s.
-_MAX_CLOCK_STD_S: Final = 0.05
+_MAX_CLOCK_STD_S = 0.05
 # A readout time with a larger standard error is not reported, s: the sensors of the presets take 8 to 87 ms.
-_MAX_READOUT_STD_S: Final = 0.02
+_MAX_READOUT_STD_S = 0.02
 # Bound of the readout time during the fit, s.
-_MAX_READOUT_S: Final = 0.5
+_MAX_READOUT_S = 0.5
 # Rows open in the opposite direction if the readout time is below zero by this many standard errors.
-_SIGNIFICANT: Final = 3.0
+_SIGNIFICANT = 3.0
 # Trails slower than 20 times the rotation of the sky (rad/s) are those of an aircraft that does not turn.
-_SIDEREAL_RATE_RAD_PER_S: Final = 7.292e-5
-_MIN_SIDEREAL_RATES: Final = 20.0
+_SIDEREAL_RATE_RAD_PER_S = 7.292e-5
+_MIN_SIDEREAL_RATES = 20.0
 # Bounds of the attitude error, rad, and the number of grid points between them where its search starts.
 _MIN_ATTITUDE_RAD, _MAX_ATTITUDE_RAD = 1e-7, 0.2
-_GRID_POINTS: Final = 13
+_GRID_POINTS = 13
 # An image is excluded if its attitude error is this many times the median one.
-_OUTLIER_RATIO: Final = 6.0
+_OUTLIER_RATIO = 6.0
 # The jackknife needs this many images.
-_MIN_JACKKNIFE: Final = 3
+_MIN_JACKKNIFE = 3
 # Probability of a normal deviate below two standard deviations.
-_BELOW_TWO_SIGMA: Final = 0.97725
+_BELOW_TWO_SIGMA = 0.97725
 
 
 # Finds the trails of an image, by number, with a mount, a delay of the exposures, s, and a readout time, s, negative if

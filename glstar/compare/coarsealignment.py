@@ -7,7 +7,6 @@ the mount.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import cv2
 import numpy as np
@@ -36,7 +35,7 @@ class _CoarseSearch:
     stars: int = 150  # number of stars, the brightest
 
 
-_COARSE: Final = _CoarseSearch()
+_COARSE = _CoarseSearch()
 
 
 def likely_start(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,20 +22,20 @@ from glstar.sky.photometry import magnitude_difference
 
 # Number of cells along the longer side of the field, for 20 pairs per cell on average.
 _MIN_CELLS, _MAX_CELLS = 3, 8
-_PAIRS_A_CELL: Final = 20
+_PAIRS_A_CELL = 20
 # Smallest extent of the field, px, for one or two pairs.
-_MIN_FIELD_PX: Final = 40.0
+_MIN_FIELD_PX = 40.0
 # Weights grow up to this signal-to-noise ratio: beyond it, model errors exceed the noise.
-_MAX_SIGNAL: Final = 100.0
+_MAX_SIGNAL = 100.0
 # Number of best and of worst pairs that are kept with their cutouts.
-_SHOWN_PAIRS: Final = 8
+_SHOWN_PAIRS = 8
 # An image counts as identified if 3 of its predicted stars and a tenth of them are found, or half of fewer than 6: a
 # single match among many predictions is chance.
 _MANY_PREDICTED, _MIN_FOUND, _MIN_FOUND_FRACTION = 6, 3, 0.1
 # Trails found by chance: at most this fraction of those predicted, and at least this scatter about a common motion, px.
 _MOST_BY_CHANCE, _CHANCE_SCATTER_PX = 0.5, 1.2
 # An image without found stars is reported as saturated above this fraction of saturated pixels.
-_SATURATED_FRACTION: Final = 0.3
+_SATURATED_FRACTION = 0.3
 
 
 def column(pairs: Sequence[Pair], name: str) -> Float:

@@ -5,7 +5,7 @@ is rendered through the camera's lens model.
 """
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from glstar.arrays import Float
 from glstar.calibrate.photo.detection import background_of
 
 # A pixel above this fraction of the largest digital number counts as saturated.
-_SATURATION_FRACTION: Final = 0.98
+_SATURATION_FRACTION = 0.98
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ class _Limits:
     most_extensions: int = 12  # how often a trail that continues beyond the strip is followed
 
 
-_LIMITS: Final = _Limits()
+_LIMITS = _Limits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

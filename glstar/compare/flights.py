@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +31,13 @@ from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
 OnStep = Callable[[int, int], None]
 
 # Memory for background-subtracted images between the iterations of a fit, bytes.
-_CACHE_BYTES: Final = 600 * 2**20
-_BYTES_PER_PX: Final = 9
+_CACHE_BYTES = 600 * 2**20
+_BYTES_PER_PX = 9
 # Largest number of images in a fit, evenly chosen: its error falls with the square root, its time grows in proportion.
-_MAX_FITTED: Final = 48
+_MAX_FITTED = 48
 # A mount with a larger standard error is not determined, deg.
-_MAX_MOUNT_STD_DEG: Final = 1.0
-_BY_HAND: Final = "set clock or mount by hand first"
+_MAX_MOUNT_STD_DEG = 1.0
+_BY_HAND = "set clock or mount by hand first"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,11 +29,11 @@ from glstar.render.truth.frame import as_current_schema
 # Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
 _PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0
 # Standard deviation of stars, px, because that of the folder is unknown: typical of well focused lenses.
-_USUAL_SIGMA_PX: Final = 1.3
-_MIN_PIXELS: Final = 5
+_USUAL_SIGMA_PX = 1.3
+_MIN_PIXELS = 5
 # Number of points of a straight path.
-_POINTS: Final = 40
-_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+_POINTS = 40
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
 def paired_files(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[list[tuple[Path, Path]], list[Path]]:

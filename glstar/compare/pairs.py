@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -15,21 +14,21 @@ from glstar.compare.prediction import Stamp, Trails, moved_path, stamp_of
 from glstar.compare.trailfit import FoundTrail, find_trail
 
 # The common shift is searched for on images binned to at most this size, px.
-_COARSE_SIDE_PX: Final = 512
+_COARSE_SIDE_PX = 512
 # Signals are clipped at this many standard deviations of the noise, so that one planet does not dominate.
-_MAX_SIGNAL: Final = 6.0
+_MAX_SIGNAL = 6.0
 # Search windows around predicted positions, px.  The first one grows with the distance from the centre by a roll of
 # 0.012 rad; the second one follows the motion that the first search found.
-_FIRST_WINDOW_PX: Final = 4.0
-_MAX_ROLL_RAD: Final = 0.012
-_SECOND_WINDOW_PX: Final = 3.0
+_FIRST_WINDOW_PX = 4.0
+_MAX_ROLL_RAD = 0.012
+_SECOND_WINDOW_PX = 3.0
 # A trail is an outlier beyond this many times the scatter, and this many px, from the common motion.
-_OUTLIER_SCATTERS: Final = 6.0
-_OUTLIER_PX: Final = 1.0
+_OUTLIER_SCATTERS = 6.0
+_OUTLIER_PX = 1.0
 # Median of the distance from the middle of a Gaussian in two dimensions, in standard deviations per axis.
-_RAYLEIGH_MEDIAN: Final = 1.1774
+_RAYLEIGH_MEDIAN = 1.1774
 # Relative damping of motions that the stars do not determine.
-_DAMPING: Final = 1e-9
+_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)

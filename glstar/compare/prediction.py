@@ -4,7 +4,7 @@ Paths are sampled for single exposures, rolling shutters and stacked exposures.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -17,21 +17,21 @@ from glstar.render.scene.scene import Frame, Scene
 Number = TypeVar("Number", bound=np.generic)
 
 # Largest number of samples along a path.
-_MAX_SAMPLES: Final = 240
+_MAX_SAMPLES = 240
 # Smallest number of samples in each piece of the path of a stacked image: a rate at its ends needs three.
-_LEAST_SAMPLES: Final = 3
+_LEAST_SAMPLES = 3
 # Number of samples along a path that a rolling shutter records.
-_ROLLING_SAMPLES: Final = 64
+_ROLLING_SAMPLES = 64
 # Half the width of the aperture along a path, in sigma: it holds all but 0.2 % of the flux.
-_APERTURE_SIGMA: Final = 3.5
+_APERTURE_SIGMA = 3.5
 # Distance from the image's edge to the aperture of a complete trail, px: room for the fit to move.
-_EDGE_PX: Final = 5.0
+_EDGE_PX = 5.0
 # A star is blended if other stars add more than this fraction of its flux to its aperture.
-_BLENDED_FRACTION: Final = 0.05
+_BLENDED_FRACTION = 0.05
 # Number of small motions: rotations, a delay, a readout time, and rotations that grow.
-_MOTIONS: Final = 8
+_MOTIONS = 8
 # Shorter trails, in sigma, do not determine a length or a direction.
-_MIN_TRAIL_SIGMA: Final = 4.0
+_MIN_TRAIL_SIGMA = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

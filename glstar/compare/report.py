@@ -9,7 +9,7 @@ from dataclasses import asdict, fields
 from io import BytesIO, StringIO
 from math import degrees, isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -25,12 +25,12 @@ from glstar.sky.catalogue.reading import star_label
 from glstar.sky.photometry import magnitude_difference
 from glstar.system.files import write_atomically
 
-SCHEMA: Final = "glstar-compare-2"
+SCHEMA = "glstar-compare-2"
 
-_DPI: Final = 110
+_DPI = 110
 _REAL, _BASELINE, _SATURATED = "tab:red", "0.6", "tab:orange"
-_COLOUR: Final = "tab:blue"
-_BINS: Final = 40
+_COLOUR = "tab:blue"
+_BINS = 40
 
 
 def draw_plots(comparison: Comparison) -> bytes:

@@ -1,7 +1,6 @@
 """The fit of one simulated trail to a real image: shift, stretch, turn and brightness."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -13,29 +12,29 @@ from glstar.compare.detection import SubtractedImage
 from glstar.compare.prediction import Stamp, deformation, offsets_and_directions, stamp_of
 
 # Pixels around the trail that give the background level, and the largest shift before the cutout is moved, px.
-_MARGIN_PX: Final = 3
-_MAX_ITERATIONS: Final = 30
+_MARGIN_PX = 3
+_MAX_ITERATIONS = 30
 # Converged when an iteration lowers chi squared by less than this: a hundredth of a standard deviation.
-_CONVERGED: Final = 1e-4
+_CONVERGED = 1e-4
 # Number of cutouts that a fit may move through.
-_CUTS: Final = 4
+_CUTS = 4
 # Pixels below this fraction of the template's peak count as background.
-_DARK_FRACTION: Final = 0.02
+_DARK_FRACTION = 0.02
 # Smallest number of pixels in a fit: twice its parameters.
-_MIN_PIXELS: Final = 12
+_MIN_PIXELS = 12
 # Prior standard deviation of stretch (a fraction) and turn (rad): it keeps the fit of faint trails bounded.
-_PRIOR_STD: Final = 0.3
-_PRIOR: Final = np.array([0.0, 0.0, 0.0, 0.0, _PRIOR_STD**-2, _PRIOR_STD**-2])
-_MAX_DEFORMATION: Final = 0.6
+_PRIOR_STD = 0.3
+_PRIOR = np.array([0.0, 0.0, 0.0, 0.0, _PRIOR_STD**-2, _PRIOR_STD**-2])
+_MAX_DEFORMATION = 0.6
 # A trail counts as found if its brightness is at least this many standard deviations above zero, ...
-_MIN_SIGNAL: Final = 5.0
+_MIN_SIGNAL = 5.0
 # ... and the residuals beyond the noise have less than this fraction of its power.
-_MAX_RESIDUAL: Final = 0.6
+_MAX_RESIDUAL = 0.6
 # Error of the interpolation, px: the smallest standard deviation of a position.
-_FLOOR_PX: Final = 0.005
+_FLOOR_PX = 0.005
 
 # The derivative at a pixel from its four neighbours, accurate to the fourth order.
-_SLOPE: Final = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12
+_SLOPE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from math import radians
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self
+from typing import Any, Self
 
 from glstar.camera.model import Camera, Mount
 from glstar.camera.presets import preset_file
@@ -40,7 +40,7 @@ from glstar.sky.photometry import StarBrightness
 from glstar.system.userinput import did_you_mean
 from glstar.telemetry import Survey, TelemetrySource, open_source, read_flight, survey
 
-DEFAULT: Final = "default"
+DEFAULT = "default"
 # A value and where it comes from.
 Origin = tuple[Any, str]
 

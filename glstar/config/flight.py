@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from math import degrees, radians
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
 from pydantic import Field, create_model, field_validator
@@ -23,14 +23,14 @@ from glstar.telemetry import FlightOptions, read_track
 from glstar.telemetry.synthetic import KEYS, PREFIX, Setting, synthetic_flight
 
 # Name of the section, and prefix of its keys in a sweep.
-SYNTHETIC: Final = "flight.synthetic"
+SYNTHETIC = "flight.synthetic"
 # Keys that accept a list besides their text.
-_LISTS: Final = {
+_LISTS = {
     "waypoints": "a list of [latitude_deg, longitude_deg, height_m]",
     "vibration": "a list of [frequency_hz, amplitude_deg, axis]",
 }
 # Keys that do not change how long a flight lasts.
-_OF_ANY_LENGTH: Final = {
+_OF_ANY_LENGTH = {
     "latitude_deg",
     "longitude_deg",
     "height_m",
@@ -54,7 +54,7 @@ _SPREAD = "a number of degrees, 0 or more"
 _MOUNT, _EXTINCTION = Mount(), Extinction()
 
 # Command-line flags of the keys of [flight].
-FLIGHT_FLAGS: Final = MappingProxyType(
+FLIGHT_FLAGS = MappingProxyType(
     {
         "utc_start": "--utc-start",
         "latitude_deg": "--lat",

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, Final, Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 import tomli_w
 
@@ -26,7 +26,7 @@ EFFECT_SECTIONS: dict[str, type[Section]] = {
 
 
 # Values of the effects' keys that `Sensor.effects` need not contain, by dotted key.
-EFFECT_DEFAULTS: Final = MappingProxyType(
+EFFECT_DEFAULTS = MappingProxyType(
     {f"{effect.section}.{key.name}": key.default for effect in EFFECTS for key in effect.keys}
 )
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from math import pi
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -18,17 +18,17 @@ from glstar.sky.photometry import brightness_ratio
 
 _SENSOR = Sensor()
 # Aperture and transmission of an unknown lens: the 6 mm f/1.2 lens of the Raspberry Pi HQ camera.
-_APERTURE_MM: Final = 5.0
-_LENS_TRANSMISSION: Final = 0.8
+_APERTURE_MM = 5.0
+_LENS_TRANSMISSION = 0.8
 # Surface brightness of a rural sky at the zenith, V magnitudes per square arcsecond.
-_SKY_MAG_PER_ARCSEC2: Final = 21.0
-_ARCSEC_PER_RAD: Final = 180 * 3600 / pi
+_SKY_MAG_PER_ARCSEC2 = 21.0
+_ARCSEC_PER_RAD = 180 * 3600 / pi
 
 # Keys that the zero point is derived from, and the one that the sky is derived from.
-_OPTICS: Final = ("aperture_mm", "lens_transmission", "quantum_efficiency", "photons_per_s_cm2")
-_SKY: Final = ("sky_mag_per_arcsec2",)
-_ELECTRON_FIELDS: Final = frozenset(field.name for field in fields(ElectronModel))
-_ELECTRON_KEYS: Final = frozenset(
+_OPTICS = ("aperture_mm", "lens_transmission", "quantum_efficiency", "photons_per_s_cm2")
+_SKY = ("sky_mag_per_arcsec2",)
+_ELECTRON_FIELDS = frozenset(field.name for field in fields(ElectronModel))
+_ELECTRON_KEYS = frozenset(
     {
         *_ELECTRON_FIELDS,
         *_OPTICS,
@@ -43,8 +43,8 @@ _ELECTRON_KEYS: Final = frozenset(
     }
 )
 # Keys of the files with measured maps of the pixels.
-SENSOR_MAPS: Final = ("dark_frame", "flat_field", "defect_map", "sky_map")
-_SOURCES: Final = ("file", "preset", "star_brightness")
+SENSOR_MAPS = ("dark_frame", "flat_field", "defect_map", "sky_map")
+_SOURCES = ("file", "preset", "star_brightness")
 
 
 @with_effect_keys("sensor")

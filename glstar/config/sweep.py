@@ -6,7 +6,7 @@ from datetime import datetime
 from itertools import chain
 from math import exp, isfinite, log, prod
 from types import UnionType
-from typing import Annotated, Any, Final, Literal, Self, TypeGuard, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,14 @@ from glstar.sky.place.timescale import format_utc, parse_utc
 from glstar.system.userinput import did_you_mean
 
 # Larger data sets are taken for a mistake: a year of rendering on 100 processors, and every sample needs memory.
-MAX_SAMPLES: Final = 10_000_000
+MAX_SAMPLES = 10_000_000
 # Larger counts are not written out in messages.
-_UNREADABLE: Final = 10**18
+_UNREADABLE = 10**18
 
 # A flag of `glstar export` rather than a key: start of the exposures, s from the first attitude.
-START: Final = "start_s"
+START = "start_s"
 # Keys of reading the log, which do not vary within a flight.
-_READING_KEYS: Final = (
+_READING_KEYS = (
     "flight.attitude",
     "flight.sysid",
     "flight.boot",
@@ -32,8 +32,8 @@ _READING_KEYS: Final = (
     "navigator.attitude",
 )
 # Keys whose values are times.
-_TIMES: Final = ("flight.utc_start", "flight.synthetic.start_utc")
-_RANGE_KEYS: Final = {"min", "max", "log"}
+_TIMES = ("flight.utc_start", "flight.synthetic.start_utc")
+_RANGE_KEYS = {"min", "max", "log"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
-from typing import IO, Final, Self
+from typing import IO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,29 +30,29 @@ from numpy.typing import NDArray
 from glstar.errors import ExportError
 from glstar.system.files import TEMPORARY, flush_directory, lock_handle, temporary_path
 
-NOISELESS_SUFFIX: Final = ".light.tiff"
+NOISELESS_SUFFIX = ".light.tiff"
 
 # Parquet tables of the truth, written for a complete export; the last two only if there are bodies or satellites.
-TABLES: Final = ("frames.parquet", "stars.parquet", "bodies.parquet", "satellites.parquet")
+TABLES = ("frames.parquet", "stars.parquet", "bodies.parquet", "satellites.parquet")
 
 # Splits for learning, the index that describes them, and the data card.
-SPLITS: Final = ("train", "validation", "test")
-SPLIT_INDEX: Final = "splits.json"
-DATA_CARD: Final = "DATACARD.md"
+SPLITS = ("train", "validation", "test")
+SPLIT_INDEX = "splits.json"
+DATA_CARD = "DATACARD.md"
 # Files that describe all frames of a complete export; they are removed when frames are added.
-SUMMARIES: Final = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS), DATA_CARD)
+SUMMARIES = (*TABLES, SPLIT_INDEX, *(f"{split}.txt" for split in SPLITS), DATA_CARD)
 
 # Matches the name of every file that an export writes.
-OURS: Final = re.compile(
+OURS = re.compile(
     r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)|manifest\.json"
     r"|nav\.jsonl(\.partial)?|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
     r"|(frames|stars|bodies|satellites)\.parquet|splits\.json|(train|validation|test)\.txt|DATACARD\.md"
 )
 
-_FOLDER: Final = re.compile(r"frames_\d{6,}")
+_FOLDER = re.compile(r"frames_\d{6,}")
 # Frames in the directory itself, then frames per folder: file managers are slow with very many files in one folder.
-_FRAMES_WITHOUT_FOLDER: Final = 10_000
-_FRAMES_PER_FOLDER: Final = 1000
+_FRAMES_WITHOUT_FOLDER = 10_000
+_FRAMES_PER_FOLDER = 1000
 
 
 def frame_folder(number: int) -> str:
@@ -87,8 +87,8 @@ def frame_numbers(directory: Path, suffix: str) -> NDArray[np.int64]:
     return np.unique(np.fromiter((int(match[1]) for match in found), dtype=np.int64))
 
 
-_NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-_ADVICE: Final = "glstar follows no links below its output directory; remove it, or choose another directory"
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+_ADVICE = "glstar follows no links below its output directory; remove it, or choose another directory"
 
 
 def refuse_links(directory: Path) -> None:
@@ -187,10 +187,10 @@ def directory_lock(directory: Path, *, shared: bool = False) -> Iterator[None]:
         os.close(handle)
 
 
-_PREFIX: Final = f"{TEMPORARY}lease-"
+_PREFIX = f"{TEMPORARY}lease-"
 # Time for a process of an earlier run to finish writing its frame, s.
-_WRITE_TIMEOUT_S: Final = 30.0
-_POLL_INTERVAL_S: Final = 0.02
+_WRITE_TIMEOUT_S = 30.0
+_POLL_INTERVAL_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite
 from os import PathLike
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import orjson
@@ -26,8 +26,8 @@ from glstar.sky.place.site import Site
 from glstar.system.resources import bundled_flight
 
 # With poses the end of the flight is unknown: the errors of the navigator are drawn for this time, s.
-_HORIZON_S: Final = 6 * 3600.0
-_START_UTC_S: Final = 1710068400.0
+_HORIZON_S = 6 * 3600.0
+_START_UTC_S = 1710068400.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

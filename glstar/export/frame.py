@@ -24,7 +24,7 @@ from math import inf
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import IO, Any, Final, Self
+from typing import IO, Any, Self
 
 import numpy as np
 import orjson
@@ -194,12 +194,12 @@ def frame_seed(seed: int, number: int) -> int:
 
 # Minimum interval between the flushes of two groups, s, unless the group is large.  No process can create or rename
 # files while ext4 commits its journal.  Groups take 0.2 to 0.7 ms per frame on ext4, single frames 3.4 ms.
-_GROUP_INTERVAL_S: Final = 0.5
+_GROUP_INTERVAL_S = 0.5
 # A smaller group waits up to the same time for more frames.
-_GROUP_FRAMES: Final = 8
+_GROUP_FRAMES = 8
 # A group of this size is flushed at once: it limits the dirty memory, and the frames that a kill can lose.
-_MAX_GROUP_FRAMES: Final = 64
-_MAX_GROUP_BYTES: Final = 1 << 26
+_MAX_GROUP_FRAMES = 64
+_MAX_GROUP_BYTES = 1 << 26
 
 
 class FrameWriter:

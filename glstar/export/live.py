@@ -9,7 +9,7 @@ from functools import partial
 from math import floor, inf
 from pathlib import Path
 from threading import Event
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -36,17 +36,17 @@ from glstar.sky.place.timescale import described_earth_orientation, format_utc
 from glstar.system.files import TEMPORARY, flush_directory, make_directory
 
 # Part of the flight before the exposure that is read too, s: its median sample interval decides what counts as a gap.
-_CONTEXT_S: Final = 5.0
+_CONTEXT_S = 5.0
 # Interval at which events of the link are reported while no exposure is due, s.
-_POLL_INTERVAL_S: Final = 0.1
+_POLL_INTERVAL_S = 0.1
 # Time for site, UTC and attitude to arrive before missing ones are reported, s.
-_REPORT_DELAY_S: Final = 3.0
+_REPORT_DELAY_S = 3.0
 # If the clock is set back by more than this, the sequence of exposures restarts at the current time, s.
-_CLOCK_RESET_S: Final = 1.0
+_CLOCK_RESET_S = 1.0
 # Exposures that answers may be for: an hour at ten frames a second, each twice.
-_MOST_EXPOSURES: Final = 72_000
+_MOST_EXPOSURES = 72_000
 # Time after which apparent star directions are computed again, s: they change by 0.03" per hour.
-_STARS_VALID_S: Final = 3600.0
+_STARS_VALID_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 import orjson
@@ -34,9 +34,9 @@ from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_fr
 from glstar.sky.place.timescale import format_utc
 from glstar.system.files import publish, temporary_path, write_atomically
 
-NAV_SCHEMA: Final = "glstar-nav-1"
-_INSTANTS: Final = ("start", "middle", "end")
-_UP_NED: Final = np.array([0.0, 0.0, -1.0])
+NAV_SCHEMA = "glstar-nav-1"
+_INSTANTS = ("start", "middle", "end")
+_UP_NED = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +147,7 @@ def _at_instants(values: Float) -> dict[str, Any]:
     return dict(zip(_INSTANTS, values.tolist(), strict=True))
 
 
-NAV: Final = "nav.jsonl"
+NAV = "nav.jsonl"
 
 
 def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrack | None]:
@@ -257,7 +257,7 @@ def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
 
 
 # Duration for which errors of the estimate are drawn if the export has no end, s; later the last error is held.
-_ERRORS_S: Final = 4 * 3600.0
+_ERRORS_S = 4 * 3600.0
 
 
 class LiveNavigator:

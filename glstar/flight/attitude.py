@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,7 +40,7 @@ class _Thresholds:
     gyro_drift_rad_per_s: float = float(np.deg2rad(25.0))
 
 
-_LIMITS: Final = _Thresholds()
+_LIMITS = _Thresholds()
 
 
 def estimator_resets(
@@ -107,18 +107,18 @@ def _departures(step_s: Float, q: Float) -> Float:
 Interpolation = Literal["slerp", "spline", "gyro"]
 
 # Reasons of gaps.
-DATA_GAP: Final = "a data gap"
-JUMP: Final = "a jump"
+DATA_GAP = "a data gap"
+JUMP = "a jump"
 
 # By default a pause between samples is a gap if it is longer than this many median intervals, and longer than the
 # timing jitter of any log, s.
-_MAX_GAP_INTERVALS: Final = 3
-_LEAST_GAP_S: Final = 0.1
+_MAX_GAP_INTERVALS = 3
+_LEAST_GAP_S = 0.1
 
 # Aircraft turn slower than this, rad/s; an estimator that is reset turns faster.
-_MAX_RATE_RAD_PER_S: Final = np.deg2rad(3000.0)
+_MAX_RATE_RAD_PER_S = np.deg2rad(3000.0)
 # Two samples may have the same timestamp up to rounding: a turn of 1 deg is allowed in no time.
-_JUMP_TOLERANCE_RAD: Final = np.deg2rad(1.0)
+_JUMP_TOLERANCE_RAD = np.deg2rad(1.0)
 
 
 @dataclass(frozen=True, slots=True)

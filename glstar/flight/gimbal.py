@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from glstar.rotation import euler_from_quaternion, multiply, quaternion_from_eul
 
 GimbalMode = Literal["none", "level", "log"]
 
-_LACKS: Final = (
+_LACKS = (
     "has no attitude of a gimbal: no GIMBAL_DEVICE_ATTITUDE_STATUS, MOUNT_ORIENTATION or MOUNT_STATUS, no MNT and no"
     ' topic gimbal_device_attitude_status or mount_orientation; take [mount] gimbal = "level" or "none"'
 )
@@ -69,7 +69,7 @@ class Gimbal:
         return AttitudeTrack(own.utc_s, platform, own.gaps, interpolation)
 
 
-NO_GIMBAL: Final = Gimbal()
+NO_GIMBAL = Gimbal()
 
 
 def lagged(t_s: Float, value: Float, first: NDArray[np.bool_], lag_s: float) -> Float:

@@ -1,7 +1,7 @@
 """Attitude between the samples of a log, from integrated gyro rates."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,22 +12,22 @@ from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quatern
 from glstar.statistics import robust_std
 
 # Two successive gyro readings with an interval above this many median intervals are separated by a data gap.
-DATA_GAP_INTERVALS: Final = 3
+DATA_GAP_INTERVALS = 3
 # Largest lag of gyro timestamps, s: half a sample interval, filters and the queue of the logger add up to less.
-_MAX_LAG_S: Final = 0.1
+_MAX_LAG_S = 0.1
 # A lag is applied if it exceeds this many standard deviations.
-_LAG_SIGMA: Final = 5
+_LAG_SIGMA = 5
 # Rounds of the fit of the lag, and of its rejection of outliers.
-_LAG_ROUNDS: Final = 3
+_LAG_ROUNDS = 3
 # Number of attitudes from which the lag is estimated: enough for a standard deviation of about 0.01 ms.
-_LAG_SAMPLES: Final = 50_000
+_LAG_SAMPLES = 50_000
 # Autopilot gyros measure up to 2000 deg/s; a faster reading is damaged, rad/s.
-_MAX_RATE_RAD_PER_S: Final = np.deg2rad(3000.0)
+_MAX_RATE_RAD_PER_S = np.deg2rad(3000.0)
 # A reading that differs this much from both neighbours is damaged, rad/s.
-_SPIKE_RAD_PER_S: Final = np.deg2rad(300.0)
+_SPIKE_RAD_PER_S = np.deg2rad(300.0)
 # A reading closer to an attitude sample than this fraction of the gyro interval is skipped: it adds no information,
 # and the rounding of UTC would become a turn rate.
-_LEAST_DISTANCE: Final = 0.25
+_LEAST_DISTANCE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,6 @@
 """The attitude that an aircraft estimates: the true one, or that of a log, with the errors of an AHRS."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -11,11 +10,11 @@ from glstar.flight.attitude import AttitudeTrack
 from glstar.rotation import euler_from_quaternion, matrix_from_quaternion, multiply, quaternion_from_turn
 
 # Samples of the drift per correlation time: linear interpolation between them loses 0.3 % of its variance.
-_SAMPLES_A_CORRELATION: Final = 100
+_SAMPLES_A_CORRELATION = 100
 # A drift has at most this many samples: four million are 100 MB.
-_MOST_SAMPLES: Final = 4_000_000
+_MOST_SAMPLES = 4_000_000
 # A bank whose tangent is larger is no coordinated turn: 80 deg.
-_LARGEST_TANGENT: Final = float(np.tan(np.deg2rad(80.0)))
+_LARGEST_TANGENT = float(np.tan(np.deg2rad(80.0)))
 
 
 @dataclass(frozen=True, slots=True)

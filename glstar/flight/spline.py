@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from glstar.arrays import Float, Mask
 from glstar.rotation import multiply, quaternion_from_turn, turn_between
 
 # Below this angle, rad, the closed forms lose digits by cancellation; three terms of the series are exact there.
-_SERIES_RAD: Final = 0.1
+_SERIES_RAD = 0.1
 
 
 def rate_of_vector(turn_rad: Float) -> Float:
@@ -92,12 +92,12 @@ def _scaled(factor: Float, matrix: Float) -> Float:
 
 
 # The iteration for the rates at the samples stops when it changes the turns by less than this, rad: 2e-5".
-_CONVERGED_RAD: Final = 1e-10
-_MAX_ITERATIONS: Final = 20
+_CONVERGED_RAD = 1e-10
+_MAX_ITERATIONS = 20
 # Larger turns between two samples are ambiguous and are not fitted, rad.
-_MAX_TURN_RAD: Final = np.deg2rad(90.0)
+_MAX_TURN_RAD = np.deg2rad(90.0)
 # Bandwidth of a block tridiagonal matrix of 3 x 3 blocks, on either side of the diagonal.
-_BANDWIDTH: Final = 5
+_BANDWIDTH = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -17,8 +17,8 @@ from glstar.system.imagefiles import size_error
 # Digital numbers of 8 or 16 bits.
 Grey = NDArray[np.unsignedinteger[Any]]
 
-_JPEG: Final = b"\xff\xd8\xff"
-_SIGNATURE_BYTES: Final = 16
+_JPEG = b"\xff\xd8\xff"
+_SIGNATURE_BYTES = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Self
 
 from glstar.errors import ImagesError
 from glstar.flight import Flight
@@ -21,10 +21,10 @@ from glstar.images.decoding import FittedImage, fit, is_image, read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
 
 # Size of the cache of decoded images, bytes: 330 images of 1014 x 760, 20 of 12 megapixels.
-_CACHE_BYTES: Final = 256 * 2**20
+_CACHE_BYTES = 256 * 2**20
 
 # Files of an export that are not images.
-_COMPANIONS: Final = (
+_COMPANIONS = (
     *TABLES,
     TRUTH,
     f"{TRUTH}.partial",

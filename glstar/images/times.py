@@ -21,7 +21,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import exifread
 
@@ -31,32 +31,32 @@ from glstar.render.truth.frame import SCHEMAS_READ
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_text
 
-TABLES: Final = ("images.csv", "times.csv")
-TRUTH: Final = "truth.jsonl"
+TABLES = ("images.csv", "times.csv")
+TRUTH = "truth.jsonl"
 # In the names of the files that an export writes beside its images: noiseless images and masks.
-BESIDE: Final = re.compile(r"\.(light|trails|saturated|cloud|flare)\.")
+BESIDE = re.compile(r"\.(light|trails|saturated|cloud|flare)\.")
 
 # A line of some 60 bytes for each of a million images.
-_LARGEST_BYTES: Final = 64 * 2**20
+_LARGEST_BYTES = 64 * 2**20
 # Numbers outside of these years are not UTC, but times since boot or image counters.
-_YEAR_1990_S: Final = 631152000.0
-_YEAR_2100_S: Final = 4102444800.0
+_YEAR_1990_S = 631152000.0
+_YEAR_2100_S = 4102444800.0
 
 # A date and a time of day, with or without their separators; three digits after an underscore are milliseconds, as
 # phones and recorders write them, any other number there is a counter.
-_DATE_IN_NAME: Final = re.compile(
+_DATE_IN_NAME = re.compile(
     r"(?<!\d)(?P<date>(?:19|20)\d\d([-_.]?)[01]\d\2[0-3]\d)"
     r"[T_ -]?(?P<time>[0-2]\d([-_.:]?)[0-5]\d\4[0-6]\d)"
     r"(?:[.,](?P<decimals>\d{1,9})|[_-]?(?P<milliseconds>\d{3}))?(?!\d)"
     r"(?P<zone>Z|[+-]\d\d:\d\d|\+\d{4}(?!\d))?"
 )
 # Seconds, milliseconds, microseconds or nanoseconds since 1970; ROS bags and the EuRoC sets name images by the last.
-_COUNT_IN_NAME: Final = re.compile(r"(?<![\d.])(\d{19}|\d{16}|\d{13}|\d{9,10}(?:\.\d{1,9})?)(?!\d)")
-_COUNTS_PER_S: Final = {19: 1e9, 16: 1e6, 13: 1e3}
+_COUNT_IN_NAME = re.compile(r"(?<![\d.])(\d{19}|\d{16}|\d{13}|\d{9,10}(?:\.\d{1,9})?)(?!\d)")
+_COUNTS_PER_S = {19: 1e9, 16: 1e6, 13: 1e3}
 
 # Zones are whole quarters of an hour; a GPS time that is farther than this from one belongs to an older fix.
-_QUARTER_S: Final = 900
-_GPS_AGE_S: Final = 120
+_QUARTER_S = 900
+_GPS_AGE_S = 120
 
 # exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
@@ -70,7 +70,7 @@ class TimeReference(StrEnum):
     END = "end"
 
 
-_FRACTION_BEFORE: Final = {TimeReference.START: 0.0, TimeReference.MIDDLE: 0.5, TimeReference.END: 1.0}
+_FRACTION_BEFORE = {TimeReference.START: 0.0, TimeReference.MIDDLE: 0.5, TimeReference.END: 1.0}
 
 
 @dataclass(frozen=True, slots=True)

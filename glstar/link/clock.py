@@ -7,33 +7,32 @@ difference between the two clocks.
 
 from collections import deque
 from statistics import median
-from typing import Final
 
 from glstar.link.status import LatestAttitude
 from glstar.telemetry.source import YEAR_2010_S, YEAR_2100_S
 
 # UTC source if UTC is not from the link.
-COMPUTER_CLOCK: Final = "the computer's clock"
+COMPUTER_CLOCK = "the computer's clock"
 
 # Number of readings in the median: half a minute, in which the clock of an autopilot drifts by a millisecond.
-_READINGS: Final = 31
+_READINGS = 31
 # The autopilot has set its clock if this many latest readings agree within this time, s, but differ from the median.
-_NEW_READINGS: Final = 5
-_AGREEMENT_S: Final = 0.05
+_NEW_READINGS = 5
+_AGREEMENT_S = 0.05
 
 # The smallest delay is taken over this many windows of this length, s: long enough for a packet without delay.
-_WINDOWS: Final = 6
-_WINDOW_S: Final = 10.0
+_WINDOWS = 6
+_WINDOW_S = 10.0
 
 # A time since boot that steps back by more, or advances by more than the time between arrivals plus this, belongs to
 # another boot or another vehicle with the same system number, s; packets overtake each other by less.
-_REBOOT_S: Final = 5.0
+_REBOOT_S = 5.0
 # It is a reboot if the previous clock has not been received for this time, s.
-_REBOOT_TIMEOUT_S: Final = 0.5
+_REBOOT_TIMEOUT_S = 0.5
 # There are two vehicles if both clocks are received for this time, s.
-_TWO_CLOCKS_S: Final = 2.0
+_TWO_CLOCKS_S = 2.0
 # time_boot_ms has 32 bits: 49.7 days.
-_WRAP_S: Final = 2**32 / 1000
+_WRAP_S = 2**32 / 1000
 
 
 class BootClock:

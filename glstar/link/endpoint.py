@@ -19,18 +19,18 @@ all interfaces.
 
 import re
 from dataclasses import dataclass
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 from glstar.errors import ConfigError
 from glstar.system.userinput import nearest_word
 
 EndpointKind = Literal["serial", "udpin", "udpout", "tcp", "tcpin"]
 
-_HERE: Final = "127.0.0.1"
+_HERE = "127.0.0.1"
 _UDP_PORT, _TCP_PORT = 14550, 5760
 # Default baud rate, that of radios, MAVProxy and QGroundControl.
-_BAUD: Final = 57600
-_KINDS: Final[dict[str, EndpointKind]] = {
+_BAUD = 57600
+_KINDS: dict[str, EndpointKind] = {
     "serial": "serial",
     "udp": "udpin",
     "udpin": "udpin",
@@ -39,12 +39,10 @@ _KINDS: Final[dict[str, EndpointKind]] = {
     "tcpout": "tcp",
     "tcpin": "tcpin",
 }
-_EXAMPLES: Final = (
-    "/dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550, tcp:HOST:5760 or tcpin::5760"
-)
-_WINDOWS_PORT: Final = re.compile(r"(?:\\\\\.\\)?COM\d+", re.IGNORECASE)
-_SCHEME: Final = re.compile(r"([^:/\s]+):(//)?(.*)", re.DOTALL)
-_BAUDS: Final = (1200, 12_500_000)
+_EXAMPLES = "/dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550, tcp:HOST:5760 or tcpin::5760"
+_WINDOWS_PORT = re.compile(r"(?:\\\\\.\\)?COM\d+", re.IGNORECASE)
+_SCHEME = re.compile(r"([^:/\s]+):(//)?(.*)", re.DOTALL)
+_BAUDS = (1200, 12_500_000)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ The frames of reference and units are those of `glstar.telemetry.mavlink.vehicle
 
 from collections import deque
 from math import inf
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +26,10 @@ from glstar.telemetry.mavlink.vehicles import gimbal_samples
 from glstar.telemetry.source import GimbalSamples
 
 # A worse message, or another gimbal, is used if the better one has not been received for this time, s.
-_TIMEOUT_S: Final = 2.0
+_TIMEOUT_S = 2.0
 # Largest numbers of attitudes: ten minutes at 50 Hz; and of those that wait for the aircraft's, ten seconds at 100 Hz.
 _MOST, _MOST_PENDING = 30_000, 1000
-_MAX_BOOTS: Final = 8
+_MAX_BOOTS = 8
 
 # Of a message: its index in `GIMBAL_IDS`, whether it is not from the autopilot itself, and its component.
 _Rank = tuple[int, bool, int]

@@ -17,7 +17,7 @@ the attitude before, plus the time between the two arrivals, and at most the tim
 from collections import deque
 from dataclasses import dataclass
 from math import inf, radians
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -31,12 +31,12 @@ from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
 from glstar.telemetry.source import REBOOT, UNIT_TOLERANCE
 
 # Largest numbers of attitudes and positions: ten minutes at 200 Hz and 20 Hz, 10 MB.
-_MAX_ATTITUDES: Final = 120_000
-_MAX_POSITIONS: Final = 12_000
+_MAX_ATTITUDES = 120_000
+_MAX_POSITIONS = 12_000
 # Largest number of previous boots.
-_MAX_BOOTS: Final = 8
+_MAX_BOOTS = 8
 # Initial capacity of a buffer, rows.
-_INITIAL_ROWS: Final = 4096
+_INITIAL_ROWS = 4096
 
 
 class RowBuffer:
@@ -236,15 +236,15 @@ class History:
 
 
 # The best one first: of several, only the first is used.
-SIMULATOR_MESSAGES: Final = (MessageId.SIM_STATE, MessageId.HIL_STATE_QUATERNION, MessageId.SIMSTATE)
-SIMULATOR_NAMES: Final = " or ".join(", ".join(message.name for message in SIMULATOR_MESSAGES).rsplit(", ", 1))
+SIMULATOR_MESSAGES = (MessageId.SIM_STATE, MessageId.HIL_STATE_QUATERNION, MessageId.SIMSTATE)
+SIMULATOR_NAMES = " or ".join(", ".join(message.name for message in SIMULATOR_MESSAGES).rsplit(", ", 1))
 # Another message is used if the better one has not been received for this time, s.
-_TIMEOUT_S: Final = 2.0
+_TIMEOUT_S = 2.0
 # Interval between positions, s.
-_POSITION_INTERVAL_S: Final = 0.2
+_POSITION_INTERVAL_S = 0.2
 # States that wait for the attitude after them: ten seconds at 100 Hz.
-_MOST_PENDING: Final = 1000
-_DEGREES: Final = 1e-7
+_MOST_PENDING = 1000
+_DEGREES = 1e-7
 
 _Position = tuple[float, float, float]
 

@@ -20,7 +20,7 @@ from collections import deque
 from dataclasses import dataclass
 from ipaddress import ip_address
 from math import nan
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,24 +32,24 @@ from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, tai
 
 # System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
 _SYSTEM, _COMPONENT = 255, 191
-_HEARTBEAT_S: Final = 1.0
+_HEARTBEAT_S = 1.0
 # Interval between requests for missing messages, s; after this many rounds, the longer interval.
-_REQUEST_TIMEOUT_S: Final = 2.0
-_ROUNDS: Final = 8
-_LONG_TIMEOUT_S: Final = 30.0
+_REQUEST_TIMEOUT_S = 2.0
+_ROUNDS = 8
+_LONG_TIMEOUT_S = 30.0
 # A request was granted if at least this fraction of the rate is received; autopilots may round rates down.
-_GRANTED: Final = 0.3
+_GRANTED = 0.3
 # The same if the autopilot has rejected requests: messages are then received for another reason.
-_GRANTED_AFTER_REJECTION: Final = 0.7
+_GRANTED_AFTER_REJECTION = 0.7
 # Number of requests for the quaternion before the Euler angles are requested too, and then the data streams.
-_TRIES: Final = 2
+_TRIES = 2
 
-_OTHERS_HZ: Final = {MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.SYSTEM_TIME: 2.0, MessageId.GPS_RAW_INT: 1.0}
+_OTHERS_HZ = {MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.SYSTEM_TIME: 2.0, MessageId.GPS_RAW_INT: 1.0}
 # The attitude of a gimbal is requested at this fraction of the aircraft's rate: both fit a radio.
-_GIMBAL_FRACTION: Final = 0.5
+_GIMBAL_FRACTION = 0.5
 # ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3
 # with the gimbal.
-_STREAM_OF: Final = {
+_STREAM_OF = {
     MessageId.GPS_RAW_INT: 2,
     MessageId.GLOBAL_POSITION_INT: 6,
     MessageId.ATTITUDE: 10,
@@ -171,13 +171,13 @@ class Requests:
 # How a fix is sent.
 InjectedMessage = Literal["external_position", "gps_input", "global_position_sensor"]
 
-_FIX_3D: Final = 3
+_FIX_3D = 3
 # Number of satellites that is not known, as in GPS_RAW_INT.
-_UNKNOWN: Final = 255
+_UNKNOWN = 255
 # Value of a dilution that is not known.
-_NO_DILUTION: Final = 65535.0
+_NO_DILUTION = 65535.0
 # The sender's time wraps around, s: float32 has a resolution of 0.24 ms below it.
-_WRAP_S: Final = 3600.0
+_WRAP_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from math import inf
 from pathlib import Path
 from threading import Event, Lock, Thread
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from glstar.errors import LinkError
 from glstar.link.endpoint import Endpoint
@@ -42,19 +42,19 @@ class MessageId(IntEnum):
 
 
 # Messages with the attitude of a gimbal, the best one first.
-GIMBAL_IDS: Final = tuple(MessageId[name] for name in GIMBAL_MESSAGES)
-GIMBAL_NAMES: Final = " or ".join(", ".join(GIMBAL_MESSAGES).rsplit(", ", 1))
+GIMBAL_IDS = tuple(MessageId[name] for name in GIMBAL_MESSAGES)
+GIMBAL_NAMES = " or ".join(", ".join(GIMBAL_MESSAGES).rsplit(", ", 1))
 # MAV_CMD_EXTERNAL_POSITION_ESTIMATE.
-EXTERNAL_POSITION_ESTIMATE: Final = 43003
+EXTERNAL_POSITION_ESTIMATE = 43003
 
 # Window in which rates are counted, s.
-_RATE_WINDOW_S: Final = 2.0
+_RATE_WINDOW_S = 2.0
 # Size of a packet with attitude, bytes, and the rate of all other requested messages, bytes/s.
-_ATTITUDE_BYTES: Final = 56
-_OTHERS_BYTES_PER_S: Final = 270.0
+_ATTITUDE_BYTES = 56
+_OTHERS_BYTES_PER_S = 270.0
 # Usable fraction of the baud rate: a radio also carries other messages, and the opposite direction.
-_USABLE_FRACTION: Final = 0.55
-_RATES_HZ: Final = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 4.0, 2.0, 1.0)
+_USABLE_FRACTION = 0.55
+_RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 4.0, 2.0, 1.0)
 
 
 class MessageRate:
@@ -97,7 +97,7 @@ def dialect() -> Any:
 
 _V1, _V2 = 0xFE, 0xFD
 _HEAD_V1, _HEAD_V2, _SUM, _SIGNATURE = 6, 10, 2, 13
-_SIGNED: Final = 1
+_SIGNED = 1
 
 
 class Packet(NamedTuple):
@@ -236,11 +236,11 @@ def _mixture(byte: int) -> int:
     return byte << 8 ^ byte << 3 ^ byte >> 4
 
 
-_MIXED: Final = {_mixture(byte): byte for byte in range(256)}
+_MIXED = {_mixture(byte): byte for byte in range(256)}
 
 
 # Interval between flushes to the disk, s: a power failure loses the packets of this time.
-_FLUSH_EVERY_S: Final = 1.0
+_FLUSH_EVERY_S = 1.0
 
 
 class Recorder:

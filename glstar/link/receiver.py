@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from math import floor, inf, radians
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -20,21 +20,21 @@ from glstar.telemetry.source import UNIT_TOLERANCE, YEAR_2010_S
 Sender = tuple[int, int]
 
 # MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
-_NO_AUTOPILOT: Final = 8
+_NO_AUTOPILOT = 8
 # Another autopilot is chosen if the first one sends no attitude for this time, s.
-_ATTITUDE_TIMEOUT_S: Final = 5.0
-_FIX_3D: Final = 3
+_ATTITUDE_TIMEOUT_S = 5.0
+_FIX_3D = 3
 # After a longer pause of a sender its sequence numbers do not show losses, s.
-_SEQUENCE_TIMEOUT_S: Final = 2.0
+_SEQUENCE_TIMEOUT_S = 2.0
 # A larger change of UTC is reported, s: 7 px at 1 deg/s and f = 3871 px.
-_UTC_STEP_S: Final = 0.1
+_UTC_STEP_S = 0.1
 # Interval between positions of a simulator, s.
-_HIL_POSITION_INTERVAL_S: Final = 0.2
+_HIL_POSITION_INTERVAL_S = 0.2
 # Largest number of senders; more are damaged packets.
-_MAX_SENDERS: Final = 64
+_MAX_SENDERS = 64
 # Messages with an attitude, and with a position, the preferred one first.
-_ATTITUDES: Final = (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION, MessageId.HIL_STATE_QUATERNION)
-_POSITIONS: Final = (MessageId.GLOBAL_POSITION_INT, MessageId.HIL_STATE_QUATERNION, MessageId.GPS_RAW_INT)
+_ATTITUDES = (MessageId.ATTITUDE, MessageId.ATTITUDE_QUATERNION, MessageId.HIL_STATE_QUATERNION)
+_POSITIONS = (MessageId.GLOBAL_POSITION_INT, MessageId.HIL_STATE_QUATERNION, MessageId.GPS_RAW_INT)
 
 
 class Receiver:

@@ -1,15 +1,15 @@
 """The status of a telemetry link, its events, its latest attitude, and the quality of its packets."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from glstar.link.endpoint import Endpoint
 from glstar.link.history import SIMULATOR_NAMES
 from glstar.link.packets import GIMBAL_NAMES
 
 # More bytes without a packet are not MAVLink at this baud rate.
-_NOISE_BYTES: Final = 300
-GIMBAL_LACK: Final = f'no {GIMBAL_NAMES} now ([mount] gimbal = "level" or "none" needs none)'
+_NOISE_BYTES = 300
+GIMBAL_LACK = f'no {GIMBAL_NAMES} now ([mount] gimbal = "level" or "none" needs none)'
 
 
 LinkState = Literal["opening", "waiting", "live", "timeout", "closed"]
@@ -101,11 +101,11 @@ def no_packets_message(endpoint: Endpoint, waited_s: float, noise_bytes: int) ->
 
 
 # Interval between evaluations of the counters, s.
-_WINDOW_S: Final = 2.0
+_WINDOW_S = 2.0
 # No autopilot sends more packets per second on request.
-_FLOOD_HZ: Final = 2000.0
+_FLOOD_HZ = 2000.0
 # A larger fraction of bad bytes, or of lost packets, is reported; the report is withdrawn below half of it.
-_REPORTED_FRACTION: Final = 0.02
+_REPORTED_FRACTION = 0.02
 
 
 class Quality:

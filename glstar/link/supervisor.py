@@ -14,7 +14,7 @@ from math import inf
 from pathlib import Path
 from threading import Condition, Event, Thread
 from types import TracebackType
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 from glstar.errors import ConfigError, LinkError, TelemetryError
 from glstar.flight import Flight
@@ -104,11 +104,11 @@ _LOG = logging.getLogger(__name__)
 # Pauses between attempts to open a link: the first and the longest, s, and the factor from one to the next.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S, _PAUSE_FACTOR = 0.5, 5.0, 1.5
 # Poll interval of the thread, s.
-_POLL_S: Final = 0.05
+_POLL_S = 0.05
 # Time without packets after which the link is reported as timed out, and after which it is reopened, s.
 _TIMEOUT_S, _REOPEN_S = 2.0, 5.0
 # Number of events that are kept.
-_EVENTS: Final = 200
+_EVENTS = 200
 
 
 class Link:

@@ -12,19 +12,19 @@ from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Protocol, Self
 
 from glstar.errors import LinkError
 from glstar.link.endpoint import Endpoint
 
 # Largest number of bytes of one read; more remain in the buffer of the operating system.
-_READ_BYTES: Final = 65536
+_READ_BYTES = 65536
 # Size of that buffer for UDP, bytes: a second of a fast link while a frame is drawn.
-_BUFFER_BYTES: Final = 4 * 2**20
+_BUFFER_BYTES = 4 * 2**20
 # Packets are sent to this many latest senders on a UDP port.
-_MAX_PEERS: Final = 8
+_MAX_PEERS = 8
 # Timeout of a connection, s.
-_CONNECT_S: Final = 3.0
+_CONNECT_S = 3.0
 
 
 class Transport(Protocol):
@@ -239,7 +239,7 @@ class _Tcp(Transport):
     """A TCP link; its connection is None if there is none."""
 
     _connection: socket.socket | None = None
-    _CLOSED: Final = "the other end has closed the connection"
+    _CLOSED = "the other end has closed the connection"
 
     def _receive(self, connection: socket.socket, timeout_s: float) -> bytes | None:
         """Return received bytes; None if the other end has closed the connection."""

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot
 from threading import Event
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +32,8 @@ from glstar.link.packets import Framer, MessageId, dialect
 from glstar.link.transport import Transport
 from glstar.rotation import conjugate, euler_from_quaternion
 
-_GIMBAL_HZ: Final = 10.0
-_DEFAULT_HZ: Final = {
+_GIMBAL_HZ = 10.0
+_DEFAULT_HZ = {
     MessageId.HEARTBEAT: 1.0,
     MessageId.SYSTEM_TIME: 2.0,
     MessageId.ATTITUDE: 10.0,
@@ -41,18 +41,18 @@ _DEFAULT_HZ: Final = {
     MessageId.GPS_RAW_INT: 1.0,
 }
 # Messages in each of ArduPilot's data streams; the quaternion is in none.
-_STREAMS: Final = {
+_STREAMS = {
     2: (MessageId.GPS_RAW_INT,),
     6: (MessageId.GLOBAL_POSITION_INT,),
     10: (MessageId.ATTITUDE,),
     12: (MessageId.SYSTEM_TIME,),
 }
-_ALL_STREAMS: Final = 0
+_ALL_STREAMS = 0
 _GET_MESSAGE_INTERVAL, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 510, 511, 512
-_FASTEST_HZ: Final = 1000.0
+_FASTEST_HZ = 1000.0
 # Messages that are later than this are dropped, s: the link could not carry them.
-_LATE_S: Final = 0.2
-_EARTH_RADIUS_M: Final = 6371008.8
+_LATE_S = 0.2
+_EARTH_RADIUS_M = 6371008.8
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import hypot, isfinite, log1p, sqrt
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,20 +37,18 @@ from glstar.rotation import about_y, about_z, matrix_from_quaternion
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_text
 
-INSTANTS: Final = ("start", "middle", "end")
-_QUATERNION: Final = ("qw", "qx", "qy", "qz")
-_BORESIGHT: Final = ("ra_deg", "dec_deg", "roll_deg")
-_POSITION: Final = ("latitude_deg", "longitude_deg")
-_ELLIPSE: Final = ("ellipse_major_km", "ellipse_minor_km", "ellipse_azimuth_deg")
-_SINGLE: Final = frozenset(
-    {"frame", "file", "utc", "status", "instant", "ellipse_confidence", "time_ms", "stars", "stars_at"}
-)
-_FIELDS: Final = _SINGLE.union(_QUATERNION, _BORESIGHT, _POSITION, _ELLIPSE)
+INSTANTS = ("start", "middle", "end")
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_BORESIGHT = ("ra_deg", "dec_deg", "roll_deg")
+_POSITION = ("latitude_deg", "longitude_deg")
+_ELLIPSE = ("ellipse_major_km", "ellipse_minor_km", "ellipse_azimuth_deg")
+_SINGLE = frozenset({"frame", "file", "utc", "status", "instant", "ellipse_confidence", "time_ms", "stars", "stars_at"})
+_FIELDS = _SINGLE.union(_QUATERNION, _BORESIGHT, _POSITION, _ELLIPSE)
 # Tolerance of a quaternion's length: its error if the components are rounded to four decimals.
-_UNIT_TOLERANCE: Final = 1e-3
-_NO_FRAME: Final = "does not say which frame it answers"
+_UNIT_TOLERANCE = 1e-3
+_NO_FRAME = "does not say which frame it answers"
 # Largest answer file, bytes: lists of stars for 100 000 frames.
-_MOST_BYTES: Final = 2_000_000_000
+_MOST_BYTES = 2_000_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from enum import StrEnum
 from functools import cache
 from math import hypot
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import orjson
@@ -25,7 +25,7 @@ from glstar.sky.place.site import Site, surface_offset_km
 from glstar.sky.place.timescale import parse_utc
 
 # Keys of a frame's truth that describe the light and the cloud under which it was taken.
-CONDITIONS: Final = (
+CONDITIONS = (
     "cloud_transmission",
     "moon_altitude_deg",
     "moon_illuminated_fraction",
@@ -34,15 +34,15 @@ CONDITIONS: Final = (
     "sky_mag_arcsec2",
 )
 
-_TRUTH: Final = "truth.jsonl"
-_MANIFEST: Final = "manifest.json"
-_J2000_UTC_S: Final = 946728000.0
-_JULIAN_YEAR_S: Final = 365.25 * 86400.0
+_TRUTH = "truth.jsonl"
+_MANIFEST = "manifest.json"
+_J2000_UTC_S = 946728000.0
+_JULIAN_YEAR_S = 365.25 * 86400.0
 # Equivalent noise area of a Gaussian point spread function: 4 pi sigma^2; of a trail: 2 sqrt(pi) sigma for each pixel
 # of length.
-_WIDTH_PER_SIGMA: Final = 2 * np.sqrt(np.pi)
+_WIDTH_PER_SIGMA = 2 * np.sqrt(np.pi)
 # A rotation needs this many stars.
-_LEAST_STARS: Final = 3
+_LEAST_STARS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 
@@ -11,8 +10,8 @@ from glstar.camera.model import AttitudeError
 from glstar.score.frames import FrameScore, Outcome, StarScore
 from glstar.sky.place.apparent import ARCSEC_RAD
 
-_PER_ARCSEC: Final = 1 / ARCSEC_RAD
-_KM_PER_NAUTICAL_MILE: Final = 1.852
+_PER_ARCSEC = 1 / ARCSEC_RAD
+_KM_PER_NAUTICAL_MILE = 1.852
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +120,7 @@ def _kelvins(stars: StarScore) -> float:
 
 
 # In the order of score.json.
-METRICS: Final = (
+METRICS = (
     Metric(
         "boresight_rad",
         "boresight_arcsec",
@@ -248,7 +247,7 @@ def _of_moon_up(key: str) -> Callable[[FrameScore], float | None]:
     return of
 
 
-BINS: Final = (
+BINS = (
     Bin("exposure, s", lambda score: score.truth.duration_s, (0.05, 0.2, 0.5, 1.0, 2.0)),
     Bin("trail length, px", lambda score: score.truth.trail_length_px, (1.0, 5.0, 20.0, 100.0)),
     Bin("detectable stars", lambda score: float(score.truth.is_detectable.sum()), (5.0, 10.0, 20.0, 50.0)),
@@ -260,8 +259,8 @@ BINS: Final = (
 )
 
 # A setting with more values than this is grouped into as many ranges as `_RANGES`, each with equally many values.
-_MOST_VALUES: Final = 8
-_RANGES: Final = 4
+_MOST_VALUES = 8
+_RANGES = 4
 
 
 def settings_bins(scores: Sequence[FrameScore]) -> Iterator[tuple[str, list[tuple[str, list[FrameScore]]]]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from glstar.score.frames import FrameScore, Outcome
 from glstar.score.metrics import METRICS, Group, Spread
 from glstar.sky.place.apparent import ARCSEC_RAD
 
-_TURN_RAD: Final = 2 * np.pi
+_TURN_RAD = 2 * np.pi
 # Smallest number of positions to fit a circle to.
-_LEAST_FIXES: Final = 4
+_LEAST_FIXES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def _median(name: str) -> Callable[[Run], Sequence[float | None]]:
     return lambda run: [None if (spread := run.summary.spread(name)) is None else spread.median]
 
 
-RUN_METRICS: Final = (
+RUN_METRICS = (
     RunMetric(
         "solved_fraction",
         "solved fraction",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from os import PathLike
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,20 +22,20 @@ from glstar.system.resources import asset
 from glstar.system.userinput import read_bytes
 
 # Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
-USUAL_BV: Final = 0.65
+USUAL_BV = 0.65
 # Colours B - V beyond which what depends on them, such as the polynomials of a band, is constant.
-VALID_BV: Final = (-0.3, 1.7)
+VALID_BV = (-0.3, 1.7)
 
-_ALL: Final = slice(None)
+_ALL = slice(None)
 
 # The required columns; `catalogue` is optional.  Tables of glstar 0.2 and earlier have ``hr`` instead of ``star_id``.
-COLUMNS: Final = ("star_id", "vmag", "camera_mag")
+COLUMNS = ("star_id", "vmag", "camera_mag")
 # Size limit of a table, bytes: a table of all stars of Hipparcos has 4 MB.
-_LARGEST_BYTES: Final = 64 * 2**20
+_LARGEST_BYTES = 64 * 2**20
 # A star of the table and a star of the catalogue with the same number are the same if their V differ by less, mag.
-_SAME_MAG: Final = 0.1
+_SAME_MAG = 0.1
 # The table belongs to another catalogue if more than this fraction of its stars are not the same.
-_MAX_MISMATCHES: Final = 0.1
+_MAX_MISMATCHES = 0.1
 
 
 def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:

@@ -20,21 +20,21 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
-from typing import Final, Self
+from typing import Self
 
 # Prefix of the names of files that are being written.
-TEMPORARY: Final = ".glstar-writing-"
+TEMPORARY = ".glstar-writing-"
 # Waits between attempts to replace a file that another program has open, s: Windows refuses that, other systems do not.
 _PAUSES_S: tuple[float, ...] = (0.01, 0.04, 0.15, 0.3) if os.name == "nt" else ()
 # Errors of file systems that cannot flush a file or a directory on request.
-_NO_FLUSH: Final = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+_NO_FLUSH = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 # Errors of file systems without locks: NFS without its lock daemon and some others.
-_NO_LOCKS: Final = {errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+_NO_LOCKS = {errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 # The byte that is locked on Windows, where a locked byte cannot be read: far behind the content of any lock file.
-_LOCKED_BYTE: Final = 2**20
+_LOCKED_BYTE = 2**20
 # Longest text that is read from a lock file, bytes; a process number has at most 10 digits.
-_MAX_TEXT_BYTES: Final = 20
+_MAX_TEXT_BYTES = 20
 
 
 def temporary_path(path: Path) -> Path:

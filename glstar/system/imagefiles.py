@@ -13,34 +13,34 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from zlib_ng import zlib_ng
 
 # Largest image that is decoded, megapixels: more than any current sensor (150), and calibration of it takes 16 GB.
-MAX_MEGAPIXELS: Final = 200
+MAX_MEGAPIXELS = 200
 
-_JPEG: Final = b"\xff\xd8"
-_TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_BMP: Final = b"BM"
+_JPEG = b"\xff\xd8"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BMP = b"BM"
 # TIFF tags of the size, their possible types (SHORT, LONG, LONG8), and the most directory entries that are read.
-_TIFF_WIDTH: Final = 256
-_TIFF_HEIGHT: Final = 257
-_TIFF_INTEGERS: Final = {3: "H", 4: "I", 16: "Q"}
-_MOST_TIFF_ENTRIES: Final = 4096
+_TIFF_WIDTH = 256
+_TIFF_HEIGHT = 257
+_TIFF_INTEGERS = {3: "H", 4: "I", 16: "Q"}
+_MOST_TIFF_ENTRIES = 4096
 # JPEG markers that start a frame header (SOF0 to SOF15); C4, C8 and CC in their range mean something else.
-_FRAME_HEADERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # JPEG markers without a length: TEM, RST0 to RST7, SOI.
-_BARE_MARKERS: Final = frozenset({0x01, *range(0xD0, 0xD9)})
+_BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
 
-PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 # Fraction of bytes that begin a run of four equal ones from which coding runs makes a smaller file.  Gaussian noise
 # around 0 DN has 0.34 at a standard deviation of 0.7 DN (2.03 MB with runs, 1.94 without) and 0.50 at 0.5 DN (1.65 and
 # 1.79 MB); around 16 DN with 3 DN, 0.001: 41 ms with runs, 30 without, for the same size.
-_RUN_FRACTION: Final = 0.4
-_SAMPLED_ROWS: Final = 64
+_RUN_FRACTION = 0.4
+_SAMPLED_ROWS = 64
 
 # Time for the system's program to take the image, s.
 _TIMEOUT_S = 5.0

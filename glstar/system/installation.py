@@ -6,16 +6,16 @@ import shlex
 import sys
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 import glstar
 
 # What a Linux system without OpenGL or X11 lacks.
-OPENGL_ON_LINUX: Final = "Debian and Ubuntu: sudo apt-get install libgl1 libegl1"
+OPENGL_ON_LINUX = "Debian and Ubuntu: sudo apt-get install libgl1 libegl1"
 # Libraries whose versions matter in a report of a problem.
-_LIBRARIES: Final = (
+_LIBRARIES = (
     "moderngl",
     "glcontext",
     "numpy",

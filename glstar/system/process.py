@@ -12,25 +12,25 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, Final
+from typing import Any
 
 # Exit status of a command that was ended by SIGINT: 128 + 2, as in shells.
-EXIT_INTERRUPTED: Final = 130
+EXIT_INTERRUPTED = 130
 
 # Parameters of glibc's `mallopt`, from malloc.h.
-_M_ARENA_MAX: Final = -8
-_M_TRIM_THRESHOLD: Final = -1
-_M_MMAP_THRESHOLD: Final = -3
+_M_ARENA_MAX = -8
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_THRESHOLD = -3
 # Free memory at the end of the heap that is returned to the system, bytes.  The primitives of one fast exposure take
 # up to 40 MB of Mesa llvmpipe's memory, which is freed after each: pages that are returned cost 12 to 20 % of drawing.
-_KEPT_BYTES: Final = 64 << 20
+_KEPT_BYTES = 64 << 20
 # Largest threshold that glibc accepts, bytes: setting either parameter stops it from raising this one by itself.
-_MAPPED_BYTES: Final = 32 << 20
+_MAPPED_BYTES = 32 << 20
 # Heaps of the process.  glibc gives each thread its own heap, and each would keep as much: threads that read logs,
 # sample curves and write videos added 80 MB to a window in ten minutes.
-_HEAPS: Final = 1
+_HEAPS = 1
 # Set by a user who has chosen another value.
-_CHOSEN: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
+_CHOSEN = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 
 
 @contextmanager

@@ -9,9 +9,8 @@ import stat
 from collections.abc import Iterable
 from difflib import get_close_matches
 from os import PathLike, strerror
-from typing import Final
 
-_KINDS: Final = (
+_KINDS = (
     (stat.S_ISDIR, "this is a directory; give a file"),
     (stat.S_ISFIFO, "is a pipe, which can be read only once; save it to a file first"),
     (stat.S_ISSOCK, "is a socket; give a file"),

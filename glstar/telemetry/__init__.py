@@ -31,7 +31,6 @@ from collections.abc import Callable
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Final
 
 from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
@@ -103,7 +102,7 @@ __all__ = [
 
 
 # First bytes of a file by which its format is recognised: some dozens of packets or lines.
-_HEAD_BYTES: Final = 4096
+_HEAD_BYTES = 4096
 
 
 def open_flight(

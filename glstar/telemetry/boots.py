@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise, product
 from math import inf
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,24 +35,24 @@ _Series = Sequence[tuple[Integer, Float]]
 _Readings = tuple[Integer, Float, Float]
 
 # A larger step back between records of one kind is a reboot, s; they are written in the order of their times.
-_BACK_S: Final = 0.1
+_BACK_S = 0.1
 # Pieces of one boot may overlap by this time, s.
-_OVERLAP_S: Final = 1.0
+_OVERLAP_S = 1.0
 # A larger step forward may be a reboot, s; SD cards stall for a second or two.
-_FORWARD_S: Final = 5.0
+_FORWARD_S = 5.0
 # UTC minus the clock agrees within this time, s: GPS records are logged up to 0.3 s late, but two boots never begin
 # within half a second of each other.
-_SAME_CLOCK_S: Final = 0.5
+_SAME_CLOCK_S = 0.5
 # A link may delay single packets by seconds, but not all packets of several seconds, s.
-_SAME_ARRIVAL_S: Final = 1.0
+_SAME_ARRIVAL_S = 1.0
 # A receiver that is wrong for a shorter time, while the records continue, is no boot, s.
-_GLITCH_S: Final = 10.0
+_GLITCH_S = 10.0
 # Length of the running median of UTC readings: two wrong ones in a row change nothing.
-_MEDIAN_OF: Final = 5
+_MEDIAN_OF = 5
 # Longest interval of records that continue, in median intervals.
-_UNBROKEN: Final = 3.0
+_UNBROKEN = 3.0
 # A piece with fewer records is damaged.
-_FEWEST_RECORDS: Final = 3
+_FEWEST_RECORDS = 3
 
 
 _Mark = Literal["start", "head", "back", "forward", "step"]

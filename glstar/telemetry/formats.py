@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Any
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader, is_dataflash, is_dataflash_dump
@@ -68,7 +68,7 @@ def _csv_tables(
 
 
 # In the order of recognition: binary formats, then text formats, the most general last.
-LOG_FORMATS: Final = (
+LOG_FORMATS = (
     LogFormat("MAVLink telemetry logs", (".tlog",), is_telemetry_log, TelemetryLogReader, has_systems=True),
     LogFormat("ArduPilot DataFlash", (".BIN", ".log"), is_dataflash, DataFlashReader),
     LogFormat("PX4 ULog", (".ulg",), is_ulog, ULogReader),
@@ -84,7 +84,7 @@ LOG_FORMATS: Final = (
 )
 
 # Suffixes of flight logs, in lower case.
-LOG_SUFFIXES: Final = tuple(dict.fromkeys(suffix.lower() for entry in LOG_FORMATS for suffix in entry.suffixes))
+LOG_SUFFIXES = tuple(dict.fromkeys(suffix.lower() for entry in LOG_FORMATS for suffix in entry.suffixes))
 
 
 def _readable() -> str:
@@ -93,7 +93,7 @@ def _readable() -> str:
 
 
 # A sentence for messages.
-READABLE: Final = _readable()
+READABLE = _readable()
 
 
 def log_format(head: bytes) -> LogFormat | None:
@@ -103,11 +103,11 @@ def log_format(head: bytes) -> LogFormat | None:
 
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 # Name of the member of a KMZ, which is a track.
-_KMZ: Final = b"doc.kml"
-_HEAD_BYTES: Final = 4096
+_KMZ = b"doc.kml"
+_HEAD_BYTES = 4096
 # Larger content is refused: a few kilobytes can unpack to any size, bytes.
-_LARGEST_BYTES: Final = 16 << 30
-_PIECE_BYTES: Final = 1 << 20
+_LARGEST_BYTES = 16 << 30
+_PIECE_BYTES = 1 << 20
 
 
 def is_packed(head: bytes) -> bool:
@@ -116,7 +116,7 @@ def is_packed(head: bytes) -> bool:
 
 
 # What gzip and zipfile raise on damaged files; damaged names and directories of an archive end in the last two.
-_DAMAGED: Final = (
+_DAMAGED = (
     EOFError,
     zlib.error,
     gzip.BadGzipFile,
@@ -190,9 +190,9 @@ def _unzipped(name: str, folder: Path) -> Path:
 
 
 # What a file is that has positions only.
-_TRACK: Final = "track; it has positions but no attitude: --position takes it"
+_TRACK = "track; it has positions but no attitude: --position takes it"
 # What a file is, by its first bytes.
-_BY_MAGIC: Final = {
+_BY_MAGIC = {
     b"\x89PNG\r\n\x1a\n": "a PNG image",
     b"\xff\xd8\xff": "a JPEG image",
     b"II*\x00": "a TIFF image",
@@ -219,7 +219,7 @@ _BY_MAGIC: Final = {
 }
 
 # What an archive or an XML file contains, by a string in its first bytes.
-_CONTENTS: Final = {
+_CONTENTS = {
     b"PK\x03\x04": {
         b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude: --position takes it",
     },
@@ -231,9 +231,9 @@ _CONTENTS: Final = {
 }
 
 # First lines of an IGC file: its recorder, and header records.
-_IGC: Final = re.compile(rb"A[A-Z0-9]{3}[^\n]*\r?\n(?:[^\n]*\r?\n){0,4}?H[FOP]")
+_IGC = re.compile(rb"A[A-Z0-9]{3}[^\n]*\r?\n(?:[^\n]*\r?\n){0,4}?H[FOP]")
 # Output of mavlogdump.py: 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
-_PRINTED: Final = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
+_PRINTED = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
 
 
 def other_file(head: bytes, name: str) -> str | None:

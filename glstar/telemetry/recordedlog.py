@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
 
 # Boots separated by more than this are different flights, s; one export of both would skip days of frames.
-_SAME_FLIGHT_S: Final = 86400.0
+_SAME_FLIGHT_S = 86400.0
 # A boot without position uses that of another boot on the same clock within this time, s.
-_POSITION_VALID_S: Final = 3600.0
+_POSITION_VALID_S = 3600.0
 
 
 def read_flight(source: TelemetrySource, options: FlightOptions = DEFAULT_OPTIONS) -> Flight:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from glstar.telemetry.source import (
 from glstar.telemetry.tracks import GivenTrack
 
 # A track that is shorter than the flight by less than this is not reported, s.
-_TRACK_ENDS_S: Final = 5.0
+_TRACK_ENDS_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class FlightOptions:
         return (f"the track {self.track.source} begins {ends}; there its nearest fix is used",)
 
 
-DEFAULT_OPTIONS: Final = FlightOptions()
+DEFAULT_OPTIONS = FlightOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, Literal, Self, get_args, get_type_hints
+from typing import Any, Literal, Self, get_args, get_type_hints
 
 import numpy as np
 
@@ -32,8 +32,8 @@ from glstar.system.userinput import did_you_mean
 from glstar.telemetry import source
 from glstar.telemetry.tables.mapped import q_body_ned_of
 
-_MAGICS: Final = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
-_METADATA: Final = "metadata.yaml"
+_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+_METADATA = "metadata.yaml"
 
 
 def _pose_orientation(message: Any) -> Any:
@@ -50,7 +50,7 @@ def _imu_orientation(message: Any) -> Any:
 
 
 # Messages with attitude, in the order of choice, and how each gives its orientation.
-_ATTITUDES: Final[Mapping[str, Callable[[Any], Any]]] = {
+_ATTITUDES: Mapping[str, Callable[[Any], Any]] = {
     "geographic_msgs/msg/GeoPoseStamped": _pose_orientation,
     "sensor_msgs/msg/Imu": _imu_orientation,
     "geometry_msgs/msg/PoseStamped": _pose_orientation,
@@ -58,13 +58,13 @@ _ATTITUDES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "geometry_msgs/msg/QuaternionStamped": lambda message: message.quaternion,
     "nav_msgs/msg/Odometry": _nested_orientation,
 }
-_IMU: Final = "sensor_msgs/msg/Imu"
-_FIX: Final = "sensor_msgs/msg/NavSatFix"
-_GEO: Final = "geographic_msgs/msg/GeoPoseStamped"
-_TIME: Final = "sensor_msgs/msg/TimeReference"
-_CAMERA: Final = "sensor_msgs/msg/CameraInfo"
+_IMU = "sensor_msgs/msg/Imu"
+_FIX = "sensor_msgs/msg/NavSatFix"
+_GEO = "geographic_msgs/msg/GeoPoseStamped"
+_TIME = "sensor_msgs/msg/TimeReference"
+_CAMERA = "sensor_msgs/msg/CameraInfo"
 # Messages of local frames, whose azimuth may be relative to the start.
-_RELATIVE: Final = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
+_RELATIVE = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,12 @@ from glstar.flight import EventKind, FlightEvents, GimbalAttitude
 from glstar.sky.place.site import HEIGHTS_M
 
 # Reason of the gap between two boots.
-REBOOT: Final = "a reboot of the autopilot"
+REBOOT = "a reboot of the autopilot"
 
 # A half-open range of positions in a file: start, stop.
 Span = tuple[int, int]
 # Larger than any position in a file.
-EVERYWHERE: Final = 1 << 62
+EVERYWHERE = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from itertools import chain
 from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +24,11 @@ from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
 from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
 
 # At a higher rate of the attitude, slerp between samples is accurate to a fraction of a pixel, Hz.
-_SLERP_SUFFICES_HZ: Final = 45.0
+_SLERP_SUFFICES_HZ = 45.0
 
 # Fewer unread bytes of a file, in bytes and as a fraction, are not reported: a truncated last message, single errors.
-_UNREAD_BYTES: Final = 65536
-_UNREAD_FRACTION: Final = 0.01
+_UNREAD_BYTES = 65536
+_UNREAD_FRACTION = 0.01
 
 
 @dataclass(frozen=True, slots=True)

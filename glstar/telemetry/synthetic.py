@@ -7,7 +7,7 @@ follow ``?``, joined by ``&``.  By default a flight has the position and the nig
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
-from typing import Any, Final, Self
+from typing import Any, Self
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -25,10 +25,10 @@ from glstar.system.userinput import did_you_mean
 from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, LogFacts, PositionSamples, Samples, TelemetrySource
 
-PREFIX: Final = "fly:"
+PREFIX = "fly:"
 
 # Mean winds 20 ft above the ground of MIL-F-8785C: 15, 30 and 45 knots.
-_GUSTS: Final = {"none": 0.0, "light": 7.7, "moderate": 15.4, "severe": 23.2}
+_GUSTS = {"none": 0.0, "light": 7.7, "moderate": 15.4, "severe": 23.2}
 
 
 def _number(text: str) -> float:
@@ -96,7 +96,7 @@ class Setting:
         return self.read is _whole_number
 
 
-KEYS: Final[Mapping[str, Setting]] = {
+KEYS: Mapping[str, Setting] = {
     "latitude_deg": Setting(_radians, "-34.93", "latitude of an orbit's centre or of the start, deg, north positive"),
     "longitude_deg": Setting(_radians, "138.60", "its longitude, deg, east positive"),
     "height_m": Setting(_number, "300", "height above the WGS84 ellipsoid, m"),
@@ -135,8 +135,8 @@ KEYS: Final[Mapping[str, Setting]] = {
     "seed": Setting(_whole_number, "0", "of gusts and vibration: the same seed gives the same flight"),
 }
 # Fields of `SyntheticFlight` that take a key's value as it is, and keys whose fields are in radians.
-_SAME_NAMES: Final = {field.name for field in fields(SyntheticFlight)} & KEYS.keys()
-_ANGLES: Final = ("heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate_deg_per_s")
+_SAME_NAMES = {field.name for field in fields(SyntheticFlight)} & KEYS.keys()
+_ANGLES = ("heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate_deg_per_s")
 
 
 def is_flight_description(name: str) -> bool:

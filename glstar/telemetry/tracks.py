@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import Final
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -21,10 +20,10 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_bytes
 
 # For messages.
-TRACK_FORMATS: Final = "GPX, KML, KMZ, NMEA or IGC"
+TRACK_FORMATS = "GPX, KML, KMZ, NMEA or IGC"
 # Larger files are refused as mistakes: a day of 10 Hz NMEA has 200 MB.
-_LARGEST_BYTES: Final = 512 << 20
-_DAY_S: Final = 86400.0
+_LARGEST_BYTES = 512 << 20
+_DAY_S = 86400.0
 # UTC, latitude and longitude (deg), height (m).
 _Fix = tuple[float, float, float, float]
 

@@ -33,7 +33,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ from glstar.telemetry.boots import find_boots
 from glstar.telemetry.mavlink.vehicles import angle_samples, px4_navigation_state, status_samples, vehicle_kind, version
 from glstar.telemetry.ulogfile import CsvTopics, LogTopics, Topics, joined_logs
 
-_MAGIC: Final = b"ULog\x01\x12\x35"
+_MAGIC = b"ULog\x01\x12\x35"
 
 # Times, quaternions and segment numbers of one instance of a topic.
 _Attitude = tuple[Float, Float, NDArray[np.int64]]
@@ -58,7 +57,7 @@ _ATTITUDES = re.compile(r"(vehicle|estimator|external_ins)_attitude(_groundtruth
 _POSITION = "vehicle_global_position"
 _RECEIVERS = ("vehicle_gps_position", "sensor_gps")
 # Topics with gyro rates, the best first, and the names of their three columns in all versions.
-_GYROS: Final = {
+_GYROS = {
     "vehicle_angular_velocity": [("xyz[0]", "xyz[1]", "xyz[2]")],
     "sensor_combined": [
         ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
@@ -67,7 +66,7 @@ _GYROS: Final = {
     "sensor_gyro": [("x", "y", "z")],
 }
 # Topics of a gimbal, the best first: their fields, and the function that reads those.
-_GIMBALS: Final = {
+_GIMBALS = {
     "gimbal_device_attitude_status": (("device_flags", "q[0]", "q[1]", "q[2]", "q[3]"), status_samples),
     "mount_orientation": (
         tuple(f"attitude_euler_angle[{axis}]" for axis in range(3)),
@@ -75,7 +74,7 @@ _GIMBALS: Final = {
     ),
 }
 # Topics of a triggered camera, the most exact one first.
-_TRIGGERS: Final = ("camera_capture", "camera_trigger")
+_TRIGGERS = ("camera_capture", "camera_trigger")
 _STATUS = "vehicle_status"
 # Topics by which reboots are detected: those that are logged at a steady rate.
 _CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *_RECEIVERS)
@@ -83,7 +82,7 @@ _FIX_3D = 3
 # Largest delay between a sample and its publication, us.
 _SAMPLED_BEFORE_US = 1e6
 # Fields of the topics that are read, which tables of other origin do not have.
-_TYPICAL_FIELDS: Final = frozenset(
+_TYPICAL_FIELDS = frozenset(
     ("q[0]", "xyz[0]", "gyro_rad[0]", "gyro_rad_s[0]", "time_utc_usec", "system_type", "terrain_alt")
 )
 _FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")

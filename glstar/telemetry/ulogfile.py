@@ -18,7 +18,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,7 +204,7 @@ _FLAGS = struct.Struct("<8s8s")
 
 # Smallest and largest size of each kind of message, bytes.
 _MOST = 0xFFFF
-_SIZES: Final = {
+_SIZES = {
     ord("B"): (16, 100),  # flags
     ord("F"): (3, _MOST),  # format
     ord("I"): (3, _MOST),  # information
@@ -222,7 +222,7 @@ _SIZES: Final = {
 _FLAG, _FORMAT, _SUBSCRIBE, _SAMPLE, _INFORMATION = b"BFADI"
 _DEFINING = frozenset(b"BFAI")
 # Texts: level, tag of the one kind, and time since boot, us; the text follows.
-_MESSAGES: Final = {ord("L"): struct.Struct("<BQ"), ord("C"): struct.Struct("<BHQ")}
+_MESSAGES = {ord("L"): struct.Struct("<BQ"), ord("C"): struct.Struct("<BHQ")}
 # The letter of a message, after two bytes with its size.
 _LETTER = re.compile(rb"[BFIMPQARDLCSO]")
 # After damage the next message is searched in pieces of this size; pieces of zeros are skipped, as in a file whose end

@@ -6,12 +6,12 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import get_ident
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 # Number of frames in the frame rate.
-_LATEST: Final = 60
+_LATEST = 60
 
 
 class FrameTimes:

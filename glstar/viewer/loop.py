@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from imgui_bundle import imgui
@@ -91,18 +91,18 @@ class Surface(Protocol):
 
 
 # Shortest time between two frames, s.
-_FRAME_S: Final = 1 / 60
+_FRAME_S = 1 / 60
 # Longest sleep of a window in which nothing changes, s; with a link, the displayed age of its data changes.
-_SLEEP_S: Final = 0.5
-_LINK_SLEEP_S: Final = 0.1
+_SLEEP_S = 0.5
+_LINK_SLEEP_S = 0.1
 # Longest wait for the next attitude of a link, s.
-_NEXT_ATTITUDE_S: Final = 1 / 30
+_NEXT_ATTITUDE_S = 1 / 30
 # Frames drawn after an event: the first shows its effect, and the layout of the panels is final in the second.
-_SETTLING_FRAMES: Final = 3
+_SETTLING_FRAMES = 3
 # Longest wait of a script for the first image of a link, s.
-_TIMEOUT_S: Final = 30.0
+_TIMEOUT_S = 30.0
 # Limit of the elapsed time of a frame, s: the machine may have slept, or the user may have dragged the window.
-_MAX_ELAPSED_S: Final = 0.5
+_MAX_ELAPSED_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import unicodedata
 from dataclasses import dataclass
 from enum import StrEnum
 from math import atan2, cos, degrees, erf, hypot, pi, sin, sqrt
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +33,9 @@ from glstar.sky.place.site import Site
 from glstar.viewer.overlays.canvas import ned_to_camera_matrix
 
 # Interval at which a flight is searched for an object, s: a frame of 50 deg takes as long to pass at 200 deg/s.
-_SEARCH_STEP_S: Final = 0.25
+_SEARCH_STEP_S = 0.25
 # Times per call, which must lie within minutes of each other.
-_TIMES_AT_ONCE: Final = 400
+_TIMES_AT_ONCE = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +126,11 @@ def _first_in_image_s(
 
 
 # Sub-exposures of the coarse search, which selects the stars whose trails are then searched completely.
-_COARSE_SAMPLES: Final = 8
+_COARSE_SAMPLES = 8
 # Samples along the part of a trail that a rolling shutter records.
-_RECORDED_SAMPLES: Final = 33
+_RECORDED_SAMPLES = 33
 # A magnitude counts as this fraction of the largest distance: of two stars near the mouse the brighter one is returned.
-_DISTANCE_PER_MAGNITUDE: Final = 0.1
+_DISTANCE_PER_MAGNITUDE = 0.1
 
 
 class StarUnderCursor(NamedTuple):
@@ -214,7 +214,7 @@ def _distance_to_trail_px(xy: Float, position: Float) -> Float:
 
 
 # Prefixes of catalogue numbers that are recognised in a query.
-_NUMBER: Final = re.compile(r"(hr|hip)?\s*(\d+)")
+_NUMBER = re.compile(r"(hr|hip)?\s*(\d+)")
 
 
 class ObjectKind(StrEnum):
@@ -347,9 +347,9 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 _erf = np.vectorize(erf, otypes=[np.float64])
 
 # Half the side of the cut-out and half the length of its profile, px.
-_CUT_OUT_PX: Final = 12
+_CUT_OUT_PX = 12
 # Interval around the middle of the exposure over which the star's speed is measured, as a fraction of the exposure.
-_SPEED_FRACTION: Final = 0.01
+_SPEED_FRACTION = 0.01
 
 
 class Selection:

@@ -3,7 +3,7 @@
 import ctypes
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from imgui_bundle import imgui  # before glfw: the two then share one library
 
@@ -15,7 +15,7 @@ from glstar.viewer.ui.dialogs import has_native_dialogs
 import glfw  # isort: skip
 
 
-_ALTERNATIVES: Final = "glstar view --headless --screenshot FILE draws without a window, glstar export writes frames"
+_ALTERNATIVES = "glstar view --headless --screenshot FILE draws without a window, glstar export writes frames"
 
 
 class WindowSurface:

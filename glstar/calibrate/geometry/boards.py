@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -28,9 +28,9 @@ class _Limits:
     outlier_px: float = 1.0
 
 
-_LIMITS: Final = _Limits()
+_LIMITS = _Limits()
 # Most iterations of OpenCV, and the change of the parameters at which they end.
-_CRITERIA: Final = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
+_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 import csv
 import io
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -19,17 +19,17 @@ from glstar.config.keys import toml_value
 from glstar.sky.place.apparent import right_ascension_declination
 from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 
-_STAR_COLUMNS: Final = (
+_STAR_COLUMNS = (
     "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
     "signal_to_noise", "saturated",
 )  # fmt: skip
 # Centroids have errors of at most sigma / 5: residuals above this fraction of sigma indicate a wrong camera model.
-_MISPLACED_SIGMA: Final = 0.5
+_MISPLACED_SIGMA = 0.5
 
 
 # Refraction brings stars together as a lens of this much less focal length at the zenith: 58.3 arcsec of refraction for
 # each radian of zenith distance there, as a fraction.
-_ZENITH_REFRACTION: Final = 2.8e-4
+_ZENITH_REFRACTION = 2.8e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

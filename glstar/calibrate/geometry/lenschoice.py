@@ -1,7 +1,7 @@
 """The choice of a lens model: lenses are tried from the simplest on, and Bayes' information criterion decides."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class LensCandidate(NamedTuple):
 
 
 # From the simplest to the most complicated.
-_CANDIDATES: Final = (
+_CANDIDATES = (
     LensCandidate(None, (), principal_point=False),
     LensCandidate(None, (), principal_point=True),
     LensCandidate("plumb_bob", (0,), principal_point=False),
@@ -87,7 +87,7 @@ class _Selection:
     min_stars: int = 6
 
 
-_SELECTION: Final = _Selection()
+_SELECTION = _Selection()
 
 
 @dataclass(frozen=True, slots=True)

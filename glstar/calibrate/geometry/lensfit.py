@@ -8,7 +8,7 @@ far above the noise of the centroids is refused.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +26,16 @@ from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
 
 # Smallest error of a centroid, due to pixels and catalogue, px.
-_LEAST_NOISE_PX: Final = 0.05
+_LEAST_NOISE_PX = 0.05
 # Error of the centre of a saturated star over its width, and of a trail over its length.
-_SATURATED_FRACTION: Final = 0.5
-_TRAIL_FRACTION: Final = 0.25
+_SATURATED_FRACTION = 0.5
+_TRAIL_FRACTION = 0.25
 # A camera is rejected if its residuals exceed this multiple of the noise, a pixel and the width of a star ...
-_MOST_NOISE: Final = 5.0
-_MOST_PX: Final = 1.0
+_MOST_NOISE = 5.0
+_MOST_PX = 1.0
 # ... or if the root mean square exceeds this multiple of that limit, or more than this fraction of stars exceeds it.
-_FAR_SIGMA: Final = 3.0
-_MOST_FAR_FRACTION: Final = 0.2
+_FAR_SIGMA = 3.0
+_MOST_FAR_FRACTION = 0.2
 
 
 def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> float:
@@ -81,14 +81,14 @@ def require_explained(
 
 
 # Matching and fitting alternate at most this often.
-_ROUNDS: Final = 6
+_ROUNDS = 6
 # Matching radius: this multiple of the 90th percentile of the residuals, and at least this many px.
-_RADIUS_PER_RESIDUAL: Final = 3.0
-_MIN_RADIUS_PX: Final = 1.0
+_RADIUS_PER_RESIDUAL = 3.0
+_MIN_RADIUS_PX = 1.0
 # Stars are matched down to the faintest match plus this, mag.
-_FAINTER_MAG: Final = 0.5
+_FAINTER_MAG = 0.5
 # With fewer stars no lens is fitted unless the user chose a model.
-_STARS_FOR_A_LENS: Final = 12
+_STARS_FOR_A_LENS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,9 +274,9 @@ def match_again(
 
 
 # Matching and fitting alternate at most this often.
-_SHARED_ROUNDS: Final = 6
+_SHARED_ROUNDS = 6
 # The focal lengths of one camera's images agree to this fraction.
-_FOCAL_TOLERANCE: Final = 0.01
+_FOCAL_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ camera and an attitude for each image.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 
 # Readout times are searched up to this, s; sensors need 5 to 130 ms.
-LONGEST_READOUT_S: Final = 0.25
+LONGEST_READOUT_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,7 @@ class _Limits:
     most_std_s: float = 0.02
 
 
-_LIMITS: Final = _Limits()
+_LIMITS = _Limits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ Refraction lifts stars towards the zenith, the more the lower they are: it makes
 """
 
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from scipy.optimize import minimize
@@ -21,24 +21,24 @@ from glstar.errors import CalibrationError
 from glstar.sky.air.refraction import refraction_displacement
 
 # With fewer identified stars the zenith is not sought.
-_LEAST_STARS: Final = 30
+_LEAST_STARS = 30
 # Altitudes of the optical axis and directions of the zenith on the image that are tried first, deg.
-_ALTITUDES_DEG: Final = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 37.0, 45.0, 53.0, 62.0, 72.0, 83.0)
-_DIRECTIONS_DEG: Final = tuple(range(0, 360, 20))
+_ALTITUDES_DEG = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 37.0, 45.0, 53.0, 62.0, 72.0, 83.0)
+_DIRECTIONS_DEG = tuple(range(0, 360, 20))
 # Lens and zenith are fitted in turn at most this often.
-_ROUNDS: Final = 4
+_ROUNDS = 4
 # The zenith must lower Bayes' information criterion by this much, against none and against one at the opposite side.
-_MARGIN: Final = 2.0
+_MARGIN = 2.0
 # A zenith that is known no better than this is not used, rad.
-_LARGEST_ERROR_RAD: Final = np.deg2rad(12.0)
+_LARGEST_ERROR_RAD = np.deg2rad(12.0)
 # Fraction of the stars that may be below the horizon of the zenith found: false matches.
-_FALSE_FRACTION: Final = 0.02
+_FALSE_FRACTION = 0.02
 # If the stars prefer this fraction of the air, the camera was not on the ground and the zenith is not where it seems.
-_THINNER: Final = (0.25, 0.05)
+_THINNER = (0.25, 0.05)
 # Only stars near the horizon show thin air: sine of the altitude.
-_LOW: Final = 0.35
-_START_RAD: Final = (0.07, 0.14)
-_STEP_RAD: Final = 0.01
+_LOW = 0.35
+_START_RAD = (0.07, 0.14)
+_STEP_RAD = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)

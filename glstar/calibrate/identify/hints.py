@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,19 +29,19 @@ from glstar.rotation import about_z, fitted_rotation, matrix_from_quaternion, qu
 from glstar.sky.catalogue.reading import star_label
 
 # Largest error of the given attitude: of the optical axis, and of the roll.
-_ATTITUDE_ERROR_RAD: Final = np.deg2rad(10.0)
-_ROLL_ERROR_RAD: Final = np.deg2rad(8.0)
+_ATTITUDE_ERROR_RAD = np.deg2rad(10.0)
+_ROLL_ERROR_RAD = np.deg2rad(8.0)
 # Number of predicted and of detected stars that vote.
-_VOTERS: Final = (40, 80)
-_MOST_VOTERS: Final = 400
+_VOTERS = (40, 80)
+_MOST_VOTERS = 400
 # Factors of the focal length to try if it is known to 15 % only. Larger steps would spread the votes over several bins.
-_ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
-_BIN_FRACTION: Final = 0.008
-_MIN_BIN_PX: Final = 6.0
+_ROUGH_FOCALS = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
+_BIN_FRACTION = 0.008
+_MIN_BIN_PX = 6.0
 # Number of candidate orientations that are refined.
-_MOST_CANDIDATES: Final = 12
+_MOST_CANDIDATES = 12
 # Orientations of the image against the given attitude: rotation, deg, and whether it is mirrored.
-_ORIENTATIONS: Final = (
+_ORIENTATIONS = (
     (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
 )  # fmt: skip
 
@@ -166,11 +165,11 @@ def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:
 
 
 # A label belongs to the nearest detection within this distance, px.
-_LABEL_RADIUS_PX: Final = 8.0
+_LABEL_RADIUS_PX = 8.0
 # Three directions determine an attitude and whether the image is mirrored.
-_MIN_LABELS: Final = 3
+_MIN_LABELS = 3
 # Fields of view to try if the focal length is unknown, rad.
-_FOVS_TRIED_RAD: Final = np.deg2rad(np.geomspace(2.0, 140.0, 200))
+_FOVS_TRIED_RAD = np.deg2rad(np.geomspace(2.0, 140.0, 200))
 
 
 @dataclass(frozen=True, slots=True)

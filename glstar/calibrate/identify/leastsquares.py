@@ -4,7 +4,6 @@ The Jacobian is analytic.  Rotations are composed step by step, so that no param
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
 # Step of the numerical derivative in the normalised image plane.
-_STATE_STEP: Final = 1e-6
+_STATE_STEP = 1e-6
 
 
 def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
@@ -45,16 +44,16 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
 
 
 # Prior standard deviation of the principal point, over the image's width.
-_PRINCIPAL_POINT_SD: Final = 0.02
+_PRINCIPAL_POINT_SD = 0.02
 # Prior of the denominator k4, k5, k6 of a rational lens, and its standard deviation. Without a prior, numerator and
 # denominator compensate each other, with a pole just beyond the farthest star.
-_DENOMINATOR: Final = (0.5, 0.0, 0.0)
-_DENOMINATOR_SD: Final = 0.3
+_DENOMINATOR = (0.5, 0.0, 0.0)
+_DENOMINATOR_SD = 0.3
 # Residuals beyond this multiple of the noise have a reduced influence (soft L1 loss).
-_SOFT_NOISE: Final = 2.0
-_MOST_STEPS: Final = 100
+_SOFT_NOISE = 2.0
+_MOST_STEPS = 100
 # A lens must be one-to-one over the image, and this factor beyond its border.
-_BORDER_FACTOR: Final = 1.02
+_BORDER_FACTOR = 1.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)

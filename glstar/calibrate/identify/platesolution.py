@@ -6,7 +6,6 @@ of a camera at rest; and the matches of stars with detections, and whether chanc
 
 import itertools
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 
@@ -84,13 +83,13 @@ class ReferenceStars:
 
 # Lenses to try for wide fields of view with an unknown lens.  Most wide-angle lenses are nearly equidistant (the
 # distance from the principal point is proportional to the angle from the axis), whatever their calibrated model.
-_WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
+_WIDE_LENSES = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
 # Smallest horizontal field of view that counts as wide.
-_WIDE_RAD: Final = np.deg2rad(35.0)
+_WIDE_RAD = np.deg2rad(35.0)
 # Largest horizontal field of view of a pinhole; wider ones need a fisheye.
-_WIDEST_PINHOLE_RAD: Final = np.deg2rad(140.5)
+_WIDEST_PINHOLE_RAD = np.deg2rad(140.5)
 # Within this angle of the axis each lens of `_WIDE_LENSES` is right to 1 %.
-CENTRAL_RADIUS_RAD: Final = np.deg2rad(20.0)
+CENTRAL_RADIUS_RAD = np.deg2rad(20.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,7 +190,7 @@ def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) ->
 
 
 # A plate solution needs at least this number of matches.
-MIN_STARS: Final = 4
+MIN_STARS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +205,7 @@ class _Significance:
     false_alarm: float = 1e-12
 
 
-SIGNIFICANCE: Final = _Significance()
+SIGNIFICANCE = _Significance()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

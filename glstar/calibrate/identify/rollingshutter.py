@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +14,10 @@ from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_quaternion, turn_between
 
 # A star's row depends on its position and its position on the row: iterated until it moves by less than this, px.
-_CONVERGED_PX: Final = 1e-4
-_MOST_ROUNDS: Final = 60
+_CONVERGED_PX = 1e-4
+_MOST_ROUNDS = 60
 # Step of the derivative by the readout time, s.
-_STEP_S: Final = 1e-3
+_STEP_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

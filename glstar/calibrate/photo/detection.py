@@ -1,7 +1,7 @@
 """Detection of stars on an image: their positions, amplitudes and widths; level and noise of the sky background."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,21 +14,21 @@ from glstar.calibrate.photo.psf import FittedStars, drawn_out_px, fit_stars
 from glstar.statistics import robust_std
 
 # Side of a background tile, px. Larger images have larger tiles with the same number of sampled pixels.
-_TILE_PX: Final = 64
-_MOST_TILES: Final = 32
-_CLIP_SIGMA: Final = 3.0
-_CLIPS: Final = 5
+_TILE_PX = 64
+_MOST_TILES = 32
+_CLIP_SIGMA = 3.0
+_CLIPS = 5
 # Standard deviation of a Gaussian clipped at 3 sigma, over that of the whole Gaussian.
-_CLIPPED_STD: Final = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3) - ndtr(-3))))
+_CLIPPED_STD = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3) - ndtr(-3))))
 # Rounding to whole DN adds this to the variance, DN^2.
-_ROUNDING_DN2: Final = 1 / 12
+_ROUNDING_DN2 = 1 / 12
 # From this fraction of pixels at 0 on, the background is clipped and a truncated Gaussian is fitted.
-_CLIPPED_FRACTION: Final = 0.005
+_CLIPPED_FRACTION = 0.005
 # The fit divides the image into this many parts in x and in y, and uses each up to this quantile: brighter pixels
 # are stars.
-_PARTS: Final = 4
-_STARLESS_QUANTILE: Final = 0.97
-_MIN_PIXELS: Final = 100
+_PARTS = 4
+_STARLESS_QUANTILE = 0.97
+_MIN_PIXELS = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +203,7 @@ class _Detection:
     near_px: float = 1.5
 
 
-_DETECTION: Final = _Detection()
+_DETECTION = _Detection()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

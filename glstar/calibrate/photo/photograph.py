@@ -7,7 +7,7 @@ from io import BytesIO
 from math import nan
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import cv2
 import exifread
@@ -21,21 +21,21 @@ from glstar.system.imagefiles import encode_png, size_error
 
 Channel = Literal["value", "red", "green", "blue", "mean"]
 
-_DEPTHS: Final = (8, 10, 12, 14, 16)
+_DEPTHS = (8, 10, 12, 14, 16)
 # OpenCV's order.
-_PLANE: Final[dict[str, int]] = {"blue": 0, "green": 1, "red": 2}
+_PLANE: dict[str, int] = {"blue": 0, "green": 1, "red": 2}
 # End of a complete file; OpenCV silently fills the missing part of a truncated one with grey.
-_ENDS: Final[dict[bytes, bytes]] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
-_END_WITHIN_BYTES: Final = 64 * 1024
+_ENDS: dict[bytes, bytes] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
+_END_WITHIN_BYTES = 64 * 1024
 # Messages of exifread on files without EXIF are suppressed.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
 
 # First characters of a FITS file, and its exposure, s.
-_FITS_BEGIN: Final = b"SIMPLE  ="
-_FITS_EXPOSURE: Final = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
+_FITS_BEGIN = b"SIMPLE  ="
+_FITS_EXPOSURE = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
 
 # Smallest side of an image of stars.
-_LEAST_SIDE_PX: Final = 32
+_LEAST_SIDE_PX = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ def _exposure_s(content: bytes) -> float | None:
 
 
 # Bits of a photograph's light: fine enough for the steps of 8 recorded bits.
-_LIGHT_BITS: Final = 16
+_LIGHT_BITS = 16
 
 
 def linearised(image: Photograph, gamma: str | float) -> Photograph:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,16 +13,16 @@ from glstar.calibrate.minimise import minimise_each
 from glstar.camera.sensor.sensor import MIN_WIDENED_SIGMA_PX, PIXEL_VARIANCE_PX2
 
 # Half the side of a star's stamp, sigma, besides one pixel: it holds 99.9 % of the flux and some sky.
-_STAMP_SIGMA: Final = 4.0
-_ROUNDS: Final = 40
+_STAMP_SIGMA = 4.0
+_ROUNDS = 40
 # Number of stamp pixels fitted at a time.
-_BLOCK_PIXELS: Final = 60_000
+_BLOCK_PIXELS = 60_000
 # Converged when a step changes no star by more than this, px and ln sigma.
-_CONVERGED: Final = 1e-4
+_CONVERGED = 1e-4
 # Narrowest sigma of a fit, px.
-_NARROWEST_PX: Final = 0.1
+_NARROWEST_PX = 0.1
 # The bias correction of fainter stars is that of a star with this signal-to-noise ratio.
-_FAINTEST_SD: Final = 3.0
+_FAINTEST_SD = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -346,18 +345,18 @@ def _step(solution: Float, *, width_free: bool) -> Float:
 
 
 # Most and fewest stars whose shape is measured, ...
-_MOST_SHAPES: Final = 120
-_LEAST_SHAPES: Final = 6
+_MOST_SHAPES = 120
+_LEAST_SHAPES = 6
 # ... each within a window of this half-width, px and sigma.
-_WINDOW_PX: Final = 20
-_WINDOW_SIGMA: Final = 5
-_SHAPE_ROUNDS: Final = 15
-_NARROWEST_SHAPE_PX2: Final = 0.02
+_WINDOW_PX = 20
+_WINDOW_SIGMA = 5
+_SHAPE_ROUNDS = 15
+_NARROWEST_SHAPE_PX2 = 0.02
 # Smallest ratio of the two widths of a trailed star; optical aberrations hardly change the median star.
-_ROUND_RATIO: Final = 1.25
+_ROUND_RATIO = 1.25
 # Variance along a trail in a Gaussian window, over the square of its length: 1/12 for a short trail, and slightly more
 # for a long one.
-_VARIANCE_FRACTION: Final = 1 / 11
+_VARIANCE_FRACTION = 1 / 11
 
 
 def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float:

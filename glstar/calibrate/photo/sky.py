@@ -1,7 +1,7 @@
 """The sky of a photograph: its brightness over the image, its noise against that brightness, and the gamma it shows."""
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,27 +12,27 @@ from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
 
 # Radius that a star hides, px plus sigma, and its growth with each factor of e in brightness over the noise, sigma.
-_STAR_PX: Final = 3.0
-_STAR_SIGMA: Final = 2.5
-_STAR_GROWTH_SIGMA: Final = 0.8
+_STAR_PX = 3.0
+_STAR_SIGMA = 2.5
+_STAR_GROWTH_SIGMA = 0.8
 # Side of a texel of the map, px, of images up to this width; larger images have as many texels.
-_TEXEL_PX: Final = 16
-_MOST_TEXELS: Final = 128
+_TEXEL_PX = 16
+_MOST_TEXELS = 128
 # Pixels this far off their surroundings, standard deviations, are no sky: faint stars and hot pixels.
-_CLIP_SIGMA: Final = 3.5
-_CLIPS: Final = 4
+_CLIP_SIGMA = 3.5
+_CLIPS = 4
 # Standard deviation of a Gaussian clipped at 3.5 sigma, over that of the whole Gaussian.
-_CLIPPED_STD: Final = 0.99710
-_ROUNDING_DN2: Final = 1 / 12
+_CLIPPED_STD = 0.99710
+_ROUNDING_DN2 = 1 / 12
 # The noise is measured at this number of levels, on blocks of this side, px.
-_LEVELS: Final = 12
-_BLOCK_PX: Final = 32
-_LEAST_BLOCKS: Final = 24
-_LEAST_BLOCK_FRACTION: Final = 0.3
+_LEVELS = 12
+_BLOCK_PX = 32
+_LEAST_BLOCKS = 24
+_LEAST_BLOCK_FRACTION = 0.3
 # From this number of standard deviations on, noise that grows with the level counts as shot noise.
-_SIGNIFICANT: Final = 4.0
+_SIGNIFICANT = 4.0
 # From this fraction of pixels at 0 DN on, the levels are those of a Gaussian cut off at 0.
-_CLIPPED_FRACTION: Final = 0.002
+_CLIPPED_FRACTION = 0.002
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,12 +188,12 @@ def _clipped_variance(residual: Float, is_sky: Mask) -> Float:
 
 
 # Gammas that are tried: from much darker to much brighter than a screen's 2.2, in steps of 0.5 %.
-_GAMMAS: Final = np.exp(np.arange(np.log(0.25), np.log(4.0), 0.005))
+_GAMMAS = np.exp(np.arange(np.log(0.25), np.log(4.0), 0.005))
 # Levels whose variance is smaller than this are not used, DN^2: the rounding to whole numbers is not noise.
-_LEAST_VARIANCE_DN2: Final = 1.0
-_LEAST_LEVELS_OF_GAMMA: Final = 5
+_LEAST_VARIANCE_DN2 = 1.0
+_LEAST_LEVELS_OF_GAMMA = 5
 # The variance of a level is right to this fraction: the sky is not quite smooth inside a block.
-_LEVEL_VARIANCE_ERROR: Final = 0.05
+_LEVEL_VARIANCE_ERROR = 0.05
 
 
 class GammaFit(NamedTuple):
@@ -232,7 +232,7 @@ def gamma_of_noise(noise: NoiseAgainstLevel, white_dn: float) -> GammaFit:
     return GammaFit(value, low, high)
 
 
-_ANY_GAMMA: Final = GammaFit(1.0, float(_GAMMAS[0]), float(_GAMMAS[-1]))
+_ANY_GAMMA = GammaFit(1.0, float(_GAMMAS[0]), float(_GAMMAS[-1]))
 
 
 def _misfit_of_gamma(light: Float, variance: Float, relative_error: Float) -> float:

@@ -6,7 +6,7 @@ brightness; and what each star has besides, as the photograph records it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,13 @@ from glstar.statistics import robust_std
 
 # Terms are used if the probability that chance lowers the residuals as much (F test) is below the first for all of them
 # together, and below the second for each, with at least this number of stars for each term.
-_ALL_BY_CHANCE: Final = 0.01
-_ONE_BY_CHANCE: Final = 0.05
-_STARS_PER_TERM: Final = 4
+_ALL_BY_CHANCE = 0.01
+_ONE_BY_CHANCE = 0.05
+_STARS_PER_TERM = 4
 # A term needs stars that differ in its quantity by this much.
-_LEAST_SPAN: Final = 0.2
-_ROUNDS: Final = 30
-_HUBER: Final = 1.5
+_LEAST_SPAN = 0.2
+_ROUNDS = 30
+_HUBER = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,10 +179,10 @@ def robust_fit(
 
 
 # A fit needs stars whose air masses differ by this much, between the 5th and the 95th percentile, and this many stars.
-_LEAST_AIR_SPAN: Final = 0.5
-_LEAST_AIR_STARS: Final = 20
+_LEAST_AIR_SPAN = 0.5
+_LEAST_AIR_STARS = 20
 # A term besides the extinction needs this many stars.
-_STARS_PER_AIR_TERM: Final = 10
+_STARS_PER_AIR_TERM = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,9 +343,9 @@ def _fitted_air(
 
 
 # Stars below this signal-to-noise ratio say nothing that the catalogue does not say better.
-_LEAST_SNR: Final = 3.0
+_LEAST_SNR = 3.0
 # Standard error of a flux besides its noise, mag: the profile is not exactly that of every star.
-_LEAST_ERROR_MAG: Final = 0.02
+_LEAST_ERROR_MAG = 0.02
 
 
 def recorded_brightness(

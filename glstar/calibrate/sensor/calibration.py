@@ -3,7 +3,7 @@
 import csv
 import io
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,9 +26,9 @@ _STAR_COLUMNS = (
 )  # fmt: skip
 
 # An unevenness of the background above this multiple of its noise is reported.
-_UNEVEN: Final = 2.0
+_UNEVEN = 2.0
 # Above this fraction of saturated stars, the others are biased towards stars measured too faint and too sharp.
-_MANY_SATURATED: Final = 0.3
+_MANY_SATURATED = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,13 +244,13 @@ def _doubtful(
     return tuple(notes)
 
 
-_SIGMA_PER_FWHM: Final = 1 / (2 * np.sqrt(2 * np.log(2)))
+_SIGMA_PER_FWHM = 1 / (2 * np.sqrt(2 * np.log(2)))
 # Range of the exponent; above the upper limit a Moffat profile is a Gaussian.
-_BETA: Final = (2.0, 20.0)
-_GAUSSIAN_BETA: Final = 15.0
+_BETA = (2.0, 20.0)
+_GAUSSIAN_BETA = 15.0
 # Mean square of the distance from the centre of stars all over an image, over that of a corner.
-_MEAN_SQUARE_DISTANCE: Final = 1 / 3
-_LARGEST_ELLIPTICITY: Final = 0.4
+_MEAN_SQUARE_DISTANCE = 1 / 3
+_LARGEST_ELLIPTICITY = 0.4
 
 
 def with_point_spread(calibration: Calibration) -> Calibration:

@@ -4,7 +4,7 @@ import csv
 import io
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +21,19 @@ from glstar.sky.photometry import magnitude_difference
 from glstar.statistics import robust_std
 
 # Stars count from this signal-to-noise ratio on; pixel differences limit their accuracy to this, mag.
-_BRIGHT_ENOUGH: Final = 10.0
-_LEAST_ERROR_MAG: Final = 0.02
+_BRIGHT_ENOUGH = 10.0
+_LEAST_ERROR_MAG = 0.02
 # Lower limit of the scatter of stars about the catalogue, mag.
-_LEAST_SPREAD_MAG: Final = 0.03
+_LEAST_SPREAD_MAG = 0.03
 # The repeatability between images is estimated from this number of measurements on.
-_MIN_REPEATED: Final = 10
-_ROUNDS: Final = 100
-_CONVERGED_MAG: Final = 1e-5
+_MIN_REPEATED = 10
+_ROUNDS = 100
+_CONVERGED_MAG = 1e-5
 # Images fainter or brighter than the others by more than this are reported, mag.
-_REPORTED_MAG: Final = 0.1
+_REPORTED_MAG = 0.1
 # So are backgrounds that differ by more than this multiple of the noise.
-_REPORTED_SKY_SIGMA: Final = 1.0
-_STAR_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", "camera_mag", "off_mag", "error_mag", "images")
+_REPORTED_SKY_SIGMA = 1.0
+_STAR_COLUMNS = ("catalogue", "star_id", "name", "vmag", "camera_mag", "off_mag", "error_mag", "images")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -334,9 +334,9 @@ def _of_each(parts: tuple[Calibration, ...]) -> tuple[Note, ...]:
     return (*shared, *own)
 
 
-_DPI: Final = 110
+_DPI = 110
 # With more images than colours the legend is omitted.
-_MOST_NAMED: Final = 10
+_MOST_NAMED = 10
 
 
 def draw_combined(combined: CombinedCalibration) -> bytes:

@@ -1,7 +1,7 @@
 """From identified stars to the sensor: brightness, width and sky."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,32 +22,32 @@ from glstar.statistics import robust_std
 Criterion = Literal["median", "paper"]
 
 # Change of flux per magnitude, dex: eq. (36).
-LIGHT_DEX_PER_MAG: Final = -0.4
-_STARS_NEEDED: Final = 3
+LIGHT_DEX_PER_MAG = -0.4
+_STARS_NEEDED = 3
 # Width and brightness are measured on stars above this signal-to-noise ratio.
-_BRIGHT_ENOUGH: Final = 10.0
+_BRIGHT_ENOUGH = 10.0
 # A star's weight in the width grows with its signal-to-noise ratio up to this.
-_CLEAREST: Final = 60.0
+_CLEAREST = 60.0
 # Stars expected above this fraction of the sensor's range are left out: the brighter half would saturate.
-_DIM_ENOUGH: Final = 0.5
+_DIM_ENOUGH = 0.5
 # The linearity is also measured on brighter stars, up to this fraction, if there are this many ...
-_NEARLY_FULL: Final = 0.9
-_SLOPE_STARS: Final = 15
+_NEARLY_FULL = 0.9
+_SLOPE_STARS = 15
 # ... and a slope this near to -0.4, dex per magnitude, counts as linear.
-_PROPORTIONAL: Final = 0.02
+_PROPORTIONAL = 0.02
 # Sidereal trails are fitted if they are longer than this, sigma.
-_TRAIL_SIGMA: Final = 0.3
+_TRAIL_SIGMA = 0.3
 # Stars longer than their sidereal trails by more than this, sigma, show a moving camera.
-_SHAKEN_SIGMA: Final = 2.5
+_SHAKEN_SIGMA = 2.5
 # Measured lengths of trails are right to this factor.
-_LONGER: Final = 1.35
+_LONGER = 1.35
 # Bootstrap samples for the standard error of the typical width, which they determine to 5 %.
-_RESAMPLED: Final = 200
+_RESAMPLED = 200
 # A star is blended with another catalogue star within this distance, px plus a multiple of sigma, if the other is
 # fainter by at most this, mag.
-_BLENDED_PX: Final = 2.0
-_BLENDED_SIGMA: Final = 4.0
-_BLENDED_MAG: Final = 3.5
+_BLENDED_PX = 2.0
+_BLENDED_SIGMA = 4.0
+_BLENDED_MAG = 3.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -138,31 +138,31 @@ def _trail_samples(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
 
 
 # A model is wrong by about this fraction of a star's brightness: it limits the weight of bright pixels.
-_MODEL_ERROR: Final = 0.03
+_MODEL_ERROR = 0.03
 # Gauss-Newton rounds for the positions in each round of the shape, and rounds of the shape.
-_POSITION_ROUNDS: Final = 3
-_ROUNDS: Final = 3
+_POSITION_ROUNDS = 3
+_ROUNDS = 3
 # Step of numerical derivatives by position, px, and the largest step of a position, px.
-_STEP_PX: Final = 0.02
-_LARGEST_STEP_PX: Final = 0.4
+_STEP_PX = 0.02
+_LARGEST_STEP_PX = 0.4
 # A further parameter must lower the squared residuals, over their mean, by this much.
-_BETTER: Final = 12.0
+_BETTER = 12.0
 # ... and growth, tilt, colour and ellipticity must exceed their standard errors by this factor.
-_CLEAR: Final = 3.0
+_CLEAR = 3.0
 # Light this far off the first fit does not count in the last one, standard deviations.
-_OUTLIER: Final = 4.0
+_OUTLIER = 4.0
 # Moffat exponent from which on a star is a Gaussian, and range of the fit.
-_GAUSSIAN_BETA: Final = 15.0
-_BETA: Final = (2.05, 19.0)
-_MOST_ELLIPTICAL: Final = 0.39
-_LARGEST_GROWTH: Final = 3.0
-_LARGEST_TILT: Final = 0.6
-_LARGEST_COLOUR_GROWTH: Final = 0.5
-_LARGEST_WING: Final = 0.8
+_GAUSSIAN_BETA = 15.0
+_BETA = (2.05, 19.0)
+_MOST_ELLIPTICAL = 0.39
+_LARGEST_GROWTH = 3.0
+_LARGEST_TILT = 0.6
+_LARGEST_COLOUR_GROWTH = 0.5
+_LARGEST_WING = 0.8
 # Parameters that are tried together, and where they start: first the better of the first two, then the others in turn.
-_GROUPS: Final = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("tilt_x", "tilt_y"), ("colour",), ("e1", "e2"))
-_ROUND_GROUPS: Final = 5
-_STARTS: Final = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
+_GROUPS = (("beta",), ("wing", "ln_wing_px"), ("growth",), ("tilt_x", "tilt_y"), ("colour",), ("e1", "e2"))
+_ROUND_GROUPS = 5
+_STARTS = {"beta": 4.0, "wing": 0.1, "ln_wing_px": 1.1}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,7 +279,7 @@ class _Shape:
         return replace(self, sigma_px=sigma_px, **given)
 
 
-_LIMITS: Final = {
+_LIMITS = {
     "sigma": (np.log(0.2), np.log(12.0)),
     "beta": (1 / (_GAUSSIAN_BETA - 0.1), 1 / _BETA[0]),
     "growth": (0.0, _LARGEST_GROWTH),

@@ -1,7 +1,7 @@
 """Effects in a photograph that the sensor model lacks: PSF wings, vignetting, a sky gradient, correlated noise."""
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -33,11 +33,11 @@ class _Relevance:
     lattice_ratio: float = 1.10
 
 
-_RELEVANCE: Final = _Relevance()
-_LEAST_LOSS_MAG: Final = -2.5 * float(np.log10(1 - _RELEVANCE.vignetting_fraction))
+_RELEVANCE = _Relevance()
+_LEAST_LOSS_MAG = -2.5 * float(np.log10(1 - _RELEVANCE.vignetting_fraction))
 # Wings begin at this radius, in sigma as the pixels record it; and the flux of a Gaussian beyond it, over its flux.
-WING_RADIUS_SIGMA: Final = 3.0
-_GAUSSIAN_WING: Final = float(np.exp(-(WING_RADIUS_SIGMA**2) / 2))
+WING_RADIUS_SIGMA = 3.0
+_GAUSSIAN_WING = float(np.exp(-(WING_RADIUS_SIGMA**2) / 2))
 
 
 @dataclass(frozen=True, slots=True)

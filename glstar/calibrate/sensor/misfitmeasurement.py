@@ -1,7 +1,6 @@
 """Measurement of effects that the sensor model lacks: in the profiles of stars, their brightness, sky and noise."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +16,20 @@ from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.statistics import robust_std
 
 # Wings are measured up to this radius, and the sky beneath them between the next two, in sigma as the pixels record it.
-_OUTER_SIGMA: Final = 8.0
-_SKY_RING_SIGMA: Final = (9.0, 12.0)
+_OUTER_SIGMA = 8.0
+_SKY_RING_SIGMA = (9.0, 12.0)
 # Pixels this close to another star are excluded, sigma.
-_NEIGHBOUR_SIGMA: Final = 5.0
+_NEIGHBOUR_SIGMA = 5.0
 # The sky ring and the wings need this number of pixels each.
-_MIN_RING_PIXELS: Final = 40
+_MIN_RING_PIXELS = 40
 # A star's weight grows with its signal-to-noise ratio up to this.
-_WEIGHT_SNR: Final = 60.0
+_WEIGHT_SNR = 60.0
 # A typical shape needs this number of stars.
-_MIN_PROFILE_STARS: Final = 8
+_MIN_PROFILE_STARS = 8
 # Bootstrap samples: they determine a standard error to 5 %.
-_RESAMPLED: Final = 200
+_RESAMPLED = 200
 # Pixels above this fraction of the largest number may be saturated.
-_USABLE_FRACTION: Final = 0.98
+_USABLE_FRACTION = 0.98
 
 
 def measure_wings(
@@ -117,14 +116,14 @@ def measure_ellipticity(
 
 
 # Noise is examined in patches of this side, px, in a square grid of this many per side.
-_PATCH_PX: Final = 192
-_PATCHES: Final = 4
+_PATCH_PX = 192
+_PATCHES = 4
 # Pixels this many standard deviations off the sky belong to stars.
-_STAR_SIGMA: Final = 3.5
+_STAR_SIGMA = 3.5
 # A patch needs this number of starless pixels.
-_MIN_PATCH_PIXELS: Final = 2000
+_MIN_PATCH_PIXELS = 2000
 # The correlation at this lag, px, is due to residual structure of the background; it is subtracted.
-_FAR_LAG_PX: Final = 6
+_FAR_LAG_PX = 6
 
 
 def measure_noise_structure(
@@ -215,7 +214,7 @@ class _Limits:
     map_shape: tuple[int, int] = (3, 4)
 
 
-_LIMITS: Final = _Limits()
+_LIMITS = _Limits()
 
 
 def measure_misfit(

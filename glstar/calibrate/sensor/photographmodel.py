@@ -1,7 +1,7 @@
 """The model of one photograph: sensor, sky, noise, shape, colour and hot pixels, as far as the image supports them."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,10 +28,10 @@ from glstar.render.scene.starcomponents import colours_used
 from glstar.sky.photometry import USUAL_BV, star_colours
 
 # A hot pixel exceeds the sky by this, standard deviations: noise does so in one of 10^15 pixels.
-_HOT_PIXEL_BRIGHT: Final = 8.0
+_HOT_PIXEL_BRIGHT = 8.0
 # Its four neighbours have less light than beside the narrowest star by this, standard deviations.
-_HOT_PIXEL_NEIGHBOURS_DARK: Final = 4.0
-_NEIGHBOURS: Final = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float64)
+_HOT_PIXEL_NEIGHBOURS_DARK = 4.0
+_NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,26 +92,26 @@ def light_beside_star(joint: JointPsf) -> float:
 
 # The shape is measured on at most this number of stars, the brightest, of this signal-to-noise ratio, and at least on
 # this number.
-_MOST_SHAPED: Final = 90
-_SHAPED_SNR: Final = 15.0
-_LEAST_SHAPED: Final = 6
+_MOST_SHAPED = 90
+_SHAPED_SNR = 15.0
+_LEAST_SHAPED = 6
 # Sidereal trails are tried if the longest is longer than this, px.
-_TRAIL_PX: Final = 0.4
+_TRAIL_PX = 0.4
 # A star of the catalogue without a detection within this distance was not detected, px.
-_UNDETECTED_PX: Final = 3.0
+_UNDETECTED_PX = 3.0
 # Half the side of the stamps of stars, px and sigma.
-_HALF_PX: Final = 9
-_HALF_SIGMA: Final = 6.0
+_HALF_PX = 9
+_HALF_SIGMA = 6.0
 # Pixels above this fraction of the largest number, and their neighbours, are not used.
-_FULL: Final = 0.95
+_FULL = 0.95
 # Fluxes above this signal-to-noise ratio decide the zero point.
-_ZERO_SNR: Final = 10.0
-_LEAST_ZERO: Final = 3
+_ZERO_SNR = 10.0
+_LEAST_ZERO = 3
 # The sky has a map if its level differs by more than this, noises of a pixel or standard errors of a texel.
-_UNEVEN_NOISE: Final = 0.1
-_UNEVEN_ERRORS: Final = 3.0
+_UNEVEN_NOISE = 0.1
+_UNEVEN_ERRORS = 3.0
 # The full well lies above the converter's range by this factor: one image does not show it.
-_WELL_ABOVE_RANGE: Final = 1.05
+_WELL_ABOVE_RANGE = 1.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +15,18 @@ from glstar.config.keys import toml_value
 from glstar.errors import CalibrationError
 
 # Variance of rounding to whole numbers, DN^2.
-_ROUNDING_DN2: Final = 1 / 12
+_ROUNDING_DN2 = 1 / 12
 # A pixel is hot if its mean dark value exceeds the median by this many standard deviations of ordinary pixels, and DN.
-_HOT_SIGMA: Final = 10.0
-_HOT_DN: Final = 4.0
+_HOT_SIGMA = 10.0
+_HOT_DN = 4.0
 # Dark frames of one exposure, gain and temperature differ in level by at most one read noise, or 2 DN.
-_DRIFT_DN: Final = 2.0
+_DRIFT_DN = 2.0
 # A pixel is dead if it responds with less than this fraction of its surroundings.
-_DEAD_RESPONSE: Final = 0.5
+_DEAD_RESPONSE = 0.5
 # Flat fields brighter than this fraction of the range are not used: pixels saturate and their variance falls.
-_BRIGHTEST: Final = 0.8
-_MAD_TO_SIGMA: Final = 1.4826
-_SUFFIXES: Final = frozenset(
-    {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".dng", ".heic", ".heif"}
-)
+_BRIGHTEST = 0.8
+_MAD_TO_SIGMA = 1.4826
+_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".dng", ".heic", ".heif"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 """The report of a calibration as a PNG."""
 
 from io import BytesIO
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -14,17 +14,17 @@ from glstar.calibrate.sensor.fit import lens_scale
 from glstar.calibrate.sensor.misfitmeasurement import corner_distance
 from glstar.sky.catalogue.reading import star_label
 
-_NAMED_STARS: Final = 30
+_NAMED_STARS = 30
 # If stars are closer than this fraction of the image's width, only the brightest is labelled.
-_LABEL_SEPARATION: Final = 0.03
-_DPI: Final = 110
+_LABEL_SEPARATION = 0.03
+_DPI = 110
 # Number of ticks of an axis: matplotlib draws ten stars in the time of one tick.
-_TICKS: Final = 6
+_TICKS = 6
 # Black and white levels of images, in standard deviations of the noise about the sky, so that faint stars are visible.
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
-_STAMP_SIGMA: Final = 4.5
+_STAMP_SIGMA = 4.5
 # Height of the lowest row, which shows effects that the sensor model lacks, inches.
-_MISFIT_TALL: Final = 3.9
+_MISFIT_TALL = 3.9
 _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
 
 

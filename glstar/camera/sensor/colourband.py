@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Final, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,8 +17,8 @@ BandName = Literal["v", "imx477", "imx219", "ov5647", "bare", "custom"]
 Mosaic = Literal["none", "rggb", "bggr", "grbg", "gbrg"]
 Channel = Literal["r", "g", "b"]
 
-BAND_CHOICES: Final[tuple[str, ...]] = get_args(BandName)
-MOSAIC_CHOICES: Final[tuple[str, ...]] = get_args(Mosaic)
+BAND_CHOICES: tuple[str, ...] = get_args(BandName)
+MOSAIC_CHOICES: tuple[str, ...] = get_args(Mosaic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class _Response:
 # Synthetic photometry of 108 spectra (Pickles 1998, PASP 110, 863) from 400 to 700 nm, with the colour filters of the
 # Raspberry Pi HQ camera and its infra-red filter Hoya CM500, fitted for 23 types from B0 to M2, dwarfs and giants; zero
 # at A0 V.  Residuals, rms (largest): mean 0.007 (0.02), R 0.033 (0.10, K dwarfs), G 0.008 (0.02), B 0.026 (0.08) mag.
-_IMX477: Final[Mapping[str, _Response]] = MappingProxyType(
+_IMX477: Mapping[str, _Response] = MappingProxyType(
     {
         "mean": _Response(0.292, -0.056, 1.0, 522.0),
         "r": _Response(-0.183, -0.014, 2.5 / 8.0, 584.0),
@@ -47,7 +47,7 @@ _IMX477: Final[Mapping[str, _Response]] = MappingProxyType(
 # Modules 2 and 1 (data sheets, digitised by K. Hufkens), against the spectra's own B - V (Bessell 1990).  Their
 # infra-red filter is taken as a cut at 700 nm.  Residuals, rms (largest): IMX219 mean 0.009 (0.03), R 0.027 (0.08),
 # G 0.004 (0.01), B 0.009 (0.03); OV5647 0.011 (0.04), 0.028 (0.08), 0.006 (0.02), 0.009 (0.03) mag.
-_IMX219: Final[Mapping[str, _Response]] = MappingProxyType(
+_IMX219: Mapping[str, _Response] = MappingProxyType(
     {
         "mean": _Response(0.142, -0.086, 1.0, 554.0),
         "r": _Response(-0.359, -0.035, 0.727, 618.0),
@@ -55,7 +55,7 @@ _IMX219: Final[Mapping[str, _Response]] = MappingProxyType(
         "b": _Response(0.673, -0.077, 1.022, 488.0),
     }
 )
-_OV5647: Final[Mapping[str, _Response]] = MappingProxyType(
+_OV5647: Mapping[str, _Response] = MappingProxyType(
     {
         "mean": _Response(0.186, -0.103, 1.0, 552.0),
         "r": _Response(-0.340, -0.052, 0.703, 620.0),
@@ -64,11 +64,11 @@ _OV5647: Final[Mapping[str, _Response]] = MappingProxyType(
     }
 )
 # A sensor without infra-red filter: measured by PiFinder on an IMX462, m = V - 0.8 (B - V).  Its wavelength is assumed.
-_BARE: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(-0.8, 0.0, 1.0, 650.0)})
-_V: Final[Mapping[str, _Response]] = MappingProxyType({"mean": _Response(0.0, 0.0)})
-_OF_BAND: Final = MappingProxyType({"v": _V, "imx477": _IMX477, "imx219": _IMX219, "ov5647": _OV5647, "bare": _BARE})
+_BARE: Mapping[str, _Response] = MappingProxyType({"mean": _Response(-0.8, 0.0, 1.0, 650.0)})
+_V: Mapping[str, _Response] = MappingProxyType({"mean": _Response(0.0, 0.0)})
+_OF_BAND = MappingProxyType({"v": _V, "imx477": _IMX477, "imx219": _IMX219, "ov5647": _OV5647, "bare": _BARE})
 # Bands whose red, green and blue are known: a mosaic needs one of them.
-BANDS_WITH_COLOURS: Final = tuple(band for band, responses in _OF_BAND.items() if "r" in responses)
+BANDS_WITH_COLOURS = tuple(band for band, responses in _OF_BAND.items() if "r" in responses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class ColourBand:
         return _OF_BAND[self.band]
 
 
-_RGB: Final[tuple[Channel, ...]] = ("r", "g", "b")
+_RGB: tuple[Channel, ...] = ("r", "g", "b")
 
 
 @lru_cache(maxsize=64)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import log
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,13 @@ from glstar.arrays import Float, Float32
 from glstar.errors import ConfigError
 
 # Dark current of hot pixels over that of the others: from, to; falling with the square in between.
-_HOT_FACTOR: Final = (10.0, 1000.0)
+_HOT_FACTOR = (10.0, 1000.0)
 # Offsets of stuck pixels, e: from, to; their logarithm is uniform.
-_STUCK_E: Final = (20.0, 2000.0)
-_CARD_BYTES: Final = 80
-_FITS_BLOCK_BYTES: Final = 2880
+_STUCK_E = (20.0, 2000.0)
+_CARD_BYTES = 80
+_FITS_BLOCK_BYTES = 2880
 # Types by the value of BITPIX.
-_FITS_TYPES: Final = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
+_FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
 # Streams of random numbers of one camera.
 _DEFECTS, _DARK, _RESPONSE = range(3)
 

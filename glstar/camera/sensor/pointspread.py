@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from math import cos, degrees, log, pi, radians, sin, sqrt
-from typing import Any, Final, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +16,12 @@ from glstar.sky.photometry import USUAL_BV, VALID_BV
 Profile = Literal["gaussian", "moffat"]
 
 # Full width at half maximum of a Gaussian of sigma 1.
-_FWHM_PER_SIGMA: Final = 2 * sqrt(2 * log(2))
+_FWHM_PER_SIGMA = 2 * sqrt(2 * log(2))
 # Nodes of the mixture of a Moffat profile: exponent beta, number, step and largest value of ln(alpha^2 / 2 sigma^2).
 # Chosen by a search for the smallest error of encircled energy and profile: 0.44 % of both at beta 2, 0.33 % at 2.5,
 # 0.17 % at 3, 0.1 % at 3.5 and less above.
-_FIVE_NODES: Final = ((2.0, 1.25, 1.0), (2.5, 1.0, 1.4))
-_FOUR_NODES: Final = (
+_FIVE_NODES = ((2.0, 1.25, 1.0), (2.5, 1.0, 1.4))
+_FOUR_NODES = (
     (2.5, 1.15, 1.2),
     (3.0, 1.0, 1.5),
     (3.5, 0.9, 1.7),
@@ -33,15 +33,15 @@ _FOUR_NODES: Final = (
     (20.0, 0.35, 3.3),
 )
 # Radii at which the mixture is fitted, in units of alpha.
-_FIT_RADII: Final = np.concatenate([np.linspace(0, 3, 60), np.geomspace(3.1, 80, 80)])
+_FIT_RADII = np.concatenate([np.linspace(0, 3, 60), np.geomspace(3.1, 80, 80)])
 # Weight of the condition that the fluxes of the mixture add up to 1.
-_UNIT_FLUX_WEIGHT: Final = 1e3
+_UNIT_FLUX_WEIGHT = 1e3
 # Sigmas of the halo's Gaussians differ by this factor: their sum falls as 1 / r^2 within 4 %.
-_HALO_RATIO: Final = 2.0
+_HALO_RATIO = 2.0
 # Gaussians along the major axis of an elliptical star (Gauss-Hermite nodes) for axis ratios down to these.
-_HERMITE_NODES: Final = ((0.9, 3), (0.8, 5), (0.7, 7), (0.6, 9))
+_HERMITE_NODES = ((0.9, 3), (0.8, 5), (0.7, 7), (0.6, 9))
 # Stars are not narrower than this fraction of the width on the axis.
-_NARROWEST: Final = 0.2
+_NARROWEST = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,12 +191,12 @@ class PointSpread:
         return {_KEYS[name]: degrees(value) if name in _ANGLES else value for name, value in changed.items()}
 
 
-_GAUSSIAN: Final = PointSpread()
+_GAUSSIAN = PointSpread()
 # The keys of ``[sensor]`` by attribute; angles are in degrees there.
-_ANGLES: Final = {"psf_angle_rad": "psf_angle_deg", "psf_tilt_angle_rad": "psf_tilt_angle_deg"}
-_KEYS: Final = {name: _ANGLES.get(name, name) for name in PointSpread.__slots__}
+_ANGLES = {"psf_angle_rad": "psf_angle_deg", "psf_tilt_angle_rad": "psf_tilt_angle_deg"}
+_KEYS = {name: _ANGLES.get(name, name) for name in PointSpread.__slots__}
 # The same as `Sensor.effects` has them.
-PSF_KEYS: Final = tuple(f"sensor.{key}" for key in _KEYS.values())
+PSF_KEYS = tuple(f"sensor.{key}" for key in _KEYS.values())
 
 
 @lru_cache(maxsize=64)
@@ -262,9 +262,9 @@ def moffat_mixture(beta: float) -> tuple[tuple[float, float], ...]:
 
 
 # The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
-TRUNCATION_DN: Final = 0.02
+TRUNCATION_DN = 0.02
 # A Gaussian of several is drawn where it is at least this, DN: a tenth of what is cut off a single Gaussian.
-FAINTEST_COMPONENT_DN: Final = 0.1 * TRUNCATION_DN
+FAINTEST_COMPONENT_DN = 0.1 * TRUNCATION_DN
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,10 +277,10 @@ class Truncation:
 
 
 # Flux outside the radius is lost: 1e-3 of it at 3.5 sigma.
-PLAIN: Final = Truncation(peak_fraction=1e-4, min_sigma=3.5)
+PLAIN = Truncation(peak_fraction=1e-4, min_sigma=3.5)
 # Flux outside the radius is added to the rest.  Below 1.2 px, the sum over the pixels of a narrow trail would depend on
 # its position between pixel centres.
-RENORMALIZED: Final = Truncation(peak_fraction=1e-3, min_sigma=1.5, min_px=1.2)
+RENORMALIZED = Truncation(peak_fraction=1e-3, min_sigma=1.5, min_px=1.2)
 
 
 def gaussian_radius_px(

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import exp, hypot, isfinite, log10, nan, pi, sqrt
-from typing import Any, Final, Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +16,10 @@ from glstar.errors import ConfigError
 from glstar.sky.photometry import brightness_ratio
 
 # Temperature at which data sheets give the dark current, degrees Celsius.
-DARK_REFERENCE_C: Final = 25.0
+DARK_REFERENCE_C = 25.0
 
-_POSITIVE: Final = ("vmag_0_e_per_s", "gain_dn_per_e", "analogue_gain", "full_well_e", "dark_doubling_c")
-_NOT_NEGATIVE: Final = (
+_POSITIVE = ("vmag_0_e_per_s", "gain_dn_per_e", "analogue_gain", "full_well_e", "dark_doubling_c")
+_NOT_NEGATIVE = (
     "sky_e_per_s",
     "black_level_dn",
     "read_noise_before_gain_e",
@@ -579,9 +579,9 @@ def _have_same_gain(one: ElectronModel | None, other: ElectronModel | None) -> b
 
 
 # Signal-to-noise ratio at which a star is taken as detected.
-LIMITING_SNR: Final = 5.0
+LIMITING_SNR = 5.0
 # Variance of rounding to whole numbers, DN^2.
-_QUANTISATION_VARIANCE_DN2: Final = 1 / 12
+_QUANTISATION_VARIANCE_DN2 = 1 / 12
 
 
 def noise_equivalent_area_px2(sensor: Sensor) -> float:

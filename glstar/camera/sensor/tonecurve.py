@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,24 +14,24 @@ from glstar.arrays import Float
 from glstar.system.userinput import is_number, read_text
 
 # Names of tone curves, the default first.
-GAMMAS: Final = ("linear", "srgb", "rpi")
+GAMMAS = ("linear", "srgb", "rpi")
 # Tone curve of the Raspberry Pi HQ camera, of 65535, linear between; libcamera, tuning file of the
 # IMX477 for the older processor (BSD-2-Clause).
-_RPI_INPUTS: Final = (*range(0, 16384, 1024), *range(16384, 32768, 2048), *range(32768, 65535, 4096), 65535)
-_RPI_OUTPUTS: Final = (
+_RPI_INPUTS = (*range(0, 16384, 1024), *range(16384, 32768, 2048), *range(32768, 65535, 4096), 65535)
+_RPI_OUTPUTS = (
     (0, 5040, 9338, 12356, 15312, 18051, 20790, 23193, 25744, 27942, 30035, 32005, 33975, 35815, 37600, 39168),
     (40642, 43379, 45749, 47753, 49621, 51253, 52698, 53796),
     (54876, 57012, 58656, 59954, 61183, 62355, 63419, 64476, 65535),
 )
 # Values that a tone curve is applied to at once: 256 kB of float64.
-_BLOCK: Final = 1 << 15
+_BLOCK = 1 << 15
 # (input, output) as fractions of full scale.
 CurvePoints = tuple[tuple[float, float], ...]
 
-_LARGEST_BYTES: Final = 2**24
+_LARGEST_BYTES = 2**24
 # Key of libcamera's tuning files, whose list has inputs and outputs in turn, and their full scale.
-_LIBCAMERA_KEY: Final = "gamma_curve"
-_LIBCAMERA_FULL_SCALE: Final = 65535
+_LIBCAMERA_KEY = "gamma_curve"
+_LIBCAMERA_FULL_SCALE = 65535
 
 
 def recorded_by(light: NDArray[Any], gamma: str | float, points: str = "") -> Float:

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import typer
@@ -27,7 +26,7 @@ from glstar.export.directory import explain_disk_errors
 from glstar.system.files import write_atomically
 
 # A larger fraction of hot pixels is reported: real sensors have some hundred in a million.
-_MANY_HOT: Final = 0.01
+_MANY_HOT = 0.01
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """The calibration that the window offers: what ``glstar calibrate`` does with one photograph."""
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from glstar.sky.catalogue.reading import star_label
 from glstar.viewer.picture.fitting import CalibratedPhoto, CalibrationProgress, CalibrationRequest
 
 # A removed detection is at most this far from where the user saw it, px.
-_SAME_PX: Final = 0.5
+_SAME_PX = 0.5
 
 
 def calibration_of(request: CalibrationRequest, progress: CalibrationProgress) -> CalibratedPhoto:

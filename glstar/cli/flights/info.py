@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 # If there are more gaps, they are counted instead of listed.
-_GAPS_LISTED: Final = 5
-_PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
+_GAPS_LISTED = 5
+_PLOT_FORMATS = (".png", ".svg", ".pdf")
 # A larger step between two samples of an angle is a wrap-around, deg.
-_WRAP_DEG: Final = 180.0
+_WRAP_DEG = 180.0
 
 
 @with_verbosity

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from threading import Event, Thread
-from typing import IO, TYPE_CHECKING, Final, Self
+from typing import IO, TYPE_CHECKING, Self
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from glstar.viewer.overlays.belief import PlacedAnswer
 
 # Name of the standard input.
-STDIN: Final = Path("-")
+STDIN = Path("-")
 # Interval at which a file of answers is read, s.
-_POLL_S: Final = 0.02
+_POLL_S = 0.02
 
 
 class IncomingAnswers(ABC):

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -27,7 +27,7 @@ from glstar.sky.place.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C,
 from glstar.sky.place.timescale import described_earth_orientation, format_utc, parse_known_utc, tt_julian_date
 
 # Columns of the Sun, the Moon and the planets, with their decimals in a table.
-_BODY_DECIMALS: Final = {
+_BODY_DECIMALS = {
     "azimuth_deg": 5,
     "altitude_deg": 5,
     "apparent_altitude_deg": 5,
@@ -41,13 +41,13 @@ _BODY_DECIMALS: Final = {
     "vmag": 2,
 }
 # Columns of satellites, with their decimals in a table.
-_SATELLITE_DECIMALS: Final = {"azimuth_deg": 4, "altitude_deg": 4, "range_km": 1, "vmag": 1, "lit": 2}
-_ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
-_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
+_SATELLITE_DECIMALS = {"azimuth_deg": 4, "altitude_deg": 4, "range_km": 1, "vmag": 1, "lit": 2}
+_ANGLES = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
+_COLUMNS = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
 # Decimals of numbers in CSV and JSON: the last one of an angle in degrees is 0.00004".
-_DIGITS: Final = 8
+_DIGITS = 8
 # Width of a table that is written to a pipe, characters.
-_PIPE_WIDTH: Final = 180
+_PIPE_WIDTH = 180
 
 _Row = dict[str, Any]
 

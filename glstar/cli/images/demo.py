@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -16,38 +16,38 @@ from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.system.imagefiles import encode_png
 
 # One frame every 15 s: the launch, turns to both sides, and a roll.
-_START_S: Final = 3.0
-_EVERY_S: Final = 15.0
-_FRAMES: Final = 6
+_START_S = 3.0
+_EVERY_S = 15.0
+_FRAMES = 6
 
-_SHEET: Final = "contact-sheet.png"
-_COLUMNS: Final = 3
-_WIDTH_PX: Final = 760
-_NAMED_STARS: Final = 7
+_SHEET = "contact-sheet.png"
+_COLUMNS = 3
+_WIDTH_PX = 760
+_NAMED_STARS = 7
 # Minimum distance between named stars, px, so that their names do not overlap.
-_MIN_DISTANCE_PX: Final = 40.0
+_MIN_DISTANCE_PX = 40.0
 # Digital numbers shown as black and white on the contact sheet.
 _BLACK_DN, _WHITE_DN = 12.0, 60.0
 
 # From sunset to moonset of 2024-03-18 over Adelaide, a day after first quarter: a camera 22 deg above the north-west.
-_NIGHT: Final = (
+_NIGHT = (
     "fly:still?latitude_deg=-34.93&longitude_deg=138.60&height_m=500&heading_deg=325&start_utc=2024-03-18T08:55:00Z"
     "&duration_s=21600&rate_hz=0.1"
 )
-_NIGHT_KEYS: Final = {
+_NIGHT_KEYS = {
     "sky.preset": "natural",
     "mount.yaw_deg": 0.0,
     "mount.pitch_deg": 22.0,
     "exposure.interval_s": 1900.0,
     "exposure.duration_s": 0.25,
 }
-_NIGHT_FRAMES: Final = 12
+_NIGHT_FRAMES = 12
 # Digital numbers shown as black and white of a night, with moonlight in it.
-_NIGHT_SHOWN_DN: Final = (10.0, 110.0)
+_NIGHT_SHOWN_DN = (10.0, 110.0)
 # With the Sun higher than this, deg, the names of stars would stand on a white sky.
-_NAMES_BELOW_DEG: Final = -9.0
+_NAMES_BELOW_DEG = -9.0
 # Fainter bodies, such as Uranus, are not named.
-_FAINTEST_BODY: Final = 3.0
+_FAINTEST_BODY = 3.0
 
 Grey = NDArray[np.uint8]
 

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from math import asin, degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 import typer
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 
 # Frames that a dry run draws to estimate the complete export, spread evenly over it.
-_SAMPLE_FRAMES: Final = 5
+_SAMPLE_FRAMES = 5
 # Frames that are checked for day and ground, spread evenly over an export.
-_CHECKED: Final = 24
+_CHECKED = 24
 # With the Sun higher than this, deg, the sky hides all but the brightest stars: the end of civil twilight.
-_DAY_DEG: Final = -6.0
+_DAY_DEG = -6.0
 # Bits at which full scale is at most a quarter of a 16-bit file's white.
-_MAX_BITS: Final = 14
+_MAX_BITS = 14
 
 
 @with_verbosity
@@ -99,14 +99,7 @@ def export(
     known = options.NavigatorFiles(settings, output.directory, blind, flights_of(settings, flights))
     exif = known.allows(exif=exif)
     wanted = ExportOptions(
-        start_s=start,
-        stop_s=stop,
-        frames=frames,
-        image_format=format_,
-        noiseless=light,
-        seed=seed,
-        masks=masks,
-        exif=exif,
+        start, stop, frames=frames, image_format=format_, noiseless=light, seed=seed, masks=masks, exif=exif
     )
     job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)

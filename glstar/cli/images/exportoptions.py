@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import typer
 
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from glstar.export.run.store import StoreExport
 
 # Frames for which one more worker process saves time, although it needs a second to start.
-FRAMES_PER_WORKER: Final = 100
+FRAMES_PER_WORKER = 100
 # Settings that decide the size of the images.
-_KEYS_OF_SIZE: Final = {"camera.file", "camera.camera", "camera.preset", "camera.width_px", "camera.height_px"}
+_KEYS_OF_SIZE = {"camera.file", "camera.camera", "camera.preset", "camera.width_px", "camera.height_px"}
 # Largest default number of worker processes, because each needs memory of its own.
-MAX_WORKERS: Final = 8
+MAX_WORKERS = 8
 
 Flights = Annotated[
     list[Path] | None,

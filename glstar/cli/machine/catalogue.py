@@ -5,7 +5,7 @@ import os
 from enum import StrEnum
 from math import degrees
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 from rich import box
@@ -18,7 +18,7 @@ from glstar.sky.catalogue.deep import build_gaia, build_hip_main, build_table, b
 from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue, catalogue_path
 
 # A catalogue whose brightest star is fainter than this, mag, lacks the brightest stars of the sky.
-_BRIGHT_VMAG: Final = 0.0
+_BRIGHT_VMAG = 0.0
 
 app = typer.Typer(help="Build star catalogues and show their contents.", no_args_is_help=True)
 

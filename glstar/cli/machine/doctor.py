@@ -4,7 +4,7 @@ import json
 import os
 import platform
 from dataclasses import asdict
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -16,7 +16,7 @@ from glstar.sky.catalogue.reading import NAMES, StarCatalogue
 from glstar.system.installation import library_versions, missing_library
 
 # Names of Mesa's software renderers.
-_SOFTWARE: Final = ("llvmpipe", "softpipe", "swrast", "software")
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software")
 
 
 def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False) -> None:

@@ -19,7 +19,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,17 +38,17 @@ Step = Callable[[int, int], object]
 
 _WORLD, _BODY, _CAMERA = "map", "base_link", "camera_optical"
 # Rotations from north, east, down to east, north, up, and from forward, right, down to forward, left, up.
-_HALF: Final = float(np.sqrt(0.5))
-_Q_ENU_NED: Final = np.array([0.0, _HALF, _HALF, 0.0])
-_Q_FLU_FRD: Final = np.array([0.0, 1.0, 0.0, 0.0])
+_HALF = float(np.sqrt(0.5))
+_Q_ENU_NED = np.array([0.0, _HALF, _HALF, 0.0])
+_Q_FLU_FRD = np.array([0.0, 1.0, 0.0, 0.0])
 # Distortion models of ROS, by the lenses of glstar, and their number of coefficients.
-_LENSES: Final = {
+_LENSES = {
     "none": ("plumb_bob", 5),
     "plumb_bob": ("plumb_bob", 5),
     "rational": ("rational_polynomial", 8),
     "fisheye": ("equidistant", 4),
 }
-_UNKNOWN: Final = np.array([-1.0, *[0.0] * 8])
+_UNKNOWN = np.array([-1.0, *[0.0] * 8])
 
 
 def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all: None) -> None:

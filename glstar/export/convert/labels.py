@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from math import atan2, ceil, cos, hypot, pi, sin
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -29,23 +29,23 @@ from glstar.export.imagefiles.masks import MASK_SUFFIXES
 from glstar.export.truth.splits import NO_SPLIT, ConvertedSet
 from glstar.system.files import publish, temporary_path
 
-CATEGORIES: Final = ("star", "planet", "moon", "sun")
+CATEGORIES = ("star", "planet", "moon", "sun")
 # Half width of an outline, standard deviations of the point spread function: 95 % of the light of a long trail, 86 % of
 # a point.
-_HALF_WIDTH_SIGMA: Final = 2.0
+_HALF_WIDTH_SIGMA = 2.0
 # Variance of a square pixel, px^2: it widens the image of a star.
-_PIXEL_VARIANCE_PX2: Final = 1 / 12
+_PIXEL_VARIANCE_PX2 = 1 / 12
 # Distance between points of an outline along the trail, px, and their greatest number.
-_STEP_PX: Final = 8.0
-_MOST_STEPS: Final = 32
+_STEP_PX = 8.0
+_MOST_STEPS = 32
 # Points on each of the two half circles at the ends.
-_CAP_POINTS: Final = 7
+_CAP_POINTS = 7
 # A curve that turns by more than 45 degrees between two of its points turns back.
-_SHARPEST_COSINE: Final = 0.707
+_SHARPEST_COSINE = 0.707
 # Such a curve is short up to this many half widths.
-_SHORT_WIDTHS: Final = 4.0
+_SHORT_WIDTHS = 4.0
 # Shorter trails are drawn as circles, px.
-_SHORTEST_PX: Final = 1e-3
+_SHORTEST_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +217,7 @@ def _signed_area(polygon: Float) -> float:
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
-_SUFFIX: Final = MASK_SUFFIXES["trails"]
+_SUFFIX = MASK_SUFFIXES["trails"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,14 +277,14 @@ class MaskRuns:
         }
 
 
-_OF_CATEGORY: Final = {
+_OF_CATEGORY = {
     "supercategory": "sky",
     "keypoints": ["start", "middle", "end"],
     "skeleton": [[1, 2], [2, 3]],
 }
-_DIGITS: Final = 3
+_DIGITS = 3
 # Keys of the truth that an annotation has besides those of COCO.
-COPIED: Final = ("star_id", "name", "vmag", "camera_mag", "snr", "flux_dn", "saturated", "in_frame")
+COPIED = ("star_id", "name", "vmag", "camera_mag", "snr", "flux_dn", "saturated", "in_frame")
 
 
 def write_coco(source: ConvertedSet, output: Path, *, least_snr: float) -> tuple[Path, ...]:

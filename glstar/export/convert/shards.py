@@ -5,7 +5,7 @@ import json
 import tarfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import orjson
 
@@ -15,7 +15,7 @@ from glstar.export.imagefiles.masks import MASK_SUFFIXES
 from glstar.export.run.store import Target
 from glstar.export.truth.splits import ConvertedSet
 
-_INDEX: Final = "index.json"
+_INDEX = "index.json"
 
 
 def write_shards(source: ConvertedSet, target: Target, *, shard_frames: int) -> dict[str, list[str]]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from itertools import chain
 from math import asin, degrees
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +18,11 @@ from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
 from glstar.system.files import publish, temporary_path
 
 # Names of the elements of lists, by their key; those of other lists are numbered.
-_PARTS: Final = {column.name: column.parts for column in COLUMNS if column.parts}
+_PARTS = {column.name: column.parts for column in COLUMNS if column.parts}
 # Lists of a frame that are tables of their own; the last two are written if there is any.
-_LISTS: Final = tuple(column.name for column in columns_of("frame") if column.kind == "table")
+_LISTS = tuple(column.name for column in columns_of("frame") if column.kind == "table")
 # As many as there are short exposures, each of two positions: in no table.
-_LEFT_OUT: Final = frozenset(column.name for column in COLUMNS if column.kind == "segments")
+_LEFT_OUT = frozenset(column.name for column in COLUMNS if column.kind == "segments")
 
 
 def write_csv(directory: Path, output: Path) -> tuple[Path, ...]:

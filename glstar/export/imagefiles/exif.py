@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from math import floor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from glstar.camera.photofile import stated_shift_bits
 from glstar.errors import ExportError
@@ -21,11 +21,11 @@ from glstar.system.files import write_atomically
 _BYTE, _TEXT, _SHORT, _LONG, _RATIONAL = 1, 2, 3, 4, 5
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 # Private tags in place of these links, which tifffile does not write.
-_STANDS_FOR: Final = {_EXIF_IFD: 65000, _GPS_IFD: 65001}
-_JPEG_QUALITY: Final = 95
-_PNG_HEAD_BYTES: Final = 8 + 25  # signature and IHDR
+_STANDS_FOR = {_EXIF_IFD: 65000, _GPS_IFD: 65001}
+_JPEG_QUALITY = 95
+_PNG_HEAD_BYTES = 8 + 25  # signature and IHDR
 # Where a PNG and a JPEG of glstar have the mark of their EXIF.
-_PNG_EXIF: Final = slice(_PNG_HEAD_BYTES + 4, _PNG_HEAD_BYTES + 8)
+_PNG_EXIF = slice(_PNG_HEAD_BYTES + 4, _PNG_HEAD_BYTES + 8)
 _JPEG_EXIF, _APP1 = slice(2, 4), b"\xff\xe1"
 _Tag = tuple[int, int, int, bytes]
 

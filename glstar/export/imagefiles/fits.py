@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import degrees
-from typing import Any, Final
+from typing import Any
 
 import erfa
 import numpy as np
@@ -22,18 +22,18 @@ from glstar.render.scene.scene import Frame, Scene
 from glstar.sky.place.timescale import format_utc
 
 # The polynomial has the lowest order whose largest error is below this, px; SIP allows orders up to 9.
-_SUFFICIENT_PX: Final = 0.002
-_ORDERS: Final = range(2, 10)
+_SUFFICIENT_PX = 0.002
+_ORDERS = range(2, 10)
 # Nodes per side of the fit (Chebyshev, so that errors at the border stay as small as inside) and of its validation.
-_FIT_NODES: Final = 28
-_VALIDATION_NODES: Final = 23
+_FIT_NODES = 28
+_VALIDATION_NODES = 23
 # The fit extends beyond the image by this fraction of its sides.
-_MARGIN: Final = 0.01
+_MARGIN = 0.01
 # Newton steps from a pixel to the direction that refraction moves there; each gains at least a factor of 3, on the
 # horizon, and 1000 in the upper sky.
-_REFRACTION_STEPS: Final = 25
+_REFRACTION_STEPS = 25
 # Points that have not converged to this after the steps are left out, rad: 0.0002".
-_CONVERGED_RAD: Final = 1e-9
+_CONVERGED_RAD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,12 +253,12 @@ def _matrices(order: int, coefficients: dict[tuple[int, int], Float]) -> tuple[F
     return x, y
 
 
-_BLOCK: Final = 2880
-_CARD: Final = 80
+_BLOCK = 2880
+_CARD = 80
 # Signed integers of a file are unsigned ones minus this.
-_ZERO: Final = 32768
+_ZERO = 32768
 # Longest header that is read, bytes: SIP of order 9 needs 19 kB.
-FITS_START: Final = 16 * _BLOCK
+FITS_START = 16 * _BLOCK
 
 Value = str | float | int | bool
 Card = tuple[str, Value, str]
@@ -310,10 +310,10 @@ def without_truth(content: bytes, utc: Mapping[str, str]) -> bytes:
     return _with_checksum(_header([*kept, *stated, *blank]), content[length:])
 
 
-_STRUCTURE: Final = ("SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "BZERO", "BSCALE", "ROWORDER")
-_LENGTH: Final = ("EXPTIME", "NCOMBINE", "SUBEXP", "SUBGAP")
-_SETTINGS: Final = ("SATURATE", "BUNIT", "GAIN", "DNPERE", "CCD-TEMP", "BLKLEVEL", "BAYERPAT")
-_KNOWN_TO_NAVIGATORS: Final = frozenset(("IMAGETYP", "FRAME", "SWCREATE", *_STRUCTURE, *_LENGTH, *_SETTINGS))
+_STRUCTURE = ("SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "BZERO", "BSCALE", "ROWORDER")
+_LENGTH = ("EXPTIME", "NCOMBINE", "SUBEXP", "SUBGAP")
+_SETTINGS = ("SATURATE", "BUNIT", "GAIN", "DNPERE", "CCD-TEMP", "BLKLEVEL", "BAYERPAT")
+_KNOWN_TO_NAVIGATORS = frozenset(("IMAGETYP", "FRAME", "SWCREATE", *_STRUCTURE, *_LENGTH, *_SETTINGS))
 
 
 def _with_checksum(header: bytes, data: bytes) -> bytes:
@@ -360,7 +360,7 @@ def _sensor_cards(scene: Scene) -> Iterator[Card]:
 
 
 # Keyword, key of [sensor], comment: written if the sensor has the key.
-_SENSOR_KEYWORDS: Final = (
+_SENSOR_KEYWORDS = (
     ("GAIN", "analogue_gain", "analogue gain, 1 is the lowest"),
     ("DNPERE", "gain_dn_per_e", "DN/e at gain 1"),
     ("CCD-TEMP", "temperature_c", "deg C, of the sensor"),

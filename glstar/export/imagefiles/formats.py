@@ -8,7 +8,7 @@ from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, Self
+from typing import Any, Literal, Self
 
 import cv2
 import numpy as np
@@ -106,18 +106,18 @@ def _count_frames(path: Path) -> int:
 
 ImageFormat = Literal["png", "png16", "tiff", "fits", "jpeg"]
 
-_PNG_END: Final = b"\0\0\0\0IEND\xae\x42\x60\x82"
-_JPEG_START: Final = b"\xff\xd8"
-_JPEG_END: Final = b"\xff\xd9"
+_PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
+_JPEG_START = b"\xff\xd8"
+_JPEG_END = b"\xff\xd9"
 # Bytes read to find the header and directory of a TIFF written by tifffile.
-_TIFF_START: Final = 1024
+_TIFF_START = 1024
 # Position of the colour type in a PNG, and its value for red, green and blue.
 _PNG_COLOUR_TYPE, _PNG_RGB = 25, 2
 # The last bytes of a TIFF with EXIF, which lies after its pixels.
-EXIF_END: Final = b"glstar EXIF\0"
-_EXIF_IFD: Final = 0x8769
+EXIF_END = b"glstar EXIF\0"
+_EXIF_IFD = 0x8769
 _TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
-SUFFIX: Final[dict[ImageFormat, str]] = {
+SUFFIX: dict[ImageFormat, str] = {
     "png": ".png",
     "png16": ".png",
     "tiff": ".tiff",

@@ -1,7 +1,7 @@
 """Masks of a frame: the star of each pixel, saturated pixels, what cloud transmits, the flare, and the ground."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from glstar.system.imagefiles import encode_png
 MaskKind = Literal["trails", "saturated", "cloud", "flare", "ground"]
 
 # The kinds of masks, in the order of the manifest, with the type of their pixels.
-MASK_KINDS: Final[Mapping[MaskKind, type]] = {
+MASK_KINDS: Mapping[MaskKind, type] = {
     "trails": np.uint16,
     "saturated": np.uint8,
     "cloud": np.uint8,
@@ -28,13 +28,13 @@ MASK_KINDS: Final[Mapping[MaskKind, type]] = {
     "ground": np.uint8,
 }
 # The suffix of each kind's file, after the name of its frame.
-MASK_SUFFIXES: Final[Mapping[MaskKind, str]] = {kind: f".{kind}.png" for kind in MASK_KINDS}
+MASK_SUFFIXES: Mapping[MaskKind, str] = {kind: f".{kind}.png" for kind in MASK_KINDS}
 # Value of a saturated pixel.
-_WHITE: Final = 255
+_WHITE = 255
 # Distance of the pixels at which the transmission of cloud and the height above the horizon are computed, px.
-_STEP_PX: Final = 4
+_STEP_PX = 4
 # Values of the mask of flare per DN.
-_FLARE_STEPS_PER_DN: Final = 16
+_FLARE_STEPS_PER_DN = 16
 
 
 def saturated_mask(scene: Scene, frame: Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -96,7 +96,7 @@ def flare_mask(scene: Scene) -> np.ndarray[Any, np.dtype[np.uint16]]:
     return np.asarray(np.rint(np.minimum(_FLARE_STEPS_PER_DN * values, 65535)), dtype=np.uint16)
 
 
-_DRAWN_BY: Final[Mapping[MaskKind, Callable[[Scene, Frame], np.ndarray[Any, Any]]]] = {
+_DRAWN_BY: Mapping[MaskKind, Callable[[Scene, Frame], np.ndarray[Any, Any]]] = {
     "trails": lambda scene, _frame: trail_mask(scene),
     "saturated": saturated_mask,
     "cloud": lambda scene, _frame: cloud_mask(scene),

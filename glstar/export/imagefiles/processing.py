@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,10 +18,10 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 Float = NDArray[np.float32]
 
 # Luminance of linear red, green and blue: ITU-R BT.601, which libcamera uses for still images.
-_LUMA: Final = (0.299, 0.587, 0.114)
+_LUMA = (0.299, 0.587, 0.114)
 # A colour matrix of the kind that libcamera has for the IMX477 in daylight; rows add up to 1, so that grey stays grey.
-_RPI_MATRIX: Final = np.array([[2.0, -0.75, -0.25], [-0.4, 1.85, -0.45], [-0.05, -0.65, 1.7]], np.float32)
-_BAYER: Final = {
+_RPI_MATRIX = np.array([[2.0, -0.75, -0.25], [-0.4, 1.85, -0.45], [-0.05, -0.65, 1.7]], np.float32)
+_BAYER = {
     ("rggb", "bilinear"): cv2.COLOR_BayerRGGB2RGB,
     ("bggr", "bilinear"): cv2.COLOR_BayerBGGR2RGB,
     ("grbg", "bilinear"): cv2.COLOR_BayerGRBG2RGB,
@@ -32,8 +32,8 @@ _BAYER: Final = {
     ("gbrg", "edges"): cv2.COLOR_BayerGBRG2RGB_EA,
 }
 # Diameter of the denoising filter, px, and its width in space, px.
-_DENOISE_PX: Final = 5
-_DENOISE_SIGMA_PX: Final = 1.5
+_DENOISE_PX = 5
+_DENOISE_SIGMA_PX = 1.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from glstar.render.simulator import Simulator
 from glstar.sky.catalogue.reading import StarCatalogue
 
 # Length of the hashes, hexadecimal digits: enough to distinguish two files in a message.
-HASH_DIGITS: Final = 12
+HASH_DIGITS = 12
 
 
 def file_hash(path: Path) -> str:
@@ -46,16 +46,16 @@ def file_hash(path: Path) -> str:
 _Prepared = tuple[Simulator, ExposureSection]
 
 # Simulators that are cached, one per sample: consecutive frames belong to few samples.
-_CACHED_SIMULATORS: Final = 4
-_DURATION: Final = "exposure.duration_s"
-_INTERVAL: Final = "exposure.interval_s"
-_READOUT: Final = "exposure.readout_s"
-_FRAMES: Final = "exposure.frames"
-_GAP: Final = "exposure.gap_s"
-_DELAY: Final = "exposure.at_delay_s"
+_CACHED_SIMULATORS = 4
+_DURATION = "exposure.duration_s"
+_INTERVAL = "exposure.interval_s"
+_READOUT = "exposure.readout_s"
+_FRAMES = "exposure.frames"
+_GAP = "exposure.gap_s"
+_DELAY = "exposure.at_delay_s"
 # Exposures are compared with the gaps of a log in blocks of this many frames.
-_BLOCK: Final = 1_000_000
-_SITE_KEYS: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
+_BLOCK = 1_000_000
+_SITE_KEYS = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
 
 
 class _Times(NamedTuple):

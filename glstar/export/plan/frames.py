@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import isnan
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,9 @@ from glstar.render.simulator import Simulator
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
 
 # Larger exports are refused as typing errors in --every or in the draws of a sweep.
-MOST_FRAMES: Final = 10_000_000
+MOST_FRAMES = 10_000_000
 # Exposures are compared with the gaps of a log in blocks of this many frames.
-_BLOCK: Final = 1_000_000
+_BLOCK = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)

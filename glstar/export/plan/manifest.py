@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import glstar
 from glstar import __version__
@@ -37,18 +37,18 @@ from glstar.system.userinput import read_bytes
 from glstar.telemetry import is_flight_description
 
 # Version 2: the lines of truth are of schema 2.
-SCHEMA: Final = "glstar-manifest-2"
-NAME: Final = "manifest.json"
+SCHEMA = "glstar-manifest-2"
+NAME = "manifest.json"
 
 # Keys that may change when an export is extended by more frames.
-_EXTENT: Final = {"frames", "skipped", "command"}
+_EXTENT = {"frames", "skipped", "command"}
 # Largest manifest that is read: ten million skipped frames of 100 bytes each.
-_LARGEST_BYTES: Final = 2**30
+_LARGEST_BYTES = 2**30
 # Longest value in a message, characters.
-_LONGEST: Final = 200
+_LONGEST = 200
 # Errors of file systems without hard links.
-_WITHOUT_HARD_LINKS: Final = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK}
-_ELSEWHERE: Final = "choose another directory, or start over with --force"
+_WITHOUT_HARD_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK}
+_ELSEWHERE = "choose another directory, or start over with --force"
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,7 +334,7 @@ def _sha256(path: Path) -> str:
 
 
 # Libraries that compute pixels, lines of truth or the bytes of files.
-_LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
+_LIBRARIES = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
 
 
 def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:

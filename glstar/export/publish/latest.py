@@ -45,28 +45,28 @@ from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from secrets import randbits
 from tempfile import gettempdir
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 
 from glstar.errors import ConfigError, ExportError
 from glstar.system.files import LockFile, LockHeldError, StagedFile, remove_staged
 
-_MAGIC: Final = b"GLSTARF1"
-_ENDED: Final = b"GLSTARF0"
-_HEAD: Final = struct.Struct("<8sQ6I")
-_COUNT: Final = struct.Struct("<Q")
-_COUNT_OFFSET: Final = 8
+_MAGIC = b"GLSTARF1"
+_ENDED = b"GLSTARF0"
+_HEAD = struct.Struct("<8sQ6I")
+_COUNT = struct.Struct("<Q")
+_COUNT_OFFSET = 8
 # Space for the truth of a frame, bytes: enough for 10,000 stars.
-_TRUTH_BYTES: Final = 4 * 2**20
-_SHARED: Final = "shm:"
+_TRUTH_BYTES = 4 * 2**20
+_SHARED = "shm:"
 # Interval at which a waiting reader checks for a new frame, and a writer retries, s.
-_POLL_INTERVAL_S: Final = 0.002
+_POLL_INTERVAL_S = 0.002
 # Time without a new frame after which a reader opens the name again, s: the writer may have been killed and restarted.
-_REOPEN_S: Final = 0.2
+_REOPEN_S = 0.2
 # Windows refuses while a reader has the file or the memory open, which takes milliseconds.  Time to keep trying, s.
-_RETRY_S: Final = 1.0
-_IS_WINDOWS: Final = os.name == "nt"
+_RETRY_S = 1.0
+_IS_WINDOWS = os.name == "nt"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ import re
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Condition, Thread
-from typing import Any, Final, Protocol, Self
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
@@ -28,12 +28,12 @@ from glstar.export.publish.stream import STREAM, FrameStream
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.installation import install_command
 
-HTTP: Final = "http://"
-_ADDRESS: Final = re.compile(r"http://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
-_LOOPBACK: Final = "127.0.0.1"
-_BOUNDARY: Final = "glstar-frame"
+HTTP = "http://"
+_ADDRESS = re.compile(r"http://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
+_LOOPBACK = "127.0.0.1"
+_BOUNDARY = "glstar-frame"
 # Interval at which the thread of a waiting client checks if the server has ended, s.
-_POLL_INTERVAL_S: Final = 0.25
+_POLL_INTERVAL_S = 0.25
 
 
 class MjpegServer:
@@ -167,7 +167,7 @@ def _address(where: str) -> tuple[str, int]:
     return (parts[1] or _LOOPBACK).strip("[]"), int(parts[2])
 
 
-VIDEO: Final = "video:"
+VIDEO = "video:"
 
 
 class VideoDevice:

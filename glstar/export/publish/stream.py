@@ -21,7 +21,7 @@ A subscriber that is slower than the frames misses some.
 import re
 import time
 from types import ModuleType
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 import orjson
@@ -30,14 +30,14 @@ from numpy.typing import NDArray
 from glstar.errors import ConfigError
 from glstar.system.installation import install_command
 
-FRAME_SCHEMA: Final = "glstar-frame-1"
-STREAM: Final = "zmq://"
-_ADDRESS: Final = re.compile(r"zmq://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
-_LOOPBACK: Final = "127.0.0.1"
+FRAME_SCHEMA = "glstar-frame-1"
+STREAM = "zmq://"
+_ADDRESS = re.compile(r"zmq://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
+_LOOPBACK = "127.0.0.1"
 # Frames that wait for a slow subscriber before further ones are dropped.
-_WAITING: Final = 2
+_WAITING = 2
 # Time to send what waits when a socket is closed, ms.
-_LINGER_MS: Final = 1000
+_LINGER_MS = 1000
 
 
 class FrameStream:

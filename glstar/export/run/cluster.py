@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 from distributed import Client, Worker, WorkerPlugin, as_completed, get_worker
@@ -30,13 +30,13 @@ from glstar.export.truth.lines import TruthFile
 from glstar.render.opengl import GLRenderer
 
 # Timeouts for a scheduler to identify itself, to accept a client, and to have its first worker, s.
-_ANSWER_TIMEOUT_S: Final = 3
-_SCHEDULER_TIMEOUT_S: Final = 5
-_WORKERS_TIMEOUT_S: Final = 20
+_ANSWER_TIMEOUT_S = 3
+_SCHEDULER_TIMEOUT_S = 5
+_WORKERS_TIMEOUT_S = 20
 # Further attempts for a chunk after an error of a worker, on any worker.
-_RETRIES: Final = 2
-_RESUME: Final = "the same command goes on where it stopped"
-_START: Final = "start one: dask scheduler"
+_RETRIES = 2
+_RESUME = "the same command goes on where it stopped"
+_START = "start one: dask scheduler"
 
 
 class DaskExecutor:

@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from functools import partial
 from itertools import islice
-from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ C = TypeVar("C")
 D = TypeVar("D")
 
 # Items composed ahead of drawing: one in progress and one ready.
-_AHEAD: Final = 2
+_AHEAD = 2
 
 
 def pipelined(
@@ -108,13 +108,13 @@ T = TypeVar("T")
 OnPixels = Callable[[int, NDArray[Any], bytes], None]
 
 # Chunks per worker: enough to balance workers of different speed, and each chunk leaves one part of the truth.
-_CHUNKS_PER_WORKER: Final = 8
+_CHUNKS_PER_WORKER = 8
 # An image of fewer pixels is encoded sooner than another thread gets Python's lock: more threads delay each other.
-_FEWEST_PX_FOR_THREADS: Final = 1_000_000
+_FEWEST_PX_FOR_THREADS = 1_000_000
 # Pixels for which one more thread has work: compressing them takes as long as Python needs for a frame.
-_PX_PER_THREAD: Final = 4_000_000
+_PX_PER_THREAD = 4_000_000
 # Frames per chunk at most, so that a worker that dies costs little.
-_MAX_CHUNK_FRAMES: Final = 1000
+_MAX_CHUNK_FRAMES = 1000
 
 
 def available_processors() -> int:

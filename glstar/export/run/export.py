@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from glstar.system.files import TEMPORARY, flush_directory, make_directory
 Numbers = NDArray[np.int64]
 
 # The temporary name of a `StagedFile`.
-_STAGED: Final = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
+_STAGED = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
 
 
 def missing_frames(task: FrameTask, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
@@ -121,7 +121,7 @@ class Shard:
         return numbers[self.index - 1 :: self.count]
 
 
-ALL_FRAMES: Final = Shard()
+ALL_FRAMES = Shard()
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from glstar.export.run.export import Export
 from glstar.flight import Flight
 from glstar.sky.catalogue.reading import StarCatalogue
 
-_ALL: Final = ExportOptions()
+_ALL = ExportOptions()
 
 
 def prepare_export(

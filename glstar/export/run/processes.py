@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,9 @@ from glstar.render.scene.scene import Renderer
 from glstar.system.process import defer_interrupts
 
 # Workers that may die while they draw one frame, or while they start, before the export fails.
-_MAX_DEATHS: Final = 3
+_MAX_DEATHS = 3
 # Time for a worker to finish the frames that it has begun, before it is killed, s.
-_STOP_TIMEOUT_S: Final = 30.0
+_STOP_TIMEOUT_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any, Final, Protocol
+from typing import IO, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,11 +184,11 @@ def opened_target(output: str) -> Iterator[Target]:
 Numbers = NDArray[np.int64]
 
 # Frames that are drawn before they are sent: what a kill can lose, and the need for disk space.
-_BLOCK_FRAMES: Final = 256
+_BLOCK_FRAMES = 256
 # Files that are sent at the same time: their number, and the memory that they take.
-_BATCH_FILES: Final = 64
-_BATCH_BYTES: Final = 1 << 26
-_TRUTH: Final = "truth.jsonl"
+_BATCH_FILES = 64
+_BATCH_BYTES = 1 << 26
+_TRUTH = "truth.jsonl"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import orjson
@@ -23,11 +23,11 @@ from glstar.export.run.export import ALL_FRAMES, Export, Shard
 from glstar.export.truth.lines import TruthFile
 from glstar.system.files import TEMPORARY
 
-_TRUTH: Final = "truth.jsonl"
-_FRAME: Final = re.compile(r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)")
-_PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16, "jpeg": np.uint8}
+_TRUTH = "truth.jsonl"
+_FRAME = re.compile(r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)")
+_PIXEL_TYPES = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16, "jpeg": np.uint8}
 # Of the files beside an image, by the suffix of their names.
-_OTHER_TYPES: Final[dict[str, type]] = {
+_OTHER_TYPES: dict[str, type] = {
     NOISELESS_SUFFIX: np.float32,
     **{MASK_SUFFIXES[kind]: pixel_type for kind, pixel_type in MASK_KINDS.items()},
 }

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import degrees, dist
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from glstar.sky.place.timescale import format_utc, parse_utc
 from glstar.system.files import write_atomically
 
 # Signal-to-noise ratio from which a star counts as detectable, as in ``glstar score``.
-_DETECTABLE_SNR: Final = 10.0
-_BINS: Final = 8
+_DETECTABLE_SNR = 10.0
+_BINS = 8
 # Values that are counted one by one; more become ranges.
-_MOST_VALUES: Final = 12
+_MOST_VALUES = 12
 
 
 @dataclass(slots=True)

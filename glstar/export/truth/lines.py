@@ -9,7 +9,7 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from secrets import token_hex
-from typing import IO, Any, Final
+from typing import IO, Any
 
 import numpy as np
 import orjson
@@ -23,8 +23,8 @@ from glstar.system.files import flush, flush_directory, publish, temporary_path
 Numbers = NDArray[np.int64]
 
 # The beginning of a line: its schema and frame number.
-_LINE: Final = re.compile(rb'\{"schema":"' + SCHEMA.encode() + rb'","frame":(\d{1,18}),')
-_BLOCK_BYTES: Final = 1 << 22
+_LINE = re.compile(rb'\{"schema":"' + SCHEMA.encode() + rb'","frame":(\d{1,18}),')
+_BLOCK_BYTES = 1 << 22
 
 
 class TruthFile:

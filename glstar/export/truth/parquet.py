@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import orjson
 import pyarrow as pa
@@ -20,9 +20,9 @@ from glstar.render.truth.columns import Column, columns_of
 from glstar.system.files import publish, temporary_path
 
 # Frames per row group, which are in memory at a time: some 100,000 stars at most.
-_FRAMES_PER_GROUP: Final = 256
+_FRAMES_PER_GROUP = 256
 
-_TYPES: Final = {
+_TYPES = {
     "float": pa.float64(),
     "int32": pa.int32(),
     "int64": pa.int64(),
@@ -33,9 +33,9 @@ _TYPES: Final = {
     **{f"float[{length}]": pa.list_(pa.float64(), length) for length in (3, 4, 9)},
 }
 # Keys of a frame that are not columns of the frames.
-_NO_COLUMN: Final = frozenset({"schema", "catalogue"})
-_POSITIONS: Final = tuple(column for column in columns_of("star") if column.kind == "position")
-_TIMES: Final = tuple(column.name for column in columns_of("frame") if column.kind == "utc")
+_NO_COLUMN = frozenset({"schema", "catalogue"})
+_POSITIONS = tuple(column for column in columns_of("star") if column.kind == "position")
+_TIMES = tuple(column.name for column in columns_of("frame") if column.kind == "utc")
 
 
 def _fields(columns: Iterable[Column]) -> Iterator[tuple[str, pa.DataType]]:
@@ -47,7 +47,7 @@ def _fields(columns: Iterable[Column]) -> Iterator[tuple[str, pa.DataType]]:
             yield column.name.rpartition(".")[2], _TYPES[column.kind]
 
 
-_FRAMES: Final = pa.schema(
+_FRAMES = pa.schema(
     _fields(
         column
         for column in columns_of("frame")
@@ -55,23 +55,23 @@ _FRAMES: Final = pa.schema(
     )
 )
 # Schema 1 had no ``camera_mag``: its column follows the others.
-_STARS: Final = pa.schema(
+_STARS = pa.schema(
     [
         ("frame", pa.int64()),
         ("catalogue", pa.string()),
         *_fields(column for column in columns_of("star") if not column.when and column.name != "camera_mag"),
     ]
 )
-_OBJECT_KEYS: Final = frozenset({"name", "x_px", "y_px", "start", "end"})
-_OBJECTS: Final = pa.schema(
+_OBJECT_KEYS = frozenset({"name", "x_px", "y_px", "start", "end"})
+_OBJECTS = pa.schema(
     [("frame", pa.int64()), *_fields(column for column in columns_of("body") if column.name in _OBJECT_KEYS)]
 )
 # By the name of the table; those of bodies and of satellites are written if there is any.
-_SCHEMAS: Final = dict(zip(TABLES, (_FRAMES, _STARS, _OBJECTS, _OBJECTS), strict=True))
-_ALWAYS: Final = TABLES[:2]
-_LISTS: Final = tuple(column.name for column in columns_of("frame") if column.kind == "table")
+_SCHEMAS = dict(zip(TABLES, (_FRAMES, _STARS, _OBJECTS, _OBJECTS), strict=True))
+_ALWAYS = TABLES[:2]
+_LISTS = tuple(column.name for column in columns_of("frame") if column.kind == "table")
 # Keys of a frame that are tables, or whose own keys are columns without a prefix.
-_ELSEWHERE: Final = frozenset({"schema", "site", "camera", "settings", *_LISTS})
+_ELSEWHERE = frozenset({"schema", "site", "camera", "settings", *_LISTS})
 
 Row = dict[str, Any]
 

@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import SPLIT_INDEX, SPLITS, explain_disk_errors
@@ -21,11 +21,11 @@ from glstar.export.truth.lines import count_frames_of_truth, read_truth
 from glstar.system.files import publish, temporary_path, write_atomically
 from glstar.system.userinput import read_bytes
 
-SCHEMA: Final = "glstar-splits-1"
-_SYNTHETIC: Final = "flight.synthetic"
+SCHEMA = "glstar-splits-1"
+_SYNTHETIC = "flight.synthetic"
 # Hash digits that become a number between 0 and 1.
-_HASH_DIGITS: Final = 15
-_LARGEST_BYTES: Final = 2**30
+_HASH_DIGITS = 15
+_LARGEST_BYTES = 2**30
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ def splits_by_file(directory: Path) -> dict[str, str]:
 Step = Callable[[int, int], object]
 
 # Name in place of a split's for an export that is not split.
-NO_SPLIT: Final = "frames"
+NO_SPLIT = "frames"
 
 
 @dataclass(frozen=True, eq=False)

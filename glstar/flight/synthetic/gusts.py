@@ -7,7 +7,6 @@ The six gust components are outputs of linear filters driven by white noise.  Th
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Final
 
 import numpy as np
 
@@ -15,15 +14,15 @@ from glstar.arrays import Float
 from glstar.errors import ConfigError
 
 # Outputs of `DrydenGusts.system`: speeds forward, right and down, m/s; rates about the same axes, rad/s.
-GUST_NAMES: Final = ("u", "v", "w", "p", "q", "r")
+GUST_NAMES = ("u", "v", "w", "p", "q", "r")
 
-_FEET_PER_M: Final = 1 / 0.3048
+_FEET_PER_M = 1 / 0.3048
 # MIL-F-8785C: the low-altitude model is valid from 10 to 1000 ft, the high-altitude one from 2000 ft.
-_LOWEST_FT: Final = 10.0
-_LOW_FT: Final = 1000.0
-_HIGH_FT: Final = 2000.0
+_LOWEST_FT = 10.0
+_LOW_FT = 1000.0
+_HIGH_FT = 2000.0
 # Length scale of the high-altitude model.
-_HIGH_LENGTH_FT: Final = 1750.0
+_HIGH_LENGTH_FT = 1750.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,13 +146,13 @@ class DrydenGusts:
         return LinearSystem(A, B, C)
 
 
-_AXES: Final = ("roll", "pitch", "yaw")
+_AXES = ("roll", "pitch", "yaw")
 # Fraction of a gust's angle (v / V or w / V) that roll, pitch and yaw follow: a stable aircraft turns its nose into the
 # gust and lifts its upwind wing, and its autopilot opposes most of that. A design choice, not a standard.
-_ANGLE_GAINS: Final = (-0.2, 0.25, 0.25)
+_ANGLE_GAINS = (-0.2, 0.25, 0.25)
 # Index in `GUST_NAMES` of the gust speed and of the gust rate that drive roll, pitch and yaw.
-_SPEEDS: Final = (1, 2, 1)
-_RATES: Final = (3, 4, 5)
+_SPEEDS = (1, 2, 1)
+_RATES = (3, 4, 5)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,28 +7,27 @@ metres north and east of the start (or of an orbit's centre) on a local plane.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 
 from glstar.arrays import Float
 from glstar.errors import ConfigError
 
-GRAVITY_M_PER_S2: Final = 9.80665
+GRAVITY_M_PER_S2 = 9.80665
 # Number of nodes of one orbit in wind: the error of the time along it is 1e-10 s.
-_ORBIT_NODES: Final = 4096
+_ORBIT_NODES = 4096
 # Autopilots of small aircraft: the steepest bank, rad, and the largest roll rate, rad/s.
-_MOST_BANK_RAD: Final = np.deg2rad(45.0)
-_ROLL_RATE_RAD_PER_S: Final = np.deg2rad(30.0)
+_MOST_BANK_RAD = np.deg2rad(45.0)
+_ROLL_RATE_RAD_PER_S = np.deg2rad(30.0)
 # Time constant of the bank loop; of the climb loop.
-_BANK_TIME_S: Final = 0.4
-_CLIMB_TIME_S: Final = 1.0
-_MOST_CLIMB_RAD: Final = np.deg2rad(15.0)
+_BANK_TIME_S = 0.4
+_CLIMB_TIME_S = 1.0
+_MOST_CLIMB_RAD = np.deg2rad(15.0)
 # A leg is never finished that takes longer than this many times its length at the slowest speed, plus this time, s.
-_LEG_SLACK: Final = 3.0
-_LEG_SLACK_S: Final = 120.0
+_LEG_SLACK = 3.0
+_LEG_SLACK_S = 120.0
 # Look-ahead of the guidance to a leg, s of flight (Park, Deyst and How 2004 recommend 3 to 5).
-_LOOKAHEAD_S: Final = 4.0
+_LOOKAHEAD_S = 4.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from math import pi
-from typing import Final, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -17,15 +17,15 @@ from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_tur
 from glstar.sky.place.site import Site
 
 FlightPath = Literal["orbit", "transit", "waypoints", "hover", "spin", "still"]
-FLIGHT_PATHS: Final[tuple[FlightPath, ...]] = get_args(FlightPath)
+FLIGHT_PATHS: tuple[FlightPath, ...] = get_args(FlightPath)
 
 # WGS84.
-_EQUATOR_M: Final = 6378137.0
-_ECCENTRICITY_2: Final = 6.69437999014e-3
+_EQUATOR_M = 6378137.0
+_ECCENTRICITY_2 = 6.69437999014e-3
 # Largest number of attitudes: ten million need some gigabytes of memory.
-_MOST_SAMPLES: Final = 10_000_000
+_MOST_SAMPLES = 10_000_000
 # Gusts are modelled from 3 m above the ground.
-_LEAST_HEIGHT_M: Final = 3.0
+_LEAST_HEIGHT_M = 3.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """Cloud: keys of a sheet through which stars and the natural sky are seen, and its transmission towards pixels."""
 
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from glstar.render.scene.scene import Scene
 from glstar.sky.air.clouds import SheetCrossing
 
 # Columns and rows at which the mean transmission of a frame is sampled.
-_SAMPLES: Final = (49, 37)
+_SAMPLES = (49, 37)
 
 
 def crossing_at(scene: Scene, time: int, direction_eq: Float) -> SheetCrossing | None:

@@ -6,7 +6,7 @@ adds the black level so that noise below zero is not cut off.
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -87,12 +87,10 @@ vec4 full_well(vec4 signal_dn, uvec2 quad) {
 )
 
 
-_BLOOMING_CHOICES: Final = Key(
+_BLOOMING_CHOICES = Key(
     "blooming", "none", "one of none, columns, rows", Control("Blooming"), choices=("none", "columns", "rows")
 )
-_FRACTION: Final = Key(
-    "blooming_fraction", 1.0, "a number from 0 to 1", Control("Blooming charge"), minimum=0.0, maximum=1.0
-)
+_FRACTION = Key("blooming_fraction", 1.0, "a number from 0 to 1", Control("Blooming charge"), minimum=0.0, maximum=1.0)
 
 
 def bloomed(lines: Float, full_well: float, fraction: float = 1.0) -> Float:
@@ -139,7 +137,7 @@ def _blooming_truth(values: Values, _scene: Scene) -> Mapping[str, Any]:
     return {"blooming": {"along": values["blooming"], "fraction": values["blooming_fraction"]}}
 
 
-BLOOMING: Final = Effect(
+BLOOMING = Effect(
     name="blooming",
     section="sensor",
     keys=(_BLOOMING_CHOICES, _FRACTION),

@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,12 @@ from glstar.camera.sensor.pixelpattern import PixelPattern, read_map
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, electron_model, quads_of
 from glstar.render.scene.scene import Scene
 
-_DEFAULT: Final = PixelPattern()
-_PATH: Final = "the path of an image: PNG, TIFF, FITS or NPY"
-_FRACTION: Final = "a number from 0 to 1"
-_DENSITY: Final = "a number per million pixels, 0 or more"
+_DEFAULT = PixelPattern()
+_PATH = "the path of an image: PNG, TIFF, FITS or NPY"
+_FRACTION = "a number from 0 to 1"
+_DENSITY = "a number per million pixels, 0 or more"
 
-_DARK_KEYS: Final = (
+_DARK_KEYS = (
     Key("camera_seed", _DEFAULT.camera_seed, "a whole number, 0 or more", minimum=0),
     Key(
         "hot_pixels_per_mpx",
@@ -33,7 +33,7 @@ _DARK_KEYS: Final = (
     ),
     Key("dark_frame", _DEFAULT.dark_frame, _PATH),
 )
-_RESPONSE_KEYS: Final = (
+_RESPONSE_KEYS = (
     Key(
         "dead_pixels_per_mpx",
         _DEFAULT.dead_pixels_per_mpx,

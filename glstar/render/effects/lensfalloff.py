@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Mapping
 from math import sqrt
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,14 @@ from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, St
 from glstar.render.effects.sky import UNIFORM_SKY, uniform_sky_dn
 from glstar.render.scene.scene import Scene
 
-_DEFAULT: Final = Vignetting()
+_DEFAULT = Vignetting()
 # Texels of a measured flat field, along x and along y: the light of a lens changes by percents between them.
-_TEXELS: Final = (129, 97)
+_TEXELS = (129, 97)
 # Relative change of the light by second derivatives that are left out.
-_TOLERANCE: Final = 5e-6
-_COEFFICIENT: Final = "a number from -10 to 10"
+_TOLERANCE = 5e-6
+_COEFFICIENT = "a number from -10 to 10"
 
-_KEYS: Final = (
+_KEYS = (
     Key(
         "vignetting",
         _DEFAULT.vignetting,

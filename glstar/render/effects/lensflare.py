@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,20 +16,20 @@ from glstar.render.scene.clouds import horizontal_axes
 from glstar.render.scene.scene import Scene
 from glstar.sky.photometry import brightness_ratio
 
-_SOURCES: Final = ("Sun", "Moon", "Venus", "Jupiter")
+_SOURCES = ("Sun", "Moon", "Venus", "Jupiter")
 # A lamp of this magnitude is none.
-_NO_LAMP_MAG: Final = 30.0
+_NO_LAMP_MAG = 30.0
 # Sources whose whole light is less than this per pixel of the image are left out, DN.
-_FAINTEST_DN: Final = 1e-3
+_FAINTEST_DN = 1e-3
 # Ghosts of a source that is farther from the middle than this, in half diagonals of the image, do not reach the sensor.
-_GHOST_REACH: Final = 1.5
+_GHOST_REACH = 1.5
 # Width of the soft edge of a ghost, over its radius.
-_GHOST_EDGE: Final = 0.15
+_GHOST_EDGE = 0.15
 # Half width at half maximum of a streak across its direction and along it, over the height of the image.
-_STREAK_ACROSS: Final = 0.012
-_STREAK_ALONG: Final = 0.15
+_STREAK_ACROSS = 0.012
+_STREAK_ALONG = 0.15
 # Farther across than this, in standard deviations, it has less than 1e-14 of its light.
-_STREAK_REACH: Final = 8.0
+_STREAK_REACH = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
 import erfa
 import numpy as np
@@ -25,21 +25,21 @@ from glstar.sky.observed.solarsystem import Body
 from glstar.sky.photometry import brightness_ratio, magnitude_difference
 
 # Distance of nodes with a horizon profile at most, px: sky and ground are linear along 8 or 16 pixels of a row.
-_RIDGE_PX: Final = 12
+_RIDGE_PX = 12
 # Weights of the start, the middle and the end of the exposure: Simpson's rule.
-_TIME_WEIGHTS: Final = (1 / 6, 4 / 6, 1 / 6)
+_TIME_WEIGHTS = (1 / 6, 4 / 6, 1 / 6)
 # Below this rotation of the camera during the exposure, rad, the middle represents it.
-_STILL_RAD: Final = np.deg2rad(0.5)
+_STILL_RAD = np.deg2rad(0.5)
 # Number of azimuths in the mean brightness of the ground.
-_AZIMUTHS: Final = 24
+_AZIMUTHS = 24
 # Town glow of no town.
-NO_TOWN_MAG: Final = 30.0
-_ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
-_DEFAULT: Final = skybrightness.SkyLights()
+NO_TOWN_MAG = 30.0
+_ARCSEC2_PER_SR = (648000 / np.pi) ** 2
+_DEFAULT = skybrightness.SkyLights()
 # The airglow is at least this fraction of the dark sky at the zenith.
-_LEAST_AIRGLOW: Final = 0.3
+_LEAST_AIRGLOW = 0.3
 # Magnitudes down to which the catalogues have all stars.
-_COMPLETE_MAG: Final = {"bsc5": 6.5, "hipparcos": 7.5, "gaia": 10.0, "tycho2": 11.0}
+_COMPLETE_MAG = {"bsc5": 6.5, "hipparcos": 7.5, "gaia": 10.0, "tycho2": 11.0}
 
 
 def _lights(values: Values) -> skybrightness.SkyLights:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from math import sqrt
-from typing import Any, Final
+from typing import Any
 
 from glstar.camera.sensor.sensor import ElectronModel, Sensor
 from glstar.render.effects.effect import Control, Effect, Key, Stage, UniformValue, Values, electron_model
@@ -36,7 +36,7 @@ vec4 noise(vec4 signal_dn, uvec2 quad) {
 
 _MODEL = ElectronModel()
 # Skewness up to which a shorter formula has the third moment of the noise to 5e-4.
-_LITTLE_SKEWNESS: Final = 0.3
+_LITTLE_SKEWNESS = 0.3
 
 
 def _shot_noise_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:

@@ -1,7 +1,7 @@
 """Keys of ``[output]``: what the camera makes of the raw image before it writes a file."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 from glstar.camera.photofile import shift_bits
 from glstar.camera.sensor.sensor import EffectValue
@@ -60,4 +60,4 @@ CAMERA_PROCESSING = Effect(
     truth=_truth,
     is_active=lambda values: values["process"] == "isp" or values["align"] == "high",
 )
-PROCESSING_DEFAULTS: Final[Mapping[str, EffectValue]] = {key.name: key.default for key in CAMERA_PROCESSING.keys}
+PROCESSING_DEFAULTS: Mapping[str, EffectValue] = {key.name: key.default for key in CAMERA_PROCESSING.keys}

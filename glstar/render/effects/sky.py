@@ -6,7 +6,7 @@ direction, and that of the lens, is computed at nodes over the image, and is lin
 
 from collections.abc import Hashable, Mapping
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,15 @@ from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.scene.scene import Scene
 
 SKY_MAP_KEY = Key("sky_map", "", "the path of an image: PNG, TIFF, FITS or NPY")
-SKY_BRIGHTNESS: Final = Key(
+SKY_BRIGHTNESS = Key(
     "brightness", "flat", '"flat" or "natural"', Control("Sky brightness"), choices=("flat", "natural")
 )
 # Columns and rows for the smooth sky: at most 1.5 % off beyond 3 deg of the Moon.
-SMOOTH_GRID: Final = (97, 73)
+SMOOTH_GRID = (97, 73)
 # For edges of cloud and for flare: every second node is one of the smooth sky.
-FINE_GRID: Final = (193, 145)
+FINE_GRID = (193, 145)
 # Pixels of a fragment of the develop pass, at most: develop.frag.
-_SPAN_PX: Final = 16.0
+_SPAN_PX = 16.0
 
 
 def relative_sky(file: str) -> NDArray[np.float32]:

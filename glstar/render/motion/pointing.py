@@ -7,7 +7,7 @@ interpolates it during one exposure, for many times that are different for every
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -238,13 +238,13 @@ class CameraMotion:
 
 
 # Largest rotation in a part of an exposure, rad: there the third-order term, which a quadratic lacks, is 3e-7 rad.
-_STEP_RAD: Final = 0.033
+_STEP_RAD = 0.033
 # Longest part between the samples of a spline, whose rate varies between them, s.
-_SPLINE_STEP_S: Final = 5e-3
+_SPLINE_STEP_S = 5e-3
 # Exposures of more samples of the log would spend more time on the table than it saves.
-_MAX_PARTS: Final = 2000
+_MAX_PARTS = 2000
 # Half the time over which the angular rate of the camera is measured, s.
-_RATE_STEP_S: Final = 5e-4
+_RATE_STEP_S = 5e-4
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ whatever the motion: one may do for a steady rotation by several degrees, while 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Final
 
 import numpy as np
 
@@ -64,17 +63,17 @@ class Refinement:
     sprite_margin: float = 0.7
 
 
-TOLERANCES: Final = Tolerances()
+TOLERANCES = Tolerances()
 # `Tolerances.position_px` under a rolling shutter, where rows cut trails anywhere: a trail that ends 0.005 px too early
 # or too late is 0.2 % of its peak off at sigma 1 px.
-ROLLING_POSITION_PX: Final = 0.005
-SHAPE_LIMITS: Final = ShapeLimits()
+ROLLING_POSITION_PX = 0.005
+SHAPE_LIMITS = ShapeLimits()
 # Variance of two Gaussians due to an even change of the motion, in squares of `ahead` of two_gaussians.glsl: VARIANCE
 # RATE_CHANGE^2 there.
-_CHANGE_VARIANCE: Final = 0.0187834 * 2.3282816**2
-REFINEMENT: Final = Refinement()
+_CHANGE_VARIANCE = 0.0187834 * 2.3282816**2
+REFINEMENT = Refinement()
 # Fraction of a segment in which a change leaves no light.
-_SHORTEST: Final = 1e-5
+_SHORTEST = 1e-5
 
 
 def segment_times(

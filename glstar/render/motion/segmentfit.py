@@ -7,7 +7,7 @@ least squares, so that no star anywhere on the image is farther than a tolerance
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from glstar.sky.air.refraction import refraction_displacement
 
 # Weight of no correction relative to the mean weight of the samples: segments shorter than three samples leave some
 # corrections undetermined.
-STIFFNESS: Final = 1e-7
+STIFFNESS = 1e-7
 
 
 def node_corrections(basis: Float, segment: NDArray[np.intp], turn: Float, weight: Float, count: int) -> Float:
@@ -113,11 +113,11 @@ class FitLimits:
     between_few: float = 1.4  # Factor of the deviation of these segments
 
 
-LIMITS: Final = FitLimits()
+LIMITS = FitLimits()
 # Times that differ by less than this are the same, s: UTC seconds have a resolution of 2.4e-7 s.
-_SAME_S: Final = 1e-6
+_SAME_S = 1e-6
 # Lengths of segments that the search tries, in intervals of the log: in steps of about a quarter.
-_LENGTHS: Final = (2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 120, 152, 192, 240)
+_LENGTHS = (2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 120, 152, 192, 240)
 
 
 def fitted_segments(

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +11,16 @@ from glstar.arrays import Float
 from glstar.camera.model import Camera
 
 # Pixel positions that are computed together: 32768 of them, 512 KiB, stay in the processor's cache.
-_POSITIONS_PER_BLOCK: Final = 1 << 15
+_POSITIONS_PER_BLOCK = 1 << 15
 # Times that are computed together for a sky of many stars, where a smaller block costs more than a cache miss.
-_MIN_TIMES_PER_BLOCK: Final = 8
+_MIN_TIMES_PER_BLOCK = 8
 
 # Gauss-Legendre quadrature with three nodes, on [0, 1]: exact up to the fifth power.
-QUADRATURE_NODES: Final = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-QUADRATURE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18
+QUADRATURE_NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+QUADRATURE_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18
 
 # Samples of an analytic trail per exposure, whatever its length: truth counts them for its fractions.
-_MIN_SAMPLES: Final = 100
+_MIN_SAMPLES = 100
 
 
 def times_per_block(star_count: int) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import ceil
-from typing import Final, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from glstar.render.motion import starpaths
 from glstar.render.motion.pointing import Pointing
 
 # Distance between sub-exposures along a trail, sigma: a sampling ripple of 0.03 % at 1.5 sigma, 1.4 % at 2, 22 % at 3.
-SAMPLE_SPACING_SIGMA: Final = 1.5
+SAMPLE_SPACING_SIGMA = 1.5
 
 
 class TrailModel(Protocol):
@@ -185,7 +185,7 @@ class SubExposureRule:
 
 
 # Cost of one analytic segment, in sub-exposures: 1.3 sprites of four sub-exposures each (Mesa llvmpipe, tests/bench).
-SUB_EXPOSURES_PER_SEGMENT: Final = 4 * 1.3
+SUB_EXPOSURES_PER_SEGMENT = 4 * 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,9 +212,9 @@ class SegmentLimit:
 
 
 # Largest magnitude of the third derivative of a Gaussian of unit variance and height, at sqrt(3 - sqrt(6)).
-_THIRD_DERIVATIVE: Final = 1.3801
+_THIRD_DERIVATIVE = 1.3801
 # Intervals per segment in which the length of a path is measured.
-_CHORDS: Final = 4
+_CHORDS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

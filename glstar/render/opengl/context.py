@@ -4,7 +4,7 @@ import ctypes.util
 import os
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from glstar.errors import ContextError
 from glstar.system.installation import OPENGL_ON_LINUX
@@ -90,11 +90,11 @@ def _advice(driver_message: str) -> str:
 
 
 # Names from eglext.h.
-_EGL_VENDOR: Final = 0x3053
-_EGL_EXTENSIONS: Final = 0x3055
-_EGL_DRM_DEVICE_FILE_EXT: Final = 0x3233
-_EGL_CUDA_DEVICE_NV: Final = 0x323A
-_EGL_PLATFORM_DEVICE_EXT: Final = 0x313F
+_EGL_VENDOR = 0x3053
+_EGL_EXTENSIONS = 0x3055
+_EGL_DRM_DEVICE_FILE_EXT = 0x3233
+_EGL_CUDA_DEVICE_NV = 0x323A
+_EGL_PLATFORM_DEVICE_EXT = 0x313F
 
 
 @dataclass(frozen=True, slots=True)

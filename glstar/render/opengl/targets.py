@@ -8,7 +8,7 @@ import ctypes
 import sys
 from contextlib import AbstractContextManager
 from functools import cache
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -281,7 +281,7 @@ class Readback:
 
 
 # Where the system has glFinish for the current context, whichever library made it.
-_LIBRARIES: Final = {
+_LIBRARIES = {
     "linux": ("libOpenGL.so.0", "libGL.so.1"),
     "darwin": ("/System/Library/Frameworks/OpenGL.framework/OpenGL",),
     "win32": ("opengl32",),

@@ -6,7 +6,7 @@ under a rolling shutter.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import moderngl
 import numpy as np
@@ -23,8 +23,8 @@ from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.photometry import brightness_ratio
 
 # Star fields that stay uploaded: the stars, which stay for a flight, and the bodies of a scene; and satellites.
-_MOST_FIELDS: Final = 2
-_MOST_SINGLE_STARS: Final = 8
+_MOST_FIELDS = 2
+_MOST_SINGLE_STARS = 8
 
 
 class _Resource(Protocol):
@@ -124,7 +124,7 @@ class StarBuffers:
 
 
 # Columns of the texture of all stars.
-STARS_PER_ROW: Final = 1024
+STARS_PER_ROW = 1024
 
 
 def star_texture(context: moderngl.Context, stars: StarField) -> moderngl.Texture:
@@ -136,7 +136,7 @@ def star_texture(context: moderngl.Context, stars: StarField) -> moderngl.Textur
 
 
 # Columns of a list of numbers that is folded into a texture.
-PASSAGE_COLUMNS: Final = 1024
+PASSAGE_COLUMNS = 1024
 
 
 class PassageTexture:
@@ -175,7 +175,7 @@ class PassageTexture:
 
 
 # The three rows of C_camera_eq, the zenith and the observer's velocity, each in the first three components of a texel.
-TEXELS_PER_TIME: Final = 5
+TEXELS_PER_TIME = 5
 
 
 def pointing_texels(pointing: Pointing, *, multiple: int = 1) -> NDArray[np.float32]:
@@ -236,10 +236,10 @@ class ImageTexture:
 
 
 # Texture unit of the opening times behind a lens, above those of all other textures.
-_TEXTURE_UNIT: Final = 7
+_TEXTURE_UNIT = 7
 # Distance between opening times behind a lens, px of the target: the distortion is smooth, and between them they are
 # interpolated linearly.
-_STEP_PX: Final = 8
+_STEP_PX = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,7 +294,7 @@ class ReadoutClock:
         set_used_uniforms(program, **uniforms)
 
 
-GLOBAL_SHUTTER: Final = ReadoutClock()
+GLOBAL_SHUTTER = ReadoutClock()
 
 
 class StarTarget(NamedTuple):

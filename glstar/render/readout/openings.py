@@ -6,7 +6,7 @@ closes during a piece, the fragment has to find the limits of its own row (`EndP
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,15 @@ from glstar.render.scene.occlusion import NEVER, rise_and_set
 from glstar.render.scene.scene import Scene
 
 # Minimum number of times between which the meeting of a star with an opening row is found by a line.
-_ZONE_TIMES: Final = 12
+_ZONE_TIMES = 12
 # Margin around a drawn star, px: the error of a quadratic between the times of segments.
-_PATH_PX: Final = 0.5
+_PATH_PX = 0.5
 # Rounding error of times, fractions of an exposure.
-_ROUNDING: Final = 1e-12
+_ROUNDING = 1e-12
 # Speed of stars relative to that of the readout above which no trail is divided.
-_FASTEST: Final = 0.9
+_FASTEST = 0.9
 # Behind a lens, how much wider than the star that is drawn the cut through a path may be: variance, relative.
-_MOST_BLURRED: Final = 0.1
+_MOST_BLURRED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +174,9 @@ def open_pieces(spans: OpenSpans, ends: Float) -> OpenPieces:
 
 
 # Segments are divided where the longest trail is longer than this during each, standard deviations.
-_WORTH_SIGMA: Final = 30.0
+_WORTH_SIGMA = 30.0
 # Length of the path of the fastest star during a piece at an end, standard deviations.
-_LENGTH_SIGMA: Final = 1.6
+_LENGTH_SIGMA = 1.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

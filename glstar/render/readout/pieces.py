@@ -5,7 +5,7 @@ borders.  Pieces are as long as the point spread function allows, whatever the m
 """
 
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,21 +66,21 @@ class PieceCosts:
     min_faint_sprites: float = 1500.0  # Sprites that cost as much as pieces of another length, and their draw call
 
 
-PIECE_LIMITS: Final = PieceLimits()
+PIECE_LIMITS = PieceLimits()
 # Of stars whose trails are faint everywhere: a ripple of 1.3 %, third moments of 1 % and fourth cumulants of 1.8 % stay
 # below `TRUNCATION_DN`, as does the light that is left out around a star.
-FAINT_LIMITS: Final = PieceLimits(length_sigma=2.4, skewness_error=0.01, kurtosis_error=0.018)
-FAINT_PEAK_DN: Final = 40 * TRUNCATION_DN
-PIECE_COSTS: Final = PieceCosts()
+FAINT_LIMITS = PieceLimits(length_sigma=2.4, skewness_error=0.01, kurtosis_error=0.018)
+FAINT_PEAK_DN = 40 * TRUNCATION_DN
+PIECE_COSTS = PieceCosts()
 # Under a rolling shutter, the fewest pieces: one that is recorded in part is divided where segments end.
-FEWEST_PIECES: Final = 16
+FEWEST_PIECES = 16
 # Pieces that one point sprite draws.
-PIECES_PER_SPRITE: Final = 4
+PIECES_PER_SPRITE = 4
 # Rasterizers snap points to a grid: rasterization.glsl.
-SNAPPING_PX: Final = 0.125
+SNAPPING_PX = 0.125
 # Segments whose transmission of cloud differs by more than this share no piece.
-_PASSAGE_STEP: Final = 0.02
-_NONE: Final = np.zeros(0, np.intp)
+_PASSAGE_STEP = 0.02
+_NONE = np.zeros(0, np.intp)
 
 
 class ScenePart(NamedTuple):

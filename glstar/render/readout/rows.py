@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +16,21 @@ from glstar.render.motion.starpaths import ConicPaths, SampledPaths
 from glstar.render.scene.scene import Scene
 
 # Decimal places of times (a hundredth of a microsecond) and of flux in truth.
-_TIME_DIGITS: Final = 8
-_FLUX_DIGITS: Final = 6
+_TIME_DIGITS = 8
+_FLUX_DIGITS = 6
 
 # Times of an exposure between which openings and closings are searched; of slow stars, which cross each once, those
 # while rows open and while rows close.
-_GRID: Final = 65
-_ZONE_GRID: Final = 6
+_GRID = 65
+_ZONE_GRID = 6
 # A star is slow if it needs for a row more than twice the time after which the next one opens.
-_SLOW: Final = 0.5
+_SLOW = 0.5
 # Maximum number of steps of the search.  Once all stars are this near, s, the last step is a line: it leaves 1e-9 s and
 # 1e-5 px.
-_STEPS: Final = 6
-_NEARLY_S: Final = 1e-6
+_STEPS = 6
+_NEARLY_S = 1e-6
 # A closing and the next opening that differ by less are the same time, s: twenty times the error of the search.
-_AT_ONCE_S: Final = 1e-5
+_AT_ONCE_S = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

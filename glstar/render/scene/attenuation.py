@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,20 +26,20 @@ from glstar.sky.photometry import brightness_ratio
 
 # Segments are divided until no star's light changes by more than `Attenuator.max_change` within one, relative to its
 # largest; of stars fainter than this fraction of the brightest light that arrives, relative to 1.
-_FAINT: Final = 0.05
+_FAINT = 0.05
 # Light below this fraction does not count, such as that of a satellite in the shadow of the Earth.
-_DARK: Final = 1e-3
+_DARK = 1e-3
 # Maximum number of parts of a segment.
-_MAX_PARTS: Final = 32
+_MAX_PARTS = 32
 # Scintillation is computed whenever a star has moved by this, px, but not more often than this, s: half the time in
 # which it is correlated.
-_SCINTILLATION_STEP_PX: Final = 2.0
-_SCINTILLATION_STEP_S: Final = 0.002
+_SCINTILLATION_STEP_PX = 2.0
+_SCINTILLATION_STEP_S = 0.002
 # Maximum number of these steps, and the minimum, below which it is computed once for the exposure.
 _MOST_SCINTILLATION_STEPS, _LEAST_SCINTILLATION_STEPS = 512, 16
 # Times of an exposure between which the rotation of the camera is measured for that.
-_TURN_TIMES: Final = 17
-_NO_STARS: Final = np.zeros(0, np.int32)
+_TURN_TIMES = 17
+_NO_STARS = np.zeros(0, np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ class Attenuation:
         return np.asarray(np.ceil(in_segment / limit).clip(1, _MAX_PARTS), dtype=np.intp)
 
 
-NO_ATTENUATION: Final = Attenuation()
+NO_ATTENUATION = Attenuation()
 
 
 def _transmission(attenuators: tuple[Attenuator, ...], direction_eq: Float) -> Transmission | None:

@@ -4,7 +4,7 @@ A disc wider than a star's image is a cluster of sources, so that trails, horizo
 """
 
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +17,19 @@ from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.observed.solarsystem import Body
 
 # The catalogue of the sources.
-BODIES: Final = "bodies"
+BODIES = "bodies"
 # Distance between the sources of a disc, in sigma of a star's image.  At 0.75 the sum of Gaussians has no ripple; what
 # remains is the disc's edge, 1 % of its brightest pixel.
-_SPACING_SIGMA: Final = 0.75
+_SPACING_SIGMA = 0.75
 # Radius of a disc, in sigma, below which it is one point.
-_POINT_SIGMA: Final = 0.25
+_POINT_SIGMA = 0.25
 # Samples across a disc, and across each of its cells: a cell's brightness is their mean.
-_SAMPLES_ACROSS: Final = 240
-_CELL_SAMPLES: Final = (2, 8)
+_SAMPLES_ACROSS = 240
+_CELL_SAMPLES = (2, 8)
 # The largest number of cells across a disc, for cameras of long focal length: 31 000 sources, more widely spaced.
-_MOST_CELLS: Final = 200
+_MOST_CELLS = 200
 # Limb darkening of the Sun at V: 1 - u (1 - cos).
-_SUN_DARKENING: Final = 0.6
+_SUN_DARKENING = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from math import ceil
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from glstar.render.motion.pointing import CameraMotion
 from glstar.render.scene.transmission import Sources
 from glstar.sky.air.clouds import CloudSheet, SheetCrossing
 
-CLOUD_DEFAULTS: Final[dict[str, float | int]] = {
+CLOUD_DEFAULTS: dict[str, float | int] = {
     "coverage": 0.0,
     "optical_depth": 2.0,
     "height_m": 4000.0,
@@ -26,13 +25,13 @@ CLOUD_DEFAULTS: Final[dict[str, float | int]] = {
     "seed": 0,
 }
 # The transmission is computed whenever the sheet has moved by this part of its smallest structures.
-_STEP_CELLS: Final = 0.125
+_STEP_CELLS = 0.125
 # Lines of sight whose crossings are computed at once: more of them do not fit into the processor's cache.
-_MOST_CROSSINGS: Final = 8192
+_MOST_CROSSINGS = 8192
 # Minimum and maximum number of times of an exposure at which it is computed.
 _MIN_TIMES, _MAX_TIMES = 5, 513
 # Grid of the origin of the sheet's coordinates, rad: it stays during a flight, also of a live one that drops its start.
-_ORIGIN_RAD: Final = np.pi / 180
+_ORIGIN_RAD = np.pi / 180
 
 
 def cloud_sheet(sensor: Sensor, motion: CameraMotion | None) -> CloudSheet | None:

@@ -7,7 +7,6 @@ positions of the remaining candidates are then computed at every time.
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import acos, asin, atan, cos, hypot, sin, sqrt
-from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -24,12 +23,12 @@ from glstar.sky.photometry import brightness_ratio
 
 # Fraction of the flux of all stars that touch an image that may be left out: half of what is promised, because some
 # of these stars are on the image only for a part of the exposure.
-MAX_FRACTION_LEFT_OUT: Final = 5e-4
+MAX_FRACTION_LEFT_OUT = 5e-4
 # Cells of the sky save time from this number of stars, and for cones up to this radius, rad.
-_MANY_STARS: Final = 50_000
-_NARROW_RAD: Final = 0.5
+_MANY_STARS = 50_000
+_NARROW_RAD = 0.5
 # The four sides of the image are tested at every eighth time, where a bound suffices.
-_SIDES_STRIDE: Final = 8
+_SIDES_STRIDE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -24,12 +23,12 @@ from glstar.sky.place.site import Site
 
 # A sample of the log within 20 microseconds of the start or the end of an exposure does not divide it: rounding of the
 # exposure's time must not change the image.
-_NODE_MARGIN_S: Final = 2e-5
+_NODE_MARGIN_S = 2e-5
 # Path tolerance of truth, px.  The mean position over an exposure is exact to second order whatever the tolerance.
-TRUTH_TOLERANCE_PX: Final = 0.01
+TRUTH_TOLERANCE_PX = 0.01
 # Motion that takes no more segments than this through every sample is not fitted: a steady turn of 200 deg/s takes 7 in
 # 0.2 s.
-_FEW_SEGMENTS: Final = SegmentLimit(12)
+_FEW_SEGMENTS = SegmentLimit(12)
 
 
 @dataclass(frozen=True, eq=False)

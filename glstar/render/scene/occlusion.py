@@ -6,7 +6,6 @@ up to a millisecond off, in which a star moves by 5 px at 300 deg/s.  Therefore 
 
 from dataclasses import dataclass, replace
 from math import ceil, inf
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,11 @@ from glstar.render.scene.transmission import Sources
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
 
 # Between the times at which the height of stars above the horizon is computed, they move by this at most, px.
-_RIDGE_STEP_PX: Final = 0.1
+_RIDGE_STEP_PX = 0.1
 # These times at least and at most.
 _FEWEST_RIDGE_TIMES, _MOST_RIDGE_TIMES = 5, 513
 # Segments in which a star sets or rises are divided into parts in which stars move by this at most, px.
-_RIDGE_PART_PX: Final = 0.05
+_RIDGE_PART_PX = 0.05
 # Parts of such a segment at least and at most: a star that hardly moves may set too.
 _FEWEST_PARTS_AT_RIDGE, _MOST_PARTS_AT_RIDGE = 16, 512
 
@@ -123,12 +122,12 @@ def _between(vectors: Float, segment: NDArray[np.intp], elapsed: Float) -> Float
 
 
 # A fraction of the exposure, beyond its end by more than any rounding.
-NEVER: Final = 2.0
+NEVER = 2.0
 
 # How far the zenith may move between the times of the segments, relative to its largest distance from the first.
-_ZENITH_MARGIN: Final = 2.0
+_ZENITH_MARGIN = 2.0
 # Change of a height, a sine, by rounding.
-_ROUNDING: Final = 1e-9
+_ROUNDING = 1e-9
 
 
 def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) -> Float:

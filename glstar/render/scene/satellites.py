@@ -6,7 +6,6 @@ All that is computed for stars (paths, rows' times, horizon, lens, cloud, truth)
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import ceil, pi
-from typing import Final
 
 import numpy as np
 
@@ -22,10 +21,10 @@ from glstar.sky.observed.solarsystem import observed_bodies
 from glstar.sky.photometry import brightness_ratio
 
 # Interval at which the light of a satellite is computed, s: it enters the Earth's shadow in some ten seconds.
-_LIGHT_STEP_S: Final = 0.25
+_LIGHT_STEP_S = 0.25
 _LEAST_TIMES, _MOST_TIMES = 3, 513
 # Times at which the axis of the camera is compared with satellites.
-_AXIS_TIMES: Final = 9
+_AXIS_TIMES = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +30,7 @@ from glstar.system.files import write_atomically
 from glstar.system.imagefiles import encode_png
 
 # Strength of the asinh stretch for display, no unit: 13 % of the maximum above the median is shown as half white.
-_DISPLAY_STRETCH: Final = 30.0
+_DISPLAY_STRETCH = 30.0
 
 
 class StarListing(Protocol):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from math import hypot
-from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,10 +15,10 @@ from glstar.render.scene.scene import Scene
 from glstar.sky.catalogue.starfield import StarField
 from glstar.sky.photometry import USUAL_BV, brightness_ratio, magnitude_difference, star_colours
 
-_CHANNELS: Final[tuple[Channel, ...]] = ("r", "g", "b")
-_ALL: Final = slice(None)
+_CHANNELS: tuple[Channel, ...] = ("r", "g", "b")
+_ALL = slice(None)
 # The first of `channel_scenes`.
-FIRST_CHANNEL: Final = _CHANNELS[0]
+FIRST_CHANNEL = _CHANNELS[0]
 
 
 def colours_used(stars: StarField, index: slice | NDArray[np.integer] = _ALL) -> NDArray[np.float64]:
@@ -157,7 +156,7 @@ def _dimmed(draw_list: DrawList, over_mean: float) -> DrawList:
 
 
 # Stars whose widths differ by less than this are drawn together: with the mean of their range, 1 % from each.
-_WIDTH_STEP: Final = 0.02
+_WIDTH_STEP = 0.02
 
 
 def psf_scale(

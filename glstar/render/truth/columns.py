@@ -1,7 +1,7 @@
 """The keys of the truth: of a frame, and of the stars, bodies and satellites on it."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 Kind = Literal[
     "float",
@@ -34,20 +34,20 @@ class Column:
     of: str = ""  # "frame", "star", "body" or "satellite"
 
 
-_STACK: Final = "`[exposure] frames` above 1"
-_ROLLING: Final = "`[exposure] readout_s` above 0"
-_ELECTRONS: Final = '`[sensor] noise = "electrons"`'
-_NATURAL: Final = '`[sky] brightness = "natural"`'
-_CLOUD: Final = "`[cloud]`"
-_EXTINCTION: Final = "`[sky] extinction`"
-_BAND: Final = "`[sensor] band`"
-_BLOOMING: Final = "`[sensor] blooming`"
-_SET: Final = "in data sets"
-_WIDTH: Final = "`[sensor] psf_growth`, `psf_tilt` or `psf_colour_growth`"
-_START_XY: Final = ("start_x_px", "start_y_px")
-_END_XY: Final = ("end_x_px", "end_y_px")
+_STACK = "`[exposure] frames` above 1"
+_ROLLING = "`[exposure] readout_s` above 0"
+_ELECTRONS = '`[sensor] noise = "electrons"`'
+_NATURAL = '`[sky] brightness = "natural"`'
+_CLOUD = "`[cloud]`"
+_EXTINCTION = "`[sky] extinction`"
+_BAND = "`[sensor] band`"
+_BLOOMING = "`[sensor] blooming`"
+_SET = "in data sets"
+_WIDTH = "`[sensor] psf_growth`, `psf_tilt` or `psf_colour_growth`"
+_START_XY = ("start_x_px", "start_y_px")
+_END_XY = ("end_x_px", "end_y_px")
 
-_FRAME: Final = (
+_FRAME = (
     Column("schema", "string", "", '`"glstar-truth-2"`'),
     Column("frame", "int64", "", "number of the frame"),
     Column("file", "string", "", "name of its image"),
@@ -152,7 +152,7 @@ _FRAME: Final = (
     Column("settings", "object", "", "settings of the sample, by dotted key", _SET),
 )
 
-_STAR: Final = (
+_STAR = (
     Column("star_id", "int32", "", "number in the catalogue: Harvard Revised (`bsc5`) or Hipparcos"),
     Column("vmag", "float", "mag", "V magnitude of the catalogue"),
     Column(
@@ -206,7 +206,7 @@ _STAR: Final = (
     Column("extinction_mag", "float", "mag", "extinction by the air", _EXTINCTION),
 )
 
-_BODY: Final = (
+_BODY = (
     Column("name", "string", "", '`"Sun"`, `"Moon"` or a planet'),
     Column("vmag", "float", "mag", "V magnitude above the air"),
     Column("x_px", "float", "px", "position of the centre of its disc, as of a star"),
@@ -236,7 +236,7 @@ _BODY: Final = (
     Column("extinction_mag", "float", "mag", "extinction by the air", _EXTINCTION),
 )
 
-_SATELLITE: Final = (
+_SATELLITE = (
     Column("name", "string", "", "name in the file of elements"),
     Column("satellite_number", "int64", "", "number in the satellite catalogue"),
     *(column for column in _STAR if column.name != "star_id"),
@@ -246,9 +246,9 @@ _SATELLITE: Final = (
     Column("lit", "float", "", "mean light, by range, phase and the Earth's shadow, over that of `vmag`"),
 )
 
-_TABLES: Final = {"frame": _FRAME, "star": _STAR, "body": _BODY, "satellite": _SATELLITE}
+_TABLES = {"frame": _FRAME, "star": _STAR, "body": _BODY, "satellite": _SATELLITE}
 # In the order of a line of ``truth.jsonl``.  Effects of other packages may add keys of their own.
-COLUMNS: Final = tuple(replace(column, of=of) for of, columns in _TABLES.items() for column in columns)
+COLUMNS = tuple(replace(column, of=of) for of, columns in _TABLES.items() for column in columns)
 
 
 def columns_of(of: str) -> tuple[Column, ...]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from math import sqrt
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import orjson
@@ -51,17 +51,17 @@ def rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
     return b"".join(parts).replace(b"[null,null]", b"null")
 
 
-SCHEMA: Final = "glstar-truth-2"
+SCHEMA = "glstar-truth-2"
 # Version 1 has ``hr`` instead of ``star_id``, and lacks the catalogue, the mount and the zenith.
-SCHEMAS_READ: Final = ("glstar-truth-1", SCHEMA)
+SCHEMAS_READ = ("glstar-truth-1", SCHEMA)
 # The keys of every line, in their order.
-KEYS: Final = tuple(c.name for c in columns_of("frame") if not c.when and "." not in c.name)
+KEYS = tuple(c.name for c in columns_of("frame") if not c.when and "." not in c.name)
 
 # Decimal places of pixel coordinates: a millionth of a pixel is less than 0.001" in any camera that sees the sky.
-_DIGITS: Final = 6
+_DIGITS = 6
 
 # Standard deviation of rounding to whole numbers, DN.
-_QUANTISATION_STD_DN: Final = 12**-0.5
+_QUANTISATION_STD_DN = 12**-0.5
 
 
 def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Mapping[str, Any] | None = None) -> bytes:

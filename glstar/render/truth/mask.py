@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from math import ceil, log, pi, sqrt
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +16,16 @@ from glstar.render.scene.starcomponents import colours_used, psf_scale
 from glstar.render.truth.statistics import TrailStatistics
 
 # The largest value of a 16-bit mask.
-MOST_TRAILS: Final = 65535
+MOST_TRAILS = 65535
 # Paths that are sampled together, to bound memory: 256 paths of 10 000 samples take 40 MB.
-_STARS_PER_BLOCK: Final = 256
+_STARS_PER_BLOCK = 256
 # Samples of a path whose Gaussians are computed together.
-_SAMPLES_PER_BLOCK: Final = 2048
-_QUANTISATION_VARIANCE_DN2: Final = 1 / 12
+_SAMPLES_PER_BLOCK = 2048
+_QUANTISATION_VARIANCE_DN2 = 1 / 12
 # Gaussians are drawn up to this distance at most, sigma: beyond it the light of the brightest star is below 1e-7 of it.
-_MAX_RADIUS_SIGMA: Final = 6.0
+_MAX_RADIUS_SIGMA = 6.0
 # Of the level that is searched, the part that one of several Gaussians of a star may lack.
-_SMALL_PART: Final = 0.02
+_SMALL_PART = 0.02
 
 
 def mask_threshold_dn(scene: Scene) -> float:

@@ -7,7 +7,7 @@ computed for a grid of example directions over the image, and interpolated for t
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,11 @@ from glstar.sky.photometry import USUAL_BV
 Stars = slice | NDArray[np.intp]
 
 # Lines of an exposure, at least.
-_MIN_PARTS: Final = 16
+_MIN_PARTS = 16
 # Lines that are shorter than this, sigma, are wide Gaussians instead: the difference is below 1e-4.
-_SHORT_SIGMA: Final = 0.5
+_SHORT_SIGMA = 0.5
 # Lines whose ends are farther than this, sigma, add less than 1e-5.
-_FAR_SIGMA: Final = 5.0
+_FAR_SIGMA = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,18 +194,18 @@ def normal_cumulative(z: Float) -> Float:
 
 
 # Example directions across and down the image.
-_GRID: Final = (8, 6)
-_SMALLEST_GRID: Final = (3, 2)
+_GRID = (8, 6)
+_SMALLEST_GRID = (3, 2)
 # Pairs of lines of all example directions, at most: 20 ms.
-_MOST_PAIRS: Final = 8_000_000
+_MOST_PAIRS = 8_000_000
 # Lines of a path, at most: groups of neighbours if there are more.
-_MOST_LINES: Final = 64
+_MOST_LINES = 64
 # Points of a path at which the signal is evaluated exactly.
-_CANDIDATES: Final = 2
+_CANDIDATES = 2
 # Pairs of lines that are computed at once: more of them fall out of the processor's cache.
-_BLOCK: Final = 32_768
+_BLOCK = 32_768
 # Light that is farther than this, in units of the exponent, does not count; and smaller numbers are slow.
-_FAR_EXPONENT: Final = np.float32(-40.0)
+_FAR_EXPONENT = np.float32(-40.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,5 @@
 """Statistics of star trails over an exposure: how long each touches the image, where, and whether it saturates."""
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +12,7 @@ from glstar.render.scene.scene import Scene
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | Mask
 
 # Side of the cells in which saturated pixels are counted, px.
-_CELL_PX: Final = 32
+_CELL_PX = 32
 
 
 class TrailStatistics:

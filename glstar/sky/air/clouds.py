@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,24 +10,24 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.arrays import Float
 
 # Mean radius of the Earth, m.
-_EARTH_RADIUS_M: Final = 6371008.8
+_EARTH_RADIUS_M = 6371008.8
 # Cells along a side of the periodic field, a power of two, and its side in units of the largest structures.
-_CELLS: Final = 1024
-_PERIOD_SCALES: Final = 16.0
+_CELLS = 1024
+_PERIOD_SCALES = 16.0
 # Power per area falls as the wave number to minus this power: that of the light of clouds below some 500 m, which is
 # smoother than their water (Davis and others 1997, J. Atmos. Sci. 54, 241).
-_SPECTRAL_SLOPE: Final = 11 / 3
+_SPECTRAL_SLOPE = 11 / 3
 
 # Asymmetry of scattering by droplets and ice in visible light.
-_ASYMMETRY: Final = 0.85
+_ASYMMETRY = 0.85
 # Two-stream approximation of a layer that absorbs nothing: its transmission is 1 / (1 + this times the optical depth).
-_TWO_STREAM: Final = 0.75 * (1 - _ASYMMETRY)
+_TWO_STREAM = 0.75 * (1 - _ASYMMETRY)
 # A cloud that reflects light R of a town from below brightens the sky of the town by 1 + this R: ten times under an
 # overcast of optical depth 5 (Kyba and others 2011, PLoS ONE 6, e17307: 10.1 in Berlin).
-_TOWN_AMPLIFICATION: Final = 25.0
-_ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
+_TOWN_AMPLIFICATION = 25.0
+_ARCSEC2_PER_SR = (648000 / np.pi) ** 2
 # The Moon lights no cloud from below this sine of its altitude.
-_LOWEST_SINE: Final = 0.02
+_LOWEST_SINE = 0.02
 
 
 class SheetCrossing(NamedTuple):

@@ -9,7 +9,6 @@ part has its own law of wavelength.
 
 from dataclasses import dataclass, replace
 from math import exp, expm1, tanh
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,27 +16,27 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.arrays import Float
 
 # Height in which the pressure falls to 1/e, m, and the pressure at sea level, hPa: Green 1992.
-_PRESSURE_SCALE_M: Final = 7996.0
-_SEA_LEVEL_HPA: Final = 1013.25
+_PRESSURE_SCALE_M = 7996.0
+_SEA_LEVEL_HPA = 1013.25
 
 # Wavelength of Green's parts, nm.
-EYE_NM: Final = 510.0
+EYE_NM = 510.0
 # Power of the aerosol's extinction over the wavelength: Hayes & Latham 1975.
-_AEROSOL_POWER: Final = -1.3
+_AEROSOL_POWER = -1.3
 # Absorption of ozone's Chappuis band by wavelength, 1e-21 cm^2 at 243 K: Serdyuchenko et al. 2014 (Atmospheric
 # Measurement Techniques 7, 625), rounded to 5 %, which is 0.002 mag.
-_OZONE_NM: Final = (420.0, 440.0, 460.0, 480.0, 500.0, 510.0, 525.0, 550.0, 575.0, 600.0, 625.0, 650.0, 700.0)
-_OZONE: Final = (0.03, 0.13, 0.36, 0.72, 1.24, 1.60, 2.20, 3.40, 4.75, 5.12, 4.05, 2.60, 0.95)
+_OZONE_NM = (420.0, 440.0, 460.0, 480.0, 500.0, 510.0, 525.0, 550.0, 575.0, 600.0, 625.0, 650.0, 700.0)
+_OZONE = (0.03, 0.13, 0.36, 0.72, 1.24, 1.60, 2.20, 3.40, 4.75, 5.12, 4.05, 2.60, 0.95)
 
 # Relative standard deviation of the instantaneous brightness at the zenith at sea level through lenses below 5 cm:
 # Dravins and others 1997, PASP 109, 173.
-SMALL_LENS_RMS: Final = 0.38
+SMALL_LENS_RMS = 0.38
 # Power of the air mass for such lenses; 1.5 to 1.75 for large telescopes (the same).
-_AIR_MASS_POWER: Final = 0.92
+_AIR_MASS_POWER = 0.92
 # Height in which scintillation falls to 1/e, m: Young 1967.
-_SCALE_HEIGHT_M: Final = 8000.0
+_SCALE_HEIGHT_M = 8000.0
 # Time in which the brightness is correlated, s: half a second averages 0.38 to 0.048, as measured.
-_CORRELATION_S: Final = 0.004
+_CORRELATION_S = 0.004
 # Multipliers of the hash splitmix64.
 _GOLDEN, _MIX_1, _MIX_2 = (np.uint64(number) for number in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 

@@ -1,7 +1,6 @@
 """Refraction of true and apparent altitudes, and of unit vectors without trigonometric functions."""
 
 from math import sin
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,9 +9,9 @@ from glstar.arrays import Float
 from glstar.sky.place.site import STANDARD_PRESSURE_HPA
 
 # Eq. (25) is a fit for higher altitudes, rad: below, it decreases again, and it is singular at -5.11 deg.
-LOWEST_ALTITUDE_RAD: Final = np.deg2rad(-1.0)
+LOWEST_ALTITUDE_RAD = np.deg2rad(-1.0)
 # Margin of a cone in unrefracted directions, rad: refraction is at most 0.7 deg, and aberration 0.01 deg.
-MAX_REFRACTION_RAD: Final = np.deg2rad(1.0)
+MAX_REFRACTION_RAD = np.deg2rad(1.0)
 
 # Meeus's constant, ', which makes the refraction at the zenith zero; eq. (25) gives -0.116" there.
 _ZENITH_ARCMIN = 0.0019279

@@ -9,7 +9,6 @@ ones; `tests/scripts/make_galaxy.py` wrote it and says how.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf, radians
-from typing import Final
 
 import erfa
 import numpy as np
@@ -21,37 +20,37 @@ from glstar.sky.photometry import brightness_ratio
 from glstar.system.resources import asset
 
 # V of a dark sky at the zenith, mag/arcsec2, which Patat's twilight ends in.
-_DARK_MAG: Final = 21.6
+_DARK_MAG = 21.6
 # Sun's zenith distance, deg, at which Patat's fit begins, and that at which it reaches the dark sky.
-_PATAT_FIRST_DEG: Final = 95.0
-_PATAT_LAST_DEG: Final = 105.85
+_PATAT_FIRST_DEG = 95.0
+_PATAT_LAST_DEG = 105.85
 # Brightness by day: the fit is continued as a line to the Sun at the horizon, and stays there.
-_DAY_ZENITH_DEG: Final = 90.0
+_DAY_ZENITH_DEG = 90.0
 # Below the horizon the Moon's light fades like twilight, by this much per degree: an assumption.
-_MOON_BELOW_MAG_PER_DEG: Final = 1.3
+_MOON_BELOW_MAG_PER_DEG = 1.3
 # The Moon is not closer than its radius, deg.
-_CLOSEST_MOON_DEG: Final = 0.25
+_CLOSEST_MOON_DEG = 0.25
 # The least extinction with which the twilight's gradient is computed, mag: Schaefer's formula diverges without air.
-_LEAST_TWILIGHT_MAG: Final = 0.2
+_LEAST_TWILIGHT_MAG = 0.2
 # The sky towards the Sun below the horizon, deg: closest angle.
-_CLOSEST_SUN_DEG: Final = 5.0
+_CLOSEST_SUN_DEG = 5.0
 # A town's glow at the horizon below its dome is this many times that at the zenith, with this power of the altitude.
-_TOWN_RISE: Final = 8.0
-_TOWN_POWER: Final = 3.0
+_TOWN_RISE = 8.0
+_TOWN_POWER = 3.0
 
 # V of one S10 unit, mag/arcsec2: 10 + 2.5 log10(3600^2).
-S10_MAG_ARCSEC2: Final = 27.7815
+S10_MAG_ARCSEC2 = 27.7815
 # What a dark sky far from ecliptic and Galaxy has of each: Benn & Ellison 1998 (New Astronomy Reviews 42, 503).
-ZODIACAL_IN_DARK_SKY_S10: Final = 60.0
-STARLIGHT_IN_DARK_SKY_S10: Final = 15.0
+ZODIACAL_IN_DARK_SKY_S10 = 60.0
+STARLIGHT_IN_DARK_SKY_S10 = 15.0
 # Extinction of extended light over that of a star: what is scattered out of one line of sight enters another.  Leinert
 # et al. 1998, section 5.
-_DIFFUSE: Final = 0.75
+_DIFFUSE = 0.75
 
 # Zodiacal light at 500 nm, S10, by ecliptic latitude and by the difference of longitude to the Sun: Leinert et al. 1998
 # (A&AS 127, 1), table 16, after Levasseur-Regourd & Dumont 1980.  At the poles 60.
-_LATITUDE_DEG: Final = (0, 5, 10, 15, 20, 25, 30, 45, 60, 75, 90)
-_TABLE: Final = {
+_LATITUDE_DEG = (0, 5, 10, 15, 20, 25, 30, 45, 60, 75, 90)
+_TABLE = {
     15: (9000, 5300, 2690, 1450, 870, 590, 410, 196, 114, 78, 60),
     20: (5000, 3500, 1880, 1100, 710, 495, 355, 185, 110, 77, 60),
     25: (3000, 2210, 1350, 860, 585, 425, 320, 174, 106, 76, 60),
@@ -70,14 +69,14 @@ _TABLE: Final = {
     180: (180, 166, 152, 139, 127, 116, 105, 82, 65, 56, 60),
 }
 # Steps of the map's logarithms to base 10, and between its nodes, deg.
-_PER_DEX: Final = 80
-_STEP_DEG: Final = 2.5
+_PER_DEX = 80
+_STEP_DEG = 2.5
 # The magnitudes between which the first map adds up the stars.
-_LISTED_MAG: Final = (6.5, 10.0)
+_LISTED_MAG = (6.5, 10.0)
 
 # Names of the light, brightest first, and the altitudes of the Sun's centre, rad, above which each begins: by day with
 # the Sun's radius and the refraction at the horizon.
-LIGHT_LEVELS: Final = (
+LIGHT_LEVELS = (
     ("day", radians(-0.833)),
     ("civil twilight", radians(-6.0)),
     ("nautical twilight", radians(-12.0)),

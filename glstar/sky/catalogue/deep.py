@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,12 @@ from glstar.sky.catalogue.published import gaia_content, read_gaia_bin, read_hip
 from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
 from glstar.system.installation import install_command
 
-_MAS_RAD: Final = np.pi / 648000 / 1000
-_LARGEST_NUMBER: Final = 2**31 - 1
+_MAS_RAD = np.pi / 648000 / 1000
+_LARGEST_NUMBER = 2**31 - 1
 
 # What a table may give, and names of columns, in lower case, that are taken without a map: of Gaia's archive, of the
 # CDS's tables (ASCC-2.5, UCAC4, Hipparcos) and glstar's own.
-QUANTITIES: Final[Mapping[str, tuple[str, ...]]] = {
+QUANTITIES: Mapping[str, tuple[str, ...]] = {
     "number": ("number", "source_id", "hip", "hr", "ucac4", "ascc", "id"),
     "designation": ("designation", "name"),
     "ra_deg": ("ra_deg", "ra", "raj2000", "_raj2000", "radeg", "ra_icrs"),
@@ -56,10 +56,10 @@ QUANTITIES: Final[Mapping[str, tuple[str, ...]]] = {
     "epoch_yr": ("epoch_yr", "ref_epoch"),
 }
 
-_HINT: Final = " name them with --column, such as --column ra_deg=RA"
+_HINT = " name them with --column, such as --column ra_deg=RA"
 
-_BUILDER: Final = "1"
-_TO_J2000: Final = "J2000 (ICRS); motion along straight lines in space, with ERFA's pmsafe"
+_BUILDER = "1"
+_TO_J2000 = "J2000 (ICRS); motion along straight lines in space, with ERFA's pmsafe"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

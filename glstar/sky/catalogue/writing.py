@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,12 +47,12 @@ CREATE INDEX star_ra_dec_vmag ON star (ra_rad, dec_rad, vmag);
 CREATE INDEX star_dec_ra_vmag ON star (dec_rad, ra_rad, vmag);
 """
 
-_ARCSEC_RAD: Final = np.pi / 648000
+_ARCSEC_RAD = np.pi / 648000
 # Julian dates of J2000.
-_J2000: Final = (2451545.0, 0.0)
-_DAYS_PER_YR: Final = 365.25
+_J2000 = (2451545.0, 0.0)
+_DAYS_PER_YR = 365.25
 # The range of BP - RP in which the relation between V and G holds, mag.
-_BP_RP_RANGE: Final = (-0.5, 5.0)
+_BP_RP_RANGE = (-0.5, 5.0)
 
 
 def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mapping[str, str]) -> None:

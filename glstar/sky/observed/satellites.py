@@ -6,7 +6,7 @@ from functools import lru_cache
 from math import pi, radians
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import erfa
 import numpy as np
@@ -19,17 +19,17 @@ from glstar.sky.place.horizon import C_ned_eq
 from glstar.sky.place.site import Site, geocentric_m
 from glstar.sky.place.timescale import UNIX_EPOCH_JD, EarthOrientation
 
-_KEY: Final = "sky.satellites"
-_LIGHT_KM_PER_S: Final = 299792.458
+_KEY = "sky.satellites"
+_LIGHT_KM_PER_S = 299792.458
 # Mean radius of the Earth, km, and mean angular radius of the Sun, rad.
-_EARTH_KM: Final = 6371.0
-_SUN_RAD: Final = radians(0.2666)
+_EARTH_KM = 6371.0
+_SUN_RAD = radians(0.2666)
 # Elements describe a low orbit for about two weeks.
-_VALID_DAYS: Final = 14.0
+_VALID_DAYS = 14.0
 # A line of elements: 69 characters, the last one a checksum.
-_LINE_LENGTH: Final = 69
+_LINE_LENGTH = 69
 # Relative speed of a satellite and the ground at most, km/s.
-_FASTEST_KM_PER_S: Final = 12.0
+_FASTEST_KM_PER_S = 12.0
 
 
 class EarthFrames(Protocol):

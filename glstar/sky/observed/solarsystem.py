@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import asin, atan2, cos, degrees, exp, log10, pi, sin, sqrt
 from types import MappingProxyType
-from typing import Final
 
 import erfa
 import numpy as np
@@ -31,40 +30,38 @@ from glstar.sky.place.timescale import JulianDate, centuries_since_j2000, tt_jul
 from glstar.system.resources import asset
 
 # V of the Sun at 1 au.
-_SUN_VMAG: Final = -26.75
+_SUN_VMAG = -26.75
 # V of the full Moon at its mean distance and 1 au from the Sun, and that distance, km: Allen's law.
-_FULL_MOON_VMAG: Final = -12.73
-_MEAN_MOON_KM: Final = 384400.0
+_FULL_MOON_VMAG = -12.73
+_MEAN_MOON_KM = 384400.0
 
 # Coefficients of powers of the phase angle in degrees, with the constant first.
-_MERCURY: Final = (-0.613, 6.3280e-2, -1.6336e-3, 3.3644e-5, -3.4265e-7, 1.6893e-9, -3.0334e-12)
-_VENUS: Final = (-4.384, -1.044e-3, 3.687e-4, -2.814e-6, 8.938e-9)
-_VENUS_CRESCENT: Final = (236.05828, -2.81914, 8.39034e-3)  # above 163.7 deg
-_MARS: Final = (-1.601, 2.267e-2, -1.302e-4)
-_MARS_GIBBOUS: Final = (-0.367, -0.02573, 3.445e-4)  # above 50 deg, not seen from the Earth
-_JUPITER: Final = (-9.395, -3.7e-4, 6.16e-4)
+_MERCURY = (-0.613, 6.3280e-2, -1.6336e-3, 3.3644e-5, -3.4265e-7, 1.6893e-9, -3.0334e-12)
+_VENUS = (-4.384, -1.044e-3, 3.687e-4, -2.814e-6, 8.938e-9)
+_VENUS_CRESCENT = (236.05828, -2.81914, 8.39034e-3)  # above 163.7 deg
+_MARS = (-1.601, 2.267e-2, -1.302e-4)
+_MARS_GIBBOUS = (-0.367, -0.02573, 3.445e-4)  # above 50 deg, not seen from the Earth
+_JUPITER = (-9.395, -3.7e-4, 6.16e-4)
 
 # North poles of rotation, J2000, deg: the IAU's working group on cartographic coordinates.
-_SATURN_POLE: Final = direction(np.deg2rad(40.589), np.deg2rad(83.537))
-_URANUS_POLE: Final = direction(np.deg2rad(257.311), np.deg2rad(-15.175))
+_SATURN_POLE = direction(np.deg2rad(40.589), np.deg2rad(83.537))
+_URANUS_POLE = direction(np.deg2rad(257.311), np.deg2rad(-15.175))
 
 # The astronomical unit, IAU 2012 resolution B2.
-AU_KM: Final = 149597870.7
+AU_KM = 149597870.7
 # The speed of light, 299792.458 km/s.
-LIGHT_KM_PER_DAY: Final = 299792.458 * 86400
+LIGHT_KM_PER_DAY = 299792.458 * 86400
 
 # The planets, with their numbers in ERFA's `plan94`.
-PLANETS: Final = MappingProxyType(
-    {"Mercury": 1, "Venus": 2, "Mars": 4, "Jupiter": 5, "Saturn": 6, "Uranus": 7, "Neptune": 8}
-)
+PLANETS = MappingProxyType({"Mercury": 1, "Venus": 2, "Mars": 4, "Jupiter": 5, "Saturn": 6, "Uranus": 7, "Neptune": 8})
 
-_FILE: Final = "ephemeris.npz"
+_FILE = "ephemeris.npz"
 
 # All bodies in their order in tables and truth.
-BODIES: Final = ("Sun", "Moon", *PLANETS)
+BODIES = ("Sun", "Moon", *PLANETS)
 
 # Equatorial radii, km: IAU 2015 resolution B3 for the Sun, the IAU's working group on cartographic coordinates (2009).
-_RADIUS_KM: Final = MappingProxyType(
+_RADIUS_KM = MappingProxyType(
     {
         "Sun": 695700.0,
         "Moon": 1737.4,
@@ -78,9 +75,9 @@ _RADIUS_KM: Final = MappingProxyType(
     }
 )
 # Light from Neptune is 4 h old; its place then is known to a millimetre after three iterations.
-_LIGHT_TIME_ITERATIONS: Final = 3
+_LIGHT_TIME_ITERATIONS = 3
 # Closest angle to the Sun for which light is deflected, as in ERFA's manual: 1e-6 rad^2 / 2.
-_DEFLECTION_LIMIT: Final = 1e-6
+_DEFLECTION_LIMIT = 1e-6
 
 
 def sun_vmag(distance_au: float) -> float:

@@ -9,7 +9,7 @@ Apparent places are geocentric.  `glstar.sky.place.horizon` has the effects of t
 """
 
 from abc import ABC, abstractmethod
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import erfa
 import numpy as np
@@ -19,7 +19,7 @@ from glstar.arrays import Float
 from glstar.rotation import about_x, about_y, about_z
 from glstar.sky.place.timescale import centuries_since_j2000, mean_sidereal_time_rad, tt_julian_date, ut1_julian_date
 
-ARCSEC_RAD: Final = np.pi / 648000
+ARCSEC_RAD = np.pi / 648000
 
 # The constant of aberration, rad.
 _KAPPA_RAD = 20.49552 * ARCSEC_RAD
@@ -133,7 +133,7 @@ class ErfaAstrometry(Astrometry):
         return float(erfa.gst06a(*ut1_julian_date(utc_s, dut1_s), *tt_julian_date(utc_s)))
 
 
-ASTROMETRY: Final[dict[Literal["paper", "erfa"], Astrometry]] = {"paper": PaperAstrometry(), "erfa": ErfaAstrometry()}
+ASTROMETRY: dict[Literal["paper", "erfa"], Astrometry] = {"paper": PaperAstrometry(), "erfa": ErfaAstrometry()}
 
 
 def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:

@@ -11,7 +11,6 @@ from functools import cached_property, lru_cache
 from math import acos, cos, radians, sin, sqrt
 from os import PathLike
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,10 +27,10 @@ _EARTH_RADIUS_M = 6371000.0
 # Curvature of a nearly horizontal ray over that of the Earth.
 _RAY_CURVATURE = 1 / 7
 
-_KEY: Final = "sky.horizon"
-_COLUMNS: Final = ("azimuth_deg", "altitude_deg")
+_KEY = "sky.horizon"
+_COLUMNS = ("azimuth_deg", "altitude_deg")
 # Altitudes, deg: the lowest is below the dip of the horizon at any height of an aircraft.
-_ALTITUDES_DEG: Final = (-10.0, 80.0)
+_ALTITUDES_DEG = (-10.0, 80.0)
 
 
 def hour_angle_rad(local_sidereal_time_rad: ArrayLike, ra_rad: ArrayLike) -> Float:

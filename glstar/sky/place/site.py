@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from math import asin, hypot, isfinite, pi
-from typing import Final
 
 import erfa
 import numpy as np
@@ -17,12 +16,12 @@ STANDARD_PRESSURE_HPA = 1010.0
 STANDARD_TEMPERATURE_C = 10.0
 
 # Valid ranges: heights from below the Dead Sea to space, and the pressures and temperatures of the atmosphere.
-HEIGHTS_M: Final = (-1000.0, 100_000.0)
-PRESSURES_HPA: Final = (0.0, 1200.0)
-TEMPERATURES_C: Final = (-120.0, 100.0)
+HEIGHTS_M = (-1000.0, 100_000.0)
+PRESSURES_HPA = (0.0, 1200.0)
+TEMPERATURES_C = (-120.0, 100.0)
 
 # ERFA's number of the ellipsoid.
-_WGS84: Final = 1
+_WGS84 = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from math import floor, radians
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import erfa
 import numpy as np
@@ -26,7 +26,7 @@ from glstar.arrays import Float
 from glstar.errors import ConfigError
 
 # Times with a smaller difference, s, are equal: the resolution of a float64 for today's seconds since 1970 is 0.24 us.
-CLOCK_GRAIN_S: Final = 1e-6
+CLOCK_GRAIN_S = 1e-6
 
 UNIX_EPOCH_JD = 2440587.5
 _J2000_JD = 2451545.0
@@ -36,24 +36,24 @@ _FIRST_S = -5364662400.0  # 1800-01-01
 _LAST_S = 7258118400.0  # 2200-01-01
 # Limit of all times, s, slightly larger because a flight may start or end outside that range.
 _FARTHEST_S = 7.26e9
-_LEAP_SECOND: Final = re.compile(r"(?P<before>.*[T ]\d\d:?\d\d:?)60(?P<after>([.,]\d+)?(Z|[+-]\d\d(:?\d\d)?)?)")
+_LEAP_SECOND = re.compile(r"(?P<before>.*[T ]\d\d:?\d\d:?)60(?P<after>([.,]\d+)?(Z|[+-]\d\d(:?\d\d)?)?)")
 _TT_MINUS_TAI_S = 32.184
 _JULIAN_CENTURY_DAYS = 36525.0
 
 JulianDate = tuple[float, float]
 
-_PACKAGE: Final = "astropy_iers_data"
-_DISTRIBUTION: Final = "astropy-iers-data"
-_TABLE: Final = "finals2000A.all"
-_UNIX_EPOCH_MJD: Final = 40587.0
-_ARCSEC_RAD: Final = np.pi / 648000
+_PACKAGE = "astropy_iers_data"
+_DISTRIBUTION = "astropy-iers-data"
+_TABLE = "finals2000A.all"
+_UNIX_EPOCH_MJD = 40587.0
+_ARCSEC_RAD = np.pi / 648000
 
 # Columns of finals2000A.all, from 0: first the final values of Bulletin B, which exist up to a few months ago, then the
 # rapid and predicted values of Bulletin A.
-_MJD: Final = slice(7, 15)
-_X_POLE_ARCSEC: Final = (slice(134, 144), slice(18, 27))
-_Y_POLE_ARCSEC: Final = (slice(144, 154), slice(37, 46))
-_DUT1_S: Final = (slice(154, 165), slice(58, 68))
+_MJD = slice(7, 15)
+_X_POLE_ARCSEC = (slice(134, 144), slice(18, 27))
+_Y_POLE_ARCSEC = (slice(144, 154), slice(37, 46))
+_DUT1_S = (slice(154, 165), slice(58, 68))
 
 GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
 WEEK_S = 604800.0

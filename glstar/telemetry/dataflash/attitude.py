@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,22 +28,22 @@ _YAW_RESET_EVENT = 62
 _YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete|reset)", re.IGNORECASE)
 
 # The estimator of ATT, by ATT.AEKF.
-_NAMES: Final = {0: "DCM", 2: "EKF2", 3: "EKF3", 10: "the simulator's", 11: "an external AHRS"}
-_MESSAGES: Final = {2: ("NKQ", "XKQ", "ATT"), 3: ("XKQ", "NKQ", "ATT")}
+_NAMES = {0: "DCM", 2: "EKF2", 3: "EKF3", 10: "the simulator's", 11: "an external AHRS"}
+_MESSAGES = {2: ("NKQ", "XKQ", "ATT"), 3: ("XKQ", "NKQ", "ATT")}
 _UNKNOWN = _MESSAGES[3]
 _NO_EKF = ("ATT", "XKQ", "NKQ")
 
 # Differences between two estimates from this on are reported, deg: 1 deg is 68 px at f = 3871 px.
-_REPORTED_DEG: Final = 1.0
+_REPORTED_DEG = 1.0
 # Attitudes are compared if they were logged within this time, s.
-_TOGETHER_S: Final = 0.05
+_TOGETHER_S = 0.05
 # For differences in a part of the flight only, s: at 200 deg/s an aircraft turns by a degree in 5 ms.
-_AT_ONCE_S: Final = 0.002
+_AT_ONCE_S = 0.002
 # Those are reported from this number of samples and from this fraction of them on.
-_FEWEST: Final = 20
-_RARELY: Final = 0.01
+_FEWEST = 20
+_RARELY = 0.01
 # A shorter loss of samples is not reported, s.
-_REPORTED_S: Final = 1.0
+_REPORTED_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

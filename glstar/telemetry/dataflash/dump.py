@@ -18,7 +18,6 @@ from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -37,7 +36,7 @@ _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])Time(US|MS)((?P=separator)|
 _SOUGHT = ("ATT", "XKQ", "NKQ", "XKF4", "NKF4", "POS", "GPS", "GPA", "IMU", "GYR", "EV", "MSG", "VER", "AHR2", "SIM")
 _NAMED = re.compile(rf"(?<![A-Za-z0-9])(?:{'|'.join(_SOUGHT)})(?![A-Za-z0-9])", re.IGNORECASE)
 # Messages by their fields, for files whose name does not contain the message; the first match is used.
-_BY_FIELDS: Final = (
+_BY_FIELDS = (
     ("XKQ", {"C", "Q1", "Q2", "Q3", "Q4"}),
     ("AHR2", {"Roll", "Pitch", "Yaw", "Lat", "Lng"}),
     ("ATT", {"Roll", "Pitch", "Yaw"}),
@@ -46,7 +45,7 @@ _BY_FIELDS: Final = (
     ("POS", {"Lat", "Lng", "Alt"}),
     ("IMU", {"GyrX", "GyrY", "GyrZ"}),
 )
-_TEXT: Final = {"MSG": "Message", "VER": "FWS"}
+_TEXT = {"MSG": "Message", "VER": "FWS"}
 _ATTITUDES = {"XKQ", "NKQ", "ATT", "AHR2", "SIM"}
 # Output of mavlogdump, also in the file, if a log does not have a message.
 _NOT_FOUND = "Specified type"

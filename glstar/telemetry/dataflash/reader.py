@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -42,7 +41,7 @@ _UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS o
 _NEARLY_ALL = 0.95
 
 # Roll and pitch against the horizon, deg; the yaw against the aircraft's heading and against north, deg.
-_ANGLES: Final = ("Roll", "Pitch", "YawB", "YawE")
+_ANGLES = ("Roll", "Pitch", "YawB", "YawE")
 # Messages by which reboots are detected: those that are logged at a steady rate.
 _CLOCKED = ["ATT", "AHR2", "SIM", "POS", "GPS"]
 _CLOCKED += [f"{name}{number}" for name in ("XKQ", "NKQ", "IMU", "GYR") for number in ("", 1, 2, 3)]
@@ -71,7 +70,7 @@ _BY_PARAMETER = {
     "JS_GAIN_DEFAULT": "ArduSub",
 }
 # Records of a triggered camera, the most exact one first.
-_TRIGGERS: Final = ("CAM", "TRIG")
+_TRIGGERS = ("CAM", "TRIG")
 
 
 def is_dataflash(head: bytes) -> bool:

@@ -1,7 +1,6 @@
 """The clock of an autopilot in a telemetry log: its boots, and UTC for each of them."""
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from glstar.telemetry.mavlink.packets import (
 from glstar.telemetry.source import Boot, spikes
 
 # Messages with the time since boot, besides HIL_STATE_QUATERNION.
-_TIMED: Final = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")
+_TIMED = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")
 # A larger step back of the time since boot is a reboot, s; packets overtake each other by less.
 _REBOOT_S = 5.0
 # A single time that differs by more from its neighbours is damaged, s.

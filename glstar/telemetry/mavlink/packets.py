@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,7 +24,7 @@ Sender = tuple[int, int]
 
 # The messages that are read, by number: name and fields.
 _IMU = ("time_boot_ms", "xgyro", "ygyro", "zgyro")
-MESSAGES: Final = {
+MESSAGES = {
     0: ("HEARTBEAT", ("autopilot", "type")),
     2: ("SYSTEM_TIME", ("time_boot_ms", "time_unix_usec")),
     24: ("GPS_RAW_INT", ("fix_type", "lat", "lon", "alt")),
@@ -48,21 +48,21 @@ MESSAGES: Final = {
     265: ("MOUNT_ORIENTATION", ("time_boot_ms", "roll", "pitch", "yaw")),
     285: ("GIMBAL_DEVICE_ATTITUDE_STATUS", ("time_boot_ms", "flags", *(f"q[{k}]" for k in range(4)))),
 }
-_NUMBERS: Final = {name: number for number, (name, _) in MESSAGES.items()}
+_NUMBERS = {name: number for number, (name, _) in MESSAGES.items()}
 
 # Messages that are needed more than once, and are decoded once.
-_KEPT: Final = {"HEARTBEAT", "STATUSTEXT"}
+_KEPT = {"HEARTBEAT", "STATUSTEXT"}
 # Messages that only ArduPilot's dialect has.
-_OF_ARDUPILOT: Final = {"CAMERA_FEEDBACK", "MOUNT_STATUS"}
+_OF_ARDUPILOT = {"CAMERA_FEEDBACK", "MOUNT_STATUS"}
 # Messages with attitude.  The last one is a simulator's own state, used if a system sends neither of the others.
-QUATERNION: Final = "ATTITUDE_QUATERNION"
-EULER: Final = "ATTITUDE"
-HIL_STATE: Final = "HIL_STATE_QUATERNION"
+QUATERNION = "ATTITUDE_QUATERNION"
+EULER = "ATTITUDE"
+HIL_STATE = "HIL_STATE_QUATERNION"
 
 # The columns of a packet: position in the file, arrival time, sender, and the fields of the message from the last on.
 AT, STAMP, SYSTEM, COMPONENT, FIELDS_FROM = range(5)
 # MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
-NO_AUTOPILOT: Final = 8
+NO_AUTOPILOT = 8
 
 
 class Packets(Protocol):

@@ -37,7 +37,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -63,14 +63,14 @@ from glstar.telemetry.mavlink.packets import (
 )
 
 # Messages with gyro rates, and their unit, rad/s.  Of equally frequent ones the first is used.
-_GYROS: Final = {"HIGHRES_IMU": 1.0, "SCALED_IMU": 1e-3, "RAW_IMU": 1e-3, "SCALED_IMU2": 1e-3, "SCALED_IMU3": 1e-3}
+_GYROS = {"HIGHRES_IMU": 1.0, "SCALED_IMU": 1e-3, "RAW_IMU": 1e-3, "SCALED_IMU2": 1e-3, "SCALED_IMU3": 1e-3}
 # The status text with the firmware at start-up: "ArduSub V4.1.1 BETA5 (66c674c1)".
 _BANNER = re.compile(r"([A-Z]\w+) V(\d+\.\d+\S*.*)", re.ASCII)
 # MAV_COMP_ID_AUTOPILOT1.
 _FIRST_AUTOPILOT = 1
 
 # Messages of a triggered camera, the most exact one first.
-_TRIGGERS: Final = ("CAMERA_FEEDBACK", "CAMERA_TRIGGER")
+_TRIGGERS = ("CAMERA_FEEDBACK", "CAMERA_TRIGGER")
 # A shorter loss of samples is not reported, s.
 _REPORTED_S = 1.0
 _FIX_3D = 3
@@ -397,10 +397,10 @@ _SIGNED = 0x01
 # Bytes of a packet besides its payload, by version, and those of a signature.
 _V1_BYTES, _V2_BYTES, _SIGNATURE_BYTES = 8, 12, 13
 # Number of consecutive packets that are not there by chance.
-_ROW: Final = 5
+_ROW = 5
 # First of the arrival times that are given to a stream, UTC seconds since 1970.
-_START_S: Final = source.YEAR_2010_S + 86400.0
-_AUTOPILOT: Final = 1
+_START_S = source.YEAR_2010_S + 86400.0
+_AUTOPILOT = 1
 
 
 def is_mavlink_stream(head: bytes) -> bool:

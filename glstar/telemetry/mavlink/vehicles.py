@@ -7,7 +7,6 @@ MOUNT_ORIENTATION, MOUNT_STATUS and mount_orientation have the latter.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,15 +17,15 @@ from glstar.telemetry.mavlink.clock import VehicleClock
 from glstar.telemetry.mavlink.packets import COMPONENT, FIELDS_FROM, SYSTEM, Packets, Sender
 from glstar.telemetry.source import GimbalSamples, unit_quaternions, valid_times
 
-GIMBAL_STATUS: Final = "GIMBAL_DEVICE_ATTITUDE_STATUS"
+GIMBAL_STATUS = "GIMBAL_DEVICE_ATTITUDE_STATUS"
 # The best one first: of several, only the first is used.
-GIMBAL_MESSAGES: Final = (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS")
+GIMBAL_MESSAGES = (GIMBAL_STATUS, "MOUNT_ORIENTATION", "MOUNT_STATUS")
 # Bits of GIMBAL_DEVICE_FLAGS.
 _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 
 # Autopilots, by MAV_AUTOPILOT.
 ARDUPILOT, PX4 = 3, 12
-_AUTOPILOTS: Final = {
+_AUTOPILOTS = {
     ARDUPILOT: "ArduPilot",
     PX4: "PX4",
     4: "OpenPilot",
@@ -36,7 +35,7 @@ _AUTOPILOTS: Final = {
 }
 
 # Kinds of aircraft, by MAV_TYPE.
-_KINDS: Final = {
+_KINDS = {
     1: "fixed wing",
     2: "quadrotor",
     3: "coaxial helicopter",
@@ -65,7 +64,7 @@ _KINDS: Final = {
     35: "decarotor",
 }
 # ArduPilot firmware by kind of vehicle.
-_ARDUPILOT_FIRMWARE: Final = {
+_ARDUPILOT_FIRMWARE = {
     "fixed wing": "ArduPlane",
     "VTOL": "ArduPlane",
     "antenna tracker": "AntennaTracker",
@@ -77,7 +76,7 @@ _ARDUPILOT_FIRMWARE: Final = {
     **dict.fromkeys(("coaxial helicopter", "helicopter"), "ArduCopter"),
 }
 # Release stage by the last byte of a version.
-_STAGES: Final = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
+_STAGES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
 
 
 def vehicle_kind(mav_type: ArrayLike | None) -> str | None:
@@ -107,13 +106,13 @@ def version(number: int) -> str:
 
 
 # ArduPlane/mode.h, ArduCopter/mode.h, Rover/mode.h and ArduSub/mode.h of ArduPilot 4.6.
-_PLANE: Final = {
+_PLANE = {
     **dict(enumerate(("MANUAL", "CIRCLE", "STABILIZE", "TRAINING", "ACRO", "FBWA", "FBWB", "CRUISE", "AUTOTUNE"))),
     **dict(enumerate(("AUTO", "RTL", "LOITER", "TAKEOFF", "AVOID_ADSB", "GUIDED", "INITIALISING"), 10)),
     **dict(enumerate(("QSTABILIZE", "QHOVER", "QLOITER", "QLAND", "QRTL", "QAUTOTUNE", "QACRO", "THERMAL"), 17)),
     **dict(enumerate(("LOITERALTQLAND", "AUTOLAND"), 25)),
 }
-_COPTER: Final = {
+_COPTER = {
     **dict(enumerate(("STABILIZE", "ACRO", "ALT_HOLD", "AUTO", "GUIDED", "LOITER", "RTL", "CIRCLE", "POSITION"))),
     **dict(enumerate(("LAND", "OF_LOITER", "DRIFT"), 9)),
     **dict(enumerate(("SPORT", "FLIP", "AUTOTUNE", "POSHOLD", "BRAKE", "THROW", "AVOID_ADSB", "GUIDED_NOGPS"), 13)),
@@ -121,21 +120,21 @@ _COPTER: Final = {
     28: "TURTLE",
     29: "RATE_ACRO",
 }
-_ROVER: Final = {
+_ROVER = {
     **dict(enumerate(("MANUAL", "ACRO", "LEARNING", "STEERING", "HOLD", "LOITER", "FOLLOW"))),
     **dict(enumerate(("SIMPLE", "DOCK", "CIRCLE"), 7)),
     **dict(enumerate(("AUTO", "RTL", "SMART_RTL"), 10)),
     15: "GUIDED",
     16: "INITIALISING",
 }
-_SUB: Final = {
+_SUB = {
     **dict(enumerate(("STABILIZE", "ACRO", "ALT_HOLD", "AUTO", "GUIDED"))),
     7: "CIRCLE",
     9: "SURFACE",
     16: "POSHOLD",
     19: "MANUAL",
 }
-_ARDUPILOT: Final[Mapping[str, Mapping[int, str]]] = {
+_ARDUPILOT: Mapping[str, Mapping[int, str]] = {
     "ArduPlane": _PLANE,
     "ArduCopter": _COPTER,
     "Rover": _ROVER,
@@ -143,7 +142,7 @@ _ARDUPILOT: Final[Mapping[str, Mapping[int, str]]] = {
     "ArduSub": _SUB,
 }
 # vehicle_status.nav_state of PX4: msg/VehicleStatus.msg.
-_NAVIGATION: Final = {
+_NAVIGATION = {
     **dict(enumerate(("Manual", "Altitude", "Position", "Mission", "Hold", "Return"))),
     10: "Acro",
     12: "Descend",
@@ -153,11 +152,11 @@ _NAVIGATION: Final = {
     **dict(enumerate(("Takeoff", "Land", "Follow", "Precision land", "Orbit", "VTOL takeoff"), 17)),
 }
 # Main mode of PX4's custom_mode, and the sub-modes of AUTO: px4_custom_mode.h.
-_PX4_AUTO: Final = 4
-_PX4_MAIN: Final = dict(
+_PX4_AUTO = 4
+_PX4_MAIN = dict(
     enumerate(("Manual", "Altitude", "Position", "Auto", "Acro", "Offboard", "Stabilized", "Rattitude", "Simple"), 1)
 )
-_PX4_SUB: Final = dict(
+_PX4_SUB = dict(
     enumerate(("Ready", "Takeoff", "Hold", "Mission", "Return", "Land", "Reserved", "Follow", "Precision land"), 1)
 )
 

@@ -15,7 +15,7 @@ from enum import StrEnum
 from itertools import chain, islice
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any, Final, Literal, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,19 +26,19 @@ from glstar.sky.place.timescale import parse_utc
 
 Cells = Sequence[Any] | NDArray[Any]
 
-_SEPARATORS: Final = ",;\t|"
+_SEPARATORS = ",;\t|"
 # Cells without a value.
-_EMPTY: Final = {"", "nan", "na", "n/a", "none", "null", "-"}
+_EMPTY = {"", "nan", "na", "n/a", "none", "null", "-"}
 # Longest header, bytes: blackbox and DJI tables have hundreds of columns.
-_HEADER_BYTES: Final = 65536
+_HEADER_BYTES = 65536
 # First bytes of an Excel workbook, and names of its first members.
-_ZIP: Final = b"PK\x03\x04"
-_OFFICE_MARKS: Final = (b"[Content_Types].xml", b"docProps/", b"xl/")
-_PARQUET: Final = b"PAR1"
+_ZIP = b"PK\x03\x04"
+_OFFICE_MARKS = (b"[Content_Types].xml", b"docProps/", b"xl/")
+_PARQUET = b"PAR1"
 # A number that can only have a decimal comma: 1,024 may as well be a thousand.
-_DECIMAL_COMMA: Final = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
+_DECIMAL_COMMA = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
 # Largest deviation of the norm of a quaternion from 1, for components with two decimals.
-UNIT_TOLERANCE: Final = 0.02
+UNIT_TOLERANCE = 0.02
 # Number of rows that are held as text before they are converted: numbers need a tenth of the memory.
 ROWS_AT_ONCE = 1000
 # First characters of a number or a time.
@@ -48,7 +48,7 @@ _LIST_ITEM = re.compile(r"(.+)\[(\d+)\]")
 # 1,5 in a table with another separator.
 _ANY_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 # Date and time of day as DJI's programs write them: 10/16/2024 or 2024-10-16, and 2:23:51.84 PM.
-_TWELVE_HOURS: Final = re.compile(
+_TWELVE_HOURS = re.compile(
     r"((?P<american>\d{1,2}/\d{1,2}/\d{4})|(?P<iso>\d{4}[-/]\d{2}[-/]\d{2})) +(?P<hour>\d{1,2}):"
     r"(?P<minutes>\d{2}:\d{2})(?P<fraction>([.,]\d+)?) *(?P<half>[AaPp])\.?[Mm]\.?"
 )

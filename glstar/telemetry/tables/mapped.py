@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from math import nan
 from os import PathLike
-from typing import Any, Final, Literal, Self, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -27,26 +27,26 @@ from glstar.telemetry import source
 from glstar.telemetry.tables.files import UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
 
 # Size limit of a map, bytes.
-_LARGEST_BYTES: Final = 2**20
-_ASSET: Final = "columnmaps.toml"
+_LARGEST_BYTES = 2**20
+_ASSET = "columnmaps.toml"
 
 # Units of angles, rad.
-_ANGLES_RAD: Final = {"deg": 0.017453292519943295, "rad": 1.0, "decideg": 0.0017453292519943296}
+_ANGLES_RAD = {"deg": 0.017453292519943295, "rad": 1.0, "decideg": 0.0017453292519943296}
 
-_UNITS_S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_PLACE_RAD: Final = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
-_FOOT_M: Final = 0.3048
+_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_PLACE_RAD = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
+_FOOT_M = 0.3048
 # Readings of UTC with whole seconds: each is early by up to a second.
-_WHOLE_S: Final = 1e-6
+_WHOLE_S = 1e-6
 
 # Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
-_HALF: Final = float(np.sqrt(0.5))
-_Q_WORLD_NED: Final = {
+_HALF = float(np.sqrt(0.5))
+_Q_WORLD_NED = {
     "NED": np.array([1.0, 0.0, 0.0, 0.0]),
     "ENU": np.array([0.0, _HALF, _HALF, 0.0]),
     "NWU": np.array([0.0, 1.0, 0.0, 0.0]),
 }
-_Q_FRD_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
+_Q_FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])
 
 Names = tuple[str, ...]
 World = Literal["NED", "ENU", "NWU"]
@@ -205,7 +205,7 @@ def _listed(value: str) -> str | list[str]:
 
 
 # glstar's own columns, for tables that are no CSV.
-_GLSTAR_MAP: Final = ColumnMap(
+_GLSTAR_MAP = ColumnMap(
     title="table",
     time=("utc_s",),
     utc=("utc",),
@@ -219,7 +219,7 @@ _GLSTAR_MAP: Final = ColumnMap(
     pitch_rate=("pitch_rate_deg_per_s",),
     yaw_rate=("yaw_rate_deg_per_s",),
 )
-_GLSTAR_QUATERNION: Final = replace(
+_GLSTAR_QUATERNION = replace(
     _GLSTAR_MAP, roll=(), pitch=(), yaw=(), quaternion=("qw", "qx", "qy", "qz"), rotates="world_to_body"
 )
 

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from statistics import median
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,15 +16,15 @@ from glstar.render.truth.conditions import conditions_report
 from glstar.viewer.flight.traces import FlightLines
 
 # Interval at which the timeline gets a new copy of the link's buffer, s.
-_REFRESH_S: Final = 0.5
+_REFRESH_S = 0.5
 # Largest change of UTC minus boot time, s, that is drift; a larger one is a reboot or another clock.
-_CLOCK_STEP_S: Final = 1.0
+_CLOCK_STEP_S = 1.0
 # Age of the latest attitude, s, above which the sky is shown as out of date.
-_STALE_S: Final = 1.0
+_STALE_S = 1.0
 # Number of images in the median latency.
-_LATENCIES: Final = 60
+_LATENCIES = 60
 # Number of events that are kept for the panel.
-_EVENTS: Final = 100
+_EVENTS = 100
 
 
 class Buffered(NamedTuple):

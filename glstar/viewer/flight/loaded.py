@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
@@ -26,7 +26,7 @@ from glstar.viewer.flight.traces import FlightLines
 from glstar.viewer.overlays.table import Overlays
 
 # Keys of [flight] among whose values a user chooses: they do not change the choice.
-_CHOSEN: Final = {"attitude": "auto", "interpolation": "slerp", "time_offset_s": 0.0}
+_CHOSEN = {"attitude": "auto", "interpolation": "slerp", "time_offset_s": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +110,13 @@ class InputField(NamedTuple):
     is_required: bool = True
 
 
-_UTC: Final = InputField("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
-_SITE: Final = (
+_UTC = InputField("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
+_SITE = (
     InputField("latitude_deg", "latitude, deg", "-34.93 (south is negative)"),
     InputField("longitude_deg", "longitude, deg", "138.60 (west is negative)"),
     InputField("height_m", "height, m", "0 if left empty", is_required=False),
 )
-SITE_KEYS: Final = tuple(each.key for each in _SITE)
+SITE_KEYS = tuple(each.key for each in _SITE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +183,7 @@ def _number(field: InputField, text: str) -> float:
 
 
 # Seconds of a live flight taken from the link before the exposure: gaps are detected by its usual sample interval.
-BEFORE_EXPOSURE_S: Final = 5.0
+BEFORE_EXPOSURE_S = 5.0
 
 
 @dataclass(slots=True, eq=False)

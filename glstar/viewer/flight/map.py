@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, cos, floor, hypot, log10, pi, sin
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ from glstar.sky.place.site import Site, geocentric_m, north_east_down_m, semi_ax
 from glstar.system.resources import asset
 
 # Points on each side of the image's border: near the zenith, azimuths change fast from point to point.
-_BORDER_POINTS: Final = 128
-_UP_AND_DOWN_NED: Final = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+_BORDER_POINTS = 128
+_UP_AND_DOWN_NED = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 
 def image_azimuths_rad(camera: Camera, C_camera_ned: Float) -> tuple[float, float]:
@@ -59,7 +59,7 @@ def image_border(camera: Camera) -> Float:
 
 
 # Interval over which speeds are measured, s: GPS positions come five times a second at most.
-_SPEED_INTERVAL_S: Final = 1.0
+_SPEED_INTERVAL_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +145,7 @@ def _speeds_m_per_s(flight: Flight, utc_s: float) -> tuple[float, float]:
 
 
 # Points around the horizon.
-_HORIZON_POINTS: Final = 721
+_HORIZON_POINTS = 721
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,14 +207,14 @@ def _tangent_points(eye: Float) -> Float:
 
 
 # Steps of the coordinates in the asset.
-_PER_DEG: Final = 100
+_PER_DEG = 100
 # Largest number of points of a part of a coastline, which is drawn or not.
-_PART_POINTS: Final = 64
-_EARTH_M: Final = float(np.mean(semi_axes_m()))
+_PART_POINTS = 64
+_EARTH_M = float(np.mean(semi_axes_m()))
 # Smallest and largest distance of the lines of a graticule, deg; lines across the map; and points of a line.
-_STEPS_DEG: Final = (*(m * 10.0**e for e in range(-5, 1) for m in (1, 2, 5)), 10.0, 15.0, 30.0)
-_LINES: Final = 4
-_LINE_POINTS: Final = 129
+_STEPS_DEG = (*(m * 10.0**e for e in range(-5, 1) for m in (1, 2, 5)), 10.0, 15.0, 30.0)
+_LINES = 4
+_LINE_POINTS = 129
 
 
 class MapLimits(NamedTuple):

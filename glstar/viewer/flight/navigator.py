@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from glstar.viewer.flight.loaded import BEFORE_EXPOSURE_S, LoadedFlight
 from glstar.viewer.overlays.belief import Belief, PlacedAnswer
 
 # Answers of a live link that are kept.
-_MOST_ANSWERS: Final = 1000
+_MOST_ANSWERS = 1000
 
 
 class NavigatorView:

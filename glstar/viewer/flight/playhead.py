@@ -8,7 +8,6 @@ from bisect import bisect_left, bisect_right, insort
 from dataclasses import replace
 from enum import StrEnum
 from math import ceil, copysign, floor, frexp, isfinite, isnan
-from typing import Final
 
 from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
@@ -64,8 +63,8 @@ def _seconds_of(match: re.Match[str]) -> float:
 
 
 # Limits of the speed: seconds of flight per second of the clock.
-SLOWEST: Final = 0.125
-FASTEST: Final = 32.0
+SLOWEST = 0.125
+FASTEST = 32.0
 
 
 class Mode(StrEnum):

@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
 from threading import Event
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,10 @@ from glstar.viewer.flight.traces import TimelineCurve
 from glstar.viewer.skyobjects import star_signal_to_noise
 
 # Number of exposures along the flight, and the strides in which they are composed: coarse first.
-_COUNT: Final = 241
-_STRIDES: Final = (16, 8, 4, 2, 1)
+_COUNT = 241
+_STRIDES = (16, 8, 4, 2, 1)
 # Pause after each exposure, s, so that the window's thread is not kept waiting.
-_PAUSE_S: Final = 0.002
+_PAUSE_S = 0.002
 
 
 class _Wanted(NamedTuple):
@@ -131,9 +131,9 @@ def _sampled(simulator: Simulator, exposure: Exposure, star_id: int | None) -> t
 
 
 # Interval of the times for which the Sun is computed, s: between them its altitude is a line to 0.004 deg.
-_STEP_S: Final = 300.0
+_STEP_S = 300.0
 # Largest number of those times: 0.1 deg for a flight of four days.
-_MOST_TIMES: Final = 300
+_MOST_TIMES = 300
 
 
 def light_intervals(position: PositionTrack, first_s: float, last_s: float) -> dict[str, Float]:
@@ -161,7 +161,7 @@ def light_intervals(position: PositionTrack, first_s: float, last_s: float) -> d
 
 
 # Interval at which they are computed while the flight plays, s: a computation takes about 1 ms.
-_INTERVAL_S: Final = 0.5
+_INTERVAL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)

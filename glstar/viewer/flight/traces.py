@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from math import ceil, floor, inf, log2, log10
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +121,7 @@ def _corners(x: Float, y: Float, tolerance: float) -> list[int]:
 
 
 # The angles; the rates about forward, right and down are labelled alike.
-ANGLES: Final = ("roll", "pitch", "yaw")
+ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +162,7 @@ def _rates(attitude: AttitudeTrack, origin_s: float) -> tuple[Trace, ...]:
 
 
 # Interval over which speeds are measured, s: GPS positions come five times a second at most.
-_SPEED_INTERVAL_S: Final = 1.0
+_SPEED_INTERVAL_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ class TimelineCurve(StrEnum):
         return self in {TimelineCurve.STARS, TimelineCurve.LIMIT, TimelineCurve.SNR}
 
 
-_SPECS: Final = {
+_SPECS = {
     TimelineCurve.ATTITUDE: CurveSpec(
         "Attitude", "deg", ("roll", "pitch", "yaw"), "roll, pitch and yaw of the aircraft"
     ),

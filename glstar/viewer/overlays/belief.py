@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 from math import degrees, hypot
-from typing import Final
 
 import numpy as np
 
 from glstar.arrays import Float
 from glstar.camera.model import AttitudeError
 
-_ONE_DEGREE: Final = float(np.deg2rad(1.0))
+_ONE_DEGREE = float(np.deg2rad(1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import floor, hypot, log10
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,12 +70,12 @@ class Shapes:
 
 
 # Approximate size of a label on the screen, px, used to keep labels from overlapping; imgui draws the text.
-_CHARACTER_SCREEN_PX: Final = 7.5
-_LINE_SCREEN_PX: Final = 16.0
+_CHARACTER_SCREEN_PX = 7.5
+_LINE_SCREEN_PX = 16.0
 # Distance of a label from its position, screen px.
-GAP_SCREEN_PX: Final = 6.0
+GAP_SCREEN_PX = 6.0
 # Nine of ten arrows of residuals are at most this long, screen px, by default.
-_LONG_SCREEN_PX: Final = 60.0
+_LONG_SCREEN_PX = 60.0
 
 
 class Canvas:

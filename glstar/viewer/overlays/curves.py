@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from math import asin, ceil, pi, tan
-from typing import Final, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +22,16 @@ from glstar.sky.place.apparent import ASTROMETRY, direction
 from glstar.sky.place.horizon import HorizonProfile, ned_direction
 
 # Largest distance of a chord from its curve, px of the image.
-TOLERANCE_PX: Final = 0.2
+TOLERANCE_PX = 0.2
 
 # Limits of the length of chords, rad.  Without refraction and distortion a great circle is straight on the image, and
 # chords could have any length; short ones are culled better.
-_MAX_STEP_RAD: Final = np.deg2rad(5.0)
-_MIN_STEP_RAD: Final = np.deg2rad(0.2)
+_MAX_STEP_RAD = np.deg2rad(5.0)
+_MIN_STEP_RAD = np.deg2rad(0.2)
 
 # Upper bound of the curvature that refraction gives to a straight line, 1/rad: the second derivative of eq. (25) is
 # largest at the horizon, 3.2 per radian in standard air.
-REFRACTION_CURVATURE: Final = 4.0
+REFRACTION_CURVATURE = 4.0
 
 # Anchors of labels at the edge that a curve crosses: left, right, top, bottom (0 to 1 across and down the text).
 _ANCHOR_AT_EDGE = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 1.0]])
@@ -228,9 +228,9 @@ def _chained(ends: Float, new: NDArray[np.bool_], curve: NDArray[np.intp]) -> Po
 
 # Spacings of the grids: degrees of declination and altitude, minutes of right ascension.  The widest is used that is
 # at most the half diagonal of the image.
-_SPACINGS: Final = ((10, 60), (5, 20), (2, 10), (1, 5))
+_SPACINGS = ((10, 60), (5, 20), (2, 10), (1, 5))
 
-COMPASS_POINTS: Final = (
+COMPASS_POINTS = (
     "N",
     "NNE",
     "NE",
@@ -250,9 +250,9 @@ COMPASS_POINTS: Final = (
 )
 
 # The end of a constellation's line is a catalogue star if one lies within this angle; the farthest known is 9".
-_SAME_STAR_RAD: Final = np.deg2rad(15 / 3600)
+_SAME_STAR_RAD = np.deg2rad(15 / 3600)
 # Magnitude limit of those stars.
-_FIGURE_VMAG_LIMIT: Final = 7.0
+_FIGURE_VMAG_LIMIT = 7.0
 
 
 class Grids:

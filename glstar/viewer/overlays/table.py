@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
 from math import isfinite
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,14 +50,14 @@ from glstar.viewer.picture.fitting import TrailResiduals
 Rgba = tuple[int, int, int, int]
 
 # Ticks along a trail: every 1st, 2nd, 5th, 10th ... sub-exposure, at least this distance from each other.
-_TICK_SPACING_SCREEN_PX: Final = 6.0
+_TICK_SPACING_SCREEN_PX = 6.0
 # Length of a tick beyond the width of the trail, to either side.
-_TICK_SCREEN_PX: Final = 3.0
+_TICK_SCREEN_PX = 3.0
 # Number of the brightest visible stars whose trails have ticks.
-_TICKED_STARS: Final = 16
+_TICKED_STARS = 16
 
 # Largest number of saturated pixels that are marked; of more, every second, third ... one is marked.
-_MARKED_PIXELS: Final = 2000
+_MARKED_PIXELS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

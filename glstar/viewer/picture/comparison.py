@@ -11,7 +11,6 @@ from dataclasses import replace
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
 
 import cv2
 import numpy as np
@@ -33,8 +32,8 @@ Picture = NDArray[np.uint8]
 
 # Colours of pixels in which the real image is brighter or fainter than the simulated one.  Zero is black, so that equal
 # backgrounds vanish and eyes stay dark-adapted.  Both colours contain some green: pure blue would look fainter.
-MORE_RGB: Final = (1.0, 0.3, 0.2)
-LESS_RGB: Final = (0.2, 0.5, 1.0)
+MORE_RGB = (1.0, 0.3, 0.2)
+LESS_RGB = (0.2, 0.5, 1.0)
 
 
 class ComparisonMode(StrEnum):
@@ -55,7 +54,7 @@ class ComparisonMode(StrEnum):
     """The complete simulated image on the left, the complete real one on the right."""
 
 
-_LINEAR: Final = Stretch(StretchKind.LINEAR)
+_LINEAR = Stretch(StretchKind.LINEAR)
 
 
 def compose(

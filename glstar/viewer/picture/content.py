@@ -6,7 +6,7 @@ It is kept in a texture, or drawn straight onto the window while it keeps changi
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, floor
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from glstar.viewer.picture.view import ColourMap, ImageView, Stretch
 
 # Constants of display.frag; blinking shows one image or the other.
 _SIMULATED, _REAL = 0, 1
-_SHADER_MODE: Final = {ComparisonMode.WIPE: 2, ComparisonMode.DIFFERENCE: 3, ComparisonMode.SIDE_BY_SIDE: 4}
+_SHADER_MODE = {ComparisonMode.WIPE: 2, ComparisonMode.DIFFERENCE: 3, ComparisonMode.SIDE_BY_SIDE: 4}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,7 +201,7 @@ def _blank(width_px: int, height_px: int) -> FittedImage:
     return FittedImage(np.zeros((height_px, width_px), np.uint8), 0, 0, 0, 0)
 
 
-_NEVER: Final = ("never drawn",)
+_NEVER = ("never drawn",)
 
 
 class WindowPlace(NamedTuple):

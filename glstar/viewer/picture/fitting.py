@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,7 @@ class BackgroundRun(Generic[T]):
     """
 
     # Longest time that closing the window waits for the thread, s.
-    _JOIN_S: Final = 30.0
+    _JOIN_S = 30.0
 
     def __init__(self, name: str, work: Callable[[], T], cancelled: Event) -> None:
         self.result: T | None = None
@@ -238,7 +238,7 @@ class CalibrationProgress:
     digital number; `detected_px` (n, 2): detected stars; `step`: what is being done; `done`: number of steps done.
     """
 
-    STEPS: Final = 4
+    STEPS = 4
 
     def __init__(self) -> None:
         self.pixels: NDArray[np.uint16] | None = None

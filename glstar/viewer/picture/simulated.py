@@ -5,7 +5,7 @@ Its scene is composed on a thread of its own, and it is developed on the window'
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +37,13 @@ def why_not_processed(scene: Scene) -> str:
 
 
 # Attributes of a Simulator on which the noiseless image depends, besides exposure and sensor.
-_SIMULATOR_ATTRIBUTES: Final = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
+_SIMULATOR_ATTRIBUTES = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
 # A Sky compares by identity, because it holds arrays; two with these attributes equal give the same directions.
-_SKY_ATTRIBUTES: Final = ("catalogue", "astrometry", "dut1_s", "refraction")
+_SKY_ATTRIBUTES = ("catalogue", "astrometry", "dut1_s", "refraction")
 
 
 # Longest wait of a frame for a scene that is being composed, s: a scene takes a few ms, one of 100,000 stars tens.
-_COMPOSING_S: Final = 0.01
+_COMPOSING_S = 0.01
 
 
 class ImageRequest(NamedTuple):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -59,22 +59,22 @@ def _colours(colour_map: ColourMap) -> NDArray[np.uint8]:
 
 
 # Scale of the asinh stretch: the gain of faint signals is 8 / asinh(8) = 2.9 times that of a linear stretch.
-_SOFTENING: Final = 8.0
+_SOFTENING = 8.0
 # Limits of the keys that double and halve the boost.
-_MIN_BOOST: Final = 1 / 8
-_MAX_BOOST: Final = 1024.0
+_MIN_BOOST = 1 / 8
+_MAX_BOOST = 1024.0
 
 # A stretch is fitted to this many rows of an image; the percentile shown white; the least range in standard deviations
 # of the sky; and the least distance of white from black as a fraction of the largest digital number.
-_SAMPLED_ROWS: Final = 500
-_BRIGHT_PERCENTILE: Final = 99.95
-_LEAST_RANGE: Final = 20.0
-_LEAST_LEVELS: Final = 1e-6
+_SAMPLED_ROWS = 500
+_BRIGHT_PERCENTILE = 99.95
+_LEAST_RANGE = 20.0
+_LEAST_LEVELS = 1e-6
 
 # The initial boost, and the peak, as a fraction of white, that a star of V 3 has in the bundled camera at rest after
 # 0.5 s.  A camera with fainter stars gets more boost, so that its stars look as bright.
-_BOOST: Final = 5.0
-_STAR_PEAK: Final = 150 / 255
+_BOOST = 5.0
+_STAR_PEAK = 150 / 255
 
 
 class StretchKind(StrEnum):
@@ -166,8 +166,8 @@ class Stretch:
 
 
 # Limits of the zoom, screen px to one of the picture.
-_MIN_ZOOM: Final = 1 / 32
-_MAX_ZOOM: Final = 64.0
+_MIN_ZOOM = 1 / 32
+_MAX_ZOOM = 64.0
 
 
 class ImageView:
@@ -258,10 +258,10 @@ class ImageView:
 
 
 # Largest number of bins, and of rows that are counted.
-_BINS: Final = 256
-_ROWS: Final = 1000
+_BINS = 256
+_ROWS = 1000
 # Share of the pixels, in percent, that the range of the bins contains at least.
-_SHOWN_PERCENT: Final = 99.99
+_SHOWN_PERCENT = 99.99
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from threading import Thread
-from typing import Final
 
 from glstar.export.directory import explain_disk_errors
 from glstar.viewer.flight.live import LiveFlight
@@ -88,9 +87,9 @@ def _end_export(session: Session) -> None:
         session.export.cancel()
 
 
-_ZOOM_STEP: Final = 1.25
+_ZOOM_STEP = 1.25
 
-_HEAD: Final[dict[Action, Callable[[PlayHead], None]]] = {
+_HEAD: dict[Action, Callable[[PlayHead], None]] = {
     Action.PLAY: PlayHead.toggle,
     Action.EXPOSURE_BACK: lambda head: head.step_exposures(-1),
     Action.EXPOSURE_ON: lambda head: head.step_exposures(1),
@@ -116,7 +115,7 @@ _HEAD: Final[dict[Action, Callable[[PlayHead], None]]] = {
     Action.NO_POINTS: PlayHead.clear_part,
 }
 
-_COMPARISON: Final = {
+_COMPARISON = {
     Action.BLINK: ComparisonMode.BLINK,
     Action.WIPE: ComparisonMode.WIPE,
     Action.DIFFERENCE: ComparisonMode.DIFFERENCE,
@@ -193,7 +192,7 @@ def _zoom(session: Session, factor: float) -> None:
     session.view.zoom_at(session.view.middle, factor)
 
 
-_VIEW: Final[dict[Action, Callable[[Session], None]]] = {
+_VIEW: dict[Action, Callable[[Session], None]] = {
     Action.FIT: lambda session: session.view.fit(),
     Action.ONE_TO_ONE: lambda session: session.view.one_to_one(),
     Action.ZOOM_IN: lambda session: _zoom(session, _ZOOM_STEP),

@@ -3,7 +3,6 @@
 import sys
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
 
 from glstar.viewer.overlays.table import Overlay
 
@@ -110,9 +109,9 @@ class Action(StrEnum):
 # An overlay as an action shows it, or hides it if it is shown.
 AnyAction = Action | Overlay
 
-MENUS: Final = ("File", "Edit", "Time", "View", "Overlays", "Compare", "Help")
-_AFTER_OVERLAYS: Final = ("Compare", "Help")
-KEYS: Final = (
+MENUS = ("File", "Edit", "Time", "View", "Overlays", "Compare", "Help")
+_AFTER_OVERLAYS = ("Compare", "Help")
+KEYS = (
     *(action.key for action in Action if action.key.menu not in _AFTER_OVERLAYS),
     *(KeyBinding(overlay, "Overlays", overlay.spec.label, (overlay.spec.key,)) for overlay in Overlay),
     *(action.key for action in Action if action.key.menu in _AFTER_OVERLAYS),

@@ -5,16 +5,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from glstar.config import Config
 from glstar.system.files import write_atomically
 from glstar.viewer.overlays.table import Overlay
 
 # Number of flights that are remembered.
-_MAX_RECENT: Final = 10
+_MAX_RECENT = 10
 # Valid sizes of a remembered window, screen px.
-_SIZES: Final = (200, 20_000)
+_SIZES = (200, 20_000)
 
 
 @dataclass(slots=True, eq=False)
@@ -90,7 +90,7 @@ def _overlays(names: list[object]) -> frozenset[Overlay]:
 
 
 # Number of settings that can be undone.
-_LENGTH: Final = 200
+_LENGTH = 200
 
 
 class SettingsHistory:
@@ -137,10 +137,10 @@ class SettingsHistory:
 
 
 # How long a message and an error stay, s: an error has to be read to its end.
-_MESSAGE_S: Final = 6.0
-_ERROR_S: Final = 20.0
+_MESSAGE_S = 6.0
+_ERROR_S = 20.0
 # Messages shown at the same time: more would cover the image.
-_MAX_SHOWN: Final = 4
+_MAX_SHOWN = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import floor, isfinite
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,7 +40,7 @@ class BackgroundExport:
     """
 
     # Longest time that closing the window waits for the frame being written, s.
-    _JOIN_S: Final = 60.0
+    _JOIN_S = 60.0
 
     def __init__(self, make: Callable[[], Export], directory: Path) -> None:
         self._make = make

@@ -5,7 +5,7 @@ import platform
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -29,9 +29,9 @@ from glstar.viewer.session.recording import BackgroundExport, ScreenVideo, Video
 from glstar.viewer.session.state import Session
 
 # Frame rate of a video that is recorded while the viewer is used, 1/s.
-SCREEN_FRAMES_PER_S: Final = 30.0
+SCREEN_FRAMES_PER_S = 30.0
 # Suffixes of the files that the window saves beside frames; other names are those of directories.
-_FILES: Final = frozenset({".png", ".mp4", ".md", ".tlog"})
+_FILES = frozenset({".png", ".mp4", ".md", ".tlog"})
 
 
 def save_frame(session: Session) -> None:

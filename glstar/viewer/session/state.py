@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from math import floor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
@@ -32,13 +32,13 @@ from glstar.viewer.session.memory import Notifications
 from glstar.viewer.session.recording import BackgroundExport, Video
 
 # Exposures that no camera records start at a multiple of 1 microsecond, which a command line can name exactly.
-_STARTS_PER_S: Final = 1e6
+_STARTS_PER_S = 1e6
 
 # Star directions of a live flight are computed again after this time, s: they change by 0.03" an hour.
-_STARS_S: Final = 3600.0
+_STARS_S = 3600.0
 
 # Suffixes of files that describe a camera and its lens.
-_CAMERA_FILES: Final = (".yaml", ".yml", ".json")
+_CAMERA_FILES = (".yaml", ".yml", ".json")
 
 
 class Session:

@@ -6,7 +6,6 @@ A photograph with its identified stars, in the current imgui window.
 from concurrent.futures import Future, ThreadPoolExecutor
 from math import radians
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -26,18 +25,18 @@ from glstar.viewer.ui.theme import centre_next_window, dialog_size, error, scale
 
 Colour = tuple[float, float, float, float]
 
-_IDENTIFIED: Final[tuple[Colour, Colour]] = ((0.38, 0.88, 0.66, 1.0), (0.9, 0.0, 0.0, 1.0))
-_RESIDUAL: Final[tuple[Colour, Colour]] = ((1.0, 0.47, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
-_OTHER: Final[tuple[Colour, Colour]] = ((0.65, 0.70, 0.75, 0.55), (0.45, 0.0, 0.0, 0.8))
+_IDENTIFIED: tuple[Colour, Colour] = ((0.38, 0.88, 0.66, 1.0), (0.9, 0.0, 0.0, 1.0))
+_RESIDUAL: tuple[Colour, Colour] = ((1.0, 0.47, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
+_OTHER: tuple[Colour, Colour] = ((0.65, 0.70, 0.75, 0.55), (0.45, 0.0, 0.0, 0.8))
 # Radius of a star's ring, distance of the mouse at which it is meant, and of a drag, screen px.
-_RING_PX: Final = 7.0
-_CURSOR_PX: Final = 10.0
-_CLICK_PX: Final = 2.0
-_WHEEL: Final = 1.2
+_RING_PX = 7.0
+_CURSOR_PX = 10.0
+_CLICK_PX = 2.0
+_WHEEL = 1.2
 # Names are written for this many of the brightest stars.
-_NAMED: Final = 12
+_NAMED = 12
 # Nine of ten arrows are at most this long, screen px.
-_LONG_PX: Final = 30.0
+_LONG_PX = 30.0
 
 
 class PhotoPanel:
@@ -194,14 +193,12 @@ class PhotoPanel:
 
 
 # Files that can only be photographs.
-PHOTO_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".dng", ".heic", ".heif", ".fits", ".fit")
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".dng", ".heic", ".heif", ".fits", ".fit")
 # Size of the window and width of its controls, screen px at scale 1.
-_SIZE: Final = (1080.0, 700.0)
-_CONTROLS_PX: Final = 340.0
-_FLAGS: Final = int(
-    imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
-)
-_ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+_SIZE = (1080.0, 700.0)
+_CONTROLS_PX = 340.0
+_FLAGS = int(imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings)
+_ANY_POPUP = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
 
 class CalibrateWindow:

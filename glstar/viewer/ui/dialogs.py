@@ -9,7 +9,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
@@ -25,12 +25,12 @@ from glstar.viewer.ui.theme import button_size, centre_next_window, draw_wrapped
 
 Kind = Literal["open", "save", "folder"]
 
-_AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
-_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
+_AUTO = int(imgui.WindowFlags_.always_auto_resize)
+_ENTER = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 # Width of the widest field of a dialog, screen px.
-_WIDTH: Final = 440.0
+_WIDTH = 440.0
 # The programs that portable_file_dialogs uses on Linux; macOS and Windows have dialogs of their own.
-_DIALOG_PROGRAMS: Final = ("zenity", "matedialog", "qarma", "kdialog")
+_DIALOG_PROGRAMS = ("zenity", "matedialog", "qarma", "kdialog")
 
 
 def has_native_dialogs() -> bool:
@@ -236,7 +236,7 @@ class ExportDialog(RangeDialog):
 class MissingDialog:
     """Asks for the UTC and the site that a log or a link lacks, as long as the session needs them."""
 
-    _TITLE: Final = "Missing UTC or position"
+    _TITLE = "Missing UTC or position"
 
     def __init__(self) -> None:
         self._missing: MissingInputs | None = None
@@ -343,12 +343,12 @@ class VideoDialog(RangeDialog):
         return VideoRange(start_s, stop_s, self._speed, self._frames_per_s)
 
 
-_CONNECT_TITLE: Final = "Connect to a telemetry link"
-_LINK_WIDTH: Final = 380.0
+_CONNECT_TITLE = "Connect to a telemetry link"
+_LINK_WIDTH = 380.0
 # Baud rates of telemetry radios and of autopilots' serial ports.
-_BAUD_RATES: Final = ("57600", "115200", "921600")
+_BAUD_RATES = ("57600", "115200", "921600")
 # Links to local programs, and what listens or sends there.
-_EXAMPLES: Final = (
+_EXAMPLES = (
     ("udpin:127.0.0.1:14550", "MAVProxy or QGroundControl forward to here"),
     ("tcp:127.0.0.1:5760", "an ArduPilot simulator"),
 )

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from imgui_bundle import ImVec2, imgui
 
@@ -12,12 +12,12 @@ from glstar.viewer.session.keys import KEYS, MENUS, Action, AnyAction, shown_cho
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui import theme
 
-_WELCOME_WIDTH: Final = 420.0
+_WELCOME_WIDTH = 420.0
 # Width of the panels on the right of the image in the initial layout, as a fraction of the window and at least, px: the
 # welcome leaves it free.
-_RIGHT_FRACTION: Final = 0.26
-_RIGHT_PX: Final = 300.0
-_WELCOME_FLAGS: Final = int(
+_RIGHT_FRACTION = 0.26
+_RIGHT_PX = 300.0
+_WELCOME_FLAGS = int(
     imgui.WindowFlags_.no_decoration
     | imgui.WindowFlags_.no_docking
     | imgui.WindowFlags_.no_saved_settings
@@ -25,7 +25,7 @@ _WELCOME_FLAGS: Final = int(
     | imgui.WindowFlags_.always_auto_resize
 )
 # Flights that everybody has.
-_ORBIT: Final = Path("fly:orbit?radius_m=300&gusts=light")
+_ORBIT = Path("fly:orbit?radius_m=300&gusts=light")
 
 
 def draw_welcome(session: Session, recent: list[str], perform: Callable[[AnyAction], None]) -> None:
@@ -64,14 +64,12 @@ def _button(label: str, width: float, act: Callable[[], None]) -> None:
         act()
 
 
-_TOUR_TITLE: Final = "Tour"
-_TOUR_WIDTH_PX: Final = 260.0
+_TOUR_TITLE = "Tour"
+_TOUR_WIDTH_PX = 260.0
 # At the right edge, where it covers the ends of the panels only, above the notifications: its lower edge in the window.
-_MARGIN_PX: Final = 12.0
-_LOWEST_FRACTION: Final = 0.82
-_TOUR_FLAGS: Final = theme.DIALOG | int(
-    imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.always_auto_resize
-)
+_MARGIN_PX = 12.0
+_LOWEST_FRACTION = 0.82
+_TOUR_FLAGS = theme.DIALOG | int(imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.always_auto_resize)
 
 
 class _Step(NamedTuple):
@@ -82,7 +80,7 @@ class _Step(NamedTuple):
     panel: str
 
 
-STEPS: Final = (
+STEPS = (
     _Step(
         "Open a flight",
         "Drop a log onto the window, open one ({Ctrl+O}), connect to an aircraft ({Ctrl+L}) or take the bundled"
@@ -196,14 +194,14 @@ def _with_keys(text: str) -> str:
     return "".join(shown_chord(part) if number % 2 else part for number, part in enumerate(parts))
 
 
-_FIRST_PAGE: Final = "viewer"
+_FIRST_PAGE = "viewer"
 # Size of the window and width of the list of pages, screen px at scale 1.
-_MANUAL_SIZE: Final = (900.0, 680.0)
-_LIST_WIDTH: Final = 130.0
-_TABLE: Final = int(imgui.TableFlags_.borders_inner_h | imgui.TableFlags_.sizing_stretch_prop)
+_MANUAL_SIZE = (900.0, 680.0)
+_LIST_WIDTH = 130.0
+_TABLE = int(imgui.TableFlags_.borders_inner_h | imgui.TableFlags_.sizing_stretch_prop)
 
 # Markdown that has no form here: emphasis, code and the targets of links.
-_INLINE: Final = (
+_INLINE = (
     (re.compile(r"<!--.*?-->"), ""),
     (re.compile(r"!\[[^\]]*\]\([^)]*\)"), ""),
     (re.compile(r"\[([^\]]*)\]\([^)]*\)"), r"\1"),
@@ -325,7 +323,7 @@ def _draw_table(label: str, text: str) -> None:
 
 
 # Size of the list of keys, px.
-_HELP_PX: Final = (880.0, 730.0)
+_HELP_PX = (880.0, 730.0)
 
 
 def draw_help(is_open: bool) -> bool:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from imgui_bundle import imgui, implot
@@ -25,7 +24,7 @@ from glstar.viewer.ui.search import CommandPalette, FindWindow
 from glstar.viewer.ui.status import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import ANY_POPUP, apply_theme, load_font, resized_text
 
-_KEY_NAMES: Final = {
+_KEY_NAMES = {
     "Left": "left_arrow",
     "Right": "right_arrow",
     "Up": "up_arrow",
@@ -41,7 +40,7 @@ _KEY_NAMES: Final = {
     "Page Down": "page_down",
     **{str(digit): f"_{digit}" for digit in range(10)},
 }
-_MODIFIERS: Final = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
+_MODIFIERS = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
 
 
 class Keyboard:

@@ -1,7 +1,6 @@
 """The panels of the window: which there are, where they are at first, and what is in each."""
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -28,17 +27,17 @@ from glstar.viewer.ui.status import draw_link
 from glstar.viewer.ui.theme import draw_checkbox, scaled
 
 # Titles of the panels; imgui stores their layout by title.
-_IMAGE: Final = "Image"
-_TIMELINE: Final = "Time"
-_LINK: Final = "Link"
-_SETTINGS: Final = "Settings"
-_DISPLAY: Final = "View"
-_COMPARE: Final = "Compare"
-OBJECT: Final = "Object"
-_FLIGHT: Final = "Flight"
+_IMAGE = "Image"
+_TIMELINE = "Time"
+_LINK = "Link"
+_SETTINGS = "Settings"
+_DISPLAY = "View"
+_COMPARE = "Compare"
+OBJECT = "Object"
+_FLIGHT = "Flight"
 
-_PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
-_BARE: Final = int(
+_PLAIN = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
+_BARE = int(
     imgui.WindowFlags_.no_decoration
     | imgui.WindowFlags_.no_background
     | imgui.WindowFlags_.no_docking
@@ -47,14 +46,14 @@ _BARE: Final = int(
     | imgui.WindowFlags_.no_bring_to_front_on_focus
 )
 # Frames that imgui takes to dock a remembered layout.
-_DOCKING_FRAMES: Final = 3
+_DOCKING_FRAMES = 3
 # The initial layout: the fractions of the window on the right and below, and the width and the height, px, that the
 # controls there need in a small window.
-_RIGHT_FRACTION: Final = 0.26
-_RIGHT_PX: Final = 300.0
-_BELOW_FRACTION: Final = 0.34
-_BELOW_PX: Final = 230.0
-_NOTHING: Final = (0.0, 0.0)
+_RIGHT_FRACTION = 0.26
+_RIGHT_PX = 300.0
+_BELOW_FRACTION = 0.34
+_BELOW_PX = 230.0
+_NOTHING = (0.0, 0.0)
 
 
 class Panels:

@@ -4,7 +4,7 @@ Up and Down choose a match, Enter takes it, Escape closes the window.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Final, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from imgui_bundle import ImVec2, imgui
 
@@ -16,10 +16,10 @@ from glstar.viewer.ui.theme import DIALOG, scaled_across
 
 T = TypeVar("T")
 
-_FLAGS: Final = DIALOG | int(imgui.WindowFlags_.always_auto_resize)
-_WIDTH: Final = 420.0
+_FLAGS = DIALOG | int(imgui.WindowFlags_.always_auto_resize)
+_WIDTH = 420.0
 # Distance from the top of the window, screen px.
-_TOP: Final = 60.0
+_TOP = 60.0
 
 
 class SearchWindow(Generic[T]):
@@ -85,7 +85,7 @@ class SearchWindow(Generic[T]):
 
 
 # Most actions that are listed.
-_ACTION_ROWS: Final = 14
+_ACTION_ROWS = 14
 
 
 class CommandPalette:
@@ -124,7 +124,7 @@ def _action_line(key: KeyBinding) -> str:
 
 
 # Most matches that are listed.
-_OBJECT_ROWS: Final = 10
+_OBJECT_ROWS = 10
 
 
 class FindWindow:

@@ -2,7 +2,6 @@
 
 import time
 from math import degrees
-from typing import Final
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
@@ -120,10 +119,10 @@ def _percentage(lost: int, packets: int) -> str:
     return f", {100 * lost / (lost + packets):.1f} %" if lost else ""
 
 
-_BAR: Final = int(
+_BAR = int(
     imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_scroll_with_mouse
 )
-_NOTIFICATION: Final = int(
+_NOTIFICATION = int(
     imgui.WindowFlags_.no_decoration
     | imgui.WindowFlags_.no_docking
     | imgui.WindowFlags_.no_saved_settings
@@ -132,13 +131,13 @@ _NOTIFICATION: Final = int(
     | imgui.WindowFlags_.always_auto_resize
 )
 # Width at which a notification wraps, and its distance from the window's edges, screen px.
-_WRAP_PX: Final = 520.0
+_WRAP_PX = 520.0
 # Width of a progress bar, px.
-_PROGRESS_PX: Final = 150.0
-_MARGIN_PX: Final = 12.0
+_PROGRESS_PX = 150.0
+_MARGIN_PX = 12.0
 # Between the items of the status bar, and after those of the link, screen px.
-_SPACING_PX: Final = 18.0
-_GROUP_SPACING_PX: Final = 36.0
+_SPACING_PX = 18.0
+_GROUP_SPACING_PX = 36.0
 
 
 def draw_status_bar(session: Session) -> None:

@@ -6,7 +6,6 @@ The window is dark, or red by night to preserve dark adaptation.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import imgui_bundle
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
@@ -15,18 +14,18 @@ from glstar.sky.air.skybrightness import LIGHT_LEVELS
 
 Rgba = tuple[float, float, float, float]
 
-FONT_PX: Final = 15.0
+FONT_PX = 15.0
 
-_ACCENT: Final[Rgba] = (0.42, 0.66, 0.93, 1.0)
-_MUTED: Final[Rgba] = (0.55, 0.58, 0.63, 1.0)
-_ERROR: Final[Rgba] = (1.0, 0.55, 0.45, 1.0)
+_ACCENT: Rgba = (0.42, 0.66, 0.93, 1.0)
+_MUTED: Rgba = (0.55, 0.58, 0.63, 1.0)
+_ERROR: Rgba = (1.0, 0.55, 0.45, 1.0)
 
-_SURFACE: Final[Rgba] = (0.086, 0.094, 0.110, 1.0)
-_RAISED: Final[Rgba] = (0.125, 0.137, 0.161, 1.0)
-_DEEP: Final[Rgba] = (0.055, 0.060, 0.072, 1.0)
-_TEXT: Final[Rgba] = (0.86, 0.88, 0.91, 1.0)
+_SURFACE: Rgba = (0.086, 0.094, 0.110, 1.0)
+_RAISED: Rgba = (0.125, 0.137, 0.161, 1.0)
+_DEEP: Rgba = (0.055, 0.060, 0.072, 1.0)
+_TEXT: Rgba = (0.86, 0.88, 0.91, 1.0)
 
-_COLOURS: Final[dict[str, Rgba]] = {
+_COLOURS: dict[str, Rgba] = {
     "text": _TEXT,
     "text_disabled": _MUTED,
     "window_bg": _SURFACE,
@@ -75,17 +74,15 @@ _COLOURS: Final[dict[str, Rgba]] = {
 }
 
 # Flags of a window of its own: it is not docked, and its position is not stored.
-DIALOG: Final = int(
-    imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
-)
+DIALOG = int(imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings)
 # For `imgui.is_popup_open`: menus and dialogs of any name.
-ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+ANY_POPUP = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 # Margin that a dialog leaves free in the window on each side, and above and below, px.
-_DIALOG_MARGIN_PX: Final = (20.0, 30.0)
+_DIALOG_MARGIN_PX = (20.0, 30.0)
 # Width of the buttons that end a dialog, px.
-_BUTTON_PX: Final = 90.0
+_BUTTON_PX = 90.0
 # Smallest and largest text, tenths of its first size.
-_TEXT_TENTHS: Final = (7, 25)
+_TEXT_TENTHS = (7, 25)
 
 
 def accent() -> ImVec4:
@@ -234,10 +231,10 @@ def draw_checkbox(label: str, is_on: bool, tooltip: str) -> bool:
 
 
 # Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
-_BEHIND: Final = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
-_NO_MARKER: Final = int(implot.Marker_.none)
+_BEHIND = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
+_NO_MARKER = int(implot.Marker_.none)
 _DOWN, _UP, _SQUARE = (int(each) for each in (implot.Marker_.down, implot.Marker_.up, implot.Marker_.square))
-_MARK_PX: Final = 3.0
+_MARK_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,7 +279,7 @@ def _light(*colours: Rgba) -> dict[str, implot.Spec]:
     return {name: _fill(colour) for (name, _), colour in zip(LIGHT_LEVELS, colours, strict=False)}
 
 
-DAY_PALETTE: Final = Palette(
+DAY_PALETTE = Palette(
     lines=_lines((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
     gap=_fill((0.75, 0.2, 0.2, 0.35)),
     part=_fill((0.3, 0.7, 1.0, 0.14)),
@@ -297,7 +294,7 @@ DAY_PALETTE: Final = Palette(
     image=_mark((0.95, 0.95, 0.95, 0.9), _SQUARE),
     light=_light((1.0, 0.95, 0.65, 0.26), (1.0, 0.65, 0.35, 0.22), (0.45, 0.50, 1.0, 0.20), (0.35, 0.40, 0.9, 0.11)),
 )
-NIGHT_PALETTE: Final = Palette(
+NIGHT_PALETTE = Palette(
     lines=_lines((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
     gap=_fill((0.6, 0.0, 0.0, 0.35)),
     part=_fill((1.0, 0.0, 0.0, 0.16)),

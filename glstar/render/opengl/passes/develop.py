@@ -8,7 +8,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
 from types import MappingProxyType
-from typing import Final, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import moderngl
 import numpy as np
@@ -23,9 +23,9 @@ from glstar.render.opengl.targets import Targets
 from glstar.render.scene.scene import Scene
 
 # A declaration of numbers that an effect's GLSL reads.
-_NUMBERS: Final = re.compile(r"uniform ((?:[iu]?vec([234]))|float|u?int) (\w+(?:, ?\w+)*);(.*)")
+_NUMBERS = re.compile(r"uniform ((?:[iu]?vec([234]))|float|u?int) (\w+(?:, ?\w+)*);(.*)")
 # Every driver passes 60 components from vertex to fragment; develop.vert has ten of its own.
-_MOST_COMPONENTS: Final = 48
+_MOST_COMPONENTS = 48
 
 
 class EffectSources(NamedTuple):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import asinh
-from typing import Any, Final
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -12,10 +12,10 @@ from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.textures import ImageTexture
 
 # Screen pixels coarser than this many image pixels sum up to 2 x 2 of them, or any number: see SHRINKS in display.frag.
-_SHRINK_STEPS: Final = (1.0, 2.0)
+_SHRINK_STEPS = (1.0, 2.0)
 # Of a texture whose row 0 is the top, with nothing behind the picture.
-_UPRIGHT: Final = (0.0, 0.0, 1.0, 1.0)
-_CLEAR: Final = (0.0, 0.0, 0.0, 0.0)
+_UPRIGHT = (0.0, 0.0, 1.0, 1.0)
+_CLEAR = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

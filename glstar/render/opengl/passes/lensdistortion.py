@@ -6,7 +6,7 @@ The image is divided into patches in which the undistorted position is a biquadr
 from dataclasses import replace
 from functools import lru_cache
 from math import ceil, hypot, sqrt
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -27,11 +27,11 @@ from glstar.render.scene.starcomponents import FIRST_CHANNEL, gaussian_scenes
 Bounds = tuple[float, float, float, float]
 
 # Initial side of a patch, px.  Large images start with larger patches, because each is fitted in float64.
-_PATCH_PX: Final = 8
-LARGE_PATCH_PX: Final = 16
-_LARGE_IMAGE_PX2: Final = 2_000_000
+_PATCH_PX = 8
+LARGE_PATCH_PX = 16
+_LARGE_IMAGE_PX2 = 2_000_000
 # Largest acceptable error of a position, px.
-_POSITION_ERROR_PX: Final = 1e-3
+_POSITION_ERROR_PX = 1e-3
 
 
 @lru_cache(maxsize=2)
@@ -114,31 +114,31 @@ def _relative_error(positions: Float, coefficients: Float) -> Float:
 
 
 # Variance that the interpolation between pixels of the undistorted signal adds, px^2: warp.frag.
-_INTERPOLATION_PX2: Final = 0.40
+_INTERPOLATION_PX2 = 0.40
 # Smallest sigma of a star in the undistorted signal, px: what interpolation leaves differs from a Gaussian by up to
 # 0.4 % of its peak at 1.2 px and 0.1 % at 1.5 px.
-_MIN_SIGMA_PX: Final = 1.5
-_MOSTLY_PIXEL_PX: Final = 0.5
-_MIN_WITH_PIXEL_PX: Final = 1.3
+_MIN_SIGMA_PX = 1.5
+_MOSTLY_PIXEL_PX = 0.5
+_MIN_WITH_PIXEL_PX = 1.3
 # Side of the part of a pixel by whose variance stars are drawn wider, px, wide point spread functions and those that a
 # widened Gaussian does not describe (Sensor.needs_erf): several samples per pixel make up the rest.  With parts of half
 # a pixel, errors are 0.3 % of the peak at a sigma of 0.3 px, 4 % at 0.2 px and 12 % at 0.15 px: narrow stars take less.
-_DRAWN_PIXEL_PX: Final = (1.0, 0.5)
-_NARROW_PX: Final = 0.25
-_DRAWN_PIXEL_OF_NARROW_PX: Final = 0.25
+_DRAWN_PIXEL_PX = (1.0, 0.5)
+_NARROW_PX = 0.25
+_DRAWN_PIXEL_OF_NARROW_PX = 0.25
 # A pixel that integrates takes several samples if its variance in the undistorted signal exceeds that of a pixel on the
 # axis by more than this, px^2; at most this many along each side.
-_MAX_VARIANCE_EXCESS_PX2: Final = 0.05
-_MAX_PARTS: Final = 24
+_MAX_VARIANCE_EXCESS_PX2 = 0.05
+_MAX_PARTS = 24
 # Numbers of samples with a program of their own: software OpenGL takes twice as long with a loop count in a uniform.
-_COMPILED_PARTS: Final = ((1, 1), (2, 1), (1, 2), (2, 2))
+_COMPILED_PARTS = ((1, 1), (2, 1), (1, 2), (2, 2))
 # Side of the blocks of the undistorted signal that are tested for flux, px.
-_BLOCK_PX: Final = 4
+_BLOCK_PX = 4
 # Distance up to which the spline of warp.frag reads pixels of the undistorted signal, px.
-_SPLINE_SUPPORT_PX: Final = 3
+_SPLINE_SUPPORT_PX = 3
 # The vertices of warp.vert.
-_PATCH_FORMAT: Final = "3f 4f 2f 4f 4f 2f 4f 2f"
-_PATCH_NAMES: Final = ("square_px", "undistorted_px", "at_1", "at_u_v", "at_uu_vv", "at_uv", "at_uuv_uvv", "at_uuvv")
+_PATCH_FORMAT = "3f 4f 2f 4f 4f 2f 4f 2f"
+_PATCH_NAMES = ("square_px", "undistorted_px", "at_1", "at_u_v", "at_uu_vv", "at_uv", "at_uuv_uvv", "at_uuvv")
 
 
 class _UndistortedTarget(SignalTarget):

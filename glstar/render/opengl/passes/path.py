@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import groupby
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -69,12 +69,12 @@ class TextureTable:
 
 
 # Outputs of star_path.frag: the last one is that of a rolling shutter.
-_OUTPUTS: Final = 6
-_UNITS: Final = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
+_OUTPUTS = 6
+_UNITS = {"positions": 0, "passage": 1, "pointing": 2, "chosen": 3}
 # Segments are surely SHORT if their longest is at most this fraction of the limit: stars beside the image are faster.
-_SURELY_SHORT: Final = 0.5
+_SURELY_SHORT = 0.5
 # Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
-_NARROW_VARIANCE_PX2: Final = 0.00705189
+_NARROW_VARIANCE_PX2 = 0.00705189
 
 
 class SegmentKinds(NamedTuple):
@@ -250,7 +250,7 @@ class _PathProgram:
 
 
 # Segments up to this length, in standard deviations of the narrowest Gaussian, are drawn as one: 1e-4 of the peak.
-_SHORT_SIGMA: Final = 0.5
+_SHORT_SIGMA = 0.5
 
 
 class StarComponents(NamedTuple):

@@ -6,7 +6,7 @@ Point sprites of stars during parts of their trails: what the passes that draw t
 """
 
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -25,10 +25,10 @@ from glstar.sky.air.refraction import MAX_REFRACTION_RAD
 from glstar.sky.catalogue.starfield import StarField
 
 # Stars of one draw call are columns of textures, which every driver supports up to 4096.
-STARS_PER_CALL: Final = 4096
-_SPRITES_PER_CALL: Final = 1 << 16
+STARS_PER_CALL = 4096
+_SPRITES_PER_CALL = 1 << 16
 # Texture units.
-_UNITS: Final = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3, "passage": 4}
+_UNITS = {"pointing": 0, "stars": 1, "chosen": 2, "tints_of_stars": 3, "passage": 4}
 
 
 class StarSprites:
@@ -115,9 +115,9 @@ class StarSprites:
 
 
 # Texels per piece: those of its mean orientation, and two of its covariance and duration.
-_TEXELS: Final = TEXELS_PER_TIME + 2
+_TEXELS = TEXELS_PER_TIME + 2
 # Pieces per draw call: rows of a texture, which every driver supports up to 4096.
-_PIECES_PER_CALL: Final = 4096
+_PIECES_PER_CALL = 4096
 
 
 class PiecePass:
@@ -227,9 +227,9 @@ def _near_image(part: ScenePart, rows: slice, stars: slice) -> NDArray[np.bool_]
 
 
 # Pieces per draw call: rows of a texture, of which every driver supports 4096.
-_END_PIECES_PER_CALL: Final = 1024
+_END_PIECES_PER_CALL = 1024
 # Orientations per piece: at its start, its middle and its end.
-_TIMES_OF_END: Final = 3
+_TIMES_OF_END = 3
 
 
 class EndPass:

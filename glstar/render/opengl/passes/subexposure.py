@@ -3,7 +3,6 @@
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from typing import Final
 
 import moderngl
 import numpy as np
@@ -17,9 +16,9 @@ from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import cell_tints
 
 # Sub-exposures that one point sprite draws: software OpenGL needs half the time of one per sprite.
-SUB_EXPOSURES_PER_SPRITE: Final = 4
+SUB_EXPOSURES_PER_SPRITE = 4
 # Rows of the texture of orientations, which every driver supports; longer exposures take several draw calls.
-_SUB_EXPOSURES_PER_CALL: Final = 1024
+_SUB_EXPOSURES_PER_CALL = 1024
 
 
 class SubExposurePass:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import moderngl
 import numpy as np
@@ -70,33 +70,33 @@ class _DrawPass(NamedTuple):
     shape: _Shape
 
 
-_SHAPES: Final = (
+_SHAPES = (
     _Shape(0, ("trail.vert", "trail_short.frag"), moderngl.POINTS, 1, "2u2 12x"),
     _Shape(1, ("trail.vert", "trail.frag"), moderngl.POINTS, 2, "2u2 4x"),
     _Shape(2, ("trail.vert", "trail_middle.frag"), moderngl.TRIANGLES, 6, "2u2"),
 )
 # Shapes of segments during which a row of a rolling shutter opens or closes.
-_ROW_SHAPES: Final = (
+_ROW_SHAPES = (
     _Shape(0, ("trail_rows.vert", "trail_short.frag"), moderngl.POINTS, 1, "2u2 12x"),
     _Shape(1, ("trail_rows.vert", "trail.frag"), moderngl.POINTS, 1, "2u2 12x"),
     _Shape(2, ("trail_rows.vert", "trail.frag"), moderngl.TRIANGLES, 6, "2u2"),
 )
 
 # Texture units at which trail.vert and trail_rows.vert read the textures of PathPass.
-_PATH_TEXTURES: Final = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4, "openings_of_paths": 5}
+_PATH_TEXTURES = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4, "openings_of_paths": 5}
 # Texture unit at which they read the colours of stars in a mosaic.
-_TINTS_UNIT: Final = 6
+_TINTS_UNIT = 6
 
 # Limits of one draw call: stars and times are columns and rows of textures, which every driver supports up to 4096.
-_STARS_PER_CALL: Final = 4096
-_SEGMENTS_PER_CALL: Final = 1024
+_STARS_PER_CALL = 4096
+_SEGMENTS_PER_CALL = 1024
 # Segments of stars per draw call, each repeated for the vertices of a quad.
-_PRIMITIVES_PER_CALL: Final = 16384
-_REPETITIONS: Final = 4
+_PRIMITIVES_PER_CALL = 16384
+_REPETITIONS = 4
 
 # Draws that wait at most, and texels of the largest that waits: its textures take 80 bytes a texel.
-_MOST_WAITING: Final = 16
-_MOST_WAITING_TEXELS: Final = 1 << 15
+_MOST_WAITING = 16
+_MOST_WAITING_TEXELS = 1 << 15
 
 
 class TrailPass:

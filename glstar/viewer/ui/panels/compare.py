@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
-from typing import Final
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
@@ -16,12 +15,12 @@ from glstar.viewer.picture.fitting import FitRequest, FitResult, ImageFit, Resid
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.theme import draw_button, draw_checkbox, draw_rows, draw_wrapped, error
 
-_MORE: Final = ImVec4(*MORE_RGB, 1.0)
-_LESS: Final = ImVec4(*LESS_RGB, 1.0)
+_MORE = ImVec4(*MORE_RGB, 1.0)
+_LESS = ImVec4(*LESS_RGB, 1.0)
 # Range of the slider of the clock offset, s, for fine adjustment; larger offsets are typed.
-_FINE_S: Final = 5.0
+_FINE_S = 5.0
 # Rows of the list of images.
-_LIST_ROWS: Final = 6
+_LIST_ROWS = 6
 
 
 @dataclass(frozen=True, slots=True)

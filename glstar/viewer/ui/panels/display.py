@@ -1,7 +1,7 @@
 """The display panel: stretch, colours and histogram, which change the screen and never the data."""
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
@@ -13,17 +13,17 @@ from glstar.viewer.session.keys import Action
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.theme import accent, draw_button, draw_checkbox, draw_choice, scaled
 
-_LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
+_LOGARITHMIC = int(imgui.SliderFlags_.logarithmic)
 # Width of the controls, of the panel's.
-_WIDTH: Final = 0.55
-_PLOT_HEIGHT_PX: Final = 130.0
+_WIDTH = 0.55
+_PLOT_HEIGHT_PX = 130.0
 # Smallest share of the pixels that the histogram shows.
-_LEAST_FRACTION: Final = 1e-6
-_PLOT: Final = int(implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.no_box_select)
-_PLOT_OF_ONE: Final = _PLOT | int(implot.Flags_.no_legend)
+_LEAST_FRACTION = 1e-6
+_PLOT = int(implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.no_box_select)
+_PLOT_OF_ONE = _PLOT | int(implot.Flags_.no_legend)
 # Colours of the histograms of the simulated and the real image, and of the limits, by day and in night mode.
-_SIMULATED: Final = (ImVec4(0.56, 0.72, 0.93, 0.9), ImVec4(0.8, 0.0, 0.0, 0.9))
-_REAL: Final = (ImVec4(0.93, 0.68, 0.35, 0.9), ImVec4(0.5, 0.0, 0.0, 0.9))
+_SIMULATED = (ImVec4(0.56, 0.72, 0.93, 0.9), ImVec4(0.8, 0.0, 0.0, 0.9))
+_REAL = (ImVec4(0.93, 0.68, 0.35, 0.9), ImVec4(0.5, 0.0, 0.0, 0.9))
 _BLACK_HANDLE, _WHITE_HANDLE = 1, 2
 
 

@@ -5,7 +5,6 @@ The map shows coast, graticule, ground track, the direction of the camera, and t
 
 from collections.abc import Sequence
 from math import ceil, cos, degrees, floor, hypot, isnan, log10, sin
-from typing import Final
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
@@ -21,39 +20,37 @@ from glstar.viewer.ui.theme import draw_button, draw_rows, error, scaled
 
 Colour = tuple[float, float, float, float]
 
-LINES: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0, 0.9))
-AIRCRAFT: Final[tuple[Colour, Colour]] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
-BELIEF: Final[tuple[Colour, Colour]] = ((1.0, 0.77, 0.25, 0.9), (1.0, 0.0, 0.0, 0.9))
+LINES: tuple[Colour, Colour] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0, 0.9))
+AIRCRAFT: tuple[Colour, Colour] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
+BELIEF: tuple[Colour, Colour] = ((1.0, 0.77, 0.25, 0.9), (1.0, 0.0, 0.0, 0.9))
 
 
 # Height of the map, screen px: that of the rest of the panel within these limits.
 _LEAST_PX, _MOST_PX = 190.0, 480.0
 # Width of the field of the ground's height, screen px.
-_GROUND_PX: Final = 140.0
-_TRACK: Final[tuple[Colour, Colour]] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
-_IMAGE: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.45), (0.85, 0.0, 0.0, 0.45))
-_FOOTPRINT: Final[tuple[Colour, Colour]] = ((0.95, 0.55, 0.35, 1.0), (0.95, 0.0, 0.0, 1.0))
-_COAST: Final[tuple[Colour, Colour]] = ((0.50, 0.62, 0.50, 1.0), (0.5, 0.0, 0.0, 1.0))
-_GRATICULE: Final[tuple[Colour, Colour]] = ((0.6, 0.65, 0.7, 0.28), (0.45, 0.0, 0.0, 0.5))
-_LABELS: Final[tuple[Colour, Colour]] = ((0.65, 0.70, 0.75, 0.9), (0.6, 0.0, 0.0, 0.9))
-_FLAGS: Final = int(
-    implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text | implot.Flags_.equal
-)
-_LEGEND: Final = int(implot.LegendFlags_.horizontal | implot.LegendFlags_.outside)
-_AXIS: Final = int(implot.AxisFlags_.no_decorations)
+_GROUND_PX = 140.0
+_TRACK: tuple[Colour, Colour] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
+_IMAGE: tuple[Colour, Colour] = ((0.92, 0.94, 0.96, 0.45), (0.85, 0.0, 0.0, 0.45))
+_FOOTPRINT: tuple[Colour, Colour] = ((0.95, 0.55, 0.35, 1.0), (0.95, 0.0, 0.0, 1.0))
+_COAST: tuple[Colour, Colour] = ((0.50, 0.62, 0.50, 1.0), (0.5, 0.0, 0.0, 1.0))
+_GRATICULE: tuple[Colour, Colour] = ((0.6, 0.65, 0.7, 0.28), (0.45, 0.0, 0.0, 0.5))
+_LABELS: tuple[Colour, Colour] = ((0.65, 0.70, 0.75, 0.9), (0.6, 0.0, 0.0, 0.9))
+_FLAGS = int(implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text | implot.Flags_.equal)
+_LEGEND = int(implot.LegendFlags_.horizontal | implot.LegendFlags_.outside)
+_AXIS = int(implot.AxisFlags_.no_decorations)
 # Length of the lines of heading and camera, as a fraction of the map; and what the map shows at first: at least this
 # extent, m, and around a fixed position.
-_POINTER_FRACTION: Final = 0.15
-_MIN_EXTENT_M: Final = 50.0
-_FIXED_EXTENT_M: Final = 1.5e6
-_MARGIN: Final = 0.12
+_POINTER_FRACTION = 0.15
+_MIN_EXTENT_M = 50.0
+_FIXED_EXTENT_M = 1.5e6
+_MARGIN = 0.12
 # The scale bar is at most this fraction of the width.
-_SCALE_FRACTION: Final = 0.3
+_SCALE_FRACTION = 0.3
 # A notch of the wheel makes the map's extent this fraction larger, from some metres to the whole hemisphere.
-_ZOOM_RATE: Final = 0.3
-_EXTENTS_M: Final = (5.0, 3.0e7)
+_ZOOM_RATE = 0.3
+_EXTENTS_M = (5.0, 3.0e7)
 # The map is made around another origin if the aircraft is farther than this from it, m.
-_FARTHEST_M: Final = 1.0e6
+_FARTHEST_M = 1.0e6
 
 
 class FlightMap:
@@ -317,13 +314,13 @@ def _draw_scale(colour: Colour) -> None:
 
 
 # Height of the artificial horizon, screen px, and the pitch that half of it shows, deg.
-_HORIZON_PX: Final = 150.0
-_HALF_PITCH_DEG: Final = 30.0
+_HORIZON_PX = 150.0
+_HALF_PITCH_DEG = 30.0
 # Lines of the pitch ladder: every 10 deg.
-_LADDER_DEG: Final = (-60, -50, -40, -30, -20, -10, 10, 20, 30, 40, 50, 60)
+_LADDER_DEG = (-60, -50, -40, -30, -20, -10, 10, 20, 30, 40, 50, 60)
 # Sky, ground, lines and aircraft by day and by night.
-_SKY: Final[tuple[Colour, Colour]] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 1.0))
-_GROUND_BELOW: Final[tuple[Colour, Colour]] = ((0.36, 0.26, 0.16, 1.0), (0.08, 0.0, 0.0, 1.0))
+_SKY: tuple[Colour, Colour] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 1.0))
+_GROUND_BELOW: tuple[Colour, Colour] = ((0.36, 0.26, 0.16, 1.0), (0.08, 0.0, 0.0, 1.0))
 
 
 class FlightPanel:

@@ -1,7 +1,6 @@
 """The image panel: the picture with its overlays, zoom and pan by mouse, and the readout under the mouse."""
 
 from math import degrees
-from typing import Final
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -23,19 +22,19 @@ from glstar.viewer.ui.panels.imagelayers import Edges, draw_comparison_labels, d
 from glstar.viewer.ui.theme import accent, error
 
 # Zoom factor of a notch of the mouse wheel.
-_WHEEL: Final = 1.2
+_WHEEL = 1.2
 # Largest distance of a trail from the mouse at which its star is identified, screen px.
-_CURSOR_PX: Final = 8.0
+_CURSOR_PX = 8.0
 # Movement of the mouse between press and release above which a click is a drag, screen px.
-_CLICK_PX: Final = 2.0
+_CLICK_PX = 2.0
 # Radius of the ring around the selected object, and half the length of the arrow towards one outside, screen px.
-_SELECTED_PX: Final = 14.0
+_SELECTED_PX = 14.0
 # Margin of messages, screen px.
-_MARGIN: Final = 10.0
+_MARGIN = 10.0
 # Red, green, blue and opacity of the veil over a live sky that is out of date.
-_VEIL: Final = (0.45, 0.46, 0.48, 0.55)
+_VEIL = (0.45, 0.46, 0.48, 0.55)
 # Opacity of the background of a message over the image.
-_BANNER_OPACITY: Final = 0.85
+_BANNER_OPACITY = 0.85
 
 
 class ImagePanel:

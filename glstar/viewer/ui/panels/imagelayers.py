@@ -5,7 +5,7 @@ borders and digital numbers of magnified pixels.
 """
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -21,23 +21,23 @@ from glstar.viewer.ui.theme import accent
 # Left, top, right, bottom, screen px.
 Edges = tuple[float, float, float, float]
 
-_OVERLAYS: Final[dict[str, Overlay]] = {overlay.value: overlay for overlay in Overlay}
+_OVERLAYS: dict[str, Overlay] = {overlay.value: overlay for overlay in Overlay}
 
 # Distance of a label from its position, half sizes of crosses, targets and rings, smallest half size of the frame of a
 # pixel, screen px.
-_GAP: Final = 6.0
-_CROSS: Final = 4.0
-_TARGET: Final = 10.0
-_RING: Final = 7.0
-_MIN_PIXEL: Final = 1.5
+_GAP = 6.0
+_CROSS = 4.0
+_TARGET = 10.0
+_RING = 7.0
+_MIN_PIXEL = 1.5
 
 # A soft dark edge around letters: four translucent copies of the text, offset by one pixel each.
-_EDGE: Final = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
-_EDGE_OPACITY: Final = 110
+_EDGE = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
+_EDGE_OPACITY = 110
 
 # Superscripts of Bayer letters that few fonts have, such as that of upsilon 4 Eridani.
-_RARE: Final = "\u2074\u2075\u2076\u2077\u2078\u2079"
-_PLAIN: Final = str.maketrans(_RARE, "456789")
+_RARE = "\u2074\u2075\u2076\u2077\u2078\u2079"
+_PLAIN = str.maketrans(_RARE, "456789")
 
 
 def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
@@ -125,11 +125,11 @@ def _draw_labels(
         draw_list.add_text((x0, y0), ink, text)
 
 
-_MARGIN: Final = 8.0
-_BACKGROUND: Final = (0.05, 0.06, 0.08, 0.75)
-_TEXT: Final = ((0.92, 0.93, 0.95, 1.0), (0.9, 0.0, 0.0, 1.0))
+_MARGIN = 8.0
+_BACKGROUND = (0.05, 0.06, 0.08, 0.75)
+_TEXT = ((0.92, 0.93, 0.95, 1.0), (0.9, 0.0, 0.0, 1.0))
 # Size of the handle of a wipe, screen px.
-_HANDLE: Final = 9.0
+_HANDLE = 9.0
 
 
 def draw_comparison_labels(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:
@@ -199,14 +199,14 @@ def _draw_line(session: Session, draw_list: imgui.ImDrawList, x: float, top: flo
 
 
 # Magnifications from which borders and digital numbers are drawn, screen px per px.
-_BORDERS_FROM: Final = 8.0
-_NUMBERS_FROM: Final = 40.0
+_BORDERS_FROM = 8.0
+_NUMBERS_FROM = 40.0
 # Red, green, blue and opacity of the borders, and of numbers on dark and on bright pixels; in night mode red only.
-_BORDER: Final = ((0.6, 0.65, 0.7, 0.25), (0.6, 0.0, 0.0, 0.3))
-_ON_DARK: Final = ((0.85, 0.87, 0.9, 0.9), (0.8, 0.0, 0.0, 0.9))
-_ON_BRIGHT: Final = ((0.05, 0.05, 0.05, 0.9), (0.0, 0.0, 0.0, 0.9))
+_BORDER = ((0.6, 0.65, 0.7, 0.25), (0.6, 0.0, 0.0, 0.3))
+_ON_DARK = ((0.85, 0.87, 0.9, 0.9), (0.8, 0.0, 0.0, 0.9))
+_ON_BRIGHT = ((0.05, 0.05, 0.05, 0.9), (0.0, 0.0, 0.0, 0.9))
 # Brightness on the screen from which a pixel counts as bright.
-_BRIGHT: Final = 0.55
+_BRIGHT = 0.55
 
 
 def draw_pixel_grid(session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: Edges) -> None:

@@ -1,7 +1,7 @@
 """The panel that describes the selected star, constellation or body in the exposure shown."""
 
 from math import degrees
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
@@ -15,12 +15,12 @@ from glstar.viewer.skyobjects import CutOut, ObjectPlace, Selection, star_cut_ou
 from glstar.viewer.ui.theme import accent, draw_rows, draw_wrapped, scaled
 
 # Height of the profile's plot, and largest side of the cut-out, screen px.
-_PLOT_HEIGHT: Final = 130.0
-_CUT_OUT_SIDE: Final = 200.0
+_PLOT_HEIGHT = 130.0
+_CUT_OUT_SIDE = 200.0
 # Lines of the profile by day and by night.
-_IMAGE_COLOURS: Final = (ImVec4(0.45, 0.65, 0.95, 1.0), ImVec4(1.0, 0.0, 0.0, 1.0))
-_EXPECTED_COLOURS: Final = (ImVec4(0.95, 0.6, 0.35, 1.0), ImVec4(0.55, 0.0, 0.0, 1.0))
-_NO_INPUT: Final = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text)
+_IMAGE_COLOURS = (ImVec4(0.45, 0.65, 0.95, 1.0), ImVec4(1.0, 0.0, 0.0, 1.0))
+_EXPECTED_COLOURS = (ImVec4(0.95, 0.6, 0.35, 1.0), ImVec4(0.55, 0.0, 0.0, 1.0))
+_NO_INPUT = int(implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text)
 
 
 def draw_object(session: Session, selection: Selection) -> None:

@@ -1,7 +1,5 @@
 """The controls of the play head, drawn with imgui."""
 
-from typing import Final
-
 from imgui_bundle import imgui
 
 from glstar.errors import ConfigError
@@ -10,9 +8,9 @@ from glstar.viewer.flight.playhead import FASTEST, SLOWEST, Mode, PlayHead
 from glstar.viewer.ui.theme import draw_choice, scaled
 
 # Width of the time field and the text beside it, px.
-_TIME_PX: Final = 600
-_SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
-_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
+_TIME_PX = 600
+_SPEEDS = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
+_ENTER = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 
 
 class PlaybackControls:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import degrees
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, get_args
 
 from imgui_bundle import ImVec4, imgui
 
@@ -19,43 +19,43 @@ from glstar.viewer.flight.loaded import AttitudeChoices
 from glstar.viewer.session.state import Session
 from glstar.viewer.ui.theme import draw_choice
 
-_LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
+_LOGARITHMIC = int(imgui.SliderFlags_.logarithmic)
 # Width of a control over that of the panel; its label takes the rest.
-_WIDTH: Final = 0.52
+_WIDTH = 0.52
 
 # Opacity of the grab of a slider, so that the value under it can be read.
-_GRAB_OPACITY: Final = 0.45
+_GRAB_OPACITY = 0.45
 # Groups of the sensor's effects that are closed at first, by stage.
-_GROUPS: Final = {
+_GROUPS = {
     Stage.STARS: "Star images",
     Stage.FIXED_PATTERN: "Uneven response",
     Stage.DARK_CURRENT: "Dark current and hot pixels",
 }
 
 # Sliders by dotted key of the config.
-_EXPOSURE: Final = {
+_EXPOSURE = {
     "exposure.duration_s": Control("Exposure", 0.005, 10.0, "%.3f s", logarithmic=True),
     "exposure.interval_s": Control("Interval", 0.02, 60.0, "%.2f s", logarithmic=True),
     "exposure.readout_s": Control("Readout", 0.0, 0.3, "%.4f s"),
     "exposure.rate_hz": Control("Sub-exposures", 10.0, 2000.0, "%.0f /s", logarithmic=True),
 }
-_FRAMES: Final = Control("Stacked", 1.0, 16.0, "%.0f")
-_GAP: Final = Control("Gap", 0.0, 1.0, "%.4f s")
-_SENSOR: Final = {
+_FRAMES = Control("Stacked", 1.0, 16.0, "%.0f")
+_GAP = Control("Gap", 0.0, 1.0, "%.4f s")
+_SENSOR = {
     "sensor.reference_vmag": Control("Reference star", -1.5, 8.0, "V %.2f"),
     "sensor.reference_peak_dn": Control("Peak of that star", 1.0, 65535.0, "%.0f DN", logarithmic=True),
     "sensor.reference_exposure_s": Control("Its exposure", 0.01, 10.0, "%.2f s", logarithmic=True),
     "sensor.psf_sigma_px": Control("Star sigma", 0.3, 8.0, "%.2f px", logarithmic=True),
 }
-_ELECTRONS: Final = {
+_ELECTRONS = {
     "sensor.psf_sigma_px": _SENSOR["sensor.psf_sigma_px"],
     "sensor.vmag_0_e_per_s": Control("Magnitude 0", 1e3, 1e8, "%.3g e/s", logarithmic=True),
     "sensor.sky_e_per_s": Control("Sky of a pixel", 0.01, 1e5, "%.2f e/s", logarithmic=True),
 }
 # Lens of a sensor that is chosen in the panel: that of the Raspberry Pi HQ camera.
-_LENS: Final = {"camera.lens_mm": 6.0, "camera.f_number": 1.2, "lens.vignetting": "cos4"}
-_SKY: Final = {"sky.vmag_limit": Control("Faintest star", 0.0, 10.0, "V %.1f")}
-_MOUNT: Final = {
+_LENS = {"camera.lens_mm": 6.0, "camera.f_number": 1.2, "lens.vignetting": "cos4"}
+_SKY = {"sky.vmag_limit": Control("Faintest star", 0.0, 10.0, "V %.1f")}
+_MOUNT = {
     "mount.yaw_deg": Control("Yaw", -180.0, 180.0, "%.2f deg"),
     "mount.pitch_deg": Control("Pitch", -90.0, 90.0, "%.2f deg"),
     "mount.roll_deg": Control("Roll", -180.0, 180.0, "%.2f deg"),
@@ -274,12 +274,12 @@ def _mount(config: Config, changes: dict[str, Any]) -> None:
     _switch("mount.reading", "Mount angles literally as in eq. (31)", is_literal, "literal", "body", changes)
 
 
-_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true)
+_ENTER = int(imgui.InputTextFlags_.enter_returns_true)
 # Steps of the buttons of the time offset, and with Ctrl, s.
 _STEP_S, _FAST_STEP_S = 0.01, 0.1
 # Digits of the time offset after the point: the clocks of flight logs count microseconds.
-_DIGITS: Final = 6
-_INTERPOLATIONS: Final = {
+_DIGITS = 6
+_INTERPOLATIONS = {
     "slerp": "at a constant angular rate between two samples",
     "spline": "a cubic spline of the rotation, whose angular rate does not jump",
     "gyro": "by the gyro rates of the log, corrected to meet the next sample",

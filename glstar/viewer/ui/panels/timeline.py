@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from math import inf
-from typing import Final
 
 import numpy as np
 from imgui_bundle import imgui, implot
@@ -16,7 +15,7 @@ from glstar.viewer.flight.traces import ANGLES, FlightLines, TimeAxis, TimelineC
 from glstar.viewer.ui.theme import DAY_PALETTE, NIGHT_PALETTE, Palette, draw_checkbox, scaled
 
 # The y coordinates of a box of full height on an axis from 0 to 1.
-BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
+BOX = np.array([0.0, 1.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +38,15 @@ class Bands:
 
 
 # Width that the name of a mode needs besides its text, and the radius in which the mouse finds an event, px.
-_LABEL_GAP_PX: Final = 8.0
-_NEAR_PX: Final = 6.0
+_LABEL_GAP_PX = 8.0
+_NEAR_PX = 6.0
 # Most events that a tooltip lists.
-_LISTED: Final = 6
+_LISTED = 6
 # Heights of the rows of marks over that of the plot.
-_MESSAGES_AT: Final = 0.93
-_TRIGGERS_AT: Final = 0.04
-_IMAGES_AT: Final = 0.12
-_NAMES_AT: Final = 0.82
+_MESSAGES_AT = 0.93
+_TRIGGERS_AT = 0.04
+_IMAGES_AT = 0.12
+_NAMES_AT = 0.82
 
 
 class TimelineEvents:
@@ -110,48 +109,48 @@ class TimelineEvents:
 
 
 # Smallest interval of exposures that are drawn separately, px.
-_MIN_INTERVAL_PX: Final = 4
+_MIN_INTERVAL_PX = 4
 # Smallest height of a plot, px: in a low panel only the first plots are shown.
-_LEAST_PX: Final = 60
+_LEAST_PX = 60
 # Smallest height of a plot with labels of its values, px: in a lower one they would overlap.
-_LABELLED_PX: Final = 45
-_NO_TIMES: Final = np.empty(0)
+_LABELLED_PX = 45
+_NO_TIMES = np.empty(0)
 # The plots leave room for the widest name of a line, so that their times are aligned.
-_WIDEST_NAME: Final = max((name for curve in TimelineCurve for name in curve.spec.names), key=len)
-_HIDDEN_OPACITY: Final = 0.4
-_SMALL_PX: Final = (100.0, 40.0)
-_PADDING_PX: Final = (6.0, 4.0)
+_WIDEST_NAME = max((name for curve in TimelineCurve for name in curve.spec.names), key=len)
+_HIDDEN_OPACITY = 0.4
+_SMALL_PX = (100.0, 40.0)
+_PADDING_PX = (6.0, 4.0)
 # Margin above and below the lines, as a fraction of their height.
-_MARGIN: Final = (0.0, 0.05)
+_MARGIN = (0.0, 0.05)
 # How far a line may pass by a sample, px.
-_STRAIGHT_PX: Final = 0.1
+_STRAIGHT_PX = 0.1
 # Zoom factor of a notch of the mouse wheel.
-_WHEEL: Final = 1.25
+_WHEEL = 1.25
 
 # Part of a live flight that is shown at first, s.
-_LIVE_S: Final = 60.0
+_LIVE_S = 60.0
 # Day and twilight of a live flight are computed this far ahead, s.
-_LIGHT_AHEAD_S: Final = 600.0
+_LIGHT_AHEAD_S = 600.0
 
 # Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
 _MIN_SIZE, _PADDING, _FIT_PADDING = (
     int(which)
     for which in (implot.StyleVar_.plot_min_size, implot.StyleVar_.plot_padding, implot.StyleVar_.fit_padding)
 )
-_PLOT: Final = int(
+_PLOT = int(
     implot.Flags_.no_title
     | implot.Flags_.no_legend
     | implot.Flags_.no_mouse_text
     | implot.Flags_.no_menus
     | implot.Flags_.no_box_select
 )
-_X: Final = int(implot.AxisFlags_.no_side_switch | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_menus)
-_X_UNLABELLED: Final = _X | int(implot.AxisFlags_.no_tick_labels)
-_Y: Final = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
-_Y_UNLABELLED: Final = _Y | int(implot.AxisFlags_.no_tick_labels)
-_Y2: Final = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
+_X = int(implot.AxisFlags_.no_side_switch | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_menus)
+_X_UNLABELLED = _X | int(implot.AxisFlags_.no_tick_labels)
+_Y = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
+_Y_UNLABELLED = _Y | int(implot.AxisFlags_.no_tick_labels)
+_Y2 = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
 _X1_AXIS, _Y1_AXIS, _Y2_AXIS = int(implot.ImAxis_.x1), int(implot.ImAxis_.y1), int(implot.ImAxis_.y2)
-_ALWAYS: Final = int(implot.Cond_.always)
+_ALWAYS = int(implot.Cond_.always)
 
 
 @dataclass(frozen=True, slots=True)
