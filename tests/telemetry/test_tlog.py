@@ -42,6 +42,19 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "log.tlog"
 
 
+@pytest.fixture
+def turn() -> Log:
+    """A log of a turn at 10 deg/s, with place and UTC."""
+    log = Log()
+    log.heartbeat()
+    for t in times():
+        log.attitude(t, 10.0 * (t - BOOT_S))
+    for t in times(rate_hz=5):
+        log.place(t)
+        log.time(t)
+    return log
+
+
 # --- real logs ------------------------------------------------------------------------------------------------------
 @needs_logs
 def test_only_required_packets_are_decoded_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
