@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pymavlink.dialects.v20 import common
 
 from glstar.rotation import conjugate, quaternion_from_euler
@@ -90,6 +91,19 @@ def ms(t_s: float) -> int:
 
 def times(duration_s: float = 2.0, rate_hz: float = 50.0, start_s: float = BOOT_S) -> Iterator[float]:
     return (start_s + i / rate_hz for i in range(int(duration_s * rate_hz) + 1))
+
+
+@pytest.fixture
+def turn() -> Log:
+    """A log of a turn at 10 deg/s, with place and UTC."""
+    log = Log()
+    log.heartbeat()
+    for t in times():
+        log.attitude(t, 10.0 * (t - BOOT_S))
+    for t in times(rate_hz=5):
+        log.place(t)
+        log.time(t)
+    return log
 
 
 # --- a simulator's own state ----------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from glstar.telemetry import (
 )
 from glstar.telemetry.mavlink import packets as tlogfile
 from glstar.telemetry.mavlink.packets import LogPackets
+from tests.support import tlog
 from tests.support.tlog import ADELAIDE, BOOT_S, ELEVEN_S, LOGS, ROV, Log, simulated, times
 
 needs_logs = pytest.mark.skipif(not ADELAIDE.exists(), reason=f"no sample logs in {LOGS}")
@@ -42,17 +43,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "log.tlog"
 
 
-@pytest.fixture
-def turn() -> Log:
-    """A log of a turn at 10 deg/s, with place and UTC."""
-    log = Log()
-    log.heartbeat()
-    for t in times():
-        log.attitude(t, 10.0 * (t - BOOT_S))
-    for t in times(rate_hz=5):
-        log.place(t)
-        log.time(t)
-    return log
+turn = tlog.turn
 
 
 # --- real logs ------------------------------------------------------------------------------------------------------

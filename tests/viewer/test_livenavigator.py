@@ -121,7 +121,7 @@ def test_the_cameras_clock_error_is_taken_from_the_time_of_an_answer(small) -> N
 
 def test_the_overlays_of_the_command_line_are_shown_in_a_window_that_stays_open(monkeypatch) -> None:
     shown = []
-    monkeypatch.setattr("glstar.cli.flights.live.surface_of", lambda size, headless: HeadlessSurface(size))
+    monkeypatch.setattr("glstar.cli.flights.windowoptions.surface_of", lambda size, headless: HeadlessSurface(size))
     monkeypatch.setattr(Viewer, "run", lambda viewer: shown.append(set(viewer.session.shown_overlays)))
     port = free_port()
     with simulated(port):
