@@ -101,7 +101,7 @@ class CalibrationOptions:
             raise ConfigError("--geometry-only of several images needs --fit-lens: one lens for all of them")
         if self.shape:
             raise ConfigError("--shape takes one image: calibrate the sharpest one with it")
-        if self.gamma == "fit":
+        if self.gamma in (None, "fit"):
             raise ConfigError(
                 "--gamma fit takes one image: fit it on that with the widest range of sky, and give the number"
             )
@@ -343,7 +343,7 @@ def calibrate_photographs(
 
 
 def _ignore(_: object) -> None:
-    """Take progress or a remark that nobody asked for."""
+    """Do nothing with progress, or a remark, where the caller gave no function for it."""
 
 
 def read_light(path: Path, options: CalibrationOptions, on_note: Callable[[str], None] = _ignore) -> Photograph:

@@ -10,15 +10,18 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
-from glstar.camera.camerafile import label
+from glstar.camera.camerafile import label, read_integer, read_number, read_numbers
 from glstar.camera.model import Camera
 from glstar.camera.sensor.colourband import BANDS_WITH_COLOURS
-from glstar.errors import ConfigError
+from glstar.errors import CalibrationError, ConfigError
 from glstar.system.resources import asset
 from glstar.system.userinput import nearest_word, read_text
 
 # Bits of the digital numbers in `assets/sensors.toml`.
 _TABLE_BITS = 12
+# Largest number of bits of a mode, and largest side of the square of pixels that it averages.
+_MOST_BITS = 16
+_MOST_BINNING = 64
 # Size limit of a user's file of sensors, bytes.
 _LARGEST_BYTES = 2**20
 
@@ -144,36 +147,54 @@ def _presets_of_file(file: str) -> dict[str, SensorPreset]:
         try:
             preset = _preset(f"{file}:{name.lower()}", table)
             presets[name.lower()] = replace(preset, numbers={key: preset.numbers[key] for key in numbers})
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (CalibrationError, KeyError, TypeError, ValueError) as error:
             fault = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
             raise ConfigError(f"{file}: [{name}] is no sensor: {fault}", key="preset") from error
     return presets
 
 
-def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
-    numbers = {
-        key: Sourced(float(entry["value"]), str(entry["source"]))
-        for key, entry in table.items()
-        if isinstance(entry, dict)
-    }
+def _preset(name: str, table: object) -> SensorPreset:
+    if not isinstance(table, dict):
+        raise TypeError("it must be a table")
+    numbers = {key: _sourced(key, entry) for key, entry in table.items() if isinstance(entry, dict)}
+    if numbers["pixel_um"].value <= 0:
+        raise ValueError(f"pixel_um must be a positive number, not {numbers['pixel_um'].value:g}")
+    _whole("bit_depth", numbers["bit_depth"].value, _MOST_BITS)
     modes = tuple(_mode(name, mode, numbers) for mode in table.get("modes", ()))
     return SensorPreset(name, table["description"], numbers, modes, name if name in BANDS_WITH_COLOURS else None)
 
 
+def _sourced(key: str, entry: Mapping[str, Any]) -> Sourced:
+    missing = [part for part in ("value", "source") if part not in entry]
+    if missing:
+        raise ValueError(f"{key} has no {missing[0]}")
+    number = read_number(key, entry["value"])
+    # Whole numbers stay whole in JSON.
+    return Sourced(int(number) if isinstance(entry["value"], int) else number, str(entry["source"]))
+
+
 def _mode(sensor: str, mode: Mapping[str, Any], numbers: Mapping[str, Sourced]) -> SensorMode:
-    width_px, height_px = mode["size"]
-    bit_depth = int(mode.get("bit_depth", numbers["bit_depth"].value))
+    width_px, height_px = (read_integer("size", side) for side in read_numbers("size", mode["size"]))
+    bit_depth = _whole("bit_depth", mode.get("bit_depth", numbers["bit_depth"].value), _MOST_BITS)
+    binning = _whole("binning", mode["binning"], _MOST_BINNING)
     return SensorMode(
         name=f"{sensor}:{width_px}x{height_px}",
         width_px=width_px,
         height_px=height_px,
-        binning=mode["binning"],
+        binning=binning,
         bit_depth=bit_depth,
-        readout_s=mode["readout_ms"] / 1000.0,
+        readout_s=read_number("readout_ms", mode["readout_ms"]) / 1000.0,
         source=mode["source"],
-        pixel_um=numbers["pixel_um"].value * mode["binning"],
-        values=_values(numbers, mode["binning"], bit_depth),
+        pixel_um=numbers["pixel_um"].value * binning,
+        values=_values(numbers, binning, bit_depth),
     )
+
+
+def _whole(key: str, value: object, largest: int) -> int:
+    number = read_number(key, value)
+    if number != int(number) or not 1 <= number <= largest:
+        raise ValueError(f"{key} is {number:g}; it must be a whole number from 1 to {largest}")
+    return int(number)
 
 
 def _values(numbers: Mapping[str, Sourced], binning: int, bit_depth: int) -> dict[str, float]:

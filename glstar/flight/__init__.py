@@ -10,19 +10,25 @@
 module                holds
 ====================  ==================================================================================================
 ``attitude``          `AttitudeTrack`, its gaps, and resets of the estimator: turns that the aircraft did not make
-``position``          `PositionTrack`
-``flight``            `Flight`, the two tracks and where they come from; `FlightEvents`: flight modes and messages
+``flight``            `Flight`: attitude, `PositionTrack`, where they come from; `FlightEvents`: modes and messages
 ``spline``            `RotationSpline`: a curve through attitudes with continuous rate and angular acceleration
 ``gyroaided``         `gyro_aided`: attitude between samples from integrated gyro rates, and the lag of the gyros
 ``gimbal``            `Gimbal`: the attitude of the platform that carries the camera
-``navigator``         `NavigatorModel`: what the aircraft knows
+``navigator``         `EstimatedAttitude`: the attitude that the aircraft estimates, with the errors of an AHRS
 ``synthetic``         flights without a log: paths, gusts
 ====================  ==================================================================================================
 """
 
 from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
-from glstar.flight.flight import CameraTriggers, ClockQuality, EventKind, Flight, FlightEvents, GimbalAttitude
-from glstar.flight.position import PositionTrack
+from glstar.flight.flight import (
+    CameraTriggers,
+    ClockQuality,
+    EventKind,
+    Flight,
+    FlightEvents,
+    GimbalAttitude,
+    PositionTrack,
+)
 
 __all__ = [
     "DATA_GAP",

@@ -15,18 +15,17 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glstar.arrays import Float, Integer, Mask
+from glstar.arrays import Float, Integer, Mask, robust_std
 from glstar.errors import TelemetryError, TrackRangeError
 from glstar.flight.gyroaided import DATA_GAP_INTERVALS, GyroTrack, gyro_aided
 from glstar.flight.spline import RotationSpline
 from glstar.rotation import slerp, turn_between
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
-from glstar.statistics import robust_std
 
 
 @dataclass(frozen=True, slots=True)
 class _Thresholds:
-    """Thresholds of the detection."""
+    """Thresholds of `estimator_resets`."""
 
     # Smallest reset that is worth a gap: 1.5 deg is 100 px at f = 3871 px.
     least_reset_rad: float = float(np.deg2rad(1.5))

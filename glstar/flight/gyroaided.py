@@ -6,10 +6,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glstar.arrays import Float, Mask
+from glstar.arrays import Float, Mask, robust_std
 from glstar.flight.spline import RotationSpline, apply, cubic, vector_of_rate
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quaternion_from_turn, slerp, turn_between
-from glstar.statistics import robust_std
 
 # Two successive gyro readings with an interval above this many median intervals are separated by a data gap.
 DATA_GAP_INTERVALS = 3

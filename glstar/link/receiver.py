@@ -14,13 +14,10 @@ from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, MessageI
 from glstar.link.status import LatestAttitude
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import HEIGHTS_M
+from glstar.telemetry.mavlink.packets import NO_AUTOPILOT, Sender
 from glstar.telemetry.mavlink.vehicles import autopilot, vehicle_kind
 from glstar.telemetry.source import UNIT_TOLERANCE, YEAR_2010_S
 
-Sender = tuple[int, int]
-
-# MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
-_NO_AUTOPILOT = 8
 # Another autopilot is chosen if the first one sends no attitude for this time, s.
 _ATTITUDE_TIMEOUT_S = 5.0
 _FIX_3D = 3
@@ -196,7 +193,7 @@ class Receiver:
             self.lost -= missing
 
     def _on_heartbeat(self, message: Any, sender: Sender, arrival_s: float) -> None:
-        if message.autopilot == _NO_AUTOPILOT:
+        if message.autopilot == NO_AUTOPILOT:
             return
         if sender not in self._vehicles:
             if len(self._vehicles) >= _MAX_SENDERS:

@@ -4,7 +4,6 @@ Ctrl-C ends a command with one line and exit status 130 at any time, without a t
 process, because the next frame needs as much again.
 """
 
-import ctypes
 import os
 import signal
 import sys
@@ -112,17 +111,24 @@ def return_freed_memory() -> None:
     Without this only free memory at the end of the heap is ever returned: one small block that stays in use holds
     everything that was freed below it.
     """
-    malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if malloc_trim is not None:  # musl has none
-        malloc_trim.argtypes = [ctypes.c_size_t]
+    malloc_trim = _of_c_library("malloc_trim", "c_size_t")
+    if malloc_trim is not None:
         malloc_trim(_KEPT_BYTES)
 
 
 def _set(*parameters: tuple[int, int]) -> bool:
     """Set parameters of glibc's heap; return whether it took them all."""
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is None:  # musl has none
-        return False
-    mallopt.restype = ctypes.c_int
-    mallopt.argtypes = [ctypes.c_int, ctypes.c_int]
-    return all(bool(mallopt(*parameter)) for parameter in parameters)
+    mallopt = _of_c_library("mallopt", "c_int", "c_int")
+    return mallopt is not None and all(bool(mallopt(*parameter)) for parameter in parameters)
+
+
+def _of_c_library(name: str, *argument_types: str) -> Any:
+    """Return a function of the C library that returns an int; None if it has none, as musl has neither of the above."""
+    if sys.platform != "linux":
+        return None
+    import ctypes  # noqa: PLC0415 - 4 ms, which `glstar --help` does not need
+
+    function = getattr(ctypes.CDLL(None), name, None)
+    if function is not None:
+        function.argtypes = [getattr(ctypes, argument_type) for argument_type in argument_types]
+    return function

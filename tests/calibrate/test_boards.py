@@ -176,6 +176,13 @@ def test_an_image_is_rectified_on_the_command_line(chessboards, tmp_path: Path) 
     for row in rows:  # straight lines are straight
         off = row - row.mean(axis=0)
         assert np.linalg.svd(off)[1][1] < 0.3
+    of_floats = tmp_path / "light.tiff"
+    cv2.imwrite(str(of_floats), cv2.imread(str(chessboards[4]), cv2.IMREAD_GRAYSCALE).astype(np.float32))
+    run("camera", "rectify", of_floats, "-c", tmp_path / "c.yaml", "-o", tmp_path / "light.png")
+    of_integers, of_light = (
+        cv2.imread(str(tmp_path / name), cv2.IMREAD_GRAYSCALE).astype(int) for name in ("straight.png", "light.png")
+    )
+    assert np.abs(of_light - of_integers).max() <= 1
     missing = run("camera", "rectify", tmp_path / "no.png", "-c", tmp_path / "c.yaml", "-o", tmp_path / "s.png")
     assert missing.exit_code == 1
     assert "there is no such file" in missing.output

@@ -23,6 +23,7 @@ UTC = "2024-03-10T11:00:05Z"
         (["a.png", "b.png"], {"geometry_only": True}, "needs --fit-lens"),
         (["a.png", "b.png"], {"shape": True}, "--shape takes one image"),
         (["a.png", "b.png"], {"gamma": "fit"}, "--gamma fit takes one image"),
+        (["a.png", "b.png"], {"gamma": None}, "--gamma fit takes one image"),
         (["a.png", "b.png"], {"labels": "stars.csv"}, "--labels belong to one image"),
         (["a.png", "b.png"], {"criterion": "paper"}, "--criterion paper"),
         (["a.png", "b.png", "c.png"], {"exposure_s": [0.5, 1.0]}, "given 2 times for 3 images"),

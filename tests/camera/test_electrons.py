@@ -46,7 +46,7 @@ def test_the_background_has_black_level_sky_and_dark_current() -> None:
 
 def test_another_bit_depth_keeps_the_fraction_of_full_scale() -> None:
     twelve = Sensor(bit_depth=12, electrons=MODEL)
-    sixteen = twelve.with_bit_depth(16)
+    sixteen = twelve.with_bit_depth(16, ())
 
     for value in (lambda s: s.background_mean_dn(1.0), lambda s: float(s.peak_dn(2.0, 1.0))):
         assert value(sixteen) / 65535 == pytest.approx(value(twelve) / 4095, rel=1e-14)

@@ -186,7 +186,7 @@ def test_a_sensor_saturates_at_the_largest_number_of_its_converter(bit_depth: in
 @pytest.mark.parametrize("bit_depth", [8, 10, 12, 16])
 def test_another_bit_depth_keeps_fractions_of_full_scale(bit_depth: int) -> None:
     sensor = Sensor()
-    other = sensor.with_bit_depth(bit_depth)
+    other = sensor.with_bit_depth(bit_depth, ())
 
     assert other.bit_depth == bit_depth
     for dn in ("reference_peak_dn", "sky_mean_dn", "sky_std_dn"):
@@ -194,7 +194,7 @@ def test_another_bit_depth_keeps_fractions_of_full_scale(bit_depth: int) -> None
             getattr(sensor, dn) / sensor.saturation_dn, rel=1e-14
         )
     assert (other.psf_sigma_px, other.reference_vmag, other.pixel) == (1.2, 3.0, "integrated")
-    assert other.with_bit_depth(8).reference_peak_dn == pytest.approx(sensor.reference_peak_dn, rel=1e-14)
+    assert other.with_bit_depth(8, ()).reference_peak_dn == pytest.approx(sensor.reference_peak_dn, rel=1e-14)
 
 
 @pytest.mark.parametrize("key", ["reference_peak_dn", "reference_exposure_s", "psf_sigma_px"])
@@ -237,7 +237,7 @@ def test_a_converter_has_1_to_16_bits(bit_depth: int) -> None:
 
 def test_with_bit_depth_refuses_17_bits() -> None:
     with pytest.raises(ConfigError, match="must lie between 1 and 16, not 17"):
-        Sensor().with_bit_depth(17)
+        Sensor().with_bit_depth(17, ())
 
 
 def test_effect_keys_in_digital_numbers_are_scaled_to_another_bit_depth() -> None:

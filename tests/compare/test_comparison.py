@@ -20,6 +20,7 @@ from glstar.compare.report import alignment_json, comparison_json, comparison_ta
 from glstar.errors import ImagesError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage
+from glstar.render.effects import scaled_keys
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, quaternion_from_turn
@@ -223,7 +224,7 @@ def test_clock_and_mount_are_recovered_within_their_uncertainty(injected: RealSe
 
 
 def test_without_injected_errors_the_centroids_agree(tmp_path: Path, renderer: GLRenderer) -> None:
-    finely = replace(SENSOR, sky_std_dn=0.3).with_bit_depth(16)
+    finely = replace(SENSOR, sky_std_dn=0.3).with_bit_depth(16, scaled_keys())
     truth = simulator(flown(240), finely)
     same = taken(tmp_path, renderer, truth, starts_s=STARTS_S[:3])
 

@@ -10,7 +10,7 @@ from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
-from glstar.flight.position import PositionTrack
+from glstar.flight.flight import PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.truth.frame import frame_truth

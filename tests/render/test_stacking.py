@@ -9,6 +9,7 @@ import pytest
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import ConfigError
+from glstar.render.effects import scaled_keys
 from glstar.render.opengl import GLRenderer
 from glstar.render.readout.stacking import short_seed, union
 from glstar.render.truth.frame import frame_truth
@@ -142,7 +143,7 @@ def test_a_star_that_saturates_a_short_exposure_is_saturated_in_truth(renderer):
 
 
 def test_a_sum_that_does_not_fit_into_16_bits_is_refused(simulator):
-    twelve = replace(simulator, sensor=simulator.sensor.with_bit_depth(12))
+    twelve = replace(simulator, sensor=simulator.sensor.with_bit_depth(12, scaled_keys()))
     assert len(twelve.scene(replace(STACK, frames=16, gap_s=0.0, duration_s=0.01)).shorts) == 16
     with pytest.raises(ConfigError, match=r"take at most 16.*mean") as error:
         twelve.scene(replace(STACK, frames=17))

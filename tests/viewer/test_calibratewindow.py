@@ -93,7 +93,7 @@ def test_a_dropped_photograph_is_calibrated_corrected_saved_and_applied(photogra
     assert len(second.name) >= len(first.name) - 5
     assert np.linalg.norm(second.xy_px - first.xy_px[star], axis=1).min() > 1
 
-    window.save(second, tmp_path / "found" / "mine.toml")
+    window.save(second, tmp_path / "found" / "mine")
     finished(calibrating)
     assert "mine.toml and 3 files beside it" in session.notifications.current[-1].message
     written = {path.name for path in (tmp_path / "found").iterdir()}

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from glstar.arrays import Float
+from glstar.arrays import Float, robust_std
 from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
@@ -18,7 +18,6 @@ from glstar.calibrate.identify.platesolution import PlateSolution
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from glstar.statistics import robust_std
 
 LensChoice = Literal["auto", "none", "plumb_bob", "rational", "fisheye"]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float, Index
+from glstar.arrays import Float, Index, robust_std
 from glstar.calibrate.geometry.lenschoice import BestLens, LensChoice, LensTrial, best_lens, fit_candidate, simple_lens
 from glstar.calibrate.identify.leastsquares import IdentifiedStars
 from glstar.calibrate.identify.matching import mutual_nearest, offset_probability, significant
@@ -23,7 +23,6 @@ from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.distortion import COEFFICIENTS
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from glstar.statistics import robust_std
 
 # Smallest error of a centroid, due to pixels and catalogue, px.
 _LEAST_NOISE_PX = 0.05

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
-from glstar.arrays import Float, Index, Mask
+from glstar.arrays import Float, Index, Mask, robust_std
 from glstar.calibrate.identify.leastsquares import (
     CameraPoses,
     FreeParameters,
@@ -31,7 +31,6 @@ from glstar.calibrate.minimise import Minimum, minimise
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.camera.model import Camera
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
-from glstar.statistics import robust_std
 
 # Smallest probability of a real match that is kept.
 _LEAST_PROBABILITY = 0.9
@@ -57,7 +56,7 @@ def match_probability(separation_px: Float, scatter_px: Float, density_per_px2: 
 
     `separation_px` (n,): distance from each predicted star, the brightest first, to its match; infinite for a star
     without one; `scatter_px` (n,): standard deviation of a match's position in x and in y, if it is real;
-    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,) 0 for stars without
+    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,): 0 for stars without
     a match.  Bayes' theorem: a real match has a Gaussian separation (with a tail), and a prior, the fraction of stars
     of this brightness that are matched in excess of chance; a chance match has a uniform position.
     """
@@ -268,7 +267,7 @@ def offset_probability(
 
     `offset_px` (n, 2): detected minus predicted position, px, the brightest star of the catalogue first; `matched` (n,)
     bool: whether the star has a match; `scale` (n,): standard deviation of a star's position over that of the others;
-    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,) 0 for stars without
+    `density_per_px2`: detections per square pixel; `radius_px`: matching radius, px.  Returns (n,): 0 for stars without
     a match.
     """
     separation_px = np.where(matched, np.linalg.norm(offset_px, axis=1), np.inf)

@@ -74,7 +74,7 @@ class ReferenceStars:
 
         `C_camera_eq` (3, 3): as for `to_camera`; with a rolling shutter in the middle of the exposure of the middle
         row; `star` (k,) intp: indices of the stars; `xy_px` (k, 2): where they are on the image as it was recorded, px;
-        `camera`: of the size of the image.  Returns (k, 3) NaN below the horizon.
+        `camera`: of the size of the image.  Returns (k, 3): NaN below the horizon.
         """
         if self.rows is None:
             return np.asarray(self.to_camera(C_camera_eq)[star])

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from glstar.arrays import Float, Mask
+from glstar.arrays import Float, Mask, robust_std
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.photo.psf import FittedStars, drawn_out_px, fit_stars
-from glstar.statistics import robust_std
 
 # Side of a background tile, px. Larger images have larger tiles with the same number of sampled pixels.
 _TILE_PX = 64

@@ -208,7 +208,7 @@ def _checked_gamma(gamma: str | float) -> str | float:
 
 def encoded_image(suffix: str, pixels: NDArray[Any]) -> bytes:
     """Return the content of an image file; `suffix`: that of its format, such as ``.png``."""
-    if suffix == ".png":
-        return encode_png(pixels if pixels.ndim == 2 else pixels[..., ::-1])
+    if suffix == ".png" and pixels.ndim == 2 and pixels.dtype in (np.uint8, np.uint16):
+        return encode_png(pixels)
     _, content = cv2.imencode(suffix, pixels)
     return content.tobytes()

@@ -66,7 +66,7 @@ def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
     """Return one axis of a Gaussian of peak 1, integrated over pixels.
 
     `offset_px` (...): pixel centre minus star centre, px; `sigma_px`: standard deviation of the point spread function,
-    px.  Returns (...) the image of a star is its amplitude times the profiles of both axes.  Teague & Chahl, eqs
+    px.  Returns (...): the image of a star is its amplitude times the profiles of both axes.  Teague & Chahl, eqs
     (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 1.1 px up a widened Gaussian
     approximates that integral, here as in the renderer, so that a fit recovers the sensor's sigma.
     """
@@ -78,7 +78,7 @@ def dilution(trail_px: Float, sigma_px: float) -> Float:
     """Return the peak of a star's trail over the amplitude of the star at rest.
 
     `trail_px` (n, 2): vector from one end of the trail to the other, px; `sigma_px`: standard deviation of the point
-    spread function, px.  Returns (n,) 1 for a star at rest.
+    spread function, px.  Returns (n,): 1 for a star at rest.
     """
     length = np.maximum(np.linalg.norm(trail_px, axis=1), 1e-6 * sigma_px)
     return np.asarray(sigma_px * np.sqrt(2 * np.pi) / length * erf(length / (2 * np.sqrt(2) * sigma_px)))

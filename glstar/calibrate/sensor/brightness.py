@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from glstar.arrays import Float, Mask
+from glstar.arrays import Float, Mask, robust_std
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.sensor.calibration import Calibration
 from glstar.calibrate.sensor.combine import Observations, StarTable, solve_brightness
@@ -24,7 +24,6 @@ from glstar.render.motion.pointing import Pointing
 from glstar.render.scene.starcomponents import colours_used
 from glstar.sky.air.extinction import air_mass
 from glstar.sky.photometry import USUAL_BV, VALID_BV, star_colours
-from glstar.statistics import robust_std
 
 # Terms are used if the probability that chance lowers the residuals as much (F test) is below the first for all of them
 # together, and below the second for each, with at least this number of stars for each term.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar import __version__
-from glstar.arrays import Float, Index, Mask
+from glstar.arrays import Float, Index, Mask, robust_std
 from glstar.calibrate.geometry.camera import calibration_toml
 from glstar.calibrate.geometry.lensfit import SharedLensFit, require_one_camera
 from glstar.calibrate.notes import Note, NoteKind
@@ -18,7 +18,6 @@ from glstar.calibrate.sensor.calibration import Calibration
 from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.sky.photometry import magnitude_difference
-from glstar.statistics import robust_std
 
 # Stars count from this signal-to-noise ratio on; pixel differences limit their accuracy to this, mag.
 _BRIGHT_ENOUGH = 10.0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.special import ndtri
 
-from glstar.arrays import Float, Index, Mask
+from glstar.arrays import Float, Index, Mask, robust_std
 from glstar.calibrate.identify.leastsquares import projection_jacobian
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars
@@ -17,7 +17,6 @@ from glstar.calibrate.photo.psf import dilution, fit_stars, profile
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.errors import CalibrationError
 from glstar.sky.photometry import brightness_ratio, magnitude_difference
-from glstar.statistics import robust_std
 
 Criterion = Literal["median", "paper"]
 
@@ -284,7 +283,7 @@ def _median_error(values: Float, weights: Float) -> float:
 def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
     """Return the widths of stars behind a lens over those on the axis, along its two principal directions.
 
-    `xy_px` (n, 2): pixel positions.  Returns (n, 2) 1 without a lens, and for a lens too wide for the renderer.
+    `xy_px` (n, 2): pixel positions.  Returns (n, 2): 1 without a lens, and for a lens too wide for the renderer.
     """
     camera = solution.camera
     if camera.lens is None or not camera.is_drawable:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float, Index
+from glstar.arrays import Float, Index, robust_std
 from glstar.calibrate.identify.platesolution import Matches
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
@@ -13,7 +13,6 @@ from glstar.calibrate.photo.psf import fit_stars, profile, star_shapes
 from glstar.calibrate.sensor.fit import BrightnessFit, MeasuredStars
 from glstar.calibrate.sensor.misfit import WING_RADIUS_SIGMA, Measurement, Misfit, RadialProfile
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
-from glstar.statistics import robust_std
 
 # Wings are measured up to this radius, and the sky beneath them between the next two, in sigma as the pixels record it.
 _OUTER_SIGMA = 8.0

@@ -532,7 +532,7 @@ class Sensor:
         keys = self.effects.keys() | other.effects.keys() if light_keys is None else light_keys
         return equalised == other and all(self.effects.get(key) == other.effects.get(key) for key in keys)
 
-    def with_bit_depth(self, bit_depth: int, scaled_keys: Collection[str] = ()) -> Self:
+    def with_bit_depth(self, bit_depth: int, scaled_keys: Collection[str]) -> Self:
         """Return the sensor with another bit depth; all brightnesses keep their fraction of full scale.
 
         Parameters

@@ -80,6 +80,7 @@ def _result(photograph: pipeline.IdentifiedPhotograph, result: Calibration | Geo
     ]
 
     def save(path: Path) -> list[Path]:
+        path = path.with_suffix(".toml")
         return write_files(path, pipeline.calibration_files(result, path.stem))
 
     return CalibratedPhoto(

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from glstar.score.frames import Limits
 from glstar.score.metrics import METRICS, Metric, Spread
-from glstar.score.scoring import DETECTABLE_SNR, Score
+from glstar.score.scoring import DETECTABLE_SNR, Score, draw_score
 from glstar.score.summary import RUN_METRICS, Summary
 from glstar.system.files import write_atomically
 
@@ -56,8 +56,6 @@ def score(
         raise typer.BadParameter(f"{unknown[0]} is no bin of these frames; there are {names}", param_hint="--by")
     text = json.dumps(found.json, indent=1) + "\n"
     if output is not None:
-        from glstar.score.plot import draw_score  # noqa: PLC0415 - matplotlib
-
         output.mkdir(parents=True, exist_ok=True)
         write_atomically(output / "score.json", text.encode())
         draw_score(found, output / "score.png")

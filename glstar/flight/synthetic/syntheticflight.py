@@ -9,8 +9,7 @@ import numpy as np
 from glstar.arrays import Float
 from glstar.errors import ConfigError
 from glstar.flight.attitude import AttitudeTrack
-from glstar.flight.flight import Flight
-from glstar.flight.position import PositionTrack
+from glstar.flight.flight import Flight, PositionTrack
 from glstar.flight.synthetic import paths
 from glstar.flight.synthetic.gusts import AttitudeResponse, DrydenGusts, VibrationLine, vibration_turns
 from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_turn

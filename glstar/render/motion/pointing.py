@@ -33,7 +33,8 @@ class Pointing:
     # (n, 3) velocity of the observer due to the Earth's rotation, in units of the speed of light, for diurnal
     # aberration.
     velocity_eq: Float
-    refraction_scale: float  # Refraction relative to standard air: see `horizon.refraction_scale`; 0 for no refraction
+    # Refraction relative to standard air: see `glstar.sky.air.refraction.refraction_scale`; 0 for no refraction.
+    refraction_scale: float
     # Sine of the apparent altitude of the horizon, below which no star is seen; of a profile a bound.
     sine_horizon: float = 0.0
     profile: HorizonProfile | None = None  # The horizon by azimuth; None for one of equal altitude all around

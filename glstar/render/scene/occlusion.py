@@ -135,7 +135,7 @@ def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) ->
 
     `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (m, 2) elapsed
     fractions of the exposure: a star is up from the first to the second; if the second is earlier, until the second and
-    again from the first. 0 of a star that is up at the start, `NEVER` of a star that does not rise or does not set.
+    again from the first.  0 of a star that is up at the start, `NEVER` of a star that does not rise or does not set.
     Within a segment the sine of an altitude is the quadratic through its values at the start, the middle and the end.
     """
     pointing = trails.pointing

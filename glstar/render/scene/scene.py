@@ -103,7 +103,8 @@ class Scene:
     satellites : tuple of Scene
         A scene of each satellite on the image, with its own motion.
     attenuation : Attenuation
-        What changes the light of stars during the exposure: cloud, scintillation, a horizon profile.
+        What changes the light of stars during the exposure: cloud, scintillation, a horizon profile.  Of a stacked
+        image, from the start of the first short exposure to the end of the last.
     """
 
     stars: StarField

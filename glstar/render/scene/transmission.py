@@ -85,4 +85,4 @@ class Attenuator(Protocol):
 
 def transmission_through(attenuators: Sequence[Attenuator], sources: Sources, times: int) -> Transmission:
     """Return what one or more attenuators leave at a number of times, multiplied in their order."""
-    return Transmission(reduce(np.multiply, [attenuator.fraction(sources, times) for attenuator in attenuators]))
+    return Transmission(reduce(np.multiply, (attenuator.fraction(sources, times) for attenuator in attenuators)))

@@ -400,7 +400,6 @@ _V1_BYTES, _V2_BYTES, _SIGNATURE_BYTES = 8, 12, 13
 _ROW = 5
 # First of the arrival times that are given to a stream, UTC seconds since 1970.
 _START_S = source.YEAR_2010_S + 86400.0
-_AUTOPILOT = 1
 
 
 def is_mavlink_stream(head: bytes) -> bool:
@@ -435,7 +434,7 @@ def _with_arrival_times(name: str) -> tuple["tempfile.TemporaryDirectory[str]", 
         for packet, message in _packets(content):
             count += 1
             time_ms = getattr(message, "time_boot_ms", None)
-            if time_ms is not None and message.get_srcComponent() == _AUTOPILOT:
+            if time_ms is not None and message.get_srcComponent() == _FIRST_AUTOPILOT:
                 # A step back is a reboot, or a packet that overtook another.
                 clock_s += 0.0 if boot_s is None else max(time_ms / 1e3 - boot_s, 0.0)
                 boot_s = time_ms / 1e3

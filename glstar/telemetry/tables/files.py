@@ -38,7 +38,7 @@ _PARQUET = b"PAR1"
 # A number that can only have a decimal comma: 1,024 may as well be a thousand.
 _DECIMAL_COMMA = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
 # Largest deviation of the norm of a quaternion from 1, for components with two decimals.
-UNIT_TOLERANCE = 0.02
+TABLE_UNIT_TOLERANCE = 0.02
 # Number of rows that are held as text before they are converted: numbers need a tenth of the memory.
 ROWS_AT_ONCE = 1000
 # First characters of a number or a time.

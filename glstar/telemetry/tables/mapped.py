@@ -24,7 +24,7 @@ from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
 from glstar.system.resources import asset
 from glstar.system.userinput import did_you_mean, nearest_word, read_text
 from glstar.telemetry import source
-from glstar.telemetry.tables.files import UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
+from glstar.telemetry.tables.files import TABLE_UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
 
 # Size limit of a map, bytes.
 _LARGEST_BYTES = 2**20
@@ -361,12 +361,12 @@ class MappedTableReader(source.TelemetrySource):
         q = np.stack([table.numbers(component) for component in components], axis=-1) / wanted.quaternion_scale
         if wanted.quaternion_xyz:
             squared = 1 - (q**2).sum(axis=-1)
-            self._reject(squared < -UNIT_TOLERANCE, components[0], "begins a quaternion longer than 1")
+            self._reject(squared < -TABLE_UNIT_TOLERANCE, components[0], "begins a quaternion longer than 1")
             q = np.column_stack([np.sqrt(np.clip(squared, 0, None)), q])
         norm = source.quaternion_lengths(q)
         # Many programs write zeros while there is no attitude.
         valid: Mask = np.asarray(np.isfinite(norm) & (norm > 0))
-        odd = valid & (np.abs(norm - 1) > UNIT_TOLERANCE)
+        odd = valid & (np.abs(norm - 1) > TABLE_UNIT_TOLERANCE)
         self._reject(odd, components[0], "begins a quaternion that is not of unit length")
         with np.errstate(invalid="ignore", divide="ignore"):
             q = q / norm[:, np.newaxis]

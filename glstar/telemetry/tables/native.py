@@ -36,7 +36,7 @@ from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import nearest_word
 from glstar.telemetry import source
-from glstar.telemetry.tables.files import ROWS_AT_ONCE, UNIT_TOLERANCE, csv_rows, refuse_other_attitudes
+from glstar.telemetry.tables.files import ROWS_AT_ONCE, TABLE_UNIT_TOLERANCE, csv_rows, refuse_other_attitudes
 
 _TIMES = ("utc", "utc_s")
 _EULER = ("roll_deg", "pitch_deg", "yaw_deg")
@@ -253,7 +253,7 @@ class _Columns:
                 self._reject(name, np.isinf(angle), "is no angle")
             return quaternion_from_euler(*map(np.deg2rad, euler_deg))
         q = np.stack([self._number(name) for name in _QUATERNION], axis=-1)
-        odd = np.abs(source.quaternion_lengths(q) - 1) > UNIT_TOLERANCE
+        odd = np.abs(source.quaternion_lengths(q) - 1) > TABLE_UNIT_TOLERANCE
         self._reject("qw", odd, "begins a quaternion that is not of unit length")
         return q
 

@@ -131,8 +131,8 @@ class FlightLines:
     attitude: AttitudeTrack
     second: Float  # (n,) the times of its samples, s from the origin
     angles_rad: Float  # (3, n) roll, pitch and yaw
-    angles: tuple[Trace, ...]  # Deg, and deg/s about forward, right and down
-    rates: tuple[Trace, ...]
+    angles: tuple[Trace, ...]  # Roll, pitch and yaw, deg
+    rates: tuple[Trace, ...]  # About forward, right and down, deg/s
     gaps_s: Float  # (m, 2) start and end of each gap, s from the origin
 
     @classmethod
@@ -340,11 +340,10 @@ class TimeAxis:
             self.pan((fraction - (_NEAR if fraction < _NEAR else _FAR)) * self.span_s)
 
     def ticks(self, width_px: float, *, first_utc_s: float | None = None) -> tuple[list[float], list[str]]:
-        """Return the ticks of the axis and their labels.
+        """Return the ticks of the axis, s from the flight's first attitude, and their labels.
 
         `width_px`: width of the axis, px; `first_utc_s`: the flight's first attitude, UTC seconds since 1970: the
-        labels are times of day then, and otherwise seconds from the first attitude.  Returns `seconds`: s from the
-        flight's first attitude.
+        labels are times of day then, and otherwise seconds from the first attitude.
         """
         min_s = self.span_s * _LABEL_PX / max(width_px, _LABEL_PX)
         origin_s = first_utc_s or 0.0

@@ -226,7 +226,7 @@ class CalibratedPhoto:
     report: tuple[str, ...]  # What was found, as lines
     notes: tuple[str, ...]  # Remarks for the user
     toml: str  # The calibration, for ``--config``
-    # Writes it with star list and report beside a path that ends with ``.toml``, and returns the paths.
+    # Writes it to a path, which gets the suffix ``.toml``, with star list and report beside it; returns the paths.
     save: Callable[[Path], list[Path]]
     state: Any  # What the function that calibrates needs to solve again
 

@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.arrays import Float
+from glstar.arrays import Float, robust_std
 from glstar.camera.sensor.sensor import Sensor
-from glstar.statistics import robust_std
 
 
 class ColourMap(StrEnum):

@@ -25,7 +25,7 @@ from glstar.system.installation import library_versions
 from glstar.telemetry import as_table
 from glstar.viewer.picture.comparison import compose, save_view
 from glstar.viewer.session.keys import Action
-from glstar.viewer.session.recording import BackgroundExport, ScreenVideo, Video
+from glstar.viewer.session.recording import BackgroundExport, Picture, ScreenVideo, Video
 from glstar.viewer.session.state import Session
 
 # Frame rate of a video that is recorded while the viewer is used, 1/s.
@@ -201,7 +201,6 @@ def write_file(path: Path, content: bytes) -> None:
         write_atomically(path, content)
 
 
-Picture = np.ndarray[Any, np.dtype[np.uint8]]
 Rectangle = tuple[int, int, int, int]
 
 

@@ -245,7 +245,7 @@ class CalibrateWindow:
         return self._saving is not None or (self.run is not None and self.run.running)
 
     def save(self, result: fitting.CalibratedPhoto, path: Path) -> None:
-        """Write a result on a thread, because its report takes a second to draw; `path`: with the suffix ``.toml``."""
+        """Write a result on a thread, because its report takes a second to draw; `path`: gets the suffix ``.toml``."""
         self._saving = self._writer.submit(result.save, path)
 
     def _report_saved(self, session: Session) -> None:

@@ -201,10 +201,9 @@ class Panels:
         loaded, selected = self._session.loaded, self._selection.selected
         if loaded is None or loaded.is_live or not any(curve.is_sampled for curve in timeline.curves):
             return None
-        is_star = selected is not None and selected.kind is ObjectKind.STAR
-        star_id = (
-            selected.star_id if selected is not None and is_star and TimelineCurve.SNR in timeline.curves else None
-        )
+        star_id = None
+        if TimelineCurve.SNR in timeline.curves and selected is not None and selected.kind is ObjectKind.STAR:
+            star_id = selected.star_id
         return self._session.loader.sampler.of(loaded.simulator, loaded.head.exposure_section, star_id)
 
     def _images_s(self) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.statistics import robust_std
+from glstar.arrays import robust_std
 
 
 def test_the_robust_std_of_normal_values_is_their_standard_deviation() -> None:
