@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import hypot, isfinite
+from math import atan2, hypot, isfinite
 from typing import Literal, Self
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.arrays import Float
 from glstar.camera.distortion import Lens
 from glstar.errors import CalibrationError, RenderError
-from glstar.rotation import matrix_from_euler, turn_from_matrix
+from glstar.rotation import matrix_from_euler
 
 # Samples along each side of the image at which properties of a lens are evaluated.
 _SAMPLES_PER_SIDE = 65
@@ -370,11 +370,15 @@ def _camera_body(mount: Mount) -> Float:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeError:
-    """The error of an attitude: the rotation from the true camera frame to the answered one."""
+    """The error of an attitude: the rotation from the true camera frame to the answered one.
 
-    right_rad: float  # Error of the answered optical axis to the right and down in the image, rad
+    It is one of the optical axis, along the great circle, and one about it: together exact up to 180 deg.
+    """
+
+    # Angle from the true to the answered optical axis, rad, and its parts to the right and down in the true image.
+    right_rad: float
     down_rad: float
-    roll_rad: float  # Rotation about the optical axis, rad
+    roll_rad: float  # Rotation about the optical axis that remains, rad, -pi to pi
 
     @property
     def boresight_rad(self) -> float:
@@ -384,6 +388,11 @@ class AttitudeError:
     @classmethod
     def between(cls, C_camera_icrs: Float, C_answered_icrs: Float) -> Self:
         """Return the error of an answered rotation from ICRS, or another frame, to the camera, (3, 3)."""
-        turn = turn_from_matrix(C_answered_icrs @ C_camera_icrs.T)
-        # The optical axis turns about the image's right axis downwards, about its down axis to the left.
-        return cls(float(turn[1]), float(-turn[0]), float(turn[2]))
+        turn = C_answered_icrs @ C_camera_icrs.T
+        right, down, ahead = (float(component) for component in turn[2])  # the answered axis in the true camera
+        across = hypot(right, down)
+        angle = atan2(across, ahead)
+        # Opposite axes: every direction leads there.
+        scale = angle / across if across > 0 else 1.0
+        shift = (angle, 0.0) if across == 0 and ahead < 0 else (right * scale, down * scale)
+        return cls(*shift, atan2(float(turn[0, 1] - turn[1, 0]), float(turn[0, 0] + turn[1, 1])))

@@ -160,7 +160,7 @@ class LiveExport:
         last_event, lacked, due_s = 0, "", -inf
         before: LatestAttitude | None = None
         report_after_s = time.monotonic() + _REPORT_DELAY_S
-        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set():
+        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set() and self._link.failure is None:
             for event in self._link.events(last_event):
                 last_event = event.number
                 on_event(event.message)

@@ -7,28 +7,32 @@ message                 has, besides latitude and longitude
 ======================  =============================================================================================
 external_position       MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003) in a COMMAND_INT: the time since the instant that
                         the fix is for, and its standard deviation
-gps_input               GPS_INPUT (232): GPS time of that instant, and its standard deviation; height, velocity and
-                        dilution are marked as to be ignored
+gps_input               GPS_INPUT (232): GPS time of the transmission, where the aircraft has flown until then with
+                        the velocity that the autopilot estimates, that velocity, and the standard deviation of the
+                        position; height and dilution are marked as to be ignored
 global_position_sensor  GLOBAL_POSITION_SENSOR (296): UTC of the transmission, the time since that instant, and its
                         standard deviation
 ======================  =============================================================================================
 
-The autopilot subtracts the delay from the time of arrival.  Heights are unknown.
+The autopilot subtracts the delay from the time of arrival.  Heights are unknown.  ArduPilot ignores GPS_INPUT unless
+GPS1_TYPE is 14, treats one without a velocity as one of 0 m/s, whatever its flags say, and takes the least age of such
+messages for that of the link, so that a constant delay of the solver would stay in the position.
 """
 
 from collections import deque
 from dataclasses import dataclass
 from ipaddress import ip_address
-from math import nan
+from math import hypot, isfinite, nan, pi
 from typing import Any, Literal
 
 import numpy as np
 
 from glstar.errors import ConfigError
 from glstar.link.endpoint import Endpoint
-from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, MessageId, dialect
+from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GPS_TYPES, MessageId, dialect
 from glstar.link.receiver import Receiver
-from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, tai_minus_utc_s
+from glstar.sky.place.site import Site, north_east_of, surface_offset_km
+from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, format_utc, tai_minus_utc_s
 
 # System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
 _SYSTEM, _COMPONENT = 255, 191
@@ -176,8 +180,20 @@ _FIX_3D = 3
 _UNKNOWN = 255
 # Value of a dilution that is not known.
 _NO_DILUTION = 65535.0
-# The sender's time wraps around, s: float32 has a resolution of 0.24 ms below it.
-_WRAP_S = 3600.0
+# ArduPilot applies an older position as if it were of this age, s.
+_OLDEST_S = 5.0
+# Largest standard deviation of a position, m: half of the Earth's circumference.
+_LARGEST_SIGMA_M = 2.1e7
+# Speed that an aircraft may have, km/s.
+_SPEED_KM_PER_S = 0.1
+# Number of positions out of reach in a row, each within reach of the previous one, of which the last is accepted.
+_AGREEING = 3
+# Value of `GPS_TYPES` that takes GPS_INPUT.
+_GPS_OF_MAVLINK = 14
+# Interval between requests for it, s, and their number.
+_PARAMETER_S, _PARAMETER_TRIES = 1.0, 4
+# Standard deviation of the velocity that the autopilot estimates and is sent back, m/s.
+_SPEED_ACCURACY_M_PER_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,16 +205,34 @@ class PositionFix:
     utc_s: float  # When the aircraft was there, UTC seconds since 1970
     sigma_m: float | None = None  # Standard deviation of each horizontal component, m; None if unknown
 
+    @property
+    def is_on_earth(self) -> bool:
+        """Whether all numbers are finite and within their limits."""
+        sigma_m = self.sigma_m or 0.0
+        return (
+            abs(self.latitude_rad) <= pi / 2
+            and abs(self.longitude_rad) <= pi
+            and isfinite(self.utc_s)
+            and 0 <= sigma_m <= _LARGEST_SIGMA_M
+        )
+
 
 class Injector:
-    """A queue of position fixes for the autopilot of a link; `sent` counts those that were sent.
+    """A queue of position fixes for the autopilot of a link; `sent` and `refused` count those that were, and were not.
 
-    `host` repeats the host or serial port of the endpoint, if that is not this computer.  Raises ConfigError if the
-    link leaves this computer and its host is not named, or another one is.
+    `host` repeats the host or serial port of the endpoint, if that is not this computer.  A fix is refused if it is too
+    old for the autopilot, or farther than `max_km` from where the aircraft can have flown since the previous one;
+    `messages` says why.  Raises ConfigError if the link leaves this computer and its host is not named, or another one
+    is.
     """
 
     def __init__(
-        self, endpoint: Endpoint, host: str | None = None, message: InjectedMessage = "external_position"
+        self,
+        endpoint: Endpoint,
+        host: str | None = None,
+        message: InjectedMessage = "external_position",
+        *,
+        max_km: float = 200.0,
     ) -> None:
         other = endpoint.device if endpoint.kind == "serial" else endpoint.host
         if host is None and not (endpoint.kind != "serial" and _is_loopback(endpoint.host)):
@@ -208,13 +242,23 @@ class Injector:
             )
         if host is not None and host != other:
             raise ConfigError(f"--inject-host {host} is not the host of {endpoint.text}, which is {other}")
-        self.sent = 0
+        self.sent = self.refused = 0
+        # What the user should know; taken from the left by the link.
+        self.messages: deque[str] = deque()
         self._make = {
             "external_position": self._external_position,
             "gps_input": self._gps_input,
             "global_position_sensor": self._global_position_sensor,
         }[message]
+        self._is_gps_input = message == "gps_input"
+        self._max_km = max_km
         self._fixes: deque[PositionFix] = deque()
+        self._sent_last: PositionFix | None = None
+        # Latest fix out of reach, and the number of those in a row that agree with it.
+        self._doubted: tuple[PositionFix, int] | None = None
+        # When the first fix was sent, by `time.monotonic`, s: the zero of the times of transmission, which never wrap.
+        self._first_s: float | None = None
+        self._asked: list[float] = []  # When the parameter was asked for, by `time.monotonic`, s
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
 
@@ -227,23 +271,80 @@ class Injector:
         utc_minus_host_s = receiver.clock.utc_minus_host_s
         if receiver.chosen is None or utc_minus_host_s is None:
             return []
+        if self._is_gps_input and not receiver.parameters and len(self._asked) <= _PARAMETER_TRIES:
+            if self._asked and now_s - self._asked[-1] < _PARAMETER_S:
+                return []
+            self._asked.append(now_s)
+            if len(self._asked) <= _PARAMETER_TRIES:
+                return [self._packed(self._parameter_request(receiver.chosen, name)) for name in GPS_TYPES]
+            self.messages.append(f"the autopilot does not state {GPS_TYPES[0]}: it may ignore the positions")
         packets = []
         while self._fixes:
             fix = self._fixes.popleft()
-            message = self._make(fix, receiver.chosen, now_s, now_s + utc_minus_host_s)
-            packets.append(bytes(message.pack(self._link)))
-            self._link.seq = (self._link.seq + 1) % 256
+            utc_s = now_s + utc_minus_host_s
+            why = self._refusal(fix, receiver, now_s, utc_s)
+            if why is not None:
+                self.refused += 1
+                self.messages.append(f"the position of {format_utc(fix.utc_s)[11:21]} is not sent: {why}")
+                continue
+            self._first_s = now_s if self._first_s is None else self._first_s
+            packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
+            self._sent_last, self._doubted = fix, None
         self.sent += len(packets)
         return packets
 
-    def _external_position(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:
+    def _packed(self, message: Any) -> bytes:
+        packed = bytes(message.pack(self._link))
+        self._link.seq = (self._link.seq + 1) % 256
+        return packed
+
+    def _parameter_request(self, target: tuple[int, int], name: str) -> Any:
+        return self._mavlink.MAVLink_param_request_read_message(*target, name.encode(), -1)
+
+    def _refusal(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> str | None:
+        """Return why a fix must not be sent; None if it may."""
+        if not fix.is_on_earth:
+            return "it is no place on Earth"
+        age_s = utc_s - fix.utc_s
+        if age_s > _OLDEST_S:
+            return f"it is {age_s:.1f} s old, and an autopilot takes older ones than {_OLDEST_S:g} s for newer"
+        if self._is_gps_input:
+            for name, value in receiver.parameters.items():
+                if value != _GPS_OF_MAVLINK:
+                    return f"{name} is {value:g}; set it to {_GPS_OF_MAVLINK} (MAVLink) and restart the autopilot"
+            if receiver.velocity(now_s) is None:
+                return "GPS_INPUT needs the velocity of GLOBAL_POSITION_INT, which does not arrive"
+        return self._too_far(fix)
+
+    def _too_far(self, fix: PositionFix) -> str | None:
+        if self._sent_last is None or self._can_follow(self._sent_last, fix):
+            return None
+        last, agreeing = self._doubted or (None, 0)
+        agreeing = agreeing + 1 if last is not None and self._can_follow(last, fix) else 1
+        if agreeing >= _AGREEING:
+            self.messages.append(f"{_AGREEING} positions in a row agree with each other: accepted")
+            return None
+        self._doubted = fix, agreeing
+        distance_km = _distance_km(self._sent_last, fix)
+        return (
+            f"it is {distance_km:.0f} km from the previous one, {abs(fix.utc_s - self._sent_last.utc_s):.0f} s before;"
+            f" --inject-max-km allows {self._max_km:g} km more than the flight"
+        )
+
+    def _can_follow(self, before: PositionFix, fix: PositionFix) -> bool:
+        flown_km = _SPEED_KM_PER_S * abs(fix.utc_s - before.utc_s)
+        return _distance_km(before, fix) <= self._max_km + flown_km
+
+    def _external_position(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:
+        assert receiver.chosen is not None
+        assert self._first_s is not None
         return self._mavlink.MAVLink_command_int_message(
-            *target,
+            *receiver.chosen,
             self._mavlink.MAV_FRAME_GLOBAL,
             EXTERNAL_POSITION_ESTIMATE,
             0,
             0,
-            now_s % _WRAP_S,
+            now_s - self._first_s,
             max(utc_s - fix.utc_s, 0.0),
             nan if fix.sigma_m is None else fix.sigma_m,
             0.0,
@@ -251,17 +352,19 @@ class Injector:
             nan,
         )
 
-    def _gps_input(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has no target
-        """Return the fix as of a GPS receiver, whose time is that of the instant of the fix."""
+    def _gps_input(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:
+        """Return the fix as of a GPS receiver that measures where the aircraft is now."""
         mavlink = self._mavlink
+        velocity = receiver.velocity(now_s)
+        assert velocity is not None
+        age_s = max(utc_s - fix.utc_s, 0.0)
+        place = north_east_of(Site(fix.latitude_rad, fix.longitude_rad), velocity[0] * age_s, velocity[1] * age_s)
+        fix = PositionFix(*place, utc_s, fix.sigma_m)
         week, week_s = divmod(fix.utc_s + tai_minus_utc_s(fix.utc_s) - TAI_MINUS_GPS_S - GPS_EPOCH_S, WEEK_S)
         ignored = (
             mavlink.GPS_INPUT_IGNORE_FLAG_ALT
             | mavlink.GPS_INPUT_IGNORE_FLAG_HDOP
             | mavlink.GPS_INPUT_IGNORE_FLAG_VDOP
-            | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_HORIZ
-            | mavlink.GPS_INPUT_IGNORE_FLAG_VEL_VERT
-            | mavlink.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
             | mavlink.GPS_INPUT_IGNORE_FLAG_VERTICAL_ACCURACY
         )
         if fix.sigma_m is None:
@@ -278,19 +381,18 @@ class Injector:
             0.0,
             _NO_DILUTION,
             _NO_DILUTION,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
+            *velocity,
+            _SPEED_ACCURACY_M_PER_S,
             fix.sigma_m or 0.0,
             0.0,
             _UNKNOWN,
         )
 
-    def _global_position_sensor(self, fix: PositionFix, target: tuple[int, int], now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has UTC
+    def _global_position_sensor(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> Any:  # noqa: ARG002 - it has UTC
         mavlink = self._mavlink
+        assert receiver.chosen is not None
         return mavlink.MAVLink_global_position_sensor_message(
-            *target,
+            *receiver.chosen,
             0,
             round(utc_s * 1e6),
             round(max(utc_s - fix.utc_s, 0.0) * 1e6),
@@ -308,6 +410,10 @@ def _degrees_e7(fix: PositionFix) -> tuple[int, int]:
     """Return latitude and longitude in 1e-7 deg."""
     latitude, longitude = (round(float(np.rad2deg(angle)) * 1e7) for angle in (fix.latitude_rad, fix.longitude_rad))
     return latitude, longitude
+
+
+def _distance_km(one: PositionFix, other: PositionFix) -> float:
+    return hypot(*surface_offset_km(Site(one.latitude_rad, one.longitude_rad), other.latitude_rad, other.longitude_rad))
 
 
 def _is_loopback(host: str) -> bool:

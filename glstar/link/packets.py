@@ -28,6 +28,7 @@ class MessageId(IntEnum):
 
     HEARTBEAT = 0
     SYSTEM_TIME = 2
+    PARAM_VALUE = 22
     GPS_RAW_INT = 24
     ATTITUDE = 30
     ATTITUDE_QUATERNION = 31
@@ -46,6 +47,8 @@ GIMBAL_IDS = tuple(MessageId[name] for name in GIMBAL_MESSAGES)
 GIMBAL_NAMES = " or ".join(", ".join(GIMBAL_MESSAGES).rsplit(", ", 1))
 # MAV_CMD_EXTERNAL_POSITION_ESTIMATE.
 EXTERNAL_POSITION_ESTIMATE = 43003
+# ArduPilot's parameter for the kind of its receiver, and its earlier name.
+GPS_TYPES = ("GPS1_TYPE", "GPS_TYPE")
 
 # Window in which rates are counted, s.
 _RATE_WINDOW_S = 2.0

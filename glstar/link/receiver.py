@@ -10,7 +10,15 @@ import numpy as np
 from glstar.link.clock import BootClock
 from glstar.link.gimbal import LinkGimbal
 from glstar.link.history import SIMULATOR_MESSAGES, History, SimulatorState
-from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GIMBAL_IDS, MessageId, MessageRate, Packet, dialect
+from glstar.link.packets import (
+    EXTERNAL_POSITION_ESTIMATE,
+    GIMBAL_IDS,
+    GPS_TYPES,
+    MessageId,
+    MessageRate,
+    Packet,
+    dialect,
+)
 from glstar.link.status import LatestAttitude
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import HEIGHTS_M
@@ -21,6 +29,8 @@ from glstar.telemetry.source import UNIT_TOLERANCE, YEAR_2010_S
 # Another autopilot is chosen if the first one sends no attitude for this time, s.
 _ATTITUDE_TIMEOUT_S = 5.0
 _FIX_3D = 3
+# An older estimate of the velocity is not used, s.
+_VELOCITY_TIMEOUT_S = 2.0
 # After a longer pause of a sender its sequence numbers do not show losses, s.
 _SEQUENCE_TIMEOUT_S = 2.0
 # A larger change of UTC is reported, s: 7 px at 1 deg/s and f = 3871 px.
@@ -64,6 +74,11 @@ class Receiver:
         # Its last reply to a request for a message interval: a MAV_RESULT.
         self.ack: int | None = None
         self._position_ack: int | None = None
+        # Those of `GPS_TYPES` that the autopilot stated.
+        self.parameters: dict[str, float] = {}
+        # Its estimated velocity, north, east and down, m/s, and the arrival by `time.monotonic`, s.
+        self._velocity = (0.0, 0.0, 0.0)
+        self._velocity_s = -inf
         self._report = report
         self._sysid = sysid
         mavlink = dialect()
@@ -90,6 +105,7 @@ class Receiver:
             MessageId.GPS_RAW_INT: self._on_fix,
             MessageId.HIL_STATE_QUATERNION: self._on_hil_state,
             MessageId.COMMAND_ACK: self._on_ack,
+            MessageId.PARAM_VALUE: self._on_parameter,
         }
         if self.simulator is not None:
             self._handlers |= {number: partial(self.simulator.receive, number) for number in SIMULATOR_MESSAGES}
@@ -210,6 +226,8 @@ class Receiver:
 
     def _choose(self, sender: Sender, arrival_s: float) -> None:
         self.chosen = sender
+        self.parameters = {}
+        self._velocity_s = -inf
         self._chosen_s = arrival_s
         if len(self.systems) > 1:
             systems = " and ".join(map(str, self.systems))
@@ -331,8 +349,17 @@ class Receiver:
             return MessageId.HIL_STATE_QUATERNION
         return MessageId.ATTITUDE if angles_hz > 2 * quaternion_hz else MessageId.ATTITUDE_QUATERNION
 
+    def velocity(self, now_s: float) -> tuple[float, float, float] | None:
+        """Return the velocity that the autopilot estimates, north, east, down, m/s; None without a recent one."""
+        return self._velocity if now_s - self._velocity_s <= _VELOCITY_TIMEOUT_S else None
+
+    def _on_parameter(self, message: Any, _: float) -> None:
+        if message.param_id in GPS_TYPES:
+            self.parameters[message.param_id] = message.param_value
+
     def _on_position(self, message: Any, arrival_s: float) -> None:
         self._rates[MessageId.GLOBAL_POSITION_INT].add(arrival_s)
+        self._velocity, self._velocity_s = (message.vx / 100, message.vy / 100, message.vz / 100), arrival_s
         self._position_messages.add(MessageId.GLOBAL_POSITION_INT)
         boot_s = self._boot_s(message.time_boot_ms / 1000, arrival_s)
         if boot_s is not None and (message.lat or message.lon):

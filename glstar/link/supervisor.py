@@ -167,7 +167,8 @@ class Link:
         self._event_count = 0
         self._bad_bytes = 0
         self._open_error: LinkError | None = None
-        self._error: Exception | None = None
+        # What ended the thread, which `close` raises; None while the link is well.
+        self.failure: LinkError | None = None
         self._tried, self._ending = Event(), Event()
         self._thread = Thread(target=self._run, name=f"glstar link {endpoint.text}", daemon=True)
 
@@ -187,15 +188,17 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Restore the default message rates, close the link and end its thread; may be called twice."""
+        """Restore the default message rates, close the link and end its thread; may be called twice.
+
+        Raises LinkError if an internal error had ended the thread.
+        """
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
         self.recording.end()
-        if self._error is not None:
-            error = self._error
-            self._error = None
-            raise error
+        if self.failure is not None:
+            failure, self.failure = self.failure, None
+            raise failure
 
     # --- for other threads --------------------------------------------------------------------------------------------
 
@@ -313,8 +316,9 @@ class Link:
         try:
             self._supervise()
         except Exception as error:
-            self._error = error
-            self._set_state("closed", f"an internal error of glstar: {error!r}")
+            self.failure = LinkError(self.endpoint.text, f"ended by an internal error of glstar: {error!r}")
+            self.failure.__cause__ = error
+            self._set_state("closed", str(self.failure))
         finally:
             self._tried.set()
 
@@ -399,6 +403,8 @@ class Link:
             if self._injector is not None:
                 for fix in self._injector.due(self._receiver, now_s):
                     transport.write(fix)
+                while self._injector.messages:
+                    self._report(self._injector.messages.popleft())
         return has_packets
 
     def _may_reopen(self) -> bool:

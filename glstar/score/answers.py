@@ -5,30 +5,35 @@ field                             meaning
 ================================  =====================================================================================
 frame, or file                    the frame's number or its file name, as in the truth; required by ``glstar score``
 utc                               UTC of the instant by the camera's clock, as in ``nav.jsonl``; for a live window
-status                            ``solved`` (default) or ``refused``
+status                            ``solved`` (default) or ``refused``; what answers nothing counts as refused
+replaces                          whether it takes the place of an earlier answer to the same frame; otherwise the first
+                                  one counts
 instant                           time of the attitude: ``start``, ``middle`` (default) or ``end`` of the exposure
 qw, qx, qy, qz                    q_camera_icrs: rotates ICRS components to camera ones (right, down, along the axis)
 or ra_deg, dec_deg, roll_deg      ICRS direction of the optical axis; position angle of the image's up, east of north
-latitude_deg, longitude_deg       WGS84
+latitude_deg, longitude_deg       WGS84; longitudes are taken modulo 360 deg
 ellipse_major_km,                 semi-axes of the stated error ellipse, and the azimuth of the major one, deg from
 ellipse_minor_km,                 north through east; ellipse_confidence is its stated probability (0.95)
 ellipse_azimuth_deg
 time_ms                           run time of the solver
-stars                             JSON only: a list of [x_px, y_px, star_id]; star_id null if it is not identified
+stars                             JSON only: a list of [x_px, y_px, star_id]; star_id null if it is not identified; of a
+                                  star that is listed twice the first counts
 stars_at                          points of the trails: flux ``centroid`` (default), ``start``, ``middle``, ``end``
 ================================  =====================================================================================
+
+A line that is no valid answer is no answer: it is reported, and the others count.
 """
 
 import csv
 import io
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
-from math import hypot, isfinite, log1p, sqrt
+from math import hypot, isfinite, log1p, radians, remainder, sqrt, tau
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
@@ -42,13 +47,22 @@ _QUATERNION = ("qw", "qx", "qy", "qz")
 _BORESIGHT = ("ra_deg", "dec_deg", "roll_deg")
 _POSITION = ("latitude_deg", "longitude_deg")
 _ELLIPSE = ("ellipse_major_km", "ellipse_minor_km", "ellipse_azimuth_deg")
-_SINGLE = frozenset({"frame", "file", "utc", "status", "instant", "ellipse_confidence", "time_ms", "stars", "stars_at"})
+_SINGLE = frozenset(
+    {"frame", "file", "utc", "status", "instant", "replaces", "ellipse_confidence", "time_ms", "stars", "stars_at"}
+)
 _FIELDS = _SINGLE.union(_QUATERNION, _BORESIGHT, _POSITION, _ELLIPSE)
 # Tolerance of a quaternion's length: its error if the components are rounded to four decimals.
 _UNIT_TOLERANCE = 1e-3
 _NO_FRAME = "does not say which frame it answers"
-# Largest answer file, bytes: lists of stars for 100 000 frames.
+# Largest answer file, bytes: lists of stars for 100 000 frames; and the longest line, characters: 20 000 stars.
 _MOST_BYTES = 2_000_000_000
+MOST_CHARACTERS = 1_000_000
+# Largest number of a frame or a star: that of a 64-bit integer.
+_LARGEST = 2**63 - 1
+# Largest semi-axis of an error ellipse, km: the Earth's circumference; and the least probability of one.
+_LARGEST_AXIS_KM, _LEAST_CONFIDENCE = 40_000.0, 1e-4
+# Longitudes beyond two turns are those of other units, deg.
+_LARGEST_LONGITUDE_DEG = 720.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +97,20 @@ class ObservedStars:
     star_id: NDArray[np.int64]  # (n,) int64: numbers in the catalogue of the truth; -1 if a star is not identified
     at: str  # {"centroid", "start", "middle", "end"}: the point of the star trails that the positions refer to
 
+    @property
+    def identifies(self) -> bool:
+        """Whether a star is identified."""
+        return bool((self.star_id >= 0).any())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """A navigator's answer for one frame."""
 
     line: int  # Line of the file, from 1
-    frame: int | None  # The frame's number; None if the answer names its file instead
+    frame: int | None  # The frame's number; None if the answer names only its file, or its time
     file: str | None
-    solved: bool  # False if the navigator refused to answer
+    solved: bool  # False if the navigator refused to answer, or answered nothing
     instant: str  # {"start", "middle", "end"}: the time of the attitude
     C_camera_icrs: Float | None  # (3, 3) or None
     latitude_rad: float | None
@@ -100,6 +119,38 @@ class Answer:
     stars: ObservedStars | None
     run_time_s: float | None
     utc_s: float | None = None  # UTC of the attitude by the camera's clock, seconds since 1970
+    replaces: bool = False  # Whether it takes the place of an earlier answer to the same frame
+
+    @property
+    def of(self) -> int | str | None:
+        """The number of its frame, or else the file; None if it states its time only."""
+        return self.file if self.frame is None else self.frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnswerFile:
+    """The answers of a file."""
+
+    path: Path
+    answers: tuple[Answer, ...]  # One for each frame at most, in the order of their lines
+    faults: tuple[str, ...]  # What is wrong with each of the other lines
+
+
+class FirstAnswers:
+    """The answers that count: the first to each frame, unless a later one replaces it."""
+
+    def __init__(self) -> None:
+        self._lines: dict[Hashable, int] = {}
+
+    def objection(self, answer: Answer, frame: Hashable) -> str | None:
+        """Return why an answer to a frame does not count, because of an earlier one; None if it counts."""
+        first = self._lines.setdefault(frame, answer.line)
+        if first == answer.line or answer.replaces:
+            return None
+        return (
+            f"line {answer.line} answers frame {answer.of} again; line {first} counts, unless a later one says"
+            ' "replaces": true'
+        )
 
 
 def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
@@ -114,25 +165,33 @@ def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Flo
     return turned
 
 
-def read_answers(path: Path) -> list[Answer]:
+def read_answers(path: Path) -> AnswerFile:
     """Read a file of answers: CSV with a header, or JSON lines.
 
-    Raises AnswersError if the file cannot be read, or a line is not a valid answer; it names the line and the field.
+    Raises AnswersError if the file cannot be read, or no line is a valid answer; it names the first fault, and its line
+    and field.
     """
     text = _content(path)
-    rows = _json_rows(path, text) if text.lstrip()[:1] in {"{", "["} else _csv_rows(path, text)
-    answers = [_answer(path, line, row) for line, row in rows]
+    is_json = text.lstrip()[:1] in {"{", "["}
+    answers: dict[Hashable, Answer] = {}
+    faults: list[str] = []
+    first = FirstAnswers()
+    for line, row in _json_rows(text) if is_json else _csv_rows(path, text):
+        try:
+            answer = _answer(path, line, _json_row(path, line, row) if is_json else _csv_row(path, line, row))
+        except AnswersError as error:
+            faults.append(_of(path, str(error)))
+            continue
+        fault = first.objection(answer, answer.of)
+        if answer.of is None:
+            fault = f"line {line} {_NO_FRAME}: give frame or file"
+        if fault is None:
+            answers[answer.of] = answer
+        else:
+            faults.append(fault)
     if not answers:
-        raise AnswersError(path, "holds no answers: write one line for each frame")
-    seen: dict[int | str | None, int] = {}
-    for answer in answers:
-        key = answer.file if answer.frame is None else answer.frame
-        if key is None:
-            raise AnswersError(path, f"line {answer.line} {_NO_FRAME}: give frame or file")
-        if key in seen:
-            raise AnswersError(path, f"answers frame {key} twice, in lines {seen[key]} and {answer.line}")
-        seen[key] = answer.line
-    return answers
+        raise AnswersError(path, faults[0] if faults else "holds no answers: write one line for each frame")
+    return AnswerFile(path, tuple(answers.values()), tuple(faults))
 
 
 def parse_answer(source: Path, line: int, text: str) -> Answer:
@@ -140,23 +199,27 @@ def parse_answer(source: Path, line: int, text: str) -> Answer:
     return _answer(source, line, _json_row(source, line, text))
 
 
+def _of(path: Path, message: str) -> str:
+    """Return the message of an AnswersError without the path in front of it."""
+    return message.removeprefix(f"{path}: ")
+
+
 def _content(path: Path) -> str:
     try:
         return read_text(path, _MOST_BYTES)
     except ValueError as error:
-        raise AnswersError(path, str(error).removeprefix(f"{path}: ")) from error
+        raise AnswersError(path, _of(path, str(error))) from error
 
 
-def _json_rows(path: Path, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.strip():
-            continue
-        yield number, _json_row(path, number, line)
+def _json_rows(text: str) -> Iterator[tuple[int, Any]]:
+    return ((number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip())
 
 
 def _json_row(path: Path, number: int, line: str) -> dict[str, Any]:
+    if len(line) > MOST_CHARACTERS:
+        raise AnswersError(path, f"line {number} has {len(line)} characters; at most {MOST_CHARACTERS} are read")
     try:
-        row = json.loads(line)
+        row = orjson.loads(line)
     except ValueError as error:
         raise AnswersError(path, f"line {number} is no JSON: {error}") from error
     if not isinstance(row, dict):
@@ -164,12 +227,19 @@ def _json_row(path: Path, number: int, line: str) -> dict[str, Any]:
     return {key: value for key, value in row.items() if value is not None}
 
 
-def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
-    reader = csv.DictReader(io.StringIO(text))
-    for row in reader:
-        if None in row:
-            raise AnswersError(path, f"line {reader.line_num} has more fields than the header")
-        yield reader.line_num, {key.strip(): value.strip() for key, value in row.items() if value and value.strip()}
+def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, Any]]:
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise AnswersError(path, f"line {reader.line_num + 1} is no CSV: {error}") from error
+
+
+def _csv_row(path: Path, number: int, row: dict[Any, Any]) -> dict[str, Any]:
+    if None in row:
+        raise AnswersError(path, f"line {number} has more fields than the header")
+    return {key.strip(): value.strip() for key, value in row.items() if value and value.strip()}
 
 
 def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
@@ -177,24 +247,29 @@ def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
     fields = _Row(path, line, row)
     if unknown := sorted(row.keys() - _FIELDS):
         names = ", ".join(sorted(_FIELDS))
-        raise AnswersError(path, f"line {line}: {unknown[0]!r} is no field of an answer; fields are {names}")
+        raise fields.error(f"{unknown[0]!r} is no field of an answer; fields are {names}")
     if not row.keys() & {"frame", "file", "utc"}:
         raise AnswersError(path, f"line {line} {_NO_FRAME}: give frame or file, or utc for a live window")
-    latitude, longitude = fields.group(_POSITION) or (None, None)
-    stars = row.get("stars")
+    latitude_rad, longitude_rad = _position(fields) or (None, None)
+    attitude, stars = _attitude(fields), _stars(fields)
+    says_solved = fields.choice("status", ("solved", "refused")) == "solved"
+    answers_something = attitude is not None or latitude_rad is not None or (stars is not None and stars.identifies)
+    if says_solved and "status" in row and not answers_something:
+        raise fields.error("says solved, but has neither an attitude nor a position nor identified stars")
     return Answer(
         line,
         fields.whole_number("frame") if "frame" in row else None,
-        str(row["file"]) if "file" in row and "frame" not in row else None,
-        solved=fields.choice("status", ("solved", "refused")) == "solved",
+        str(row["file"]) if "file" in row else None,
+        solved=says_solved and answers_something,
         instant=fields.choice("instant", ("middle", "start", "end")),
-        C_camera_icrs=_attitude(fields),
-        latitude_rad=None if latitude is None else float(np.deg2rad(latitude)),
-        longitude_rad=None if longitude is None else float(np.deg2rad(longitude)),
+        C_camera_icrs=attitude,
+        latitude_rad=latitude_rad,
+        longitude_rad=longitude_rad,
         ellipse=_ellipse(fields),
-        stars=None if stars is None else _stars(fields, stars),
-        run_time_s=fields.number("time_ms") / 1000 if "time_ms" in row else None,
+        stars=stars,
+        run_time_s=_run_time_s(fields),
         utc_s=fields.utc_s("utc") if "utc" in row else None,
+        replaces=fields.flag("replaces"),
     )
 
 
@@ -214,28 +289,45 @@ class _Row:
         try:
             number = float(self._row[name])
         except (TypeError, ValueError):
-            raise self.error(f"{name} is {self._row[name]!r}, not a number") from None
-        if not isfinite(number):
-            raise self.error(f"{name} is {self._row[name]!r}, not a finite number")
+            raise self.error(f"{name} is {self._shown(name)}, not a number") from None
+        if not isfinite(number) or isinstance(self._row[name], bool):
+            raise self.error(f"{name} is {self._shown(name)}, not a finite number")
         return number
 
     def whole_number(self, name: str) -> int:
         number = self.number(name)
-        if number != int(number) or number < 0:
-            raise self.error(f"{name} is {self._row[name]!r}, not a whole number from 0")
+        if number != int(number) or not 0 <= number <= _LARGEST:
+            raise self.error(f"{name} is {self._shown(name)}, not a whole number from 0")
         return int(number)
+
+    def flag(self, name: str) -> bool:
+        value = self._row.get(name, False)
+        if str(value).lower() not in {"true", "false"}:
+            raise self.error(f"{name} is {self._shown(name)}; it is true or false")
+        return str(value).lower() == "true"
+
+    def _shown(self, name: str) -> str:
+        """Return a value for a message, at most 60 characters of it."""
+        text = repr(self._row[name])
+        return text if len(text) <= 60 else f"{text[:60]}..."
 
     def utc_s(self, name: str) -> float:
         try:
             return parse_utc(str(self._row[name]))
         except (ValueError, GlstarError):
-            raise self.error(f"{name} is {self._row[name]!r}, not a UTC such as 2024-03-10T11:00:00.25Z") from None
+            raise self.error(f"{name} is {self._shown(name)}, not a UTC such as 2024-03-10T11:00:00.25Z") from None
 
     def choice(self, name: str, choices: tuple[str, ...]) -> str:
         chosen = str(self._row.get(name, choices[0]))
         if chosen not in choices:
-            raise self.error(f"{name} is {chosen!r}; it is one of {', '.join(sorted(choices))}")
+            raise self.error(f"{name} is {self._shown(name)}; it is one of {', '.join(sorted(choices))}")
         return chosen
+
+    def listed(self, name: str) -> list[Any]:
+        value = self._row[name]
+        if not isinstance(value, list):
+            raise self.error(f"{name} is {self._shown(name)}, not a list, which JSON lines can hold")
+        return value
 
     def group(self, names: tuple[str, ...]) -> list[float] | None:
         """Return a group of numbers; None if all of them are missing."""
@@ -263,23 +355,70 @@ def _attitude(fields: _Row) -> Float | None:
     return None
 
 
+def _position(fields: _Row) -> tuple[float, float] | None:
+    """Return latitude and longitude, rad; longitude from -pi to pi."""
+    position_deg = fields.group(_POSITION)
+    if position_deg is None:
+        return None
+    latitude_deg, longitude_deg = position_deg
+    if abs(latitude_deg) > 90:
+        swapped = "; are latitude and longitude exchanged?" if abs(longitude_deg) <= 90 else ""
+        raise fields.error(f"latitude_deg is {latitude_deg:g}, beyond the pole{swapped}")
+    if abs(longitude_deg) > _LARGEST_LONGITUDE_DEG:
+        raise fields.error(f"longitude_deg is {longitude_deg:g}, which is no longitude in degrees")
+    return radians(latitude_deg), remainder(radians(longitude_deg), tau)
+
+
+def _run_time_s(fields: _Row) -> float | None:
+    if not fields.has("time_ms"):
+        return None
+    time_ms = fields.number("time_ms")
+    if time_ms < 0:
+        raise fields.error(f"time_ms is {time_ms:g}; a run time is not negative")
+    return time_ms / 1000
+
+
 def _ellipse(fields: _Row) -> ErrorEllipse | None:
     axes = fields.group(_ELLIPSE)
     if axes is None:
+        if fields.has("ellipse_confidence"):
+            raise fields.error("ellipse_confidence stands without an ellipse")
         return None
-    if min(axes[:2]) <= 0:
-        raise fields.error(f"an error ellipse has semi-axes above 0 km, not {axes[0]:g} and {axes[1]:g}")
+    if not fields.has("latitude_deg"):
+        raise fields.error("an error ellipse stands without a position")
+    if not 0 < min(axes[:2]) <= max(axes[:2]) <= _LARGEST_AXIS_KM:
+        raise fields.error(
+            f"an error ellipse has semi-axes above 0 and up to {_LARGEST_AXIS_KM:g} km, not {axes[0]:g} and {axes[1]:g}"
+        )
     confidence = fields.number("ellipse_confidence") if fields.has("ellipse_confidence") else 0.95
-    if not 0 < confidence < 1:
-        raise fields.error(f"ellipse_confidence is {confidence:g}, not between 0 and 1")
+    if not _LEAST_CONFIDENCE <= confidence < 1:
+        raise fields.error(f"ellipse_confidence is {confidence:g}, not from {_LEAST_CONFIDENCE:g} to below 1")
     return ErrorEllipse(axes[0], axes[1], float(np.deg2rad(axes[2])), confidence)
 
 
-def _stars(fields: _Row, stars: object) -> ObservedStars:
+def _stars(fields: _Row) -> ObservedStars | None:
+    """Return the observed stars, of each identified one the first."""
+    if not fields.has("stars"):
+        return None
     at = fields.choice("stars_at", ("centroid", *INSTANTS))
-    try:
-        rows = [(float(x), float(y), -1 if star_id is None else int(star_id)) for x, y, star_id in stars]  # type: ignore[attr-defined]
-    except (TypeError, ValueError):
-        raise fields.error("stars are a list of [x_px, y_px, star_id], star_id null where unknown") from None
-    table = np.array([row[:2] for row in rows], dtype=np.float64).reshape(-1, 2)
-    return ObservedStars(table, np.array([row[2] for row in rows], dtype=np.int64), at)
+    rows = fields.listed("stars")
+    is_table = all(isinstance(row, list) and len(row) == 3 for row in rows)
+    if not is_table or not all(_is_number(x) and _is_number(y) for x, y, _ in rows):
+        raise fields.error("stars are a list of [x_px, y_px, star_id], star_id null where unknown")
+    wrong = [number for _, _, number in rows if not _is_star_id(number)]
+    if wrong:
+        raise fields.error(f"{str(wrong[0])[:60]} is no star_id, which is a whole number, or null where unknown")
+    star_id = np.array([-1 if number is None else number for _, _, number in rows], dtype=np.int64)
+    _, first = np.unique(star_id, return_index=True)
+    is_counted = star_id < 0
+    is_counted[first] = True
+    xy_px = np.array([row[:2] for row in rows], dtype=np.float64).reshape(-1, 2)
+    return ObservedStars(xy_px[is_counted], star_id[is_counted], at)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_star_id(value: object) -> bool:
+    return value is None or (isinstance(value, int) and not isinstance(value, bool) and -1 <= value <= _LARGEST)

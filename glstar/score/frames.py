@@ -38,9 +38,8 @@ _TRUTH = "truth.jsonl"
 _MANIFEST = "manifest.json"
 _J2000_UTC_S = 946728000.0
 _JULIAN_YEAR_S = 365.25 * 86400.0
-# Equivalent noise area of a Gaussian point spread function: 4 pi sigma^2; of a trail: 2 sqrt(pi) sigma for each pixel
-# of length.
-_WIDTH_PER_SIGMA = 2 * np.sqrt(np.pi)
+# An answer may state the UTC of any instant of its exposure, by a clock that is off by no more than this, s.
+_CLOCK_TOLERANCE_S = 1.0
 # A rotation needs this many stars.
 _LEAST_STARS = 3
 
@@ -52,7 +51,9 @@ class FrameTruth:
     frame: int
     file: str
     utc_mid_s: float
+    camera_utc_mid_s: float  # The same by the clock that stamps the frames for a navigator
     duration_s: float
+    total_s: float  # From the first opening of the shutter to its last closing
     latitude_rad: float
     longitude_rad: float
     height_m: float
@@ -61,10 +62,9 @@ class FrameTruth:
     camera: Camera
     catalogue: str
     star_id: NDArray[np.int64]  # (n,)
-    flux_dn: Float  # (n,)
     # (n, 2) positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if unknown
     xy_px: dict[str, Float]
-    # (n,) stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure
+    # (n,) stars whose `snr` reaches the limit and that are on the image for half of the exposure
     is_detectable: NDArray[np.bool_]
     # Name of the flight and number of the sample, in a data set: frames of one run follow each other
     run: tuple[str, int] = ("", 0)
@@ -77,6 +77,15 @@ class FrameTruth:
         """Median length of the detectable stars' trails from start to end, px; 0 without stars."""
         length = np.linalg.norm(self.xy_px["end"] - self.xy_px["start"], axis=1)[self.is_detectable]
         return float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
+
+    def contradiction(self, answer: Answer) -> str | None:
+        """Return how the file or the time of an answer contradicts this frame; None if neither does."""
+        if answer.file is not None and answer.file != self.file:
+            return f"frame {self.frame} is {self.file}, not {answer.file}"
+        late_s = 0.0 if answer.utc_s is None else answer.utc_s - self.camera_utc_mid_s
+        if abs(late_s) > self.total_s / 2 + _CLOCK_TOLERANCE_S:
+            return f"its utc is {late_s:+.1f} s from the middle of frame {self.frame} by the camera's clock"
+        return None
 
     def attitude(self, instant: str) -> Float | None:
         """Return the rotation from ICRS to the camera at ``start``, ``middle`` or ``end`` of the exposure, (3, 3).
@@ -129,33 +138,34 @@ def _opened(catalogue: str) -> Any:
 def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     """Return the truth of an export: a directory with ``truth.jsonl`` and ``manifest.json``, or the truth file itself.
 
-    A star is detectable from the signal-to-noise ratio `least_snr`: its flux over the noise of the sky under its trail.
-    Raises AnswersError if there is no truth, or the manifest does not describe the sensor; ExportError if a line of the
-    truth cannot be read.
+    A star is detectable from the signal-to-noise ratio `least_snr`, by the ``snr`` of the truth: with the shape of its
+    trail and its point spread, and with cloud and lens.  Raises AnswersError if there is no truth, or an early version
+    of glstar wrote it without ``snr``; ExportError if a line of the truth cannot be read.
     """
     truth = directory / _TRUTH if directory.is_dir() else directory
     if not truth.is_file():
         raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
-    sigma_px, noise_dn = _sensor(truth.parent / _MANIFEST)
-    frames = [_frame_truth(line, sigma_px, noise_dn, least_snr) for line in read_truth(truth)]
+    offset_s = _clock_offset_s(truth.parent / _MANIFEST)
+    try:
+        frames = [_frame_truth(line, offset_s, least_snr) for line in read_truth(truth)]
+    except KeyError as error:
+        raise AnswersError(
+            truth, f"has no {error.args[0]}, which a score needs; export the frames again with this version"
+        ) from error
     if not frames:
         raise AnswersError(truth, "holds no frames")
     return frames
 
 
-def _sensor(manifest: Path) -> tuple[float, float]:
-    """Return the point spread function's sigma, px, and the sky's noise, DN, of an export."""
+def _clock_offset_s(manifest: Path) -> float:
+    """Return the error of the navigator's clock that an export was made with, s."""
     try:
-        config = orjson.loads(manifest.read_bytes())
-        sensor = config.get("sensor") or config["config"]["sensor"]
-        # In electrons the noise depends on the exposure: each line of truth has it.
-        noise_dn = float("nan") if sensor.get("noise") == "electrons" else float(sensor["sky_std_dn"])
-        return float(sensor["psf_sigma_px"]), noise_dn
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise AnswersError(manifest, f"does not state the sensor's sigma and noise ({error})") from error
+        return float(orjson.loads(manifest.read_bytes())["config"]["navigator"]["clock_offset_s"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0.0
 
 
-def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, least_snr: float) -> FrameTruth:
+def _frame_truth(line: Mapping[str, Any], clock_offset_s: float, least_snr: float) -> FrameTruth:
     stars = line["stars"]
     xy_px = {
         "middle": _positions([(star["x_px"], star["y_px"]) for star in stars]),
@@ -163,22 +173,18 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
         "start": _positions([star["start"] or (None, None) for star in stars]),
         "end": _positions([star["end"] or (None, None) for star in stars]),
     }
-    flux_dn = np.array([star["flux_dn"] for star in stars], dtype=np.float64)
-    length_px = np.nan_to_num(np.linalg.norm(xy_px["end"] - xy_px["start"], axis=1))
-    width_px = _WIDTH_PER_SIGMA * sigma_px
-    if "sensor" in line:
-        sensor = line["sensor"]
-        electrons_e2 = sensor["sky_e"] + sensor["dark_e"] + sensor["read_noise_e"] ** 2
-        noise_dn = sensor["dn_per_e"] * float(np.sqrt(electrons_e2))
-    snr = flux_dn / (noise_dn * np.sqrt(width_px * (length_px + width_px)))
+    snr = np.array([star["snr"] for star in stars], dtype=np.float64)
     in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
     _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])
-    site = line["site"]
+    site, settings = line["site"], line.get("settings", {})
+    clock_offset_s = settings.get("navigator.clock_offset_s", clock_offset_s)
     return FrameTruth(
         frame=line["frame"],
         file=line["file"],
         utc_mid_s=parse_utc(line["utc_mid"]),
+        camera_utc_mid_s=parse_utc(line.get("camera_utc_mid") or line["utc_mid"]) + clock_offset_s,
         duration_s=line["duration_s"],
+        total_s=line.get("total_s", line["duration_s"]),
         latitude_rad=float(np.deg2rad(site["latitude_deg"])),
         longitude_rad=float(np.deg2rad(site["longitude_deg"])),
         height_m=site["height_m"],
@@ -187,11 +193,10 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
         camera=_camera(line["camera"]),
         catalogue=line["catalogue"],
         star_id=np.array([star["star_id"] for star in stars], dtype=np.int64),
-        flux_dn=flux_dn,
         xy_px=xy_px,
         is_detectable=(snr >= least_snr) & (in_frame >= 0.5),
         run=(line.get("flight", ""), line.get("sample", 0)),
-        settings=line.get("settings", {}),
+        settings=settings,
         conditions={key: float(line[key]) for key in CONDITIONS if line.get(key) is not None},
     )
 
@@ -218,8 +223,8 @@ def _camera(keys: Mapping[str, Any]) -> Camera:
 class Outcome(StrEnum):
     """The outcome of a frame.
 
-    ``SOLVED``: answered, within the limits; ``FALSE``: answered, with larger errors; ``REFUSED``: refused by the
-    navigator, or without an answer in the file.
+    ``SOLVED``: all that was answered is right; ``FALSE``: something of it is not; ``REFUSED``: the navigator refused,
+    or answered nothing.
     """
 
     SOLVED = "solved"
@@ -232,7 +237,9 @@ class Limits:
     """Limits beyond which an answer is false."""
 
     boresight_rad: float = float(np.deg2rad(1.0))  # Error of the optical axis, rad
+    roll_rad: float = float(np.deg2rad(5.0))  # Error of the rotation about it, rad
     position_km: float = 200.0
+    wrong_ids: float = 0.5  # Fraction of the identified stars that are wrong
     star_px: float = 3.0  # Distance within which an observed star is the true one, px
 
 
@@ -288,15 +295,16 @@ def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> Fra
             above_floor = AttitudeError.between(plain, answer.C_camera_icrs)
     position = _position_error(truth, answer)
     stars = None if answer.stars is None else _star_score(truth, answer.stars, limits.star_px)
-    wrong = (
-        (attitude is not None and attitude.boresight_rad > limits.boresight_rad)
-        or (position is not None and position.distance_km > limits.position_km)
-        or (attitude is None and position is None and stars is not None and stars.correct * 2 < stars.identified)
+    is_right = (
+        (attitude is None or attitude.boresight_rad <= limits.boresight_rad)
+        and (attitude is None or abs(attitude.roll_rad) <= limits.roll_rad)
+        and (position is None or position.distance_km <= limits.position_km)
+        and (stars is None or stars.identified - stars.correct <= limits.wrong_ids * stars.identified)
     )
     return FrameScore(
         truth=truth,
         answer=answer,
-        outcome=Outcome.FALSE if wrong else Outcome.SOLVED,
+        outcome=Outcome.SOLVED if is_right else Outcome.FALSE,
         attitude=attitude,
         floor=floor,
         above_floor=above_floor,

@@ -9,7 +9,7 @@ import numpy as np
 
 from glstar.camera.model import AttitudeError
 from glstar.errors import AnswersError
-from glstar.score.answers import Answer, read_answers
+from glstar.score.answers import Answer, AnswerFile, FirstAnswers, read_answers
 from glstar.score.frames import FrameScore, FrameTruth, Limits, Outcome, read_frame_truths, score_frame
 from glstar.score.metrics import BINS, Bin, Spread, drawn_settings, settings_bins
 from glstar.score.summary import Orbit, Run, Summary, as_json, runs_of, spread_of_runs, summarized
@@ -30,6 +30,7 @@ class Score:
     bins: tuple[tuple[str, tuple[tuple[str, Summary], ...]], ...]
     runs: tuple[Run, ...]  # One for each flight and sample of a data set
     drawn: frozenset[str] = frozenset()  # Names of the bins that are ranges of a setting that was drawn at random
+    faults: tuple[str, ...] = ()  # What is wrong with each line that is no valid answer to a frame
 
     @property
     def orbits(self) -> tuple[Orbit, ...]:
@@ -51,6 +52,7 @@ class Score:
             "orbits": [as_json(orbit) for orbit in self.orbits],
             **({"runs": self._runs_json()} if len(self.runs) > 1 else {}),
             "frames": [_frame_json(one) for one in self.frames],
+            **({"invalid_lines": list(self.faults)} if self.faults else {}),
         }
 
     def _runs_json(self) -> dict[str, Any]:
@@ -73,10 +75,11 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
 
     `directory` has ``truth.jsonl`` and ``manifest.json``; `answers` is a file as `glstar.score.answers` describes it.
     Beyond `limits` an answer is false; stars are detectable from the signal-to-noise ratio `least_snr`.  Raises
-    AnswersError if a file cannot be read, or an answer refers to a missing frame.
+    AnswersError if a file cannot be read, or no line of it is a valid answer to a frame.
     """
     truths = read_frame_truths(directory, least_snr=least_snr)
-    matched = _matched(answers, truths, read_answers(answers))
+    given = read_answers(answers)
+    matched, unmatched = _matched(given, truths)
     frames = tuple(score_frame(truth, matched.get(truth.frame), limits or Limits()) for truth in truths)
     grouped = [*((one.name, one.grouped(frames)) for one in BINS), *settings_bins(frames)]
     binned = (
@@ -84,24 +87,36 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
         for name, groups in grouped
         if len(groups) > 1
     )
-    return Score(frames, summarized(frames), tuple(binned), tuple(runs_of(frames)), drawn_settings(frames))
+    return Score(
+        frames,
+        summarized(frames),
+        tuple(binned),
+        tuple(runs_of(frames)),
+        drawn_settings(frames),
+        (*given.faults, *unmatched),
+    )
 
 
-def _matched(path: Path, truths: Sequence[FrameTruth], answers: Sequence[Answer]) -> dict[int, Answer]:
-    """Return the answers by frame number."""
-    by_file = {truth.file: truth.frame for truth in truths}
-    numbers = set(by_file.values())
+def _matched(given: AnswerFile, truths: Sequence[FrameTruth]) -> tuple[dict[int, Answer], list[str]]:
+    """Return the answers by frame number, and what is wrong with those that answer no frame or contradict theirs."""
+    by_name = {name: truth for truth in truths for name in (truth.frame, truth.file)}
+    extent = f"the truth has {len(truths)}, {truths[0].file} to {truths[-1].file}"
     matched: dict[int, Answer] = {}
-    for answer in answers:
-        number = by_file.get(answer.file or "") if answer.frame is None else answer.frame
-        if number not in numbers or number is None:
-            name = answer.file if answer.frame is None else answer.frame
-            extent = f"the truth has {len(numbers)}, {truths[0].file} to {truths[-1].file}"
-            raise AnswersError(path, f"line {answer.line} answers frame {name}; {extent}")
-        if number in matched:
-            raise AnswersError(path, f"answers frame {number} twice, in lines {matched[number].line} and {answer.line}")
-        matched[number] = answer
-    return matched
+    faults = []
+    first = FirstAnswers()
+    for answer in given.answers:
+        truth = None if answer.of is None else by_name.get(answer.of)
+        if truth is None:
+            faults.append(f"line {answer.line} answers frame {answer.of}; {extent}")
+        elif contradiction := truth.contradiction(answer):
+            faults.append(f"line {answer.line} contradicts itself: {contradiction}")
+        elif objection := first.objection(answer, truth.frame):
+            faults.append(objection)
+        else:
+            matched[truth.frame] = answer
+    if not matched:
+        raise AnswersError(given.path, faults[0])
+    return matched, faults
 
 
 def _frame_json(one: FrameScore) -> dict[str, Any]:

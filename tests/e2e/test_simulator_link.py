@@ -1,12 +1,17 @@
 """The loop with a simulator: the sky of its true state, the autopilot's estimate in nav.jsonl."""
 
+import io
 import json
+import socket
 import threading
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zmq
 from typer.testing import CliRunner
 
 from glstar.camera.exposure import Exposure
@@ -70,7 +75,9 @@ def solver(frames: Path, answers: Path, over: threading.Event) -> None:
     answered = 0
     while not over.wait(0.02):
         partial = frames / "nav.jsonl.partial"
-        known = lines(partial) if partial.exists() and partial.read_bytes().endswith(b"\n") else []
+        known: list[Any] = []
+        with suppress(FileNotFoundError):  # until the first frame, and after the last
+            known = lines(partial) if partial.read_bytes().endswith(b"\n") else []
         with answers.open("a") as file:
             for line in known[answered:]:
                 circle = {"ellipse_major_km": 2, "ellipse_minor_km": 2, "ellipse_azimuth_deg": 0}
@@ -139,7 +146,8 @@ def test_answers_are_injected_as_another_message(tmp_path: Path, message: str) -
         sigma_m = fix.horiz_accuracy if message == "gps_input" else fix.eph
         assert sigma_m == pytest.approx(2000.0, rel=0, abs=0.1)
     kinds = {one.get_type() for one in autopilot.received}
-    assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", message.upper()}
+    asked = {"PARAM_REQUEST_READ"} if message == "gps_input" else set()
+    assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", message.upper()} | asked
 
 
 def test_an_answer_that_cannot_be_sent_is_reported(tmp_path: Path) -> None:
@@ -150,14 +158,109 @@ def test_an_answer_that_cannot_be_sent_is_reported(tmp_path: Path) -> None:
         source.write_text(
             '{"frame": 4, "latitude_deg": 1, "longitude_deg": 2}\n{"frame": 3\n{"frame": 3, "status": "refused"}\n'
             '{"frame": 3, "latitude_deg": 1, "longitude_deg": 2, "instant": "end"}\n'
-            '{"file": "frame_000003.png", "latitude_deg": 1, "longitude_deg": 2}\n{"frame": 3, "latitude'
+            '{"file": "frame_000003.png", "latitude_deg": 1, "longitude_deg": 2}\n'
+            '{"frame": 3, "file": "frame_000004.png", "latitude_deg": 1, "longitude_deg": 2}\n'
+            '{"file": "frame_000003.png", "latitude_deg": 1, "longitude_deg": 2, "replaces": true}\n'
+            '{"frame": 3, "latitude'
         )
         until(lambda: len(injector._fixes) == 2, "the two answers")
 
     assert [fix.utc_s for fix in injector._fixes] == [exposure.stop_utc_s, exposure.mid_utc_s]
-    assert len(messages) == 2
+    assert len(messages) == 4
     assert "line 1 answers frame 4, which was not drawn" in messages[0]
     assert "line 2 is no JSON" in messages[1]
+    assert "line 5 answers frame frame_000003.png again; line 4 counts" in messages[2]
+    assert "line 6 contradicts itself: frame 3 is not frame_000004.png" in messages[3]
+
+
+HOSTILE = [
+    b'{"frame": 3, "latitude_deg": 138.6, "longitude_deg": -34.93}',
+    b'{"frame": 3, "latitude_deg": 1, "longitude_deg": 1e12}',
+    b'{"frame": 3, "latitude_deg": 1e999, "longitude_deg": 2}',
+    b'{"frame": 3, "stars": [[1, 2, 9223372036854775808]]}',
+    b'{"frame": ' + b"9" * 400 + b"}",
+    b"[" * 3000,
+    b"\xff\xfe\x00",
+    b"x" * 1_500_000,
+    b'{"frame": 3, "latitude_deg": NaN, "longitude_deg": 2}',
+    b'{"frame": 3, "latitude_deg": 1, "longitude_deg": 2, "ellipse_major_km": 1e300, "ellipse_minor_km": 1,'
+    b' "ellipse_azimuth_deg": 0}',
+]
+
+
+@pytest.mark.parametrize("source", ["file", "socket", "pipe"])
+def test_whatever_arrives_the_answers_after_it_are_sent(source: str, tmp_path: Path, monkeypatch) -> None:
+    messages = list[str]()
+    exposure = Exposure(1e9, 0.5)
+    injector = Injector(Endpoint.parse("udpin:127.0.0.1:1"))
+    right = b'{"frame": 4, "latitude_deg": -34.93, "longitude_deg": 498.6}'
+    port, path = free_port(socket.SOCK_STREAM), tmp_path / "answers"
+    where = {"file": path, "socket": f"zmq://127.0.0.1:{port}", "pipe": Path("-")}[source]
+    lines = [*HOSTILE, right]
+    if source == "pipe":
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"\n".join(lines))))
+    with InjectedAnswers(where, injector, {3: Exposure(0.9e9, 0.5), 4: exposure}, messages.append):
+        if source == "file":
+            path.write_bytes(b"\n".join(lines) + b"\n")
+        if source == "socket":
+            push = zmq.Context.instance().socket(zmq.PUSH)
+            push.connect(f"tcp://127.0.0.1:{port}")
+            for line in lines:
+                push.send(line)
+            push.close()
+        until(lambda: injector._fixes, "the answer")
+
+    (fix,) = injector._fixes
+    assert np.rad2deg([fix.latitude_rad, fix.longitude_rad]) == pytest.approx([-34.93, 138.6], rel=0, abs=1e-9)
+    assert len(messages) == len(HOSTILE)
+    assert all(len(message) < 400 for message in messages)
+
+
+def test_a_link_that_dies_ends_the_command_with_one_line(tmp_path: Path, monkeypatch) -> None:
+    def die(*_: object) -> None:
+        raise ZeroDivisionError("made for a test")
+
+    port = free_port()
+    words = f"live udpin:127.0.0.1:{port} --duration 60 --record {tmp_path / 'flight.tlog'} --headless"
+    monkeypatch.setattr("glstar.link.receiver.Receiver._on_heartbeat", die)
+    began_s = time.monotonic()
+    with simulated(port):
+        result = CliRunner().invoke(app, words.split())
+
+    assert result.exit_code == 1
+    assert result.output.splitlines()[-1].endswith(
+        "ended by an internal error of glstar: ZeroDivisionError('made for a test')"
+    )
+    assert time.monotonic() - began_s < 30
+
+
+def test_answers_that_cannot_be_read_any_more_end_the_command_with_one_line(tmp_path: Path, monkeypatch) -> None:
+    port, frames, config = free_port(), tmp_path / "frames", tmp_path / "small.toml"
+    config.write_text(SMALL)
+    answers = tmp_path / "answers"
+
+    def die(*_: object) -> None:
+        raise ZeroDivisionError("made for a test")
+
+    monkeypatch.setattr("glstar.cli.flights.navigatoranswers.parse_answer", die)
+    answers.touch()
+    words = f"live udpin:127.0.0.1:{port} --every 0.3 --exposure 0.2 --duration 60 -c {config} --export {frames}"
+    began_s = time.monotonic()
+
+    def answering() -> None:
+        until(lambda: has_frames(frames, 1), "a frame")
+        answers.write_text("{}\n")
+
+    thread = threading.Thread(target=answering)
+    thread.start()
+    with simulated(port):
+        result = CliRunner().invoke(app, [*words.split(), "--inject", "--answers", str(answers)])
+    thread.join()
+
+    assert result.exit_code == 1
+    assert "could not be read to the end: made for a test" in result.output.splitlines()[-1]
+    assert time.monotonic() - began_s < 40
+    assert (frames / "truth.jsonl").exists()  # what was drawn is complete
 
 
 @pytest.mark.parametrize(

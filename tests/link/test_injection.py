@@ -8,20 +8,39 @@ import numpy as np
 import pytest
 
 from glstar.errors import ConfigError
-from glstar.link import Endpoint, Injector, PositionFix
+from glstar.link import Endpoint, InjectedMessage, Injector, Packet, PositionFix
+from glstar.link.receiver import Receiver
+from tests.support.jitter import JitterCorrection
 from tests.support.sender import MAVLINK, UTC_S, Sender, flying, system_time
 
 HERE = Endpoint.parse("udpin:127.0.0.1:14550")
 
 
-def sent(injector: Injector, arrival_s: float, with_utc: bool = True) -> list[Any]:
-    """Return what is sent at a time, to system 7 whose UTC is `UTC_S` at the time 0."""
+def hearing(
+    *, with_utc: bool = True, velocity_m_per_s: tuple[float, float] | None = None, **parameters: float
+) -> Receiver:
+    """Return a receiver of system 7, whose UTC is `UTC_S` at the time 0, heard until 10 s."""
     heard, _ = flying()
     plane = Sender(7)
     heard.receive(plane.heartbeat(), 0.0)
     for step in range(5 if with_utc else 0):
         heard.receive(system_time(plane, 100.0 + step, UTC_S + step), float(step))
-    return [MAVLINK.MAVLink(None).decode(bytearray(packet)) for packet in injector.due(heard, arrival_s)]
+    for name, value in parameters.items():
+        heard.receive(plane(MAVLINK.MAVLink_param_value_message(name.encode(), value, 9, 1, 0)), 5.0)
+    if velocity_m_per_s is not None:
+        heard.receive(position(plane, 10.0, velocity_m_per_s), 10.0)
+    return heard
+
+
+def position(plane: Sender, sent_s: float, velocity_m_per_s: tuple[float, float]) -> Packet:
+    boot_ms, speeds = round(1000 * (100 + sent_s)), (round(100 * speed) for speed in velocity_m_per_s)
+    return plane(MAVLINK.MAVLink_global_position_int_message(boot_ms, -349300000, 1386000000, 0, 0, *speeds, 0, 0))
+
+
+def sent(injector: Injector, arrival_s: float, heard: Receiver | None = None) -> list[Any]:
+    """Return what is sent at a time."""
+    packets = injector.due(heard or hearing(), arrival_s)
+    return [MAVLINK.MAVLink(None).decode(bytearray(packet)) for packet in packets]
 
 
 def test_a_position_has_its_delay_and_its_accuracy() -> None:
@@ -35,7 +54,7 @@ def test_a_position_has_its_delay_and_its_accuracy() -> None:
     assert command.frame == MAVLINK.MAV_FRAME_GLOBAL
     assert (command.x, command.y) == (-349300000, 1386000000)
     assert isnan(command.z)
-    assert command.param1 == pytest.approx(10.0, rel=0, abs=1e-6)
+    assert command.param1 == 0.0  # the first
     assert command.param2 == pytest.approx(0.75, rel=0, abs=1e-5)
     assert command.param3 == pytest.approx(1234.5, rel=0, abs=1e-3)
     assert (command.get_srcSystem(), command.get_srcComponent()) == (255, 191)
@@ -43,28 +62,66 @@ def test_a_position_has_its_delay_and_its_accuracy() -> None:
     assert sent(injector, 11.0) == []  # once only
 
 
-def test_a_position_as_of_a_gps_receiver_has_the_gps_time_of_its_instant() -> None:
+def test_a_position_as_of_a_gps_receiver_is_that_of_now_with_the_velocity_of_the_autopilot() -> None:
     injector = Injector(HERE, message="gps_input")
     injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
-    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
-    known, vague = sent(injector, 10.0)
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 10))
+    known, vague = sent(injector, 10.0, hearing(velocity_m_per_s=(20.0, -8.0), GPS1_TYPE=14))
 
     assert known.get_type() == "GPS_INPUT"
-    assert (known.lat, known.lon, known.fix_type) == (-349300000, 1386000000, 3)
-    assert known.time_usec == round((UTC_S + 9.25) * 1e6)
+    # 15 m north and 6 m west in 0.75 s: 1e-7 deg of latitude is 11.09 mm there, of longitude 9.14 mm (WGS84).
+    assert known.lat + 349300000 == pytest.approx(15 / 0.011093, rel=0, abs=2)
+    assert known.lon - 1386000000 == pytest.approx(-6 / 0.009139, rel=0, abs=2)
+    assert known.fix_type == 3
+    assert (known.vn, known.ve, known.vd) == (20.0, -8.0, 0.0)
+    assert known.speed_accuracy == 3.0
+    assert known.time_usec == round((UTC_S + 10) * 1e6)
     # 2024-03-10 11:00 UTC is a Sunday: the GPS week 2305 begins at its midnight, and GPS is 18 s ahead of UTC.
     assert datetime.fromtimestamp(UTC_S, UTC).isoformat() == "2024-03-10T11:00:00+00:00"
-    assert (known.time_week, known.time_week_ms) == (2305, (11 * 3600 + 18 + 9.25) * 1000)
+    assert (known.time_week, known.time_week_ms) == (2305, (11 * 3600 + 18 + 10) * 1000)
     assert known.horiz_accuracy == pytest.approx(1234.5, rel=0, abs=1e-3)
-    accuracy = MAVLINK.GPS_INPUT_IGNORE_FLAG_HORIZONTAL_ACCURACY
-    assert known.ignore_flags == 255 - accuracy
-    assert vague.ignore_flags == 255
+    flags = ("ALT", "HDOP", "VDOP", "VERTICAL_ACCURACY")
+    ignored = sum(getattr(MAVLINK, f"GPS_INPUT_IGNORE_FLAG_{flag}") for flag in flags)
+    assert known.ignore_flags == ignored
+    assert vague.ignore_flags == ignored + MAVLINK.GPS_INPUT_IGNORE_FLAG_HORIZONTAL_ACCURACY
+    assert (vague.lat, vague.lon) == (-349300000, 1386000000)
+
+
+def test_an_autopilot_that_would_ignore_gps_input_is_asked_and_gets_none() -> None:
+    injector = Injector(HERE, message="gps_input")
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+
+    asked = sent(injector, 10.0)
+    assert [(one.get_type(), one.param_id, one.param_index) for one in asked] == [
+        ("PARAM_REQUEST_READ", "GPS1_TYPE", -1),
+        ("PARAM_REQUEST_READ", "GPS_TYPE", -1),
+    ]
+    assert sent(injector, 10.5) == []
+    assert sent(injector, 10.6, hearing(velocity_m_per_s=(1.0, 0.0), GPS_TYPE=1)) == []
+    assert (injector.sent, injector.refused) == (0, 1)
+    assert list(injector.messages) == [
+        "the position of 11:00:09.2 is not sent: GPS_TYPE is 1; set it to 14 (MAVLink) and restart the autopilot"
+    ]
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    assert sent(injector, 10.7, hearing(GPS1_TYPE=14)) == []
+    assert "needs the velocity of GLOBAL_POSITION_INT" in injector.messages[-1]
+
+
+def test_an_autopilot_that_does_not_answer_for_its_parameter_gets_positions_with_a_warning() -> None:
+    injector = Injector(HERE, message="gps_input")
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    heard = hearing(velocity_m_per_s=(1.0, 0.0))
+
+    kinds = [[one.get_type() for one in sent(injector, 8.0 + step, heard)] for step in range(6)]
+
+    assert kinds == [["PARAM_REQUEST_READ"] * 2] * 4 + [["GPS_INPUT"], []]
+    assert list(injector.messages) == ["the autopilot does not state GPS1_TYPE: it may ignore the positions"]
 
 
 def test_a_position_of_a_sensor_has_its_delay_and_its_accuracy() -> None:
     injector = Injector(HERE, message="global_position_sensor")
     injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25, 1234.5))
-    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25))
+    injector.add(PositionFix(np.deg2rad(-34.93), np.deg2rad(138.6), UTC_S + 9.25))
     known, vague = sent(injector, 10.0)
 
     assert known.get_type() == "GLOBAL_POSITION_SENSOR"
@@ -83,11 +140,89 @@ def test_a_position_waits_for_the_autopilot_and_its_utc() -> None:
     injector = Injector(HERE)
     injector.add(PositionFix(0.1, 0.2, UTC_S))
 
-    assert sent(injector, 10.0, with_utc=False) == []
-    (command,) = sent(injector, 3604.0)
+    assert sent(injector, 10.0, hearing(with_utc=False)) == []
+    (command,) = sent(injector, 4.0)
     assert isnan(command.param3)
-    assert command.param1 == pytest.approx(4.0, rel=0, abs=1e-6)  # wraps each hour
-    assert command.param2 == pytest.approx(3604.0, rel=0, abs=1e-3)
+    assert command.param2 == pytest.approx(4.0, rel=0, abs=1e-3)
+
+
+def test_the_time_of_transmission_counts_from_the_first_position_and_never_wraps() -> None:
+    injector = Injector(HERE)
+    heard = hearing()
+    for arrival_s in (3599.0, 3602.0, 3599.0 + 9 * 3600):
+        injector.add(PositionFix(0.1, 0.2, UTC_S + arrival_s - 1.0))
+        (command,) = sent(injector, arrival_s, heard)
+        assert command.param1 == pytest.approx(arrival_s - 3599.0, rel=0, abs=2e-3)
+
+
+def test_a_position_that_is_too_old_for_an_autopilot_is_not_sent() -> None:
+    injector = Injector(HERE)
+    injector.add(PositionFix(0.1, 0.2, UTC_S - 145.0))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 5.5))
+
+    (command,) = sent(injector, 10.0)
+
+    assert command.param2 == pytest.approx(4.5, rel=0, abs=1e-5)
+    assert (injector.sent, injector.refused) == (1, 1)
+    (message,) = injector.messages
+    assert message.startswith("the position of 10:57:35.0 is not sent: it is 155.0 s old, and an autopilot takes older")
+
+
+def test_a_position_that_the_aircraft_cannot_have_reached_is_not_sent() -> None:
+    """A degree of the equator is 111.32 km (WGS84)."""
+    injector = Injector(HERE, max_km=50.0)
+    heard = hearing()
+
+    def is_sent(longitude_deg: float, utc_s: float) -> bool:
+        injector.add(PositionFix(0.0, np.deg2rad(longitude_deg), utc_s))
+        return bool(sent(injector, utc_s - UTC_S + 0.5, heard))
+
+    assert is_sent(20.0, UTC_S + 10)
+    assert not is_sent(20.5, UTC_S + 20)  # 55.66 km: more than 50 km and 1 km that it can have flown
+    assert injector.messages[-1].endswith(
+        "it is 56 km from the previous one, 10 s before; --inject-max-km allows 50 km more than the flight"
+    )
+    assert is_sent(20.4, UTC_S + 30)
+    assert is_sent(20.9, UTC_S + 100)  # 55.66 km after 70 s
+    # A first position that was wrong does not shut out all others: three in a row agree.
+    assert [is_sent(30.0 + k / 100, UTC_S + 110 + k) for k in range(4)] == [False, False, True, True]
+    assert [is_sent(longitude_deg, UTC_S + 200) for longitude_deg in (50.0, 60.0, 50.0, 60.0)] == [False] * 4
+    assert injector.refused == 7
+
+
+@pytest.mark.parametrize("fix", [(2.5, 0.1), (0.1, 3.2), (float("nan"), 0.1), (0.1, float("inf"))])
+def test_what_is_no_place_on_earth_is_not_sent(fix: tuple[float, float]) -> None:
+    injector = Injector(HERE)
+    injector.add(PositionFix(*fix, UTC_S + 9.25))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 1e30))
+    injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 1e3))
+
+    assert len(sent(injector, 10.0)) == 1
+    assert injector.refused == 2
+
+
+@pytest.mark.parametrize("message", ["external_position", "global_position_sensor", "gps_input"])
+@pytest.mark.parametrize("uptime_s", [5.0, 3 * 3600.0])
+def test_an_autopilot_applies_a_position_at_its_instant(message: InjectedMessage, uptime_s: float) -> None:
+    """Solver delays from 0.2 to 4 s, and up to 20 ms on the link, by a model of ArduPilot's correction of jitter."""
+    rng = np.random.default_rng(7)
+    plane, heard = Sender(7), hearing(GPS1_TYPE=14)
+    injector, clock = Injector(HERE, message=message), JitterCorrection()
+    speed_m_per_s, m_per_e7 = 20.0, 0.0110575  # due north from the equator
+    offsets_s = []
+    for step in range(150):
+        utc_s = UTC_S + uptime_s + 30.0 * step
+        now_s = utc_s + rng.uniform(0.2, 4.0) - UTC_S
+        heard.receive(position(plane, now_s, (speed_m_per_s, 0.0)), now_s)
+        place = PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s)
+        injector.add(place)
+        (fix,) = sent(injector, now_s, heard)
+        applied_s = clock.applied_s(fix, UTC_S + now_s + rng.uniform(0.0, 0.02))
+        latitude_e7 = fix.x if message == "external_position" else fix.lat
+        flown_s = latitude_e7 * m_per_e7 / speed_m_per_s  # when the aircraft was there
+        offsets_s.append(applied_s - UTC_S - flown_s)
+
+    assert np.abs(offsets_s).max() < 0.05
 
 
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:1", "tcp:localhost:1", "udpout:[::1]:1", "udp:14550"])

@@ -23,7 +23,7 @@ def line(frame: int, *, run: int, wind: float, yaw_rad: float) -> Row:
     stars = [
         {"star_id": k, "vmag": 4.0, "camera_mag": 4.0, "x_px": 10.0 * k, "y_px": 5.0 * k * k, "centroid_x_px": 10.0 * k}
         | {"centroid_y_px": 5.0 * k * k, "start": [10.0 * k, 5.0 * k * k], "end": [10.0 * k, 5.0 * k * k]}
-        | {"peak_dn": 90.0, "flux_dn": 900.0, "in_frame": 1.0, "saturated": False}
+        | {"peak_dn": 90.0, "flux_dn": 900.0, "in_frame": 1.0, "saturated": False, "snr": 9.0}
         for k in (1, 2, 3)
     ]
     values: Row = dict.fromkeys(KEYS) | {

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from glstar.camera.model import AttitudeError
 from glstar.errors import AnswersError
 from glstar.rotation import about_x, about_y, about_z, matrix_from_quaternion, quaternion_from_matrix
 from glstar.score.answers import ErrorEllipse, attitude_of_boresight, read_answers
@@ -97,6 +98,37 @@ def test_a_known_rotation_is_scored_in_arcseconds(
     others = {"right_rad", "down_rad", "roll_rad"} - {part}
     for other in others:
         np.testing.assert_allclose(arcsec(found, other), 0, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 1.0, 77.0, 150.0, 179.9, -180.0])
+@pytest.mark.parametrize("boresight_deg", [0.0, 1e-4, 0.9, 45.0, 90.0, 179.0, 180.0])
+def test_boresight_is_the_angle_between_the_axes_and_roll_what_remains(boresight_deg: float, roll_deg: float) -> None:
+    C_true = attitude_of_boresight(81.5 * DEG, -9.3 * DEG, 25 * DEG)
+    # The axis is moved towards 40 deg below the image's right, then the camera is rolled about it.
+    towards = 40 * DEG
+    moved = about_z(-towards) @ about_y(boresight_deg * DEG) @ about_z(towards)
+    C_answered = about_z(roll_deg * DEG) @ moved @ C_true
+
+    error = AttitudeError.between(C_true, C_answered)
+
+    assert error.boresight_rad / DEG == pytest.approx(boresight_deg, rel=0, abs=1e-9)
+    if boresight_deg < 180:  # of opposite axes neither direction nor roll is defined
+        assert error.right_rad == pytest.approx(error.boresight_rad * np.cos(towards), rel=0, abs=1e-9)
+        assert error.down_rad == pytest.approx(error.boresight_rad * np.sin(towards), rel=0, abs=1e-9)
+        assert np.cos(error.roll_rad - roll_deg * DEG) == pytest.approx(1.0, rel=0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("roll_deg", "outcome"), [(4.9, Outcome.SOLVED), (5.1, Outcome.FALSE), (77.0, Outcome.FALSE)])
+def test_a_rolled_camera_is_not_solved(
+    roll_deg: float, outcome: Outcome, export: Path, truth: list[Row], tmp_path: Path
+) -> None:
+    rolled = about_z(roll_deg * DEG)
+
+    found = score(export, answered(truth, lambda row: quaternion(rolled @ np.array(row["C_camera_icrs"])), tmp_path))
+
+    assert {one.outcome for one in found.frames} == {outcome}
+    assert max(arcsec(found, "boresight_rad")) < 1e-6
+    assert max(arcsec(found, "roll_rad")) == pytest.approx(3600 * roll_deg, rel=1e-9)
 
 
 def test_an_optical_axis_too_far_right_and_down_sees_its_stars_left_and_up(truth: list[Row]) -> None:
@@ -282,7 +314,7 @@ def test_csv_and_json_lines_give_the_same_score(export: Path, truth: list[Row], 
         ("frame,qw,qx,qy,qz\n0,1,1,0,0\n", r"line 2: the quaternion has length 1\.4142, not 1"),
         ("frame,latitude_deg,longitude_deg\n0,x,3\n", "line 2: latitude_deg is 'x', not a number"),
         ("frame,status\n0,lost\n", "status is 'lost'; it is one of refused, solved"),
-        ("frame,status\n0,solved\n0,solved\n", "answers frame 0 twice, in lines 2 and 3"),
+        ("frame,status\n0,solved\n", "line 2: says solved, but has neither an attitude nor a position nor identified"),
         ("frame,time_ms\n1.5,2\n", "frame is '1.5', not a whole number"),
         ("frame,time_ms\n999,2\n", "line 2 answers frame 999; the truth has"),
         ('{"frame": 0, "stars": [[1, 2]]}\n', "line 1: stars are a list of"),

@@ -97,10 +97,16 @@ class SimulatedAutopilot:
                 return
             for message in self._link.parse_buffer(received) or []:
                 self.received.append(message)
-                if message.get_type() == "COMMAND_INT":
-                    ack = MAVLINK.MAVLink_command_ack_message(message.command, MAVLINK.MAV_RESULT_ACCEPTED)
-                    here.sendto(ack.pack(self._link), self._address)
+                for reply in self._replies(message):
+                    here.sendto(reply.pack(self._link), self._address)
                     self._link.seq = (self._link.seq + 1) % 256
+
+    def _replies(self, message: Any) -> Iterator[Any]:
+        """Yield what ArduPilot answers: it takes positions, and its GPS receiver is MAVLink."""
+        if message.get_type() == "COMMAND_INT":
+            yield MAVLINK.MAVLink_command_ack_message(message.command, MAVLINK.MAV_RESULT_ACCEPTED)
+        if message.get_type() == "PARAM_REQUEST_READ" and message.param_id == "GPS1_TYPE":
+            yield MAVLINK.MAVLink_param_value_message(b"GPS1_TYPE", 14.0, MAVLINK.MAV_PARAM_TYPE_INT8, 900, 55)
 
 
 def body_to_ned(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+from glstar.errors import AnswersError
 from glstar.export.publish.stream import send_answers
 from glstar.score.answers import parse_answer
 
@@ -47,10 +48,16 @@ def answer(
             raise typer.BadParameter(
                 "a position needs the number of its frame, or its UTC", param_hint="--frame, --utc"
             )
-        sent = 0
+        sent = refused = 0
         for number, line in enumerate(sys.stdin, 1):
-            if line.strip():
-                parse_answer(Path("-"), number, line)  # an invalid one is refused here
+            if not line.strip():
+                continue
+            try:
+                parse_answer(Path("-"), number, line)
+            except AnswersError as error:
+                typer.echo(f"not sent: {error}", err=True)
+                refused += 1
+            else:
                 send_answers(where, [line.strip()], timeout)
                 sent += 1
     else:
@@ -59,8 +66,11 @@ def answer(
         line = _line({"frame": frame} if utc is None else {"utc": utc}, lat, lon, sigma_km, instant)
         parse_answer(Path("-"), 1, line)
         send_answers(where, [line], timeout)
-        sent = 1
-    typer.echo(json.dumps({"sent": sent}) if as_json else f"{sent} answers sent to {where}")
+        sent, refused = 1, 0
+    text = f"{sent} answers sent to {where}" + (f", {refused} refused" if refused else "")
+    typer.echo(json.dumps({"sent": sent, "refused": refused}) if as_json else text)
+    if refused:
+        raise typer.Exit(1)
 
 
 def _line(of: dict[str, object], lat: float, lon: float, sigma_km: float | None, instant: str) -> str:

@@ -85,6 +85,14 @@ InjectHost = Annotated[
         show_default=False,
     ),
 ]
+InjectMaxKm = Annotated[
+    float | None,
+    typer.Option(
+        min=0.1,
+        help="How much farther than it can have flown since the last position a position of --inject may be, km.",
+        show_default="200",
+    ),
+]
 Answers = Annotated[
     str | None,
     typer.Option(
@@ -142,12 +150,18 @@ class _Injection:
         host: str | None,
         answers: str | None,
         message: InjectedMessage | None,
+        max_km: float | None,
         *,
         exports: bool,
     ) -> Self | None:
         """Return the injection; None if it is not asked for."""
         if not inject:
-            of_injection = {"--inject-host": host, "--inject-as": message, "--answers": answers if exports else None}
+            of_injection = {
+                "--inject-host": host,
+                "--inject-as": message,
+                "--inject-max-km": max_km,
+                "--answers": answers if exports else None,
+            }
             for name, value in of_injection.items():
                 if value is not None:
                     raise typer.BadParameter("belongs to --inject, without which nothing is sent", param_hint=name)
@@ -156,7 +170,8 @@ class _Injection:
             raise typer.BadParameter("answers are for frames: add --export or --latest-frame", param_hint="--inject")
         if answers is None:
             raise typer.BadParameter("says no source of answers: add --answers FILE, or -", param_hint="--inject")
-        return cls(answers, Injector(endpoint, host, message or "external_position"))
+        limits = {} if max_km is None else {"max_km": max_km}
+        return cls(answers, Injector(endpoint, host, message or "external_position", **limits))
 
 
 # These options apply to logs only.
@@ -180,6 +195,7 @@ def live(
     inject: Inject = False,
     inject_as: InjectAs = None,
     inject_host: InjectHost = None,
+    inject_max_km: InjectMaxKm = None,
     answers: Answers = None,
     format_: Format = None,
     seed: Seed = 0,
@@ -205,7 +221,9 @@ def live(
     windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
-    injection = _Injection.of(endpoint, inject, inject_host, answers, inject_as, exports=frames is not None)
+    injection = _Injection.of(
+        endpoint, inject, inject_host, answers, inject_as, inject_max_km, exports=frames is not None
+    )
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
         injector = None if injection is None else injection.injector
@@ -327,9 +345,11 @@ def _export(
             command=shlex.join(["glstar", *sys.argv[1:]]),
         )
         if injection is not None:
-            stack.enter_context(InjectedAnswers(injection.answers, injection.injector, job.exposures, _log))
+            received = InjectedAnswers(injection.answers, injection.injector, job.exposures, _log, on_failure=job.stop)
+            stack.enter_context(received)
         report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
-        injected = {} if injection is None else {"injected": injection.injector.sent}
+        injector = None if injection is None else injection.injector
+        injected = {} if injector is None else {"injected": injector.sent, "not_injected": injector.refused}
         return {**_export_summary(report), **injected}
 
 
@@ -337,7 +357,7 @@ def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:
     """Wait while the link records, and log its events."""
     last_event, end_s = 0, None if duration_s is None else time.monotonic() + duration_s
     with suppress(KeyboardInterrupt):
-        while end_s is None or time.monotonic() < end_s:
+        while link.failure is None and (end_s is None or time.monotonic() < end_s):
             for event in link.events(last_event):
                 last_event = event.number
                 _log(event.message)
@@ -398,7 +418,8 @@ def _text(summary: dict[str, object]) -> str:
         directory = summary["directory"]
         lines.append(f"{summary['drawn']} frames drawn" + (f": {directory}" if directory else ""))
     if "injected" in summary:
-        lines.append(f"{summary['injected']} positions sent to the autopilot")
+        refused = f", {summary['not_injected']} refused" if summary["not_injected"] else ""
+        lines.append(f"{summary['injected']} positions sent to the autopilot{refused}")
     skipped = summary.get("skipped")
     if isinstance(skipped, dict):
         lines += [f"{count} skipped, their exposures met {reason}" for reason, count in skipped.items()]

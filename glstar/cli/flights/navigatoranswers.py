@@ -1,7 +1,6 @@
 """A navigator's answers: read while it writes them, sent to the autopilot as position fixes, or shown in a window."""
 
 import sys
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -9,11 +8,12 @@ from threading import Event, Thread
 from typing import IO, TYPE_CHECKING, Self
 
 from glstar.camera.exposure import Exposure
+from glstar.cli.verbosity import echo_note
 from glstar.config import Config
 from glstar.errors import AnswersError, ExportError
 from glstar.export.publish.stream import STREAM, AnswerReceiver
 from glstar.link import Injector, PositionFix
-from glstar.score.answers import Answer, parse_answer, read_answers
+from glstar.score.answers import MOST_CHARACTERS, Answer, FirstAnswers, parse_answer, read_answers
 from glstar.sky.place.timescale import format_utc, parse_utc
 
 if TYPE_CHECKING:
@@ -30,16 +30,21 @@ class IncomingAnswers(ABC):
 
     `source`: ``zmq://HOST:PORT``, to which `glstar answer` and other programs send them; a file to which the navigator
     appends JSON lines, as `glstar.score` reads them; or ``-``, the standard input.  Lines that are in the file already
-    are of an earlier run, and are skipped.  `report`: called with a message for each answer that is not valid.  Raises
+    are of an earlier run, and are skipped.  `report`: called with a message for each answer that is not valid;
+    `on_failure`: called if the source cannot be read any more, which `__exit__` then raises as AnswersError.  Raises
     AnswersError if the source is a directory; ConfigError if the address is not valid or in use, or pyzmq is not
     installed.
     """
 
-    def __init__(self, source: str | Path, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, source: str | Path, report: Callable[[str], None], on_failure: Callable[[], None] | None = None
+    ) -> None:
         self._receiver = AnswerReceiver(source) if isinstance(source, str) and source.startswith(STREAM) else None
         source = Path(source)
         self._source = source
         self._report = report
+        self._on_failure = on_failure
+        self._failure: Exception | None = None
         self._ending = Event()
         self._number = 0
         self._start = source.stat().st_size if source != STDIN and source.is_file() else 0
@@ -51,10 +56,12 @@ class IncomingAnswers(ABC):
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._ending.set()
         if self._source != STDIN:
             self._thread.join()  # a read of the standard input cannot be interrupted
+        if self._failure is not None and kind is None:
+            raise AnswersError(self._source, f"could not be read to the end: {self._failure}") from self._failure
 
     @abstractmethod
     def take(self, answer: Answer) -> None:
@@ -66,13 +73,16 @@ class IncomingAnswers(ABC):
                 self._number += 1
                 if line.strip():
                     self._process(line)
-        except (OSError, ValueError) as error:
-            self._report(f"answers: {error}")
+        except Exception as error:
+            self._failure = error
+            self._report(f"{self._source} cannot be read any more: {error!r}")
+            if self._on_failure is not None:
+                self._on_failure()
 
     def _lines(self) -> Iterator[str]:
         if self._receiver is not None:
             return self._received(self._receiver)
-        return _stdin_lines() if self._source == STDIN else self._file_lines()
+        return _complete_lines(sys.stdin.buffer) if self._source == STDIN else self._file_lines()
 
     def _received(self, receiver: AnswerReceiver) -> Iterator[str]:
         """Yield the lines that arrive, and close the receiver at the end."""
@@ -85,23 +95,13 @@ class IncomingAnswers(ABC):
         while not self._source.exists():
             if self._ending.wait(_POLL_S):
                 return
-        with self._source.open(encoding="utf-8") as file:
+        with self._source.open("rb") as file:
             file.seek(self._start)
-            yield from self._appended(file)
+            yield from _complete_lines(file, self._has_more)
 
-    def _appended(self, file: IO[str]) -> Iterator[str]:
-        """Yield complete lines until `_ending` is set and no more of the file can be read."""
-        line = ""
-        while True:
-            is_over = self._ending.is_set()
-            while part := file.readline():
-                line += part
-                if line.endswith("\n"):
-                    yield line
-                    line = ""
-            if is_over:
-                return
-            time.sleep(_POLL_S)
+    def _has_more(self) -> bool:
+        """Wait for more of the file; return False once no more will be written."""
+        return not self._ending.wait(_POLL_S)
 
     def _process(self, line: str) -> None:
         try:
@@ -110,8 +110,23 @@ class IncomingAnswers(ABC):
             self._report(str(error))
 
 
-def _stdin_lines() -> Iterator[str]:
-    yield from sys.stdin
+def _complete_lines(file: IO[bytes], has_more: Callable[[], bool] | None = None) -> Iterator[str]:
+    """Yield the lines of a file, and of one that is too long what is enough to refuse it.
+
+    At the end of the file `has_more` says whether to read on; without it the rest of the file is a line.
+    """
+    line, is_over = b"", False
+    while True:
+        while part := file.readline(MOST_CHARACTERS + 2):
+            line = (line + part)[: MOST_CHARACTERS + 2]
+            if part.endswith(b"\n"):
+                yield line.decode("utf-8", errors="replace")
+                line = b""
+        if is_over or has_more is None:
+            break
+        is_over = not has_more()
+    if has_more is None and line:
+        yield line.decode("utf-8", errors="replace")
 
 
 class InjectedAnswers(IncomingAnswers):
@@ -127,10 +142,12 @@ class InjectedAnswers(IncomingAnswers):
         injector: Injector,
         exposures: Mapping[int | str, Exposure],
         report: Callable[[str], None],
+        on_failure: Callable[[], None] | None = None,
     ) -> None:
-        super().__init__(source, report)
+        super().__init__(source, report, on_failure)
         self._injector = injector
         self._exposures = exposures
+        self._first = FirstAnswers()
 
     def take(self, answer: Answer) -> None:
         """Send the position of an answer, if it has one; raises AnswersError if it is for no frame that was drawn."""
@@ -142,12 +159,20 @@ class InjectedAnswers(IncomingAnswers):
         """Return the position of an answer; None if it has none."""
         if not answer.solved or answer.latitude_rad is None or answer.longitude_rad is None:
             return None
-        frame = answer.file if answer.frame is None else answer.frame
-        if frame is None:
+        if answer.of is None:
             raise AnswersError(self._source, f"line {answer.line} has no frame; give the frame that it answers")
-        exposure = self._exposures.get(frame)
+        exposure = self._exposures.get(answer.of)
         if exposure is None:
-            raise AnswersError(self._source, f"line {answer.line} answers frame {frame}, which was not drawn; not sent")
+            raise AnswersError(
+                self._source, f"line {answer.line} answers frame {answer.of}, which was not drawn; not sent"
+            )
+        if answer.file is not None and self._exposures.get(answer.file) != exposure:
+            raise AnswersError(
+                self._source, f"line {answer.line} contradicts itself: frame {answer.frame} is not {answer.file}"
+            )
+        objection = self._first.objection(answer, exposure.start_utc_s)
+        if objection is not None:
+            raise AnswersError(self._source, f"{objection}; not sent")
         utc_s = {"start": exposure.start_utc_s, "middle": exposure.mid_utc_s, "end": exposure.stop_utc_s}
         sigma_m = None if answer.ellipse is None else 1000 * answer.ellipse.sigma_km
         return PositionFix(answer.latitude_rad, answer.longitude_rad, utc_s[answer.instant], sigma_m)
@@ -157,8 +182,8 @@ def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
     """Return the solved answers of a file, in the order of their times.
 
     `answers`: a file as `glstar.score` reads it; `export`: the directory of the frames, with ``truth.jsonl``.  Raises
-    AnswersError if a line is no answer, or is for no frame of the export; ExportError if there is no truth, as in the
-    directory for the navigator that ``--blind`` leaves.
+    AnswersError if no line is an answer, or one is for no frame of the export; ExportError if there is no truth, as in
+    the directory for the navigator that ``--blind`` leaves.
     """
     from glstar.export.navigator import NAV  # noqa: PLC0415 - OpenCV
     from glstar.export.truth.lines import read_truth  # noqa: PLC0415 - only for a replay
@@ -171,12 +196,14 @@ def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
         instants_s = {"start": start_s, "middle": middle_s, "end": 2 * middle_s - start_s}
         times_s[line["frame"]] = times_s[line["file"]] = instants_s
     placed = []
-    for answer in read_answers(answers):
-        frame = answer.file if answer.frame is None else answer.frame
-        if frame not in times_s:
-            raise AnswersError(answers, f"line {answer.line} answers frame {frame}, which {export} does not have")
+    given = read_answers(answers)
+    for fault in given.faults:
+        echo_note(f"{answers}: {fault}; not shown")
+    for answer in given.answers:
+        if answer.of not in times_s:
+            raise AnswersError(answers, f"line {answer.line} answers frame {answer.of}, which {export} does not have")
         if answer.solved:
-            placed.append(_placed(answer, str(frame), times_s[frame][answer.instant]))
+            placed.append(_placed(answer, str(answer.of), times_s[answer.of][answer.instant]))
     return sorted(placed, key=lambda answer: answer.utc_s)
 
 

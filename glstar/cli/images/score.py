@@ -1,7 +1,7 @@
 """``glstar score``: a navigator's answers against the truth of an export."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +18,8 @@ from glstar.system.files import write_atomically
 
 # Orbits that are printed one by one; score.json has all.
 _MOST_ORBITS = 12
+# Invalid lines that are reported one by one; score.json has all.
+_MOST_FAULTS = 5
 
 
 def score(
@@ -30,6 +32,9 @@ def score(
         typer.Option("-o", "--output", help="Write score.json and score.png into this directory.", show_default=False),
     ] = None,
     false_deg: Annotated[float, typer.Option(help="Largest error of the optical axis of a solved frame, deg.")] = 1.0,
+    false_roll_deg: Annotated[
+        float, typer.Option(help="Largest error of the rotation about the optical axis of a solved frame, deg.")
+    ] = 5.0,
     false_km: Annotated[float, typer.Option(help="Largest error of the position of a solved frame, km.")] = 200.0,
     tolerance_px: Annotated[
         float, typer.Option(help="Largest position error of a correctly identified star, px.")
@@ -49,8 +54,9 @@ def score(
     from glstar.score.scoring import score as scored  # noqa: PLC0415 - the name of the command
 
     chosen = frozenset(by or ())
-    limits = Limits(float(np.deg2rad(false_deg)), false_km, tolerance_px)
+    limits = Limits(float(np.deg2rad(false_deg)), float(np.deg2rad(false_roll_deg)), false_km, star_px=tolerance_px)
     found = scored(export, answers, limits=limits, least_snr=detectable_snr)
+    _warn_of(answers, found.faults)
     if unknown := sorted(chosen - {name for name, _ in found.bins}):
         names = ", ".join(name for name, _ in found.bins) or "none"
         raise typer.BadParameter(f"{unknown[0]} is no bin of these frames; there are {names}", param_hint="--by")
@@ -66,6 +72,14 @@ def score(
     _print(found, console, chosen)
     if output is not None:
         typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
+
+
+def _warn_of(answers: Path, faults: Sequence[str]) -> None:
+    """Write what is wrong with lines that are no valid answers, each of the first ones in a line."""
+    for fault in faults[:_MOST_FAULTS]:
+        typer.echo(f"{answers}: {fault}; not counted", err=True)
+    if len(faults) > _MOST_FAULTS:
+        typer.echo(f"{answers}: {len(faults) - _MOST_FAULTS} more lines are not counted; score.json has all", err=True)
 
 
 def _print(found: Score, console: Console, by: frozenset[str]) -> None:

@@ -20,6 +20,7 @@ A subscriber that is slower than the frames misses some.
 
 import re
 import time
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any, Self
 
@@ -38,6 +39,8 @@ _LOOPBACK = "127.0.0.1"
 _WAITING = 2
 # Time to send what waits when a socket is closed, ms.
 _LINGER_MS = 1000
+# Largest message with answers, bytes: a connection that sends a larger one is closed.
+_LARGEST_MESSAGE = 4_000_000
 
 
 class FrameStream:
@@ -50,8 +53,7 @@ class FrameStream:
     def __init__(self, where: str, *, with_truth: bool = False) -> None:
         zmq = _library()
         self._with_truth = with_truth
-        self._socket = _bound(where, zmq.PUB, "--latest-frame")
-        self._socket.setsockopt(zmq.SNDHWM, _WAITING)
+        self._socket = _bound(where, zmq.PUB, "--latest-frame", {zmq.SNDHWM: _WAITING})
 
     def write(self, pixels: NDArray[Any], truth: bytes, nav: dict[str, Any]) -> None:
         """Send a frame to all who are subscribed.
@@ -92,7 +94,8 @@ class AnswerReceiver:
     """
 
     def __init__(self, where: str) -> None:
-        self._socket = _bound(where, _library().PULL, "--answers")
+        zmq = _library()
+        self._socket = _bound(where, zmq.PULL, "--answers", {zmq.MAXMSGSIZE: _LARGEST_MESSAGE})
 
     def lines(self, timeout_s: float) -> list[str]:
         """Return the lines of the next message; none if nothing arrives within `timeout_s`."""
@@ -127,10 +130,12 @@ def send_answers(where: str, lines: list[str], timeout_s: float) -> None:
         socket.close(linger=_LINGER_MS)
 
 
-def _bound(where: str, kind: int, option: str) -> Any:
-    """Return a socket that is bound to an address."""
+def _bound(where: str, kind: int, option: str, settings: Mapping[int, int]) -> Any:
+    """Return a socket with options of ZeroMQ that is bound to an address."""
     zmq, address = _library(), _address(where, option)
     socket = zmq.Context.instance().socket(kind)
+    for name, value in settings.items():
+        socket.setsockopt(name, value)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:

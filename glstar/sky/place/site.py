@@ -113,6 +113,14 @@ def geodetic(position_m: ArrayLike) -> tuple[Float, Float, Float]:
     return latitude_rad, longitude_rad, height_m
 
 
+def north_east_of(origin: Site, north_m: float, east_m: float) -> tuple[float, float]:
+    """Return latitude and longitude, rad, of a point in the plane that is tangent to the ellipsoid below a site."""
+    ground_m = geocentric_m(origin.latitude_rad, origin.longitude_rad, 0.0)
+    moved_m = ground_m + np.array([north_m, east_m, 0.0]) @ C_ned_eq(origin.latitude_rad, origin.longitude_rad)
+    latitude_rad, longitude_rad, _ = geodetic(moved_m)
+    return float(latitude_rad), float(longitude_rad)
+
+
 def surface_offset_km(origin: Site, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
     """Return how far north and east of a site a position is on the WGS84 ellipsoid, km.
 
