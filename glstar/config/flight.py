@@ -36,6 +36,7 @@ _OF_ANY_LENGTH = {
     "height_m",
     "start_utc",
     "direction",
+    "route",
     "pitch_deg",
     "roll_deg",
     "gusts",

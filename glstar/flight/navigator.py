@@ -74,8 +74,10 @@ class AttitudeErrorModel:
         octaves = []
         for octave in range(self.perlin_octaves if self.perlin_rad > 0 else 0):
             time_s = self.perlin_time_s / 2**octave
-            nodes = int((last_utc_s - first_utc_s) / time_s) + 2
-            octaves.append((time_s, perlin_rng.uniform(-1.0, 1.0, (nodes, 3))))
+            # Each axis begins within a node spacing: the noise is 0 at its nodes, which round times would all meet.
+            nodes = int((last_utc_s - first_utc_s) / time_s) + 3
+            slopes = perlin_rng.uniform(-1.0, 1.0, (nodes, 3))
+            octaves.append((time_s, perlin_rng.uniform(0.0, 1.0, 3), slopes))
         return AttitudeErrors(self, first_utc_s, bias, step_s, drift, tuple(octaves))
 
 
@@ -88,8 +90,9 @@ class AttitudeErrors:
     bias_rad: Float  # (3,)
     drift_step_s: float  # Time between the samples of the drift, s
     drift_rad: Float  # (n, 3)
-    # For each octave the time between nodes, s, and the slopes at the nodes, (m, 3).
-    perlin_octaves: tuple[tuple[float, Float], ...]
+    # For each octave the time between nodes, s, where between two nodes each axis begins, (3,), 0 to 1, and the slopes
+    # at the nodes, (m, 3).
+    perlin_octaves: tuple[tuple[float, Float, Float], ...]
 
     def at(self, utc_s: Float, q_body_ned: Float) -> Float:
         """Return the errors at times, (n,), as rotation vectors about the body's axes forward, right, down, (n, 3) rad.
@@ -101,8 +104,9 @@ class AttitudeErrors:
         drift = [np.interp(elapsed_s, node_s, axis) for axis in self.drift_rad.T]
         error: Float = self.bias_rad + np.stack(drift, axis=-1)
         total = sum(0.5**octave for octave in range(len(self.perlin_octaves)))
-        for octave, (time_s, slopes) in enumerate(self.perlin_octaves):
-            error = error + self.model.perlin_rad * 0.5**octave / total * perlin_noise(elapsed_s / time_s, slopes)
+        for octave, (time_s, phase, slopes) in enumerate(self.perlin_octaves):
+            position = elapsed_s[:, np.newaxis] / time_s + phase
+            error = error + self.model.perlin_rad * 0.5**octave / total * perlin_noise(position, slopes)
         roll, pitch, _ = euler_from_quaternion(q_body_ned)
         tangent = np.where(np.cos(roll) > 0, np.tan(roll), 0.0)
         tangent = np.clip(tangent, -_LARGEST_TANGENT, _LARGEST_TANGENT)
@@ -153,12 +157,13 @@ def gauss_markov(samples: int, step: float, rng: np.random.Generator) -> Float:
 def perlin_noise(position: Float, slopes: Float) -> Float:
     """Return Perlin's gradient noise in one dimension, (n, k), from -1 to 1.
 
-    `position` (n,): in node spacings, from 0; `slopes` (m, k): slopes at the nodes, -1 to 1; positions beyond the last
-    node continue its slope.  K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 + 10 t^3 between the
+    `position` (n, k): in node spacings, from 0; `slopes` (m, k): slopes at the nodes, -1 to 1; beyond the last node the
+    noise stays 0.  K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 + 10 t^3 between the
     tangents of two nodes, here times 2, so that opposite slopes of 1 reach 1 in the middle.
     """
     node = np.clip(np.floor(position).astype(np.int64), 0, len(slopes) - 2)
-    t = np.clip(position - node, 0.0, 1.0)[:, np.newaxis]
+    t = np.clip(position - node, 0.0, 1.0)
     fade = t**3 * (t * (6 * t - 15) + 10)
-    before, after = slopes[node] * t, slopes[node + 1] * (t - 1)
+    axis = np.arange(slopes.shape[1])
+    before, after = slopes[node, axis] * t, slopes[node + 1, axis] * (t - 1)
     return np.asarray(2 * (before + fade * (after - before)))

@@ -117,6 +117,11 @@ KEYS: Mapping[str, Setting] = {
     "pitch_deg": Setting(_radians, "0", "added to the pitch of every attitude (angle of attack), deg"),
     "roll_deg": Setting(_radians, "0", "added to the roll of every attitude, deg"),
     "climb_deg": Setting(_radians, "0", "angle of climb of a transit, deg"),
+    "route": Setting(
+        _one_of("rhumb", "great_circle"),
+        "rhumb",
+        "of a transit: rhumb keeps the course, great_circle is the shortest line",
+    ),
     "yaw_rate_deg_per_s": Setting(_radians, "10", "rate of a spin, deg/s"),
     "waypoints": Setting(_waypoints, "", "latitude,longitude[,height_m] of each, deg, deg, m; semicolons between"),
     "wind_m_per_s": Setting(_number, "0", "speed of the wind, m/s"),

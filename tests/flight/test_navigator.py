@@ -57,14 +57,35 @@ def test_a_turn_tilts_the_estimate_towards_the_apparent_vertical() -> None:
 def test_perlin_noise_is_zero_at_its_nodes_and_follows_their_slopes() -> None:
     slopes = np.random.default_rng(1).uniform(-1, 1, (20, 3))
 
-    np.testing.assert_allclose(perlin_noise(np.arange(19.0), slopes), 0.0, rtol=0, atol=1e-12)
+    node, middle = (np.arange(18.0) + shift for shift in (0.0, 0.5))
+
+    def noise(position: np.ndarray) -> np.ndarray:
+        return perlin_noise(np.column_stack([position] * 3), slopes)
+
+    np.testing.assert_allclose(noise(node), 0.0, rtol=0, atol=1e-12)
     step = 1e-6
-    rise = (perlin_noise(np.arange(18.0) + step, slopes) - perlin_noise(np.arange(18.0), slopes)) / step
+    rise = (noise(node + step) - noise(node)) / step
     np.testing.assert_allclose(rise, 2 * slopes[:18], rtol=0, atol=1e-4)
     # The fade is 1/2 in the middle: (g0 / 2 - g1 / 2) / 2, times 2.
-    np.testing.assert_allclose(
-        perlin_noise(np.arange(19.0) + 0.5, slopes), (slopes[:-1] - slopes[1:]) / 2, rtol=0, atol=1e-12
-    )
+    np.testing.assert_allclose(noise(middle), (slopes[:18] - slopes[1:19]) / 2, rtol=0, atol=1e-12)
+    # Each axis has a position of its own.
+    both = perlin_noise(np.array([[2.0, 2.5, 3.0]]), slopes)
+    np.testing.assert_allclose(both, [[0.0, (slopes[2, 1] - slopes[3, 1]) / 2, 0.0]], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("at_s", [0.0, 5.0, 10.0, 12.5, 100.0, 600.0])
+def test_perlin_noise_is_as_large_at_round_times_as_at_any(at_s: float) -> None:
+    """With the default time between nodes; the flight begins and ends like the rest of it."""
+    model = AttitudeErrorModel(perlin_rad=0.01)
+    times_s = np.array([at_s, 0.317 * at_s + 3.3])
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+
+    found = np.array([model.drawn(0.0, 600.0, np.random.default_rng(seed)).at(times_s, level) for seed in range(200)])
+
+    at_round, at_odd = np.sqrt((found**2).mean(axis=(0, 2)))
+    # 600 values of each; the root mean square of one octave of slope 1 is 0.3 of its largest.
+    assert at_round == pytest.approx(at_odd, rel=0.15)
+    assert 0.0008 < at_round < 0.004
 
 
 def test_perlin_noise_never_exceeds_its_amplitude() -> None:

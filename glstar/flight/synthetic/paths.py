@@ -1,7 +1,7 @@
 """Paths through moving air: position, heading, bank and climb of an aircraft over time.
 
 All of them are coordinated: tan(bank) = V omega / g with the airspeed V and the heading rate omega.  Positions are
-metres north and east of the start (or of an orbit's centre) on a local plane.
+metres north and east of the start (or of an orbit's centre) on a local map, whose scale is right there.
 """
 
 from collections.abc import Sequence
@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glstar.arrays import Float
 from glstar.errors import ConfigError
+from glstar.sky.place.site import Site, radii_of_curvature_m
 
 GRAVITY_M_PER_S2 = 9.80665
 # Number of nodes of one orbit in wind: the error of the time along it is 1e-10 s.
@@ -23,6 +25,10 @@ _ROLL_RATE_RAD_PER_S = np.deg2rad(30.0)
 _BANK_TIME_S = 0.4
 _CLIMB_TIME_S = 1.0
 _MOST_CLIMB_RAD = np.deg2rad(15.0)
+# Nearest that a path comes to a pole, where the local map ends, rad.
+_NEAREST_POLE_RAD = np.deg2rad(0.1)
+# Relative error of the integration of a line over the ellipsoid: micrometres in 1000 km.
+_LINE_ERROR = 1e-12
 # A leg is never finished that takes longer than this many times its length at the slowest speed, plus this time, s.
 _LEG_SLACK = 3.0
 _LEG_SLACK_S = 120.0
@@ -56,12 +62,38 @@ class Wind:
         return -self.north_m_per_s * np.sin(course_rad) + self.east_m_per_s * np.cos(course_rad)
 
 
+@dataclass(frozen=True, slots=True)
+class LocalMap:
+    """Latitude and longitude as metres north and east of an origin, with the scale that is right at its height."""
+
+    origin: Site
+
+    def metres(self, latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> tuple[Float, Float]:
+        """Return metres north and east, (...) each, of places, (...) rad; longitudes are continuous from the origin."""
+        north_m, east_m = self._per_rad()
+        latitude, longitude = np.asarray(latitude_rad), np.asarray(longitude_rad)
+        return (latitude - self.origin.latitude_rad) * north_m, (longitude - self.origin.longitude_rad) * east_m
+
+    def place(self, north_m: Float, east_m: Float) -> tuple[Float, Float]:
+        """Return latitudes and longitudes, (...) rad: the inverse of `metres`; raises ConfigError near a pole."""
+        north_per_rad, east_per_rad = self._per_rad()
+        latitude_rad = self.origin.latitude_rad + north_m / north_per_rad
+        if np.abs(latitude_rad).max() > np.pi / 2 - _NEAREST_POLE_RAD:
+            raise ConfigError("the flight crosses a pole, where its local map ends; fly farther from it, or shorter")
+        return latitude_rad, self.origin.longitude_rad + east_m / east_per_rad
+
+    def _per_rad(self) -> tuple[float, float]:
+        along_m, across_m = radii_of_curvature_m(self.origin.latitude_rad)
+        height_m, cosine = self.origin.height_m, np.cos(self.origin.latitude_rad)
+        return float(along_m + height_m), float((across_m + height_m) * cosine)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FlownPath:
     """A flown path."""
 
     t_s: Float  # (n,) times since the start, s
-    north_m: Float  # (n,) position from the start, or from an orbit's centre, m
+    north_m: Float  # (n,) position from the start, or from an orbit's centre, on its `LocalMap`, m
     east_m: Float
     up_m: Float
     yaw_rad: Float  # (n,) heading, rad from north through east, continuous
@@ -155,21 +187,55 @@ def held_orbit(
 
 
 def straight(
-    t_s: Float, *, course_rad: float, airspeed_m_per_s: float, wind: Wind, climb_rad: float = 0.0
+    t_s: Float,
+    local: LocalMap,
+    *,
+    course_rad: float,
+    airspeed_m_per_s: float,
+    wind: Wind,
+    climb_rad: float = 0.0,
+    great_circle: bool = False,
 ) -> FlownPath:
-    """Return a straight path over the ground; the aircraft crabs into the wind.
+    """Return a path over the WGS84 ellipsoid along a course; the aircraft crabs into the wind.
 
-    `t_s` (n,): times from 0, rising, s; `course_rad`: direction over the ground, rad from north through east;
-    `climb_rad`: angle of climb through the air, rad.  Raises ConfigError if the wind is as fast as the aircraft.
+    `t_s` (n,): times from 0, rising, s; `local`: its origin is the start; `course_rad`: direction over the ground at
+    the start, rad from north through east, which a rhumb line keeps and a great circle changes; `climb_rad`: angle of
+    climb through the air, rad.  Raises ConfigError if the wind is as fast as the aircraft, or the path nears a pole.
     """
+    from scipy.integrate import solve_ivp  # noqa: PLC0415 - slow to import
+
     level_m_per_s = airspeed_m_per_s * float(np.cos(climb_rad))
-    course = np.full_like(t_s, course_rad)
-    speed = _speed_over_ground(wind, course, level_m_per_s)
+    climb_m_per_s = airspeed_m_per_s * float(np.sin(climb_rad))
+    start = local.origin
+
+    def rates(elapsed_s: float, state: Float) -> list[float]:
+        """Return the rates of latitude, longitude and course: a great circle is a geodesic of the ellipsoid."""
+        latitude, _, course = state
+        along_m, across_m = (
+            radius_m + start.height_m + climb_m_per_s * elapsed_s for radius_m in radii_of_curvature_m(latitude)
+        )
+        speed = _speed_over_ground(wind, course, level_m_per_s)
+        east_rate = speed * np.sin(course) / across_m
+        turn = east_rate * np.tan(latitude) if great_circle else 0.0
+        return [speed * np.cos(course) / along_m, east_rate / np.cos(latitude), turn]
+
+    def to_pole_rad(_: float, state: Float) -> float:
+        return float(np.pi / 2 - _NEAREST_POLE_RAD - abs(state[0]))
+
+    to_pole_rad.terminal = True  # type: ignore[attr-defined]
+    first = [start.latitude_rad, start.longitude_rad, course_rad]
+    flown = solve_ivp(
+        rates, (0.0, t_s[-1]), first, "DOP853", t_s, events=to_pole_rad, rtol=_LINE_ERROR, atol=_LINE_ERROR / 1e3
+    )
+    if flown.status == 1:
+        raise ConfigError("the flight crosses a pole, where its local map ends; fly farther from it, or shorter")
+    latitude, longitude, course = flown.y
+    north_m, east_m = local.metres(latitude, longitude)
     return FlownPath(
         t_s=t_s,
-        north_m=speed * t_s * np.cos(course),
-        east_m=speed * t_s * np.sin(course),
-        up_m=airspeed_m_per_s * np.sin(climb_rad) * t_s,
+        north_m=north_m,
+        east_m=east_m,
+        up_m=climb_m_per_s * t_s,
         yaw_rad=course - np.arcsin(wind.across(course) / level_m_per_s),
         bank_rad=np.zeros_like(t_s),
         climb_rad=np.full_like(t_s, climb_rad),

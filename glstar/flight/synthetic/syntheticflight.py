@@ -18,9 +18,6 @@ from glstar.sky.place.site import Site
 FlightPath = Literal["orbit", "transit", "waypoints", "hover", "spin", "still"]
 FLIGHT_PATHS: tuple[FlightPath, ...] = get_args(FlightPath)
 
-# WGS84.
-_EQUATOR_M = 6378137.0
-_ECCENTRICITY_2 = 6.69437999014e-3
 # Largest number of attitudes: ten million need some gigabytes of memory.
 _MOST_SAMPLES = 10_000_000
 # Gusts are modelled from 3 m above the ground.
@@ -50,6 +47,7 @@ class SyntheticFlight:
     pitch_rad: float = 0.0  # Added to every attitude: angle of attack, or the attitude of ``still``, rad
     roll_rad: float = 0.0
     climb_rad: float = 0.0  # Angle of climb of a transit, rad
+    route: Literal["rhumb", "great_circle"] = "rhumb"  # Whether a transit keeps its course, or takes the shortest line
     yaw_rate_rad_per_s: float = pi / 18  # Of a spin
     waypoints: tuple[Site, ...] = ()  # For ``waypoints``
     wind: paths.Wind = field(default_factory=paths.Wind)
@@ -118,7 +116,7 @@ class SyntheticFlight:
 
     def _flown(self) -> paths.FlownPath:
         if self.path == "waypoints":
-            legs = [self._local_m(site) for site in self.waypoints]
+            legs = self._waypoints_m()
             return paths.through_waypoints(
                 1 / self.rate_hz, legs, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind
             )
@@ -138,6 +136,8 @@ class SyntheticFlight:
         if self.path == "transit":
             return paths.straight(
                 t_s,
+                self._map,
+                great_circle=self.route == "great_circle",
                 course_rad=self.heading_rad,
                 airspeed_m_per_s=self.airspeed_m_per_s,
                 wind=self.wind,
@@ -156,27 +156,18 @@ class SyntheticFlight:
             turns += self.response.to(gusts).simulated(t_s.size, 1 / self.rate_hz, np.random.default_rng(gust_seed))
         return turns
 
-    def _origin(self) -> Site:
-        return self.waypoints[0] if self.path == "waypoints" else self.site
+    def _waypoints_m(self) -> list[tuple[float, float, float]]:
+        """Return the waypoints in metres north, east and above the first."""
+        origin = self._map.origin
+        longitudes = np.unwrap([site.longitude_rad for site in self.waypoints])
+        north_m, east_m = self._map.metres([site.latitude_rad for site in self.waypoints], longitudes)
+        up_m = [site.height_m - origin.height_m for site in self.waypoints]
+        return list(zip(north_m.tolist(), east_m.tolist(), up_m, strict=True))
 
-    def _radii_m(self) -> tuple[float, float]:
-        """Return metres for each radian of latitude and of longitude at the origin."""
-        origin = self._origin()
-        sine = np.sin(origin.latitude_rad)
-        normal_m = _EQUATOR_M / np.sqrt(1 - _ECCENTRICITY_2 * sine**2)
-        meridian_m = normal_m * (1 - _ECCENTRICITY_2) / (1 - _ECCENTRICITY_2 * sine**2)
-        return float(meridian_m + origin.height_m), float((normal_m + origin.height_m) * np.cos(origin.latitude_rad))
-
-    def _local_m(self, site: Site) -> tuple[float, float, float]:
-        """Return a waypoint in metres north, east and above the origin."""
-        origin, (north_m, east_m) = self._origin(), self._radii_m()
-        east_rad = (site.longitude_rad - origin.longitude_rad + pi) % (2 * pi) - pi
-        north_rad = site.latitude_rad - origin.latitude_rad
-        return north_rad * north_m, east_rad * east_m, site.height_m - origin.height_m
+    @property
+    def _map(self) -> paths.LocalMap:
+        return paths.LocalMap(self.waypoints[0] if self.path == "waypoints" else self.site)
 
     def _positions(self, path: paths.FlownPath, utc_s: Float) -> PositionTrack:
-        origin, (north_m, east_m) = self._origin(), self._radii_m()
-        latitude = origin.latitude_rad + path.north_m / north_m
-        if np.abs(latitude).max() >= np.deg2rad(89.9):
-            raise ConfigError("the flight crosses a pole, where its local map ends; fly farther from it, or shorter")
-        return PositionTrack(utc_s, latitude, origin.longitude_rad + path.east_m / east_m, origin.height_m + path.up_m)
+        latitude_rad, longitude_rad = self._map.place(path.north_m, path.east_m)
+        return PositionTrack(utc_s, latitude_rad, longitude_rad, self._map.origin.height_m + path.up_m)

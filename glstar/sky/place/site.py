@@ -88,6 +88,14 @@ def semi_axes_m() -> Float:
     return np.array([equator_m, equator_m, equator_m * (1 - flattening)])
 
 
+def radii_of_curvature_m(latitude_rad: ArrayLike) -> tuple[Float, Float]:
+    """Return the radii of curvature of the ellipsoid along the meridian and across it, (...) m each, at latitudes."""
+    equator_m, _, polar_m = semi_axes_m()
+    squeeze = (polar_m / equator_m) ** 2
+    across_m = equator_m / np.sqrt(np.cos(latitude_rad) ** 2 + squeeze * np.sin(latitude_rad) ** 2)
+    return np.asarray(squeeze * across_m**3 / equator_m**2), np.asarray(across_m)
+
+
 def geocentric_m(latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike) -> Float:
     """Return the geocentric positions, (..., 3) m in ITRS, of WGS84 latitudes, longitudes and heights, (...)."""
     return np.asarray(erfa.gd2gc(_WGS84, longitude_rad, latitude_rad, height_m), dtype=np.float64)
