@@ -17,12 +17,12 @@ import shutil
 import stat
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from secrets import token_hex
-from typing import IO, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +105,21 @@ def refuse_links(directory: Path) -> None:
                     folders.append(Path(entry.path))
                 elif OURS.fullmatch(entry.name) or entry.name.startswith(TEMPORARY):
                     _refuse(Path(entry.path), is_expected=entry.is_file(follow_symlinks=False), expected="regular file")
+
+
+def image_path(directory: Path, line: Mapping[str, Any]) -> Path:
+    """Return the path of the image of a line that `read_truth` gave.
+
+    Raises ExportError if the line names none, or the image or its folder is a link.
+    """
+    if "file" not in line:
+        raise ExportError(directory / "truth.jsonl", f"does not name the image of frame {line.get('frame')}")
+    path = directory
+    for part in PurePosixPath(line["file"]).parts:
+        path /= part
+        if path.is_symlink():
+            raise ExportError(path, "is a symbolic link; glstar follows none below the directory of a set")
+    return path
 
 
 def refuse_link(path: Path) -> None:

@@ -4,7 +4,6 @@
 export whose sky is a simulator's truth, ``nav.jsonl`` has what the autopilot estimates.
 """
 
-import os
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
@@ -232,12 +231,9 @@ def publish_blind(job: Export, output: Path) -> None:
 
 
 def _hand_over(source: Path, target: Path) -> None:
-    """Put a file in a second directory."""
+    """Copy a file to a second directory: whoever writes to it there must not change the first."""
     fresh = temporary_path(target)
-    try:
-        os.link(source, fresh)
-    except OSError:
-        shutil.copyfile(source, fresh)
+    shutil.copyfile(source, fresh)
     fresh.replace(target)
 
 

@@ -9,6 +9,7 @@ import typer
 from glstar.cli.progress import progress_bar
 from glstar.cli.verbosity import with_verbosity
 from glstar.errors import ConfigError, ExportError
+from glstar.export.directory import refuse_links
 
 _BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".srt": "srt"}
 _LEAST_SNR = 5.0
@@ -58,6 +59,7 @@ def convert(
         raise ConfigError(f"{output}: say with --to whether {kinds} is meant")
     if not export.is_dir():
         raise ExportError(export, "is no directory of an export")
+    refuse_links(export)
     if "://" in output and kind != "webdataset":
         raise ConfigError(f"{output}: only --to webdataset writes to an object store")
     if kind in {"coco", "yolo", "webdataset"}:

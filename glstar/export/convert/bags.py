@@ -28,7 +28,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from glstar.arrays import Float
 from glstar.errors import ExportError
-from glstar.export.directory import explain_disk_errors
+from glstar.export.directory import explain_disk_errors, image_path
 from glstar.export.imagefiles.formats import decode
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
 from glstar.rotation import conjugate, multiply, quaternion_from_matrix
@@ -78,7 +78,7 @@ def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all:
 
 
 def _pixels(directory: Path, line: dict[str, Any]) -> NDArray[Any]:
-    path = directory / line["file"]
+    path = image_path(directory, line)
     try:
         return decode(path.read_bytes(), path.suffix)
     except (OSError, ValueError) as error:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.arrays import Float
 from glstar.errors import ExportError
-from glstar.export.directory import explain_disk_errors, new_directory
+from glstar.export.directory import explain_disk_errors, image_path, new_directory
 from glstar.export.imagefiles.formats import decode
 from glstar.export.imagefiles.masks import MASK_SUFFIXES
 from glstar.export.truth.splits import NO_SPLIT, ConvertedSet
@@ -303,7 +303,7 @@ def write_coco(source: ConvertedSet, output: Path, *, least_snr: float) -> tuple
         files = {split: opened.enter_context(_CocoFile(path)) for split, path in paths.items()}
         for split, line in source.frames():
             labels = list(labels_of(line, psf_sigma_px=source.psf_sigma_px, least_snr=least_snr))
-            files[split].add(line, labels, MaskRuns.beside(source.directory / line["file"]))
+            files[split].add(line, labels, MaskRuns.beside(image_path(source.directory, line)))
         for file in files.values():
             file.finish()
     return tuple(paths.values())

@@ -10,7 +10,7 @@ from typing import Any
 
 from glstar.camera.photofile import stated_shift_bits
 from glstar.errors import ExportError
-from glstar.export.directory import explain_disk_errors
+from glstar.export.directory import explain_disk_errors, image_path
 from glstar.export.imagefiles.formats import EXIF_END, decode, tiff
 from glstar.export.imagefiles.processing import encode_jpeg
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
@@ -42,7 +42,7 @@ def write_photographs(directory: Path, output: Path, kind: str) -> int:
     with explain_disk_errors(output):
         output.mkdir(parents=True)
         for line in read_truth(directory):
-            source = directory / line["file"]
+            source = image_path(directory, line)
             try:
                 content = source.read_bytes()
                 if kind == "png" and source.suffix != ".png":

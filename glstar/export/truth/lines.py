@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from secrets import token_hex
 from typing import IO, Any
 
@@ -276,9 +276,21 @@ def _listed(path: Path) -> set[str]:
 def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
     """Return one line as a dictionary."""
     try:
-        return as_current_schema(orjson.loads(line))
+        frame = as_current_schema(orjson.loads(line))
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ExportError(file, f"line {number} is not a frame of a truth file of glstar") from error
+    if "file" in frame and not is_inside(frame["file"]):
+        name = str(frame["file"])[:80]
+        raise ExportError(file, f"line {number} names the image {name!r}, which is not below its directory")
+    return frame
+
+
+def is_inside(name: object) -> bool:
+    """Return whether a value is the relative path of a file that cannot leave its directory, on any system."""
+    if not isinstance(name, str) or not name or "\0" in name:
+        return False
+    kinds = PurePosixPath(name), PureWindowsPath(name)
+    return not any(path.anchor or path.drive or ".." in path.parts for path in kinds)
 
 
 def count_frames_of_truth(directory: Path) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from glstar.errors import ConfigError, ExportError
-from glstar.export.directory import SPLIT_INDEX, SPLITS, explain_disk_errors
+from glstar.export.directory import SPLIT_INDEX, SPLITS, explain_disk_errors, image_path
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
 from glstar.system.files import publish, temporary_path, write_atomically
 from glstar.system.userinput import read_bytes
@@ -246,7 +246,7 @@ class ConvertedSet:
 
     def image(self, line: Mapping[str, Any]) -> Path:
         """Return the path of a frame's image; raises ExportError if it is missing."""
-        path = self.directory / str(line["file"])
+        path = image_path(self.directory, line)
         if not path.is_file():
             raise ExportError(path, "is missing; run glstar export again to complete the set")
         return path
