@@ -36,7 +36,7 @@ _MODULES = {
     "LogFormatError": "glstar.errors",
     "Mount": "glstar.camera.model",
     "Observation": "glstar.export.environment",
-    "Pose": "glstar.export.environment",
+    "Pose": "glstar.flight",
     "PositionTrack": "glstar.flight",
     "RenderError": "glstar.errors",
     "Renderer": "glstar.render.scene.scene",

@@ -29,13 +29,13 @@ from glstar.errors import TelemetryError as TelemetryError
 from glstar.errors import TrackRangeError as TrackRangeError
 from glstar.export.environment import Environment as Environment
 from glstar.export.environment import Observation as Observation
-from glstar.export.environment import Pose as Pose
 from glstar.export.publish.latest import LatestFrame as LatestFrame
 from glstar.export.publish.latest import LatestFrameReader as LatestFrameReader
 from glstar.export.publish.latest import LatestFrameWriter as LatestFrameWriter
 from glstar.export.truth.lines import read_truth as read_truth
 from glstar.flight import AttitudeTrack as AttitudeTrack
 from glstar.flight import Flight as Flight
+from glstar.flight import Pose as Pose
 from glstar.flight import PositionTrack as PositionTrack
 from glstar.render.opengl import GLRenderer as GLRenderer
 from glstar.render.scene.scene import Frame as Frame

@@ -3,62 +3,33 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import isfinite
+from operator import index
 from os import PathLike
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import orjson
-from numpy.typing import ArrayLike
 
-from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.config.flight import SYNTHETIC
 from glstar.errors import ConfigError
 from glstar.export.frame import frame_seed
 from glstar.export.navigator import Navigator
-from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, Pose, PositionTrack
 from glstar.flight.navigator import EstimatedAttitude
 from glstar.render.scene.scene import Frame, Renderer
 from glstar.render.simulator import Simulator
 from glstar.render.truth.frame import frame_truth
-from glstar.sky.place.site import Site
+from glstar.system.installation import install_command
 from glstar.system.resources import bundled_flight
+
+if TYPE_CHECKING:
+    import gymnasium
 
 # With poses the end of the flight is unknown: the errors of the navigator are drawn for this time, s.
 _HORIZON_S = 6 * 3600.0
 _START_UTC_S = 1710068400.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pose:
-    """Where an aircraft is at the end of a step.
-
-    Attributes
-    ----------
-    q_body_ned : (4,) array_like
-        Unit quaternion (w, x, y, z), NED to body.
-    site : Site
-    """
-
-    q_body_ned: ArrayLike
-    site: Site
-
-    @property
-    def unit(self) -> Float:
-        """The quaternion, normalised, (4,) float64.
-
-        Raises
-        ------
-        ConfigError
-            If it is not four finite numbers, or all of them are 0.
-        """
-        q = np.asarray(self.q_body_ned, dtype=np.float64)
-        length = float(np.linalg.norm(q))
-        if q.shape != (4,) or not (isfinite(length) and length > 0):
-            raise ConfigError(f"a pose's q_body_ned must be four finite numbers (w, x, y, z), not {self.q_body_ned!r}")
-        unit: Float = q / length
-        return unit
 
 
 class Observation(NamedTuple):
@@ -90,6 +61,8 @@ class Environment:
         log.
     renderer : Renderer, optional
         It stays open; by default an own one, which `close` releases.
+    truth : bool, default True
+        Whether to compute the truth, which takes about as long as drawing the frame; otherwise it is empty.
 
     Notes
     -----
@@ -103,6 +76,7 @@ class Environment:
         flight: Flight | str | PathLike[str] | None = None,
         *,
         renderer: Renderer | None = None,
+        truth: bool = True,
     ) -> None:
         self._config = Config() if config is None else config
         if flight is not None and self._config.synthetic.path is not None:
@@ -110,6 +84,7 @@ class Environment:
         self._given = flight
         self._own_renderer = renderer is None
         self._renderer = _headless_renderer() if renderer is None else renderer
+        self._has_truth = truth
         self._simulators: dict[str, Simulator] = {}
         self._state: _Flown | _Followed | None = None
         self._seed = self._number = 0
@@ -135,19 +110,19 @@ class Environment:
         ConfigError
             If the seed is negative, or a setting of the flight is impossible.
         """
+        seed = index(seed)  # NumPy's numbers too
         if seed < 0:
             raise ConfigError(f"a seed must be 0 or more, not {seed}")
-        self._seed, self._number = seed, 0
         seeds = {"navigator.seed": seed} | ({f"{SYNTHETIC}.seed": seed} if self._config.synthetic.path else {})
         config = self._config.override(**seeds)
         if pose is None:
             flight = self._flight(config)
-            self._state = _Flown(config, self._simulator(config, flight), flight)
+            state: _Flown | _Followed = _Flown.begun(config, self._simulator(config, flight), flight)
         else:
             start_utc_s = _START_UTC_S if utc_s is None else utc_s
             still = _between(pose, pose, start_utc_s - config.exposure.span_s, start_utc_s)
-            self._state = _Followed(config, self._simulator(config, still, key="poses"), pose, start_utc_s)
-        return self._observed(self._state.first())
+            state = _Followed.begun(config, self._simulator(config, still, key="poses"), pose, start_utc_s)
+        return self._observed(state, seed, 0)
 
     def step(self, action: Pose | float | None = None) -> Observation:
         """Take the next frame.
@@ -167,30 +142,60 @@ class Environment:
         ConfigError
             Before `reset`, or if the action is not of the kind of `reset`.
         TrackRangeError
-            If the flight has ended: see `is_over`.
+            If the flight has ended: see `is_over`.  A step that raises changes nothing.
         """
         if self._state is None:
             raise ConfigError("the environment has no flight yet; call reset() first")
-        return self._observed(self._state.next(action))
+        return self._observed(self._state.after(action), self._seed, self._number)
 
     @property
     def is_over(self) -> bool:
         """Whether the flight ends before another step of ``exposure.interval_s``."""
         return self._state is not None and self._state.is_over
 
-    def as_gymnasium(self, reward: Callable[[Observation, Any], float]) -> "GymnasiumAdapter":
-        """Return the environment with the methods of ``gymnasium.Env``.
+    @property
+    def left_s(self) -> float | None:
+        """The longest step that the flight still has room for, s; None of poses, and before `reset`."""
+        return None if self._state is None else self._state.left_s
+
+    @property
+    def config(self) -> Config:
+        """The settings, before the seeds of an episode."""
+        return self._config
+
+    def as_gymnasium(
+        self,
+        reward: Callable[[Observation, Any], float],
+        *,
+        pose: Pose | None = None,
+        render_mode: str | None = None,
+    ) -> "gymnasium.Env[dict[str, Any], Any]":
+        """Return the environment as one of Gymnasium, with spaces, for its wrappers and vectors.
 
         Parameters
         ----------
         reward : callable
-            Returns the reward of an observation and the action that led to it.
+            Returns the reward of an `Observation` and the action that led to it.
+        pose : Pose, optional
+            To follow poses instead of a flight: the first of each episode.
+        render_mode : {"rgb_array"}, optional
+            What ``render()`` returns.
 
         Returns
         -------
-        GymnasiumAdapter
+        gymnasium.Env
+            A `glstar.export.gymnasium.FlightEnv`, which describes its observations and actions.
+
+        Raises
+        ------
+        ConfigError
+            If Gymnasium is not installed.
         """
-        return GymnasiumAdapter(self, reward)
+        try:
+            from glstar.export.gymnasium import FlightEnv  # noqa: PLC0415 - an extra
+        except ImportError as error:
+            raise ConfigError(f"as_gymnasium needs Gymnasium: {install_command('gym')}") from error
+        return FlightEnv(self, reward, pose=pose, render_mode=render_mode)
 
     def close(self) -> None:
         """Release the renderer, unless it was given."""
@@ -215,49 +220,16 @@ class Environment:
             self._simulators[key] = config.simulator(flight)
         return self._simulators[key].with_flight(flight)
 
-    def _observed(self, shot: "_Shot") -> Observation:
+    def _observed(self, state: "_Flown | _Followed", seed: int, number: int) -> Observation:
+        """Return what a state shows, and keep the state."""
+        shot = state.shot()
         scene = shot.simulator.scene(shot.exposure)
-        frame = self._renderer.render(scene, seed=frame_seed(self._seed, self._number))
-        file = f"frame_{self._number:06d}"
-        nav = shot.navigator.record(shot.exposure, number=self._number, file=file)
-        truth = orjson.loads(frame_truth(scene, frame, number=self._number, file=file))
-        self._number += 1
+        frame = self._renderer.render(scene, seed=frame_seed(seed, number))
+        file = f"frame_{number:06d}"
+        nav = shot.navigator.record(shot.exposure, number=number, file=file)
+        truth = orjson.loads(frame_truth(scene, frame, number=number, file=file)) if self._has_truth else {}
+        self._state, self._seed, self._number = state, seed, number + 1
         return Observation(frame, nav, truth)
-
-
-class GymnasiumAdapter:
-    """An `Environment` with the methods of ``gymnasium.Env``; Gymnasium itself is not needed.
-
-    The observation is what a navigator has: ``{"pixels": ..., "nav": ...}``; the truth is in ``info``.  `reward`:
-    returns the reward of an `Observation` and the action that led to it.
-    """
-
-    def __init__(self, environment: Environment, reward: Callable[[Observation, Any], float]) -> None:
-        self.environment, self._reward = environment, reward
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin again; `options` are the keyword arguments of `Environment.reset`."""
-        return _as_gymnasium(self.environment.reset(seed or 0, **(options or {})))
-
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Take the next frame.
-
-        ``terminated`` is always False: a flight has no goal of its own; ``truncated`` says whether it ends before
-        another step.
-        """
-        observed = self.environment.step(action)
-        observation, info = _as_gymnasium(observed)
-        return observation, self._reward(observed, action), False, self.environment.is_over, info
-
-    def close(self) -> None:
-        """Release the renderer."""
-        self.environment.close()
-
-
-def _as_gymnasium(found: Observation) -> tuple[dict[str, Any], dict[str, Any]]:
-    return {"pixels": found.frame.pixels, "nav": found.nav}, {"truth": found.truth}
 
 
 class _Shot(NamedTuple):
@@ -268,37 +240,53 @@ class _Shot(NamedTuple):
     navigator: Navigator
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Flown:
     """The state of an environment that plays a flight."""
 
-    def __init__(self, config: Config, simulator: Simulator, flight: Flight) -> None:
-        self._config, self._simulator, self._track = config, simulator, flight.attitude
-        self._navigator = Navigator.of(config, flight)
-        self._start_utc_s = flight.attitude.first_s
+    config: Config
+    simulator: Simulator
+    navigator: Navigator
+    start_utc_s: float  # Of the exposure, UTC seconds since 1970
 
-    def first(self) -> _Shot:
-        exposure = self._config.exposure.starting_at(self._start_utc_s)
-        return _Shot(self._simulator, exposure, self._navigator)
+    @classmethod
+    def begun(cls, config: Config, simulator: Simulator, flight: Flight) -> Self:
+        return cls(config, simulator, Navigator.of(config, flight), flight.attitude.first_s)
 
-    def next(self, action: Pose | float | None) -> _Shot:
+    def shot(self) -> _Shot:
+        return _Shot(self.simulator, self.config.exposure.starting_at(self.start_utc_s), self.navigator)
+
+    def after(self, action: Pose | float | None) -> Self:
+        """Return the state after a step."""
         if isinstance(action, Pose):
             raise ConfigError("the environment plays a flight; give the first pose to reset() to follow poses")
-        step_s = self._config.exposure.interval_s if action is None else float(action)
+        step_s = self.config.exposure.interval_s if action is None else float(action)
         if not (isfinite(step_s) and step_s > 0):
             raise ConfigError(f"a step must take more than 0 s, not {step_s:g}")
-        self._start_utc_s += step_s
-        return self.first()
+        return replace(self, start_utc_s=self.start_utc_s + step_s)
+
+    @property
+    def left_s(self) -> float:
+        return self.simulator.flight.attitude.last_s - self.config.exposure.span_s - self.start_utc_s
 
     @property
     def is_over(self) -> bool:
-        exposure = self._config.exposure
-        return self._start_utc_s + exposure.interval_s + exposure.span_s > self._track.last_s
+        return self.config.exposure.interval_s > self.left_s
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Followed:
     """The state of an environment that follows poses."""
 
-    def __init__(self, config: Config, simulator: Simulator, pose: Pose, utc_s: float) -> None:
+    config: Config
+    simulator: Simulator
+    navigator: Navigator
+    flight: Flight  # From the previous pose to the present one
+    pose: Pose
+    left_s: None = None
+
+    @classmethod
+    def begun(cls, config: Config, simulator: Simulator, pose: Pose, utc_s: float) -> Self:
         exposure = config.exposure
         if exposure.span_s > exposure.interval_s:
             raise ConfigError(
@@ -306,32 +294,30 @@ class _Followed:
                 " an exposure is the end of a step",
                 key="exposure.duration_s",
             )
-        self._config, self._simulator, self._pose, self._utc_s = config, simulator, pose, utc_s
-        self._navigator = Navigator.of(config, simulator.flight, until_utc_s=utc_s + _HORIZON_S)
+        navigator = Navigator.of(config, simulator.flight, until_utc_s=utc_s + _HORIZON_S)
+        return cls(config, simulator, navigator, simulator.flight, pose)
 
-    def first(self) -> _Shot:
-        return self._shot(self._simulator.flight)
-
-    def next(self, action: Pose | float | None) -> _Shot:
+    def after(self, action: Pose | float | None) -> Self:
+        """Return the state after a step."""
         if not isinstance(action, Pose):
             raise ConfigError("the environment follows poses; give a Pose to step()")
-        before, self._pose = self._pose, action
-        flight = _between(before, action, self._utc_s, self._utc_s + self._config.exposure.interval_s)
-        self._utc_s = flight.attitude.last_s
-        return self._shot(flight)
+        utc_s = self.flight.attitude.last_s
+        flight = _between(self.pose, action, utc_s, utc_s + self.config.exposure.interval_s)
+        return replace(self, flight=flight, pose=action)
 
-    def _shot(self, flight: Flight) -> _Shot:
-        duration_s, span_s = self._config.exposure.duration_s, self._config.exposure.span_s
+    def shot(self) -> _Shot:
+        flight, utc_s = self.flight, self.flight.attitude.last_s
+        duration_s, span_s = self.config.exposure.duration_s, self.config.exposure.span_s
         # The clock of float64 is 0.2 microseconds fine: an exposure never begins before its pose.
-        start_utc_s = max(self._utc_s - span_s, flight.attitude.first_s)
-        frames = self._config.exposure.frames
+        start_utc_s = max(utc_s - span_s, flight.attitude.first_s)
+        frames = self.config.exposure.frames
         rest_s = span_s - frames * duration_s  # readout and gaps
-        duration_s = min(duration_s, (self._utc_s - start_utc_s - rest_s) / frames)
-        exposure = self._config.exposure.starting_at(start_utc_s, duration_s)
-        estimate = EstimatedAttitude(flight.attitude, self._navigator.attitude.errors)
-        position = None if self._navigator.position is None else flight.position
-        navigator = replace(self._navigator, attitude=estimate, position=position)
-        return _Shot(self._simulator.with_flight(flight), exposure, navigator)
+        duration_s = min(duration_s, (utc_s - start_utc_s - rest_s) / frames)
+        exposure = self.config.exposure.starting_at(start_utc_s, duration_s)
+        estimate = EstimatedAttitude(flight.attitude, self.navigator.attitude.errors)
+        position = None if self.navigator.position is None else flight.position
+        navigator = replace(self.navigator, attitude=estimate, position=position)
+        return _Shot(self.simulator.with_flight(flight), exposure, navigator)
 
     @property
     def is_over(self) -> bool:

@@ -27,6 +27,7 @@ from glstar.flight.flight import (
     Flight,
     FlightEvents,
     GimbalAttitude,
+    Pose,
     PositionTrack,
 )
 
@@ -42,5 +43,6 @@ __all__ = [
     "Gap",
     "GimbalAttitude",
     "Interpolation",
+    "Pose",
     "PositionTrack",
 ]

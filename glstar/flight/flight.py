@@ -3,13 +3,14 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import isfinite
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.arrays import Float
-from glstar.errors import TelemetryError
+from glstar.errors import ConfigError, TelemetryError
 from glstar.flight.attitude import AttitudeTrack
 from glstar.sky.place.site import Site
 
@@ -163,6 +164,37 @@ class PositionTrack:
             (longitude_rad + np.pi) % (2 * np.pi) - np.pi,
             np.interp(t, self.utc_s, self.height_m),
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where an aircraft is at the end of a step.
+
+    Attributes
+    ----------
+    q_body_ned : (4,) array_like
+        Unit quaternion (w, x, y, z), NED to body.
+    site : Site
+    """
+
+    q_body_ned: ArrayLike
+    site: Site
+
+    @property
+    def unit(self) -> Float:
+        """The quaternion, normalised, (4,) float64.
+
+        Raises
+        ------
+        ConfigError
+            If it is not four finite numbers, or all of them are 0.
+        """
+        q = np.asarray(self.q_body_ned, dtype=np.float64)
+        length = float(np.linalg.norm(q))
+        if q.shape != (4,) or not (isfinite(length) and length > 0):
+            raise ConfigError(f"a pose's q_body_ned must be four finite numbers (w, x, y, z), not {self.q_body_ned!r}")
+        unit: Float = q / length
+        return unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

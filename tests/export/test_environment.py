@@ -1,7 +1,11 @@
 """The environment: frames of a flight in lockstep, deterministic, for solvers and learning."""
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import SyncVectorEnv
+from gymnasium.wrappers import TimeLimit
 
 import glstar as gs
 from glstar.rotation import quaternion_from_euler, turn_between
@@ -120,6 +124,10 @@ def test_a_description_and_the_section_of_the_config_fly_the_same(renderer):
     assert one.truth == other.truth
 
 
+def number_of_stars(found: gs.Observation, _: object) -> float:
+    return float(len(found.truth["stars"]))
+
+
 def test_gymnasiums_five_results_have_the_truth_in_info_only(environment):
     adapter = environment.as_gymnasium(lambda found, action: -len(found.truth["stars"]))
 
@@ -129,6 +137,107 @@ def test_gymnasiums_five_results_have_the_truth_in_info_only(environment):
     assert observation.keys() == after.keys() == {"pixels", "nav"}
     assert info.keys() == info_after.keys() == {"truth"}
     assert (reward, terminated, truncated) == (-len(info_after["truth"]["stars"]), False, False)
+    # The numbers of the record.
+    environment.reset(1)
+    record = environment.step().nav
+    np.testing.assert_array_equal(after["nav"]["q_body_ned"][1], record["q_body_ned"]["middle"])
+    np.testing.assert_array_equal(after["nav"]["up_camera"][2], record["up_camera"]["end"])
+    assert after["nav"]["utc_s"][0] == parse_utc(record["utc"]["start"])
+
+
+@pytest.mark.parametrize(
+    ("keys", "first"),
+    [({}, None), ({"navigator.gps": "known", "sensor.bit_depth": 12}, None), ({"flight.synthetic.path": None}, LEVEL)],
+)
+@pytest.mark.filterwarnings("ignore:.*WARN.*:UserWarning")
+def test_gymnasiums_own_checker_finds_nothing(keys: dict, first: gs.Pose | None, renderer) -> None:
+    settings = SETTINGS | {"flight.synthetic.turns": 2.0} | keys
+    settings = {key: value for key, value in settings.items() if value is not None}
+    if first is not None:
+        settings = {key: value for key, value in settings.items() if not key.startswith("flight")}
+    with gs.Environment(gs.Config().override(**settings), renderer=renderer) as environment:
+        env = environment.as_gymnasium(number_of_stars, pose=first, render_mode="rgb_array")
+        check_env(env, skip_render_check=False)
+
+        env.action_space.seed(5)
+        env.reset(seed=5)
+        observation, *_ = env.step(env.action_space.sample())
+        assert observation in env.observation_space
+        picture = env.render()
+    assert picture.shape == (120, 160, 3)
+    assert picture.max() == 255
+
+
+def test_gymnasiums_wrappers_and_vectors_take_it() -> None:
+    settings = gs.Config().override(**SETTINGS)
+
+    def made() -> gymnasium.Env:
+        return TimeLimit(gs.Environment(settings).as_gymnasium(number_of_stars), 3)
+
+    with made() as env:
+        env.reset(seed=2)
+        assert [env.step(None)[3] for _ in range(3)] == [False, False, True]
+    vector = SyncVectorEnv([made, made])
+    observations, _ = vector.reset(seed=[2, 3])
+    assert observations["pixels"].shape == (2, 120, 160)
+    observations, rewards, _, _, infos = vector.step(np.full((2, 1), 0.5))
+    assert rewards.shape == (2,)
+    assert len(infos["truth"]) > 0
+    vector.close()
+
+
+def test_without_a_seed_each_episode_is_another_and_gymnasiums_seed_decides_all_of_them(environment) -> None:
+    env = environment.as_gymnasium(number_of_stars)
+
+    runs = []
+    for seed in (7, 7, 8):
+        env.reset(seed=seed)
+        runs.append([env.reset()[1]["truth"]["seed"] for _ in range(3)])
+
+    assert runs[0] == runs[1]
+    assert len({*runs[0], *runs[2]}) == 6
+    np.testing.assert_array_equal(env.reset(seed=np.int64(3))[0]["pixels"], environment.reset(np.uint8(3)).frame.pixels)
+
+
+def test_a_step_beyond_the_flight_takes_its_last_exposure(environment) -> None:
+    env = environment.as_gymnasium(number_of_stars)
+    env.reset(seed=0)
+
+    _, _, terminated, truncated, info = env.step(np.array([5.0]))
+
+    assert (terminated, truncated) == (False, True)
+    # A twentieth of an orbit takes 2.618 s at 200 Hz: the last attitude is at 2.615 or 2.62 s.
+    late_s = parse_utc(info["truth"]["utc_start"]) - 1710068400.0
+    assert late_s == pytest.approx(2.6175 - 0.1, rel=0, abs=3e-3)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, float("nan"), 1e6, LEVEL])
+def test_a_refused_step_changes_nothing(wrong: object, environment) -> None:
+    environment.reset(3)
+    environment.step()
+    expected = environment.step()
+
+    environment.reset(3)
+    environment.step()
+    with pytest.raises((gs.ConfigError, gs.TrackRangeError)):
+        environment.step(wrong)
+    after = environment.step()
+
+    assert (after.nav, after.truth) == (expected.nav, expected.truth)
+    np.testing.assert_array_equal(after.frame.pixels, expected.frame.pixels)
+
+
+def test_the_truth_is_left_out_on_request(renderer) -> None:
+    settings = gs.Config().override(**SETTINGS)
+    with (
+        gs.Environment(settings, renderer=renderer) as full,
+        gs.Environment(settings, renderer=renderer, truth=False) as bare,
+    ):
+        one, other = full.reset(4), bare.reset(4)
+
+    np.testing.assert_array_equal(one.frame.pixels, other.frame.pixels)
+    assert one.truth["stars"]
+    assert other.truth == {}
 
 
 def test_wrong_steps_are_refused(environment, renderer):

@@ -353,16 +353,21 @@ class Frame:
         from matplotlib import pyplot as plt  # noqa: PLC0415 - half a second to load
 
         _, axes = plt.subplots()
-        axes.imshow(self._for_display(), cmap="gray", vmin=0, vmax=255)
+        axes.imshow(self.for_display(), cmap="gray", vmin=0, vmax=255)
         axes.set(xlabel="x (px)", ylabel="y (px)")
         plt.show()
 
     def _repr_png_(self) -> bytes:
         """Return the frame as a PNG for a Jupyter notebook, stretched for display."""
-        return encode_png(self._for_display())
+        return encode_png(self.for_display())
 
-    def _for_display(self) -> NDArray[np.uint8]:
-        """Return the pixels from their median as black to their maximum as white, with an asinh stretch."""
+    def for_display(self) -> NDArray[np.uint8]:
+        """Return the pixels from their median as black to their maximum as white, with an asinh stretch.
+
+        Returns
+        -------
+        (height, width) uint8
+        """
         above_dn = self.pixels - np.median(self.pixels)
         stretched = np.arcsinh(_DISPLAY_STRETCH * np.maximum(above_dn, 0) / max(1.0, float(above_dn.max())))
         return np.asarray(stretched * (255 / np.arcsinh(_DISPLAY_STRETCH)) + 0.5, dtype=np.uint8)
