@@ -123,3 +123,32 @@ def test_quaternions_that_are_not_of_unit_length_are_reported(path: Path) -> Non
 
     assert flight.attitude_source == "ATT, 25.0 Hz"
     assert flight.notes == ("XKQ is left out because its quaternions have length 0.5, not 1; ATT is used",)
+
+
+# --- a lane that flew but is not logged -----------------------------------------------------------------------------
+@pytest.mark.parametrize("lane_0_deg", [40.0, 10.0])
+def test_att_is_taken_if_the_lane_that_flew_is_not_logged_and_the_others_differ(path: Path, lane_0_deg: float) -> None:
+    log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=lane_0_deg)
+    log.xkf4(BOOT_S - 1.0, primary=1)
+
+    flight = open_flight(log.save(path))
+
+    # ATT is of the lane that flew; a lane that agrees with it is more precise.
+    assert yaw_error_deg(path, 10.0) < 0.01
+    taken = "ATT is of the lane that flew, it is taken" if lane_0_deg == 40.0 else "--attitude ATT takes it"
+    assert flight.notes[0].startswith("by XKF4.PI lane 1 flew, but XKQ has only lane 0; ")
+    assert taken in flight.notes[0]
+
+
+def test_a_lane_that_flew_for_a_part_and_is_not_logged_leaves_a_gap_and_a_remark(path: Path) -> None:
+    log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.0)
+    log.xkf4(BOOT_S - 1.0, primary=0)
+    log.xkf4(BOOT_S + 0.99, primary=1)
+    log.xkf4(BOOT_S + 1.51, primary=0)
+
+    flight = open_flight(log.save(path))
+
+    assert [
+        (round(gap.start_utc_s - flight.attitude.first_s, 2), round(gap.duration_s, 2)) for gap in flight.attitude.gaps
+    ] == [(0.96, 0.56)]
+    assert flight.notes[0].startswith("by XKF4.PI lane 1 flew for 25.5 % of the time, but XKQ has only lane 0; ATT is")

@@ -44,6 +44,10 @@ _FEWEST = 20
 _RARELY = 0.01
 # A shorter loss of samples is not reported, s.
 _REPORTED_S = 1.0
+# If a lane that is not logged flew for a larger fraction of the time, another lane is used, or ATT.
+_MOSTLY_UNLOGGED = 0.5
+# A lane that is farther from ATT, deg, was not the one that flew: ATT is rounded to 0.01 deg and logged in the same loop.
+_SAME_LANE_DEG = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,18 +137,34 @@ class AttitudeEstimate:
 
     def primary(self, log: Records) -> AttitudeSamples:
         """Return the samples of the lane in use at each time."""
-        if len(self.lanes) == 1:
+        flown = self.flown(log)
+        if flown is None:
+            return self.only(self.lanes[0]) if len(self.lanes) == 1 else self._closest_to_att(log)
+        in_use = self.lane == flown
+        if in_use.all() and len(self.lanes) == 1:
             return self.only(self.lanes[0])
-        primary_message = f"{self.name[:2]}F4"
-        primary = stamped(log, primary_message, "PI")
-        if primary is not None and primary[0].size:
-            order = np.argsort(primary[0], kind="stable")
-            since_s, lane = primary[0][order], primary[1][0][order]
-            in_use = self.lane == lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
-            if np.count_nonzero(in_use) >= 2:
-                lanes = [int(lane) for lane in np.unique(self.lane[in_use])]
-                return self._samples(in_use, f"{self.name} lane {_and(lanes)} by {primary_message}.PI")
+        if np.count_nonzero(in_use) >= 2 and np.mean(~np.isin(flown, self.lanes)) <= _MOSTLY_UNLOGGED:
+            lanes = [int(lane) for lane in np.unique(self.lane[in_use])]
+            return self._samples(in_use, f"{self.name} lane {_and(lanes)} by {self.primary_message}.PI")
         return self._closest_to_att(log)
+
+    @property
+    def primary_message(self) -> str:
+        """The message that says which lane is in use."""
+        return f"{self.name[:2]}F4"
+
+    def flown(self, log: Records) -> Integer | None:
+        """Return the lane in use at each sample, (n,); None if the log does not say it, or the message has no lanes."""
+        primary = stamped(log, self.primary_message, "PI") if self.is_of_lanes else None
+        if primary is None:
+            return None
+        known = np.flatnonzero(np.isfinite(primary[1][0]))
+        if not known.size:
+            return None
+        order = known[np.argsort(primary[0][known], kind="stable")]
+        since_s, lane = primary[0][order], primary[1][0][order].astype(np.int64)
+        of_sample: Integer = lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
+        return of_sample
 
     def _closest_to_att(self, log: Records) -> AttitudeSamples:
         """Return the lane that agrees best with ATT, which is always of the lane in use."""
@@ -253,6 +273,24 @@ def preferred_messages(log: Records) -> tuple[str, ...]:
     return _MESSAGES.get(int(numbers[count.argmax()]), _NO_EKF) if numbers.size else _UNKNOWN
 
 
+def flown_attitude(log: Records) -> tuple[AttitudeEstimate, AttitudeSamples] | None:
+    """Return the estimate whose attitude the autopilot used, and the samples of the lane in use; None without any.
+
+    ATT is of the lane in use: it is taken if that lane is not logged, and the lanes that are differ from ATT.
+    """
+    for name in preferred_messages(log):
+        if (estimate := AttitudeEstimate.of(log, name)) is None:
+            continue
+        samples = estimate.primary(log)
+        lane = estimate.flown(log)
+        if lane is not None and np.mean(~np.isin(lane, estimate.lanes)) > _MOSTLY_UNLOGGED:
+            att = AttitudeEstimate.of(log, "ATT")
+            if att is not None and not _is_lane_of(samples, att.primary(log)):
+                return att, att.primary(log)
+        return estimate, samples
+    return None
+
+
 def active_estimator(log: Records) -> str | None:
     """Return the estimator in use, by ATT.AEKF: ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"``; None without AEKF."""
     numbers, count = np.unique(_active(log)[1], return_counts=True)
@@ -264,7 +302,34 @@ def active_estimator(log: Records) -> str | None:
 
 def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return remarks on the estimate that is read: its difference from another estimator, and dropped samples."""
-    return (*_difference(log, taken, samples), *_losses(log, taken, samples))
+    return (*_unlogged(log, taken), *_difference(log, taken, samples), *_losses(log, taken, samples))
+
+
+def _unlogged(log: Records, taken: AttitudeEstimate) -> tuple[str, ...]:
+    """Return a remark if a lane flew that is not logged."""
+    names = (taken.name,) if taken.is_of_lanes else preferred_messages(log) if taken.name == "ATT" else ()
+    estimate = next((one for name in names if (one := AttitudeEstimate.of(log, name)) is not None), None)
+    lane = None if estimate is None else estimate.flown(log)
+    if estimate is None or lane is None:
+        return ()
+    missing = ~np.isin(lane, estimate.lanes)
+    if not missing.any():
+        return ()
+    flew = f"by {estimate.primary_message}.PI lane {_and(np.unique(lane[missing]).tolist())} flew"
+    share = "" if missing.all() else f" for {100 * np.mean(missing):.1f} % of the time"
+    logged = f"{estimate.name} has only lane {_and(estimate.lanes)}"
+    choice = "it is taken" if taken.name == "ATT" else "--attitude ATT takes it"
+    return (f"{flew}{share}, but {logged}; ATT is of the lane that flew, {choice}",)
+
+
+def _is_lane_of(samples: AttitudeSamples, att: AttitudeSamples) -> bool:
+    """Return whether the attitude of a lane is that of ATT, as far as ATT resolves it."""
+    near = nearest(att.clock_s, samples.clock_s)
+    at_once = np.abs(att.clock_s[near] - samples.clock_s) < _AT_ONCE_S
+    together = at_once if at_once.any() else np.abs(att.clock_s[near] - samples.clock_s) < _TOGETHER_S
+    if not together.any():
+        return False
+    return bool(np.median(_angle_deg(samples.q_body_ned[together], att.q_body_ned[near][together])) <= _SAME_LANE_DEG)
 
 
 def _active(log: Records) -> tuple[Float, Float]:

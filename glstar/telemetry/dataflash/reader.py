@@ -22,7 +22,7 @@ from glstar.telemetry.dataflash.attitude import (
     active_estimator,
     estimates,
     estimator_notes,
-    preferred_messages,
+    flown_attitude,
 )
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, nearest, numbered, stamped
 from glstar.telemetry.dataflash.text import TextRecords, is_dataflash_text
@@ -155,9 +155,8 @@ class DataFlashReader(source.TelemetrySource):
 
     def _requested(self, log: Records) -> source.AttitudeSamples:
         if self._attitude.lower() == "auto":
-            for name in preferred_messages(log):
-                if (estimate := AttitudeEstimate.of(log, name)) is not None:
-                    return _with_notes(log, estimate, estimate.primary(log))
+            if (flown := flown_attitude(log)) is not None:
+                return _with_notes(log, *flown)
             raise self._error(f"the log has no attitude: {_contents(log)}")
 
         name = self._attitude.upper()
