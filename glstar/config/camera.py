@@ -26,8 +26,11 @@ class ExposureSection(Section):
     """``[exposure]``: exposure times, and how trails are drawn."""
 
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
-    # When exposures begin: when the log says that the camera was triggered; None for a regular interval.
-    at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
+    # When exposures begin: when the log says that this camera was triggered, see `Flight.triggers_of`; None for a
+    # regular interval.
+    at: str | None = Field(
+        default=None, pattern=r"^(camera(:.+)?|/.+)$", description='"camera", or of several "camera:1" or a topic'
+    )
     # Time from a trigger of the camera to the opening of its shutter, s.
     at_delay_s: float = Field(default=0.0, allow_inf_nan=False, description="a number of seconds")
     # Time from the start of one exposure to the start of the next, s.

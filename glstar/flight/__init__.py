@@ -21,6 +21,7 @@ module                holds
 
 from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
 from glstar.flight.flight import (
+    ONLY_CAMERA,
     CameraTriggers,
     ClockQuality,
     EventKind,
@@ -34,6 +35,7 @@ from glstar.flight.flight import (
 __all__ = [
     "DATA_GAP",
     "JUMP",
+    "ONLY_CAMERA",
     "AttitudeTrack",
     "CameraTriggers",
     "ClockQuality",

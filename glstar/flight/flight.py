@@ -244,11 +244,27 @@ class ClockQuality:
     lag_is_measured: bool = False  # Whether the log contains the delay; otherwise the usual one is assumed
 
 
+# Name of the triggers of a camera without a number or a topic of its own, and of those of the only camera.
+ONLY_CAMERA = "camera"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraTriggers(TimedRecord):
-    """When a camera was triggered, by the log of the aircraft; times are in the order of the images."""
+    """When one camera was triggered, by the log of the aircraft; times are in the order of the images."""
 
     source: str  # The message that says so: ``"CAM"``
+    camera: str = ONLY_CAMERA  # Name by which ``--at`` chooses it: ``"camera:1"``, ``"/cam0/camera_info"``
+
+    @classmethod
+    def joined(cls, parts: Iterable[Self]) -> tuple[Self, ...]:
+        """Join parts of a flight: return the triggers of each camera once."""
+        by_camera: dict[str, list[Self]] = {}
+        for part in parts:
+            by_camera.setdefault(part.camera, []).append(part)
+        return tuple(
+            replace(cameras[0], utc_s=np.concatenate([part.utc_s for part in cameras]))
+            for cameras in by_camera.values()
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,8 +299,8 @@ class Flight:
         Remarks for the user on how the log was read.
     clocks : tuple of ClockQuality
         Quality of UTC, for each boot; empty where the user gave UTC, or where UTC is the clock of the log.
-    triggers : CameraTriggers or None
-        When a camera was triggered; None if the log does not say.
+    triggers : tuple of CameraTriggers
+        When each camera was triggered; empty if the log does not say.
     gimbal : GimbalAttitude or None
         What the log states of a gimbal; None if it has none.
     events : FlightEvents or None
@@ -302,7 +318,7 @@ class Flight:
     time_offset_s: float = 0.0
     notes: tuple[str, ...] = ()
     clocks: tuple[ClockQuality, ...] = ()
-    triggers: CameraTriggers | None = None
+    triggers: tuple[CameraTriggers, ...] = ()
     gimbal: GimbalAttitude | None = None
     own_attitude: AttitudeTrack | None = None
     events: FlightEvents | None = None
@@ -311,6 +327,38 @@ class Flight:
     def aircraft_attitude(self) -> AttitudeTrack:
         """The attitude of the aircraft, whether or not a gimbal carries the camera."""
         return self.attitude if self.own_attitude is None else self.own_attitude
+
+    def triggers_of(self, camera: str) -> CameraTriggers:
+        """Return the triggers of a camera.
+
+        Parameters
+        ----------
+        camera : str
+            Value of ``--at``: the name of a camera in `triggers`, or ``"camera"`` for the only one.
+
+        Returns
+        -------
+        CameraTriggers
+
+        Raises
+        ------
+        ConfigError
+            If the log has no such camera, or ``"camera"`` could be several.
+        """
+        by_name = {triggers.camera: triggers for triggers in self.triggers}
+        if camera == ONLY_CAMERA and len(by_name) == 1:
+            return self.triggers[0]
+        if camera in by_name and camera != ONLY_CAMERA:
+            return by_name[camera]
+        if not by_name:
+            raise ConfigError(
+                f"{self.name} does not say when a camera was triggered (CAM, TRIG, CAMERA_FEEDBACK, camera_capture,"
+                f" CameraInfo); leave out --at {camera}"
+            )
+        named = ", ".join(f"{name} ({triggers.utc_s.size} triggers)" for name, triggers in by_name.items())
+        if camera == ONLY_CAMERA:
+            raise ConfigError(f"{self.name} has triggers of {len(by_name)} cameras; give one to --at: {named}")
+        raise ConfigError(f"{self.name} has no triggers of {camera!r} (--at); it has {named}")
 
     def shifted(self, shift_s: float) -> Self:
         """Return the flight with all times shifted.
@@ -328,7 +376,7 @@ class Flight:
             self,
             attitude=self.attitude.shifted(shift_s),
             position=replace(self.position, utc_s=self.position.utc_s + shift_s),
-            triggers=None if self.triggers is None else self.triggers.shifted(shift_s),
+            triggers=tuple(camera.shifted(shift_s) for camera in self.triggers),
             gimbal=None if self.gimbal is None else self.gimbal.shifted(shift_s),
             own_attitude=None if self.own_attitude is None else self.own_attitude.shifted(shift_s),
             events=None if self.events is None else self.events.shifted(shift_s),

@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Self
 
 from glstar.errors import ImagesError
-from glstar.flight import Flight
+from glstar.flight import ONLY_CAMERA, Flight
 from glstar.images.decoding import FittedImage, fit, is_image, read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
 
@@ -294,29 +294,28 @@ def _nothing_usable(problems: list[str]) -> str:
     )
 
 
-def triggered_images(paths: Sequence[Path], flight: Flight, *, delay_s: float = 0.0) -> list[RealImage]:
-    """Return images with the times of the camera's triggers: the first by name was taken at the first trigger.
+def triggered_images(
+    paths: Sequence[Path], flight: Flight, at: str = ONLY_CAMERA, *, delay_s: float = 0.0
+) -> list[RealImage]:
+    """Return images with the times of a camera's triggers: the first by name was taken at the first trigger.
 
-    `paths`: folders, and image files; `delay_s`: time from a trigger to the opening of the shutter, s.  Raises
-    ImagesError if there is no such folder or file, the log has no triggers, or their number is not that of the images.
+    `paths`: folders, and image files; `at`: which camera, see `Flight.triggers_of`; `delay_s`: time from a trigger to
+    the opening of the shutter, s.  Raises ImagesError if there is no such folder or file, or the number of triggers is
+    not that of the images, and ConfigError if the log has no such triggers.
     """
     files = [one for path in paths for one in (path.iterdir() if path.is_dir() else [path])]
     if missing := [path for path in files if not path.exists()]:
         raise ImagesError(missing[0], "is neither an image nor a folder of images")
     images = sorted((path for path in set(files) if path.is_file() and is_image(path)), key=_natural_order)
-    if flight.triggers is None:
-        raise ImagesError(
-            paths[0],
-            f"{flight.name} does not say when a camera was triggered; leave out --at camera, or write images.csv",
-        )
-    times_s = flight.triggers.utc_s.tolist()
+    triggers = flight.triggers_of(at)
+    times_s = triggers.utc_s.tolist()
     if len(images) != len(times_s):
         raise ImagesError(
             paths[0],
-            f"holds {len(images)} images, but {flight.name} has {len(times_s)} triggers ({flight.triggers.source});"
+            f"holds {len(images)} images, but {flight.name} has {len(times_s)} triggers ({triggers.source});"
             " remove the images without a trigger, or write images.csv",
         )
-    source = f"{flight.triggers.source} of {flight.name}"
+    source = f"{triggers.source} of {flight.name}"
     return [
         # The time of an image is that of the camera's clock.
         RealImage(path, ImageTime(utc_s + delay_s + flight.time_offset_s, source, is_start=True))

@@ -246,7 +246,7 @@ class RecordedLog:
         if options.utc_start is not None:
             utc_source, clocks = given_utc(options.utc_start), ()
         notes = [f"boot {number}: {note}" for number, boot in boots.items() for note in boot.attitude.notes]
-        triggers = [boot.camera_triggers(shifts_s[number], by_log=by_log) for number, boot in boots.items()]
+        triggers = [part for n, boot in boots.items() for part in boot.camera_triggers(shifts_s[n], by_log=by_log)]
         gimbals = [boot.gimbal.over_utc(shifts_s[number]) for number, boot in boots.items() if boot.gimbal is not None]
         return Flight(
             attitude=attitude,
@@ -261,7 +261,7 @@ class RecordedLog:
             events=FlightEvents.joined(
                 events.over_utc(shifts_s[number]) for number, boot in boots.items() for events in boot.events
             ),
-            triggers=_triggers([part for part in triggers if part is not None]),
+            triggers=CameraTriggers.joined(triggers),
             clocks=clocks,
         )
 
@@ -280,11 +280,6 @@ class RecordedLog:
                 remedy = _remedy(number, recording)
                 notes.append(f"boot {number}, {_length_s(recording):.1f} s, is left out: {why}; {remedy} takes it")
         return tuple(notes)
-
-
-def _triggers(parts: list[CameraTriggers]) -> CameraTriggers | None:
-    """Return the triggers of several boots; None without any."""
-    return CameraTriggers(np.concatenate([part.utc_s for part in parts]), parts[0].source) if parts else None
 
 
 def _gimbals(parts: list[GimbalAttitude]) -> GimbalAttitude | None:

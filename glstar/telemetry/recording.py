@@ -94,7 +94,7 @@ class Recording:
     clock: ClockSamples  # Empty if there is none; `source` then says why
     rates: RateSamples  # Empty if there is none
     boot: int = 1  # Number of the boot, from 1
-    triggers: TriggerSamples | None = None  # None if the log has none
+    triggers: tuple[TriggerSamples, ...] = ()
     gimbal: GimbalSamples | None = None  # None if the log has none
     events: tuple[EventSamples, ...] = ()
 
@@ -119,7 +119,7 @@ class Recording:
             clock=_clock([batch for batch in every if isinstance(batch, ClockSamples)]),
             rates=_rates([batch for batch in every if isinstance(batch, RateSamples)]),
             boot=boot,
-            triggers=TriggerSamples.joined([batch for batch in every if isinstance(batch, TriggerSamples)]),
+            triggers=tuple(batch for batch in every if isinstance(batch, TriggerSamples)),
             gimbal=next((batch for batch in every if isinstance(batch, GimbalSamples)), None),
             events=tuple(batch for batch in every if isinstance(batch, EventSamples)),
         )
@@ -182,18 +182,10 @@ class Recording:
             events=FlightEvents.joined(part.over_utc(shift_s) for part in self.events),
         )
 
-    def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
-        """Return when the camera was triggered; None if the log does not say.
-
-        `by_log`: whether UTC in the triggers themselves is used; not if the user gave another UTC.
-        """
-        if self.triggers is None:
-            return None
-        utc_s = self.triggers.clock_s + utc_minus_clock_s
-        if by_log:
-            utc_s = np.where(np.isfinite(self.triggers.utc_s), self.triggers.utc_s, utc_s)
-        utc_s = utc_s[np.isfinite(utc_s)]
-        return CameraTriggers(utc_s, self.triggers.source) if utc_s.size else None
+    def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> tuple[CameraTriggers, ...]:
+        """Return when each camera was triggered; see `TriggerSamples.over_utc`."""
+        batches = (samples.over_utc(utc_minus_clock_s, by_log=by_log) for samples in self.triggers)
+        return CameraTriggers.joined(triggers for triggers in batches if triggers is not None)
 
     def attitude_track(
         self,

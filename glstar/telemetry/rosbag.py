@@ -175,9 +175,10 @@ class BagReader(source.TelemetrySource):
         yield self._utc(name)
         if (rates := self._rates(name)) is not None:
             yield rates
-        if (info := self._chosen("trigger", "", _CAMERA)) is not None:
-            clock_s = np.array(self._topics[info].stamps_s)
-            yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info)
+        for info, topic in self._topics.items():
+            if topic.kind == _CAMERA and topic.stamps_s:
+                clock_s = np.array(topic.stamps_s)
+                yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info, camera=info)
 
     def attitudes(self) -> Iterator[tuple[str, source.AttitudeSamples]]:
         """Yield every topic with an attitude."""

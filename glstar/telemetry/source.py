@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from glstar.arrays import Float, Mask
 from glstar.errors import LogFormatError
-from glstar.flight import EventKind, FlightEvents, GimbalAttitude
+from glstar.flight import ONLY_CAMERA, CameraTriggers, EventKind, FlightEvents, GimbalAttitude
 from glstar.sky.place.site import HEIGHTS_M
 
 # Reason of the gap between two boots.
@@ -139,21 +139,25 @@ class RateSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriggerSamples:
-    """When a camera was triggered."""
+    """When one camera was triggered."""
 
     clock_s: Float  # (n,) times by the clock of the source, s; NaN where only UTC is known
     utc_s: Float  # (n,) UTC seconds since 1970 by the log itself; NaN where it is not recorded
     source: str  # The message, for messages
     boot: int = 1  # Number of the boot, and so of its clock; from 1
+    camera: str = ONLY_CAMERA  # Name by which ``--at`` chooses it, see `CameraTriggers`
 
-    @classmethod
-    def joined(cls, batches: Sequence[Self]) -> Self | None:
-        """Return the triggers of several batches; None if there are none."""
-        if not batches:
-            return None
-        clock_s = np.concatenate([batch.clock_s for batch in batches])
-        utc_s = np.concatenate([batch.utc_s for batch in batches])
-        return cls(clock_s, utc_s, batches[0].source)
+    def over_utc(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
+        """Return the triggers over UTC; None if no time is known.
+
+        `utc_minus_clock_s`: UTC minus the clock, s; `by_log`: whether UTC in the triggers themselves is used; not if
+        the user gave another UTC.
+        """
+        utc_s = self.clock_s + utc_minus_clock_s
+        if by_log:
+            utc_s = np.where(np.isfinite(self.utc_s), self.utc_s, utc_s)
+        utc_s = utc_s[np.isfinite(utc_s)]
+        return CameraTriggers(utc_s, self.source, self.camera) if utc_s.size else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from glstar.errors import TelemetryError
-from glstar.flight import AttitudeTrack, ClockQuality, Flight
+from glstar.flight import ONLY_CAMERA, AttitudeTrack, ClockQuality, Flight
 from glstar.sky.air.skybrightness import light_name
 from glstar.sky.observed.solarsystem import moon_over
 from glstar.sky.observed.stars import sun_altitude_rad
@@ -65,6 +65,7 @@ class GyroSurvey:
 class TriggerSurvey:
     """The triggers of a camera in a log."""
 
+    camera: str  # Value for ``--at``
     source: str  # The message
     count: int
     first_s: float  # Time of the first and the last, s from the first attitude
@@ -100,7 +101,7 @@ class Survey:
     # Quality of UTC, for each boot of the flight; empty if the user gave UTC, or if it is the clock of the log.
     clocks: tuple[ClockQuality, ...] = ()
     notes: tuple[str, ...] = ()  # Remarks for the user on how the log was read
-    triggers: TriggerSurvey | None = None  # When the camera was triggered
+    triggers: tuple[TriggerSurvey, ...] = ()  # When each camera was triggered
     # Altitude of the Moon in the middle of the flight, and the lit fraction of its disc.
     moon_altitude_deg: float | None = None
     moon_illuminated_fraction: float | None = None
@@ -258,15 +259,16 @@ def _attitude(name: str, samples: AttitudeSamples, max_gap_s: float | None) -> A
     )
 
 
-def _triggers(flight: Flight) -> TriggerSurvey | None:
-    if flight.triggers is None:
-        return None
-    times_s = flight.triggers.utc_s - flight.attitude.first_s
-    return TriggerSurvey(
-        source=flight.triggers.source,
-        count=times_s.size,
-        first_s=round(float(times_s.min()), 3),
-        last_s=round(float(times_s.max()), 3),
+def _triggers(flight: Flight) -> tuple[TriggerSurvey, ...]:
+    return tuple(
+        TriggerSurvey(
+            camera=triggers.camera if len(flight.triggers) > 1 else ONLY_CAMERA,
+            source=triggers.source,
+            count=triggers.utc_s.size,
+            first_s=round(float(triggers.utc_s.min()) - flight.attitude.first_s, 3),
+            last_s=round(float(triggers.utc_s.max()) - flight.attitude.first_s, 3),
+        )
+        for triggers in flight.triggers
     )
 
 

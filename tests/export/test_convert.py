@@ -132,8 +132,7 @@ def test_a_converted_export_is_a_flight_again(export: Path, tmp_path: Path) -> N
     for line in truth(export):
         q = flight.attitude.at(np.array([parse_utc(line["utc_mid"])]))[0]
         assert abs(abs(np.dot(q, line["q_body_ned"])) - 1) < 1e-12
-    assert flight.triggers is not None
-    assert flight.triggers.utc_s.size == 3
+    assert flight.triggers_of("camera").utc_s.size == 3
 
 
 def test_truth_as_csv_has_a_row_per_frame_and_per_star(export: Path, tmp_path: Path) -> None:

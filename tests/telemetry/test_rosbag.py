@@ -90,6 +90,18 @@ class Bag:
             position_covariance=NO, position_covariance_type=0,
         )  # fmt: skip
 
+    def camera_info(self, k: int, start_ns: int, topic: str) -> None:
+        stamp_ns = start_ns + round(TIMES_S[k] * 1e9)
+        letters = str.upper if self.is1 else str.lower
+        matrices = {letters(name): np.zeros(size) for name, size in (("d", 5), ("k", 9), ("r", 9), ("p", 12))}
+        self.write(
+            topic, "sensor_msgs/msg/CameraInfo", stamp_ns, header=self.header(stamp_ns, "camera"), height=4, width=4,
+            distortion_model="plumb_bob", **matrices, binning_x=0, binning_y=0,
+            roi=self.make(
+                "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+            ),
+        )  # fmt: skip
+
 
 def written(path: Path, kind: str, start_ns: int = START_NS) -> Path:
     """Write a bag with attitude and position; return what a user would name."""

@@ -19,6 +19,7 @@ from glstar.images import triggered_images
 from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
 from tests.support.dataflash import Log
+from tests.telemetry.test_rosbag import ENU_FLU, START_NS, TIMES_S, Bag
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
 BOOT_S = 30.0
@@ -126,16 +127,16 @@ def the_log(folder: Path, kind: str) -> Path:
 def test_triggers_are_read_to_a_millisecond(tmp_path: Path, kind: str) -> None:
     flight = open_flight(the_log(tmp_path, kind))
 
-    assert flight.triggers is not None
-    np.testing.assert_allclose(flight.triggers.utc_s, ELEVEN_S + np.array(TRIGGERS_S), rtol=0, atol=1e-3)
+    np.testing.assert_allclose(flight.triggers_of("camera").utc_s, ELEVEN_S + np.array(TRIGGERS_S), rtol=0, atol=1e-3)
 
 
 def test_another_utc_of_the_flight_moves_the_triggers(tmp_path: Path) -> None:
     for kind in ("CAM", "tlog"):
         flight = open_flight(the_log(tmp_path, kind), utc_start=ELEVEN_S + 3600)
 
-        assert flight.triggers is not None
-        np.testing.assert_allclose(flight.triggers.utc_s, ELEVEN_S + 3600 + np.array(TRIGGERS_S), rtol=0, atol=1e-3)
+        np.testing.assert_allclose(
+            flight.triggers_of("camera").utc_s, ELEVEN_S + 3600 + np.array(TRIGGERS_S), rtol=0, atol=1e-3
+        )
 
 
 def plan_of(flight: Flight, duration_s: float = 0.5, **limits: float | None) -> list[tuple[int, float]]:
@@ -218,8 +219,7 @@ def test_the_shutter_opens_later_than_the_trigger(tmp_path: Path) -> None:
     plan = plan_frames(flight, exposure, start_s=0.0, stop_s=None, frames=None)
     images = triggered_images([folder], flight, delay_s=0.125)
 
-    assert flight.triggers is not None
-    opened_s = flight.triggers.utc_s + 0.125
+    opened_s = flight.triggers_of("camera").utc_s + 0.125
     np.testing.assert_allclose([f.exposure.start_utc_s for f in plan.frames], opened_s, rtol=0, atol=1e-6)
     np.testing.assert_allclose([i.time.utc_s for i in images], opened_s, rtol=0, atol=1e-6)
 
@@ -243,3 +243,48 @@ def test_a_data_set_has_the_triggers_of_every_sample(tmp_path: Path) -> None:
     assert opened == whole + torn
     skipped = json.loads((tmp_path / "set" / "manifest.json").read_text())["skipped"]
     assert [frame["number"] for frame in skipped] == [9, 10, 13, 14]
+
+
+def two_cameras(path: Path) -> Path:
+    """Write a flight with a camera that is triggered at `TRIGGERS_S`, and another one 0.5 s later, once less."""
+    with Bag(path, "mcap") as bag:
+        for k in range(TIMES_S.size):
+            bag.imu(k, START_NS, ENU_FLU)
+            bag.fix(k, START_NS)
+        for k in (10, 30, 50):
+            bag.camera_info(k, START_NS, "/cam0/camera_info")
+            if k > 10:
+                bag.camera_info(k + 5, START_NS, "/cam1/camera_info")
+    return path
+
+
+def test_triggers_of_two_cameras_are_never_merged(tmp_path: Path) -> None:
+    path = two_cameras(tmp_path / "bag")
+    flight = open_flight(path)
+
+    first_s, second_s = (flight.triggers_of(f"/cam{k}/camera_info").utc_s - START_NS * 1e-9 for k in (0, 1))
+    shown = CliRunner().invoke(app, ["info", str(path)])
+    made = CliRunner().invoke(app, ["export", str(path), "-o", str(tmp_path / "out"), "--at", "camera"])
+
+    np.testing.assert_allclose(first_s, TIMES_S[[10, 30, 50]], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(second_s, TIMES_S[[35, 55]], rtol=0, atol=1e-6)
+    assert "3 triggers (/cam0/camera_info)" in shown.output
+    assert "--at /cam1/camera_info exposes at them" in shown.output
+    assert made.exit_code == 1
+    assert (
+        "has triggers of 2 cameras; give one to --at: /cam0/camera_info (3 triggers), /cam1/camera_info" in made.output
+    )
+    with pytest.raises(ConfigError, match=r"no triggers of '/cam2' \(--at\); it has /cam0/camera_info \(3 triggers\)"):
+        flight.triggers_of("/cam2")
+
+
+def test_an_export_exposes_at_the_triggers_of_the_chosen_camera(tmp_path: Path) -> None:
+    flight = open_flight(two_cameras(tmp_path / "bag"))
+    exposure = Config().override(**{"exposure.at": "/cam1/camera_info", "exposure.duration_s": 0.1}).exposure
+
+    frames = plan_frames(flight, exposure, start_s=0.0, stop_s=None, frames=None).frames
+
+    opened_s = [frame.exposure.start_utc_s - START_NS * 1e-9 for frame in frames]
+    np.testing.assert_allclose(opened_s, TIMES_S[[35, 55]], rtol=0, atol=1e-6)
+    with pytest.raises(ConfigError, match=r"exposure\.at.*must be \"camera\", or of several"):
+        Config().override(**{"exposure.at": "cam1"})

@@ -67,7 +67,7 @@ def test_events_are_found_near_the_mouse(tmp_path):
     events = FlightEvents(
         START_S + np.array([1.0, 5.0, 9.0]), (EventKind.MODE, EventKind.MESSAGE, EventKind.MODE), ("AUTO", "hi", "RTL")
     )
-    flight = replace(flight, events=events, triggers=CameraTriggers(START_S + np.array([5.01, 12.0]), "CAM"))
+    flight = replace(flight, events=events, triggers=(CameraTriggers(START_S + np.array([5.01, 12.0]), "CAM"),))
     marks, axis = TimelineEvents(flight, START_S), TimeAxis(20.0)
     assert marks.count == 5
     assert marks.near(0.5, 800, axis) == []

@@ -197,7 +197,7 @@ def _print(log: Survey, limit: "LimitingMagnitude | None", scene: "Scene | None"
         *([] if limit is None else [("stars", f"{limit.text}, on the optical axis with SNR 5")]),
         *_view(scene),
         ("gyros", "none" if log.gyros is None else f"{log.gyros.source}, {log.gyros.rate_hz:.1f} Hz"),
-        *([("camera", _camera(log.triggers))] if log.triggers else []),
+        *(("camera", _camera(triggers)) for triggers in log.triggers),
         *([("flew by", log.estimator)] if log.estimator else []),
         ("attitude", log.attitude_source),
         ("gaps", _gaps(log)),
@@ -289,7 +289,7 @@ def _position(log: Survey) -> str:
 
 def _camera(triggers: TriggerSurvey) -> str:
     span = f"from {triggers.first_s:.1f} s to {triggers.last_s:.1f} s after the first attitude"
-    return f"{triggers.count} triggers ({triggers.source}), {span}; --at camera exposes at them"
+    return f"{triggers.count} triggers ({triggers.source}), {span}; --at {triggers.camera} exposes at them"
 
 
 def _light(log: Survey) -> str:

@@ -56,10 +56,10 @@ Table = Annotated[
     ),
 ]
 At = Annotated[
-    Literal["camera"] | None,
+    str | None,
     typer.Option(
-        help="Take the times of the images from the camera's triggers in the log: the first image by name is that of"
-        " the first trigger.",
+        help="Take the times of the images from the triggers of a camera in the log: the first image by name is that of"
+        " the first trigger. camera, or of several the one that glstar info lists: camera:1, /cam0/camera_info.",
         show_default="the images' own times",
     ),
 ]
@@ -167,8 +167,8 @@ def _with_flight(
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     flight = settings.open_flight(paths[0])
-    if at == "camera":
-        images, problems = triggered_images(paths[1:], flight, delay_s=settings.exposure.at_delay_s), list[str]()
+    if at is not None:
+        images, problems = triggered_images(paths[1:], flight, at, delay_s=settings.exposure.at_delay_s), list[str]()
     else:
         images, problems = choose_images(paths[1:], table=table)
     if not images:

@@ -52,10 +52,10 @@ Every = Annotated[
     typer.Option(help="Time from one exposure's start to the next, s.", show_default="3, or the config's"),
 ]
 At = Annotated[
-    Literal["camera"] | None,
+    str | None,
     typer.Option(
-        help="Expose when the log says that the camera was triggered (CAM, TRIG, CAMERA_FEEDBACK, camera_capture),"
-        " instead of every some seconds.",
+        help="Expose when the log says that a camera was triggered, instead of every some seconds: camera, or of"
+        " several the one that glstar info lists, such as camera:1 or /cam0/camera_info.",
         show_default="a regular interval",
     ),
 ]

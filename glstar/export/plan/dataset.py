@@ -172,7 +172,7 @@ class DataSetFrames:
         nth, start_s = number - int(self._bounds[which]), settings.get(START, self.start_s)
         first_s, index = simulator.flight.attitude.first_s, which // len(self.config.sweep)
         shift_s = first_s - self.flights[index].attitude.first_s
-        if exposure.at == "camera":
+        if exposure.at is not None:
             shutter = exposure.starting_at(self._triggered[2][which][nth] + shift_s)
         else:
             shutter = exposure.nth(nth, first_s, start_s=start_s)
@@ -199,7 +199,7 @@ class DataSetFrames:
         if self.samples > MOST_FRAMES:
             flights, sweep = len(self.flights), len(self.config.sweep)
             raise _too_many(f"{flights} flights under {sweep:,} samples each are {self.samples:,} samples")
-        if self.config.exposure.at == "camera":
+        if self.config.exposure.at is not None:
             return self._triggered[:2]
         firsts = np.zeros(1, dtype=np.int64)
         for salt, flight in enumerate(self.flights):

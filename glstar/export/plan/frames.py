@@ -15,7 +15,7 @@ from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import ImageFormat
-from glstar.flight import Flight
+from glstar.flight import CameraTriggers, Flight
 from glstar.render.scene.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
@@ -68,8 +68,9 @@ def plan_frames(
     `start_s` and `stop_s` are the part of the flight, s from its first attitude. Exposures that span a gap in the
     attitude track are in `skipped`. Raises ConfigError if no exposure fits, or more than `MOST_FRAMES` do.
     """
-    if exposure.at == "camera":
-        return _plan_triggered(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
+    if exposure.at is not None:
+        triggers = flight.triggers_of(exposure.at)
+        return _plan_triggered(flight, triggers, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
     count = count_frames(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
     skipped = tuple(skipped_frames(flight, exposure, start_s=start_s, count=count))
     skipped_numbers = {frame.number for frame in skipped}
@@ -79,19 +80,20 @@ def plan_frames(
 
 
 def _plan_triggered(
-    flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
+    flight: Flight,
+    triggers: CameraTriggers,
+    exposure: ExposureSection,
+    *,
+    start_s: float,
+    stop_s: float | None,
+    frames: int | None,
 ) -> Plan:
     """Return one exposure for each trigger of the camera, numbered like the triggers of the log."""
-    if flight.triggers is None:
-        raise ConfigError(
-            f"{flight.name} does not say when a camera was triggered (CAM, TRIG, CAMERA_FEEDBACK, camera_capture);"
-            " leave out --at camera"
-        )
     attitude = flight.attitude
     first_s, last_s = attitude.first_s + start_s, attitude.last_s if stop_s is None else attitude.first_s + stop_s
     drawn: list[PlannedFrame] = []
     skipped: list[SkippedFrame] = []
-    for number, utc_s in enumerate((flight.triggers.utc_s + exposure.at_delay_s).tolist()):
+    for number, utc_s in enumerate((triggers.utc_s + exposure.at_delay_s).tolist()):
         shutter = exposure.starting_at(utc_s)
         if not first_s <= utc_s or shutter.stop_utc_s > last_s + CLOCK_GRAIN_S / 2 or len(drawn) == frames:
             continue
@@ -102,7 +104,7 @@ def _plan_triggered(
             skipped.append(SkippedFrame(number, utc_s - attitude.first_s, gap.reason, round(gap.duration_s, 6)))
     if not drawn:
         raise ConfigError(
-            f"none of the {flight.triggers.utc_s.size} triggers of the camera ({flight.triggers.source}) is followed by"
+            f"none of the {triggers.utc_s.size} triggers of the camera ({triggers.source}) is followed by"
             f" {exposure.duration_s:g} s of attitude in {flight.name}"
         )
     return Plan(tuple(drawn), tuple(skipped))

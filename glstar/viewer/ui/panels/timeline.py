@@ -57,9 +57,14 @@ class TimelineEvents:
     """
 
     def __init__(self, flight: Flight, origin_s: float) -> None:
-        events, triggers = flight.events, flight.triggers
-        self._triggers_s = np.empty(0) if triggers is None else triggers.utc_s - origin_s
-        self._trigger_name = "" if triggers is None else triggers.source
+        events = flight.events
+        # Of each trigger: its camera, its number from 1, and its time, s from the origin.
+        self._triggers = [
+            (triggers.source if len(flight.triggers) == 1 else triggers.camera, number, second)
+            for triggers in flight.triggers
+            for number, second in enumerate((triggers.utc_s - origin_s).tolist(), 1)
+        ]
+        self._triggers_s = np.array([second for _, _, second in self._triggers])
         entries = [] if events is None else list(zip(events.utc_s - origin_s, events.kinds, events.texts, strict=True))
         self._modes = [(float(second), text) for second, kind, text in entries if kind is EventKind.MODE]
         self._messages = [(float(second), text) for second, kind, text in entries if kind is EventKind.MESSAGE]
@@ -103,7 +108,8 @@ class TimelineEvents:
         lines = [f"mode {held[-1]}"] if held else []
         lines += [text for at_s, text in self._messages if abs(at_s - second) <= within_s]
         triggers = np.flatnonzero(np.abs(self._triggers_s - second) <= within_s)
-        lines += [f"{self._trigger_name} {k + 1}: {self._triggers_s[k]:.3f} s" for k in triggers[:_LISTED].tolist()]
+        near = [self._triggers[k] for k in triggers[:_LISTED].tolist()]
+        lines += [f"{camera} {number}: {second:.3f} s" for camera, number, second in near]
         more = len(lines) - _LISTED
         return lines if more <= 0 else [*lines[:_LISTED], f"and {more} more"]
 
