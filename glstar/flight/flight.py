@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.arrays import Float
+from glstar.arrays import Float, Integer
 from glstar.errors import ConfigError, TelemetryError
 from glstar.flight.attitude import AttitudeTrack
 from glstar.sky.place.site import Site
@@ -254,17 +254,32 @@ class CameraTriggers(TimedRecord):
 
     source: str  # The message that says so: ``"CAM"``
     camera: str = ONLY_CAMERA  # Name by which ``--at`` chooses it: ``"camera:1"``, ``"/cam0/camera_info"``
+    number: Integer | None = None  # (n,) number of each image, by the camera; None if their order numbers them
+
+    @property
+    def numbers(self) -> Integer:
+        """Number of each image, (n,), from 0; by the camera, some may be missing."""
+        return np.arange(self.utc_s.size) if self.number is None else self.number
 
     @classmethod
     def joined(cls, parts: Iterable[Self]) -> tuple[Self, ...]:
-        """Join parts of a flight: return the triggers of each camera once."""
+        """Join parts of a flight: return the triggers of each camera once, in the order of their parts."""
         by_camera: dict[str, list[Self]] = {}
         for part in parts:
             by_camera.setdefault(part.camera, []).append(part)
         return tuple(
-            replace(cameras[0], utc_s=np.concatenate([part.utc_s for part in cameras]))
+            replace(
+                cameras[0], utc_s=np.concatenate([part.utc_s for part in cameras]), number=cls._joined_numbers(cameras)
+            )
             for cameras in by_camera.values()
         )
+
+    @staticmethod
+    def _joined_numbers(parts: Sequence["CameraTriggers"]) -> Integer | None:
+        """Return the numbers of the images of several parts; None if a number is unknown, or is that of two images."""
+        known = [part.number for part in parts if part.number is not None]
+        number = np.concatenate(known) if known and len(known) == len(parts) else np.empty(0, dtype=np.int64)
+        return number if number.size and np.unique(number).size == number.size else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

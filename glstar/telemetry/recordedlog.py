@@ -219,15 +219,13 @@ class RecordedLog:
                 refusal = error
         if not attitudes:
             raise LogFormatError(self.name, str(refusal)) from refusal
-        return self._joined(attitudes, shifts_s, options, by_log=not earlier_s), left_out
+        return self._joined(attitudes, shifts_s, options), left_out
 
     def _joined(
         self,
         attitudes: Mapping[int, AttitudeTrack],
         shifts_s: Mapping[int, float],
         options: FlightOptions,
-        *,
-        by_log: bool,
     ) -> Flight:
         """Return the flight of boots with some attitudes, by UTC minus the clock of each, s."""
         boots = {number: self.recordings[number] for number in attitudes}
@@ -245,8 +243,8 @@ class RecordedLog:
         clocks = tuple(dict.fromkeys(clock for boot in boots.values() for clock in boot.clock_quality))
         if options.utc_start is not None:
             utc_source, clocks = given_utc(options.utc_start), ()
-        notes = [f"boot {number}: {note}" for number, boot in boots.items() for note in boot.attitude.notes]
-        triggers = [part for n, boot in boots.items() for part in boot.camera_triggers(shifts_s[n], by_log=by_log)]
+        notes = _notes_per_boot({n: boot.remarks(by_log=options.utc_start is None) for n, boot in boots.items()})
+        triggers = [part for n, boot in boots.items() for part in boot.camera_triggers(shifts_s[n])]
         gimbals = [boot.gimbal.over_utc(shifts_s[number]) for number, boot in boots.items() if boot.gimbal is not None]
         return Flight(
             attitude=attitude,
@@ -308,3 +306,11 @@ def _per_boot(sources: Mapping[int, str]) -> str:
     if len(set(sources.values())) == 1:
         return next(iter(sources.values()))
     return "; ".join(f"boot {number}: {source}" for number, source in sources.items())
+
+
+def _notes_per_boot(notes: Mapping[int, tuple[str, ...]]) -> list[str]:
+    """Return the remarks of all boots, each with its boot unless it is of every boot."""
+    every = dict.fromkeys(note for of_boot in notes.values() for note in of_boot)
+    shared = {note for note in every if all(note in of_boot for of_boot in notes.values())}
+    of_one = [f"boot {number}: {note}" for number, part in notes.items() for note in part if note not in shared]
+    return [*(note for note in every if note in shared), *of_one]

@@ -137,9 +137,9 @@ class Recording:
 
     @property
     def clock_quality(self) -> tuple[ClockQuality, ...]:
-        """Agreement of its UTC readings: one entry, or none if there are no readings or the clock itself is UTC."""
+        """Agreement of its UTC readings: one entry; none for a single reading, or if the clock itself is UTC."""
         off_s = self.clock.utc_s - self.clock.clock_s
-        if not off_s.size or not off_s.any():
+        if off_s.size < 2 or not off_s.any():
             return ()
         off_s = np.abs(off_s - np.median(off_s))
         quality = ClockQuality(
@@ -175,17 +175,25 @@ class Recording:
             position_source=self.position.source if position is None else options.position_source,
             utc_source=self.clock.source if utc_start is None else given_utc(utc_start),
             time_offset_s=options.time_offset_s,
-            notes=(*self.attitude.notes, *options.notes(attitude, self.name)),
+            notes=(*self.remarks(by_log=utc_start is None), *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
-            triggers=self.camera_triggers(shift_s, by_log=utc_start is None),
+            triggers=self.camera_triggers(shift_s),
             gimbal=None if self.gimbal is None else self.gimbal.over_utc(shift_s),
             events=FlightEvents.joined(part.over_utc(shift_s) for part in self.events),
         )
 
-    def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> tuple[CameraTriggers, ...]:
+    def remarks(self, *, by_log: bool) -> tuple[str, ...]:
+        """Return remarks for the user on how the samples were read; `by_log`: whether the UTC of the log is used."""
+        of_triggers = [note for part in self.triggers for note in part.remarks(self.utc_minus_clock_s)]
+        return tuple(dict.fromkeys((*self.attitude.notes, *(self.clock.notes if by_log else ()), *of_triggers)))
+
+    def camera_triggers(self, utc_minus_clock_s: float) -> tuple[CameraTriggers, ...]:
         """Return when each camera was triggered; see `TriggerSamples.over_utc`."""
-        batches = (samples.over_utc(utc_minus_clock_s, by_log=by_log) for samples in self.triggers)
-        return CameraTriggers.joined(triggers for triggers in batches if triggers is not None)
+        own_s = self.utc_minus_clock_s
+        # Triggers with UTC of their own keep their distance from the attitude if the user gives another UTC.
+        by_log_s, by_log = (utc_minus_clock_s, False) if own_s is None else (own_s, True)
+        parts = [samples.over_utc(by_log_s, by_log=by_log) for samples in self.triggers]
+        return CameraTriggers.joined(part.shifted(utc_minus_clock_s - by_log_s) for part in parts if part is not None)
 
     def attitude_track(
         self,
@@ -284,6 +292,7 @@ def _clock(batches: list[ClockSamples]) -> ClockSamples:
         _source(batches),
         lag_s=None if lagging is None else lagging.lag_s,
         lag_is_measured=lagging is not None and lagging.lag_is_measured,
+        notes=tuple(dict.fromkeys(note for batch in batches for note in batch.notes)),
     )
 
 

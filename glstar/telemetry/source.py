@@ -20,7 +20,7 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float, Mask
+from glstar.arrays import Float, Integer, Mask
 from glstar.errors import LogFormatError
 from glstar.flight import ONLY_CAMERA, CameraTriggers, EventKind, FlightEvents, GimbalAttitude
 from glstar.sky.place.site import HEIGHTS_M
@@ -117,6 +117,8 @@ class ClockSamples:
         Median delay from the GPS sample to its record in the log, s; None where it does not matter.
     lag_is_measured : bool
         Whether the log contains the delay; otherwise the usual one is assumed.
+    notes : tuple of str
+        Remarks for the user on readings that are left out, or on their quality.
     """
 
     clock_s: Float
@@ -125,6 +127,7 @@ class ClockSamples:
     boot: int = 1
     lag_s: float | None = None
     lag_is_measured: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,18 +149,37 @@ class TriggerSamples:
     source: str  # The message, for messages
     boot: int = 1  # Number of the boot, and so of its clock; from 1
     camera: str = ONLY_CAMERA  # Name by which ``--at`` chooses it, see `CameraTriggers`
+    number: Integer | None = None  # (n,) number of each image, by the camera; None if their order numbers them
+    clock_error_s: float = 2.0  # Largest error of `clock_s`; `utc_s` that differs by more is not used, s
+    notes: tuple[str, ...] = ()  # Remarks for the user on triggers that are left out, or on their times
 
     def over_utc(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
         """Return the triggers over UTC; None if no time is known.
 
-        `utc_minus_clock_s`: UTC minus the clock, s; `by_log`: whether UTC in the triggers themselves is used; not if
-        the user gave another UTC.
+        `utc_minus_clock_s`: UTC minus the clock, s; `by_log`: whether it is that of the log, so that UTC in the
+        triggers themselves may be used.
         """
         utc_s = self.clock_s + utc_minus_clock_s
         if by_log:
-            utc_s = np.where(np.isfinite(self.utc_s), self.utc_s, utc_s)
-        utc_s = utc_s[np.isfinite(utc_s)]
-        return CameraTriggers(utc_s, self.source, self.camera) if utc_s.size else None
+            utc_s = np.where(np.isfinite(self.utc_s) & ~self._contradicts(utc_minus_clock_s), self.utc_s, utc_s)
+        known = np.isfinite(utc_s)
+        number = None if self.number is None else self.number[known]
+        return CameraTriggers(utc_s[known], self.source, self.camera, number) if known.any() else None
+
+    def remarks(self, utc_minus_clock_s: float | None) -> tuple[str, ...]:
+        """Return remarks for the user; `utc_minus_clock_s`: by the log, s; None if it has no UTC."""
+        odd = np.zeros(0, dtype=bool) if utc_minus_clock_s is None else self._contradicts(utc_minus_clock_s)
+        if not odd.any():
+            return self.notes
+        off_s = float(np.median((self.utc_s - self.clock_s)[odd])) - float(utc_minus_clock_s or 0.0)
+        times = f"{np.count_nonzero(odd)} of {odd.size} times of {self.source}"
+        return (*self.notes, f"{times} are {off_s:+.1f} s from the UTC of the log: its own clock dates these triggers")
+
+    def _contradicts(self, utc_minus_clock_s: float) -> Mask:
+        """Return which triggers, (n,), have a UTC of their own that the clock contradicts."""
+        with np.errstate(invalid="ignore"):
+            mask: Mask = np.abs(self.utc_s - self.clock_s - utc_minus_clock_s) > self.clock_error_s
+        return mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,12 @@ vehicle_global_position                  lat, lon (deg), alt (m)                
 vehicle_gps_position, sensor_gps         latitude_deg, longitude_deg, altitude_msl_m;    position, if there is no
                                          lat, lon (1e-7 deg), alt (mm) until 2022        vehicle_global_position
 the same                                 time_utc_usec, timestamp_time_relative          UTC
+information boot_time_utc_us                                                             UTC, if no receiver has it
 vehicle_angular_velocity                 xyz[0..2]                                       rates, from the most frequent
 sensor_combined                          gyro_rad[0..2], gyro_rad_s[0..2] until 2017     the same
 sensor_gyro                              x, y, z                                         the same
-camera_capture, camera_trigger           timestamp, timestamp_utc                        when the camera was triggered
+camera_capture                           timestamp, timestamp_utc, result                when the camera was triggered
+camera_trigger                           timestamp, timestamp_utc, feedback              the same, without captures
 gimbal_device_attitude_status            q[0..3], device_flags                           attitude of a gimbal
 mount_orientation                        attitude_euler_angle[0..2] (rad)                the same, if there is none of
                                                                                          the above
@@ -37,9 +39,9 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float, Integer
+from glstar.arrays import Float, Integer, Mask
 from glstar.errors import LogFormatError
-from glstar.flight import EventKind
+from glstar.flight import ONLY_CAMERA, EventKind
 from glstar.rotation import conjugate
 from glstar.telemetry import source
 from glstar.telemetry.boots import find_boots
@@ -50,6 +52,8 @@ _MAGIC = b"ULog\x01\x12\x35"
 
 # Times, quaternions and segment numbers of one instance of a topic.
 _Attitude = tuple[Float, Float, NDArray[np.int64]]
+# Which samples of a receiver have UTC, their times since boot, s, and UTC, s since 1970.
+_Readings = tuple[Mask, Float, Float]
 
 _ATTITUDE = "vehicle_attitude"
 # Attitudes of the aircraft; gimbals, setpoints and cameras have quaternions too.
@@ -74,13 +78,26 @@ _GIMBALS = {
     ),
 }
 # Topics of a triggered camera, the most exact one first.
-_TRIGGERS = ("camera_capture", "camera_trigger")
+_CAPTURE, _TRIGGER = "camera_capture", "camera_trigger"
+# Largest difference between the UTC of a trigger and that of the log, s: PX4 sets its clock by a GPS, not exactly.
+_CLOCK_ERROR_S = 0.5
 _STATUS = "vehicle_status"
+# Information about the log: UTC at boot, us since 1970, if the autopilot's clock was set before the log began.
+_BOOT_TIME = "boot_time_utc_us"
+_UTC_AT_BOOT = (
+    f"the only UTC of the log is {_BOOT_TIME}, by PX4's own clock: a GPS or a ground station set it before the log"
+    " began, perhaps a second off; --utc-start replaces it"
+)
 # Topics by which reboots are detected: those that are logged at a steady rate.
 _CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *_RECEIVERS)
 _FIX_3D = 3
 # Largest delay between a sample and its publication, us.
 _SAMPLED_BEFORE_US = 1e6
+# Largest age of a UTC reading, s: receivers send UTC once a second at least.  Some drivers write a difference of two
+# clocks into that field, or nothing at all.
+_OLDEST_S = 2.0
+# Ages are not used if a smaller fraction of them is valid: a random number of 32 bits is within 2 s once in a thousand.
+_FEWEST_AGES = 0.05
 # Fields of the topics that are read, which tables of other origin do not have.
 _TYPICAL_FIELDS = frozenset(
     ("q[0]", "xyz[0]", "gyro_rad[0]", "gyro_rad_s[0]", "time_utc_usec", "system_type", "terrain_alt")
@@ -283,16 +300,12 @@ def _clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
     """Return file positions of UTC readings, the time since boot, s, and UTC, s since 1970."""
     parts: list[tuple[Integer, Float, Float]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
     for log in logs:
-        name = next((name for name in _RECEIVERS if _utc_of(log, name).clock_s.size), None)
-        if name is None:
+        if (receiver := _receiver(log)) is None:
             continue
-        for position, stamp_s in log.stamps(name):
-            for _, topic in log[name]:
-                # The samples of each of several receivers are found among all samples of the topic.
-                at = _in_order(topic["timestamp"] * 1e-6, stamp_s)
-                if at is not None and (readings := _readings(topic)) is not None:
-                    valid, clock_s, utc_s = readings
-                    parts.append((position[at][valid], clock_s[valid], utc_s[valid]))
+        name, topic, (valid, clock_s, utc_s) = receiver
+        # The samples of one of several receivers are found among all samples of the topic.
+        found = ((position, _in_order(topic["timestamp"] * 1e-6, stamp_s)) for position, stamp_s in log.stamps(name))
+        parts.extend((position[at][valid], clock_s[valid], utc_s[valid]) for position, at in found if at is not None)
     position, clock_s, utc_s = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(position, kind="stable")
     return position[order], clock_s[order], utc_s[order]
@@ -388,32 +401,71 @@ def _coordinates(topic: dict[str, Float]) -> tuple[Float, Float, Float] | None:
 
 
 def _utc(log: Topics) -> source.ClockSamples:
-    for name in _RECEIVERS:
-        if (clock := _utc_of(log, name)).clock_s.size:
-            return clock
+    """Return the UTC readings of a receiver, else what PX4's own clock said at boot."""
+    if (receiver := _receiver(log)) is not None:
+        name, topic, (valid, clock_s, utc_s) = receiver
+        origin = f"{name}.time_utc_usec, {valid.sum()} fixes"
+        return source.ClockSamples(clock_s[valid], utc_s[valid], origin, notes=_age_notes(name, topic))
+    boot_utc_s = np.array([float(log.about.get(_BOOT_TIME, 0)) * 1e-6])
+    if source.plausible_utc(boot_utc_s).all():
+        return source.ClockSamples(np.zeros(1), boot_utc_s, _BOOT_TIME, notes=(_UTC_AT_BOOT,))
     if any(log[name] for name in _RECEIVERS):
         return source.no_clock_samples("its GPS never had a time after 2010")
     return source.no_clock_samples(log.lack(_RECEIVERS[0]))
 
 
-def _utc_of(log: Topics, name: str) -> source.ClockSamples:
-    """Return the UTC readings of the first receiver of a topic that has any."""
-    for _, topic in log[name]:
-        if (readings := _readings(topic)) is not None and readings[0].any():
-            valid, clock_s, utc_s = readings
-            return source.ClockSamples(clock_s[valid], utc_s[valid], f"{name}.time_utc_usec, {valid.sum()} fixes")
-    return source.no_clock_samples("")
+def _receiver(log: Topics) -> tuple[str, dict[str, Float], _Readings] | None:
+    """Return topic, columns and UTC readings of the first receiver with a fix, else of the first with UTC."""
+    known = [
+        (name, topic, readings)
+        for name in _RECEIVERS
+        for _, topic in log[name]
+        if (readings := _readings(topic)) is not None and readings[0].any()
+    ]
+    return next((one for one in known if (one[2][0] & _fixed(one[1])).any()), known[0] if known else None)
 
 
-def _readings(topic: dict[str, Float]) -> tuple[NDArray[np.bool_], Float, Float] | None:
+def _readings(topic: dict[str, Float]) -> _Readings | None:
     """Return which samples of a receiver have UTC, their times since boot, s, and UTC, s since 1970."""
     if "time_utc_usec" not in topic:
         return None
     utc_s = topic["time_utc_usec"] * 1e-6
-    # A receiver with one UTC reading a second repeats it; this field is its age.
-    clock_s = (topic["timestamp"] + topic.get("timestamp_time_relative", 0.0)) * 1e-6
-    valid = source.plausible_utc(utc_s) & source.valid_times(topic["timestamp"] * 1e-6)
-    return valid, clock_s, utc_s
+    age_s, has_age = _ages(topic)
+    clock_s = topic["timestamp"] * 1e-6 - age_s
+    valid = source.plausible_utc(utc_s) & source.valid_times(topic["timestamp"] * 1e-6) & has_age
+    # Before its first fix a receiver reports the date of its own clock, which may be of any year.
+    fixed = valid & _fixed(topic)
+    return (fixed if fixed.any() else valid), clock_s, utc_s
+
+
+def _ages(topic: dict[str, Float]) -> tuple[Float, Mask]:
+    """Return the ages of UTC readings, s, and which of them are valid; all are 0 if hardly any is.
+
+    A receiver with one UTC reading a second repeats it, with its age.
+    """
+    age_s = _logged_ages(topic)
+    valid = np.abs(age_s) <= _OLDEST_S
+    if np.count_nonzero(valid) > _FEWEST_AGES * age_s.size:
+        return age_s, valid
+    return np.zeros_like(age_s), np.ones_like(valid)
+
+
+def _logged_ages(topic: dict[str, Float]) -> Float:
+    """Return the ages of UTC readings as they are logged, s; 0 without the field."""
+    return -topic.get("timestamp_time_relative", np.zeros(topic["timestamp"].size)) * 1e-6
+
+
+def _age_notes(name: str, topic: dict[str, Float]) -> tuple[str, ...]:
+    """Return a remark if the ages of the UTC readings of a receiver are not used, or some readings are left out."""
+    age_s, (_, valid) = _logged_ages(topic), _ages(topic)
+    field = f"{name}.timestamp_time_relative"
+    if not valid.all():
+        left_out = f"{np.count_nonzero(~valid)} of {valid.size} UTC readings are left out"
+        return (f"{left_out}: by {field} they were more than {_OLDEST_S:g} s old when logged",)
+    odd = ~(np.abs(age_s) <= _OLDEST_S)
+    if not odd.any():
+        return ()
+    return (f"{field} is not used: by it the UTC readings were {np.median(age_s[odd]):.0f} s old when logged",)
 
 
 def _rates(log: Topics) -> Iterator[source.RateSamples]:
@@ -432,16 +484,61 @@ def _rates(log: Topics) -> Iterator[source.RateSamples]:
 
 
 def _triggers(log: Topics) -> Iterator[source.TriggerSamples]:
-    """Yield when the camera was triggered, by its answers, otherwise by the triggers sent."""
-    for name in _TRIGGERS:
-        for _, topic in log[name]:
-            clock_s = topic["timestamp"] * 1e-6
-            utc_s = topic.get("timestamp_utc", np.zeros(clock_s.size)) * 1e-6
-            utc_s = np.where(source.plausible_utc(utc_s), utc_s, np.nan)
-            valid = source.valid_rare_times(clock_s)
-            if valid.any():
-                yield source.TriggerSamples(clock_s[valid], utc_s[valid], name)
-                return
+    """Yield when each camera was triggered, an instance each: its captures, else its answers, else the triggers."""
+    captures, triggers = _captures(log), _sent_or_answered(log)
+    if len(captures) == 1 and len(triggers) == 1:
+        # Captures are copies of triggers, but PX4 makes none before it knows its position.
+        [capture], [trigger] = captures.values(), triggers.values()
+        missing = trigger.clock_s.size - capture.clock_s.size
+        if missing > 0 and not capture.notes and np.isin(capture.clock_s, trigger.clock_s).all():
+            note = f"{missing} of {trigger.clock_s.size} triggers ({_TRIGGER}) have no {_CAPTURE}: PX4 had no position"
+            captures = {number: replace(trigger, notes=(*trigger.notes, note)) for number in captures}
+    cameras = captures or triggers
+    for number, samples in cameras.items():
+        yield samples if len(cameras) == 1 else replace(samples, camera=f"{ONLY_CAMERA}:{number}")
+
+
+def _captures(log: Topics) -> dict[int, source.TriggerSamples]:
+    """Return the captures by each instance of a camera, without those that failed."""
+    captures = {}
+    for number, topic in log[_CAPTURE]:
+        # 1 for success, 0 for failure, -1 if the camera does not say.
+        failed = topic.get("result", np.ones(topic["timestamp"].size)) == 0
+        lost = f"{np.count_nonzero(failed)} of {failed.size} captures ({_CAPTURE}) failed and are left out"
+        captures[number] = _trigger_samples(topic, ~failed, _CAPTURE, (lost,) if failed.any() else ())
+    return {number: samples for number, samples in captures.items() if samples.clock_s.size or samples.notes}
+
+
+def _sent_or_answered(log: Topics) -> dict[int, source.TriggerSamples]:
+    """Return the answers of each instance of a camera, else the triggers sent to it: one topic has both."""
+    topics = dict(log[_TRIGGER])
+    answers = {n: topic.get("feedback", np.zeros(topic["timestamp"].size)) > 0 for n, topic in topics.items()}
+    # Instances with answers only belong to those with triggers only.
+    with_answers = [number for number, is_answer in answers.items() if is_answer.any()]
+    only_answers = [number for number in with_answers if answers[number].all()]
+    used = only_answers if only_answers and only_answers == with_answers else list(topics)
+    sent = {n: np.count_nonzero(~answers[n]) for n in used}
+    if used == only_answers and len(used) == 1:
+        sent[used[0]] = sum(np.count_nonzero(~is_answer) for is_answer in answers.values())
+    triggers = {}
+    for number in used:
+        is_answer, lost = answers[number], sent[number] - np.count_nonzero(answers[number])
+        notes = (f"{lost} of {sent[number]} triggers ({_TRIGGER}) have no answer and are left out",)
+        rows = is_answer if is_answer.any() else ~is_answer
+        triggers[number] = _trigger_samples(
+            topics[number], rows, _TRIGGER, notes if is_answer.any() and lost > 0 else ()
+        )
+    return triggers
+
+
+def _trigger_samples(topic: dict[str, Float], rows: Mask, name: str, notes: tuple[str, ...]) -> source.TriggerSamples:
+    """Return the triggers of some rows, (n,) bool, of a topic."""
+    clock_s = topic["timestamp"] * 1e-6
+    utc_s = topic.get("timestamp_utc", np.zeros(clock_s.size)) * 1e-6
+    utc_s = np.where(source.plausible_utc(utc_s), utc_s, np.nan)
+    valid = rows & source.valid_rare_times(clock_s)
+    # PX4's own clock, which a GPS or a ground station set, may be wrong; the time since boot is not.
+    return source.TriggerSamples(clock_s[valid], utc_s[valid], name, clock_error_s=_CLOCK_ERROR_S, notes=notes)
 
 
 def _gimbal(log: Topics) -> Iterator[source.GimbalSamples]:

@@ -33,7 +33,7 @@ from glstar.telemetry.tables.files import Dump, dump_separator
 class Topics(Protocol):
     """Topics by name: the instances of each, and the columns of each instance."""
 
-    # Facts about the autopilot: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``.
+    # Facts about the autopilot: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``, ``boot_time_utc_us``.
     about: Mapping[str, str | int]
     whole_bytes: int  # End of the last complete message in the file
     unread_bytes: int  # Bytes of the file that belong to no message
@@ -234,8 +234,8 @@ _ROW = 3
 _FIELDS = re.compile(rb"([\w/\-]+):((?:[\w/\-]+(?:\[\d{1,3}\])? \w+;){1,200})")
 
 # Information messages about the autopilot: text or a number.
-_FACT = re.compile(rb"(char\[\d{1,3}\]|uint32_t) (sys_name|ver_sw|ver_sw_release|ver_hw)")
-_UINT32_BYTES = 4
+_FACT = re.compile(rb"(char\[\d{1,3}\]|uint32_t|u?int64_t) (sys_name|ver_sw|ver_sw_release|ver_hw|boot_time_utc_us)")
+_NUMBER_BYTES = {b"uint32_t": 4, b"uint64_t": 8, b"int64_t": 8}
 
 
 @dataclass(slots=True)
@@ -352,11 +352,11 @@ def _define(index: _Index, message: bytes, kind: int) -> None:
             index.subscriptions[number] = message
     elif kind == _INFORMATION and (fact := _FACT.fullmatch(body[1 : 1 + body[0]])):
         value, name = body[1 + body[0] :], fact[2].decode()
-        if fact[1] != b"uint32_t":
+        if fact[1] not in _NUMBER_BYTES:
             text = "".join(filter(str.isprintable, value.decode(errors="replace")))
             index.about.setdefault(name, text.strip())
-        elif len(value) == _UINT32_BYTES:
-            index.about.setdefault(name, int.from_bytes(value, "little"))
+        elif len(value) == _NUMBER_BYTES[fact[1]]:
+            index.about.setdefault(name, int.from_bytes(value, "little", signed=fact[1] == b"int64_t"))
 
 
 def _needs_more(flags: bytes) -> bool:

@@ -109,6 +109,10 @@ class Log:
     def gpa(self, t_s: float, *, lag_s: float = 0.0, receiver: int = 0) -> None:
         self.add("GPA", "QBI", "TimeUS,I,SMS", round((t_s + lag_s) * 1e6), receiver, round(t_s * 1000))
 
+    def camera(self, name: str, t_s: float, camera: int, image: int) -> None:
+        """Write that a camera was triggered (TRIG), or that it answered (CAM)."""
+        self.add(name, "QBH", "TimeUS,I,Img", round(t_s * 1e6), camera, image)
+
     def ev(self, t_s: float, event: int) -> None:
         self.add("EV", "QB", "TimeUS,Id", round(t_s * 1e6), event)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import ardupilotmega, common
 
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
@@ -75,6 +75,12 @@ class Log:
         utc_us = round(1e6 * (ELEVEN_S + t_s - BOOT_S if utc_s is None else utc_s))
         boot_ms = ms(t_s) if boot_ms is None else boot_ms
         self.add(common.MAVLink_system_time_message(utc_us, boot_ms), t_s, sender)
+
+    def feedback(self, t_s: float, time_s: float, image: int, camera: int = 0) -> None:
+        """Add the answer of a camera that arrives at a time since boot, with a time of its own."""
+        place = (-349300000, 1386000000, 48.0, 48.0, 0.0, 0.0, 0.0, 0.0)
+        stamp = (round(time_s * 1e6), 0, camera, image)
+        self.add(ardupilotmega.MAVLink_camera_feedback_message(*stamp, *place, 0), t_s)
 
     def data(self) -> bytes:
         return b"".join(self.packets)

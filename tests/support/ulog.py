@@ -20,7 +20,16 @@ BOOT_S = 30.0
 class Log:
     """A ULog file, written message by message; the first sample of an instance of a topic adds its definitions."""
 
-    CODES: ClassVar = {"uint64_t": "Q", "uint8_t": "B", "int32_t": "i", "float": "f", "double": "d", "bool": "?"}
+    CODES: ClassVar = {
+        "uint64_t": "Q",
+        "uint32_t": "I",
+        "uint8_t": "B",
+        "int8_t": "b",
+        "int32_t": "i",
+        "float": "f",
+        "double": "d",
+        "bool": "?",
+    }
 
     def __init__(self) -> None:
         self.head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
@@ -45,6 +54,11 @@ class Log:
         self.samples.append(self.message("D", struct.pack("<H", number) + struct.pack(code, *values)))
         return self
 
+    def about(self, name: str, kind: str, value: int) -> None:
+        """Write information about the log."""
+        key = f"{kind} {name}".encode()
+        self.head += self.message("I", bytes([len(key)]) + key + struct.pack(f"<{self.CODES[kind]}", value))
+
     def attitude(
         self, t_s: float, yaw_deg: float = 0.0, name: str = "vehicle_attitude", instance: int = 0, **more: object
     ) -> None:
@@ -55,7 +69,15 @@ class Log:
         self.add(name, t_s + late_s, instance, **sampled, q=("float", q_ned_body), **more)  # type: ignore[arg-type]
 
     def gps(
-        self, t_s: float, *, fix: int = 3, utc_s: float | None = None, new: bool = True, age_s: float = 0.0
+        self,
+        t_s: float,
+        *,
+        fix: int = 3,
+        utc_s: float | None = None,
+        new: bool = True,
+        age_s: float = 0.0,
+        logged_age_s: float | None = None,
+        instance: int = 0,
     ) -> None:
         """Write a fix; boot time 30 s is 11:00 UTC."""
         utc_us = round(1e6 * (ELEVEN_S + t_s - BOOT_S - age_s if utc_s is None else utc_s))
@@ -69,11 +91,28 @@ class Log:
         self.add(
             "sensor_gps" if new else "vehicle_gps_position",
             t_s,
+            instance,
             time_utc_usec=("uint64_t", max(utc_us, 0)),
             **place,
-            timestamp_time_relative=("int32_t", round(-age_s * 1e6)),
+            timestamp_time_relative=("int32_t", round(-1e6 * (age_s if logged_age_s is None else logged_age_s))),
             fix_type=("uint8_t", fix),
         )
+
+    def trigger(
+        self, t_s: float, number: int, *, feedback: bool = False, utc_s: float | None = None, instance: int = 0
+    ) -> None:
+        """Write a trigger of a camera, or its answer."""
+        utc_us = round(1e6 * (ELEVEN_S + t_s - BOOT_S if utc_s is None else utc_s))
+        fields = {"timestamp_utc": ("uint64_t", utc_us), "seq": ("uint32_t", number), "feedback": ("bool", feedback)}
+        self.add("camera_trigger", t_s, instance, **fields)  # type: ignore[arg-type]
+
+    def capture(
+        self, t_s: float, number: int, *, result: int = 1, utc_s: float | None = None, instance: int = 0
+    ) -> None:
+        """Write a capture of a camera: result 1 for success, 0 for failure, -1 if the camera does not say."""
+        utc_us = round(1e6 * (ELEVEN_S + t_s - BOOT_S if utc_s is None else utc_s))
+        fields = {"timestamp_utc": ("uint64_t", utc_us), "seq": ("uint32_t", number), "result": ("int8_t", result)}
+        self.add("camera_capture", t_s, instance, **fields)  # type: ignore[arg-type]
 
     def data(self, *between: bytes) -> bytes:
         subscriptions = [

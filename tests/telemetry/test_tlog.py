@@ -210,6 +210,53 @@ def test_utc_comes_from_the_autopilot_not_from_the_recorder(path: Path, turn: Lo
     assert flight.utc_source == "SYSTEM_TIME, 12 readings"
 
 
+@pytest.mark.parametrize(("until_s", "off_s"), [(12.0, -3600.5), (18.5, -0.3), (3.0, 86400.0), (2.5, 40.0)])
+def test_utc_after_a_correction_is_used(path: Path, until_s: float, off_s: float) -> None:
+    """The autopilot has the clock of a ground station until its GPS knows UTC."""
+    log = Log()
+    for t in times(duration_s=20.0, rate_hz=5):
+        log.attitude(t)
+        log.place(t)
+        if round(5 * t) % 5 == 0:
+            log.time(t, utc_s=ELEVEN_S + t - BOOT_S + (off_s if t < BOOT_S + until_s else 0.0))
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-3)
+    [note] = flight.notes
+    left_out = int(np.ceil(until_s))
+    assert note == (
+        f"{left_out} of 21 readings of SYSTEM_TIME are left out: the autopilot then corrected its UTC by"
+        f" {-off_s:+.1f} s without a reboot, as when its GPS replaces the clock of a ground station"
+    )
+
+
+def test_a_last_reading_that_differs_is_reported(path: Path, turn: Log) -> None:
+    turn.time(BOOT_S + 2.5, utc_s=ELEVEN_S + 3602.5)
+
+    flight = open_flight(turn.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-3)
+    assert flight.notes == ("the last reading of SYSTEM_TIME is +3600.0 s from the others, which are used",)
+
+
+@pytest.mark.parametrize("length_s", [40.0, 400.0])
+def test_utc_that_is_corrected_while_the_link_is_lost_is_one_boot(path: Path, length_s: float) -> None:
+    log = Log()
+    for t in times(duration_s=length_s, rate_hz=5):
+        if not 0.3 * length_s < t - BOOT_S < 0.6 * length_s:
+            log.attitude(t)
+            log.place(t)
+            log.time(t, utc_s=ELEVEN_S + t - BOOT_S - (3600.0 if t - BOOT_S < 0.5 * length_s else 0.0))
+
+    flight = open_flight(log.save(path))
+
+    assert (flight.attitude.first_s, flight.attitude.last_s) == (
+        pytest.approx(ELEVEN_S, abs=1e-3),
+        pytest.approx(ELEVEN_S + length_s, abs=1e-3),
+    )
+
+
 def test_utc_of_another_component_counts_when_it_arrives_before_that_of_another_system(path: Path) -> None:
     log = Log()
     for t in times():

@@ -18,7 +18,9 @@ from glstar.flight import Flight
 from glstar.images import triggered_images
 from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
-from tests.support.dataflash import Log
+from tests.support import tlog
+from tests.support import ulog as px4
+from tests.support.dataflash import Log, TextLog, times
 from tests.telemetry.test_rosbag import ENU_FLU, START_NS, TIMES_S, Bag
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
@@ -139,8 +141,10 @@ def test_another_utc_of_the_flight_moves_the_triggers(tmp_path: Path) -> None:
         )
 
 
-def plan_of(flight: Flight, duration_s: float = 0.5, **limits: float | None) -> list[tuple[int, float]]:
-    exposure = Config().override(**{"exposure.at": "camera", "exposure.duration_s": duration_s}).exposure
+def plan_of(
+    flight: Flight, duration_s: float = 0.5, at: str = "camera", **limits: float | None
+) -> list[tuple[int, float]]:
+    exposure = Config().override(**{"exposure.at": at, "exposure.duration_s": duration_s}).exposure
     given = {"start_s": 0.0, "stop_s": None, "frames": None} | limits
     frames = plan_frames(flight, exposure, **given).frames
     return [(frame.number, round(frame.exposure.start_utc_s - ELEVEN_S, 3)) for frame in frames]
@@ -288,3 +292,196 @@ def test_an_export_exposes_at_the_triggers_of_the_chosen_camera(tmp_path: Path) 
     np.testing.assert_allclose(opened_s, TIMES_S[[35, 55]], rtol=0, atol=1e-6)
     with pytest.raises(ConfigError, match=r"exposure\.at.*must be \"camera\", or of several"):
         Config().override(**{"exposure.at": "cam1"})
+
+
+# --- answers, failures and losses -----------------------------------------------------------------------------------
+def px4_flight(path: Path, duration_s: float = 10.0) -> px4.Log:
+    """Write attitude and fixes of a PX4 log; boot time 30 s is 11:00 UTC."""
+    log = px4.Log()
+    for t_s in px4.times(duration_s=duration_s):
+        log.attitude(t_s)
+    for t_s in px4.times(duration_s=duration_s, rate_hz=5):
+        log.gps(t_s)
+    return log
+
+
+def seconds(flight: Flight, camera: str = "camera") -> list[float]:
+    return np.round(flight.triggers_of(camera).utc_s - ELEVEN_S, 3).tolist()
+
+
+@pytest.mark.parametrize("unanswered", [(), (1, 3)])
+def test_triggers_and_answers_in_one_topic_are_one_exposure_each(tmp_path: Path, unanswered: tuple[int, ...]) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.trigger(BOOT_S + t_s, number)
+        if number not in unanswered:
+            log.trigger(BOOT_S + t_s + 0.12, number, feedback=True)
+
+    flight = open_flight(log.save(tmp_path / "log.ulg"))
+
+    assert seconds(flight) == [t_s + 0.12 for number, t_s in enumerate(TRIGGERS_S) if number not in unanswered]
+    lost = "2 of 4 triggers (camera_trigger) have no answer and are left out"
+    assert flight.notes == ((lost,) if unanswered else ())
+
+
+def test_answers_in_another_instance_are_of_the_same_camera(tmp_path: Path) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.trigger(BOOT_S + t_s, number)
+        log.trigger(BOOT_S + t_s + 0.12, number, feedback=True, instance=1)
+
+    assert seconds(open_flight(log.save(tmp_path / "log.ulg"))) == [t_s + 0.12 for t_s in TRIGGERS_S]
+
+
+def test_failed_captures_are_left_out_and_counted(tmp_path: Path) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.capture(BOOT_S + t_s, number, result=(1, 0, -1, 0)[number])
+
+    flight = open_flight(log.save(tmp_path / "log.ulg"))
+
+    assert seconds(flight) == [TRIGGERS_S[0], TRIGGERS_S[2]]
+    assert flight.notes == ("2 of 4 captures (camera_capture) failed and are left out",)
+
+
+def test_captures_that_all_failed_are_no_exposures(tmp_path: Path) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.trigger(BOOT_S + t_s, number)
+        log.capture(BOOT_S + t_s, number, result=0)
+
+    flight = open_flight(log.save(tmp_path / "log.ulg"))
+
+    assert flight.triggers == ()
+    assert flight.notes == ("4 of 4 captures (camera_capture) failed and are left out",)
+
+
+def test_triggers_are_used_while_px4_makes_no_captures_without_a_position(tmp_path: Path) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.trigger(BOOT_S + t_s, number)
+        if number > 1:
+            log.capture(BOOT_S + t_s, number)
+
+    flight = open_flight(log.save(tmp_path / "log.ulg"))
+
+    assert seconds(flight) == TRIGGERS_S
+    assert flight.notes == ("2 of 4 triggers (camera_trigger) have no camera_capture: PX4 had no position",)
+
+
+def test_two_instances_of_captures_are_two_cameras(tmp_path: Path) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.capture(BOOT_S + t_s, number)
+        if number:
+            log.capture(BOOT_S + t_s + 0.5, number, instance=1)
+
+    flight = open_flight(log.save(tmp_path / "log.ulg"))
+
+    assert seconds(flight, "camera:0") == TRIGGERS_S
+    assert seconds(flight, "camera:1") == [t_s + 0.5 for t_s in TRIGGERS_S[1:]]
+
+
+def test_utc_of_a_trigger_that_the_clock_contradicts_is_not_used(tmp_path: Path) -> None:
+    log = px4_flight(tmp_path)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.trigger(BOOT_S + t_s, number, utc_s=ELEVEN_S + t_s - (3600.0 if number < 2 else 0.0))
+
+    flight = open_flight(log.save(tmp_path / "log.ulg"))
+
+    assert seconds(flight) == TRIGGERS_S
+    assert flight.notes == (
+        "2 of 4 times of camera_trigger are -3600.0 s from the UTC of the log: its own clock dates these triggers",
+    )
+
+
+@pytest.mark.parametrize("kind", [Log, TextLog])
+def test_each_camera_of_a_dataflash_log_has_its_own_triggers(tmp_path: Path, kind: type[Log]) -> None:
+    log = kind()
+    for t_s in times(duration_s=10.0):
+        log.att(t_s)
+        log.pos(t_s)
+    for t_s in times(duration_s=10.0, rate_hz=5):
+        log.gps(t_s)
+        log.gpa(t_s)
+    for number, t_s in enumerate(TRIGGERS_S):
+        log.camera("TRIG", BOOT_S + t_s - 0.1, 1, number)
+        log.camera("CAM", BOOT_S + t_s, 0, number)
+        if number < 3:
+            log.camera("CAM", BOOT_S + t_s + 0.25, 1, number)
+        log.camera("TRIG", BOOT_S + t_s + 0.4, 2, number)
+
+    flight = open_flight(log.save(tmp_path / "log.BIN"))
+
+    assert seconds(flight, "camera:0") == TRIGGERS_S
+    assert seconds(flight, "camera:1") == [t_s + 0.25 for t_s in TRIGGERS_S[:3]]
+    assert seconds(flight, "camera:2") == [t_s + 0.4 for t_s in TRIGGERS_S]
+    assert flight.notes == ("1 of 4 triggers of camera:1 (TRIG) have no answer (CAM)",)
+    assert plan_of(flight, at="camera:1") == [(n, t_s + 0.25) for n, t_s in enumerate(TRIGGERS_S[:3])]
+
+
+def feedback(path: Path, shots: list[tuple[float, float, int, int]]) -> Path:
+    """Write ten seconds of a telemetry log; shots: time of arrival, time_usec in s, img_idx and cam_idx."""
+    log = tlog.Log()
+    log.heartbeat()
+    shots = sorted(shots)
+    for k, t_s in enumerate(tlog.times(duration_s=10.0)):
+        log.attitude(t_s)
+        if k % 10 == 0:
+            log.place(t_s)
+            log.time(t_s)
+        while shots and BOOT_S + shots[0][0] < t_s + 0.02:
+            arrival_s, *shot = shots.pop(0)
+            log.feedback(BOOT_S + arrival_s, *shot)
+    return log.save(path)
+
+
+def test_feedback_without_a_time_is_dated_by_arrival_and_numbered_by_the_camera(tmp_path: Path) -> None:
+    shots = [(t_s + 0.03, 0.0 if n < 2 else ELEVEN_S + t_s, n, 0) for n, t_s in enumerate(TRIGGERS_S)]
+    again = [(t_s + 0.5, time_s, n, camera) for t_s, time_s, n, camera in shots]
+
+    flight = open_flight(feedback(tmp_path / "log.tlog", shots + again))
+
+    assert plan_of(flight) == [(0, 1.28), (1, 3.53), (2, 3.9), (3, 7.125)]
+    assert flight.notes == (
+        "2 of 4 triggers of camera:0 have no time in CAMERA_FEEDBACK, as before GPS time: their packets' arrival dates"
+        " them, after the exposure",
+    )
+
+
+def test_lost_feedback_leaves_its_number_out(tmp_path: Path) -> None:
+    shots = [(t_s, ELEVEN_S + t_s, n + 5, 0) for n, t_s in enumerate(TRIGGERS_S) if n != 1]
+
+    flight = open_flight(feedback(tmp_path / "log.tlog", shots))
+
+    assert plan_of(flight) == [(5, 1.25), (7, 3.9), (8, 7.125)]
+    assert flight.notes == ("1 of the images 5 to 8 of camera:0 are missing in CAMERA_FEEDBACK: packets were lost",)
+
+
+def test_each_camera_of_a_telemetry_log_has_its_own_triggers(tmp_path: Path) -> None:
+    shots = [(t_s + k / 4, ELEVEN_S + t_s + k / 4, n, k) for k in (0, 1) for n, t_s in enumerate(TRIGGERS_S)]
+
+    flight = open_flight(feedback(tmp_path / "log.tlog", shots))
+
+    assert seconds(flight, "camera:0") == TRIGGERS_S
+    assert seconds(flight, "camera:1") == [t_s + 0.25 for t_s in TRIGGERS_S]
+
+
+def test_feedback_of_another_clock_is_dated_by_arrival(tmp_path: Path) -> None:
+    """A UTC an hour from that of the autopilot, and a time before 2010 that is none since boot."""
+    times_s = [ELEVEN_S - 3600.0, 315964800.0, BOOT_S + TRIGGERS_S[2], ELEVEN_S + TRIGGERS_S[3]]
+    shots = [(t_s + 0.03, times_s[n], n, 0) for n, t_s in enumerate(TRIGGERS_S)]
+
+    flight = open_flight(feedback(tmp_path / "log.tlog", shots))
+
+    assert seconds(flight) == [1.28, 3.53, 3.9, 7.125]
+    assert any("1 of 4 triggers of camera:0 have no time in CAMERA_FEEDBACK" in note for note in flight.notes)
+    assert any("1 of 4 times of CAMERA_FEEDBACK are" in note for note in flight.notes)
+
+
+def test_another_utc_of_the_flight_moves_triggers_with_utc_of_their_own(tmp_path: Path) -> None:
+    shots = [(t_s + 0.4, ELEVEN_S + t_s, n, 0) for n, t_s in enumerate(TRIGGERS_S)]
+
+    flight = open_flight(feedback(tmp_path / "log.tlog", shots), utc_start=ELEVEN_S + 3600)
+
+    assert seconds(flight) == [3600 + t_s for t_s in TRIGGERS_S]

@@ -230,6 +230,83 @@ def test_the_age_of_a_repeated_time_is_added(path: Path) -> None:
     assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
 
 
+@pytest.mark.parametrize("logged_age_s", [-1351.3, 1351.3, 2147.0, 3.0])
+def test_an_age_of_utc_beyond_two_seconds_is_not_used(path: Path, logged_age_s: float) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+        log.gps(t, logged_age_s=logged_age_s)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+    assert flight.notes == (
+        "sensor_gps.timestamp_time_relative is not used:"
+        f" by it the UTC readings were {logged_age_s:.0f} s old when logged",
+    )
+
+
+def test_readings_of_utc_that_are_too_old_are_left_out(path: Path) -> None:
+    """A receiver with a UTC reading every ten seconds repeats it: those with a valid age are used."""
+    log = Log()
+    for t in times(duration_s=20.0, rate_hz=5):
+        log.attitude(t)
+        log.gps(t, age_s=(t - BOOT_S) % 10.0)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+    assert flight.notes == (
+        "78 of 101 UTC readings are left out: by sensor_gps.timestamp_time_relative they were more than 2 s old when"
+        " logged",
+    )
+
+
+@pytest.mark.parametrize("kind", ["uint64_t", "int64_t"])
+def test_utc_at_boot_is_used_if_no_receiver_has_utc(path: Path, kind: str) -> None:
+    log = Log()
+    log.CODES = log.CODES | {"int64_t": "q"}
+    log.about("boot_time_utc_us", kind, round((ELEVEN_S - BOOT_S) * 1e6))
+    for t in times():
+        log.attitude(t)
+        log.gps(t, utc_s=0.0)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+    assert (flight.utc_source, flight.clocks) == ("boot_time_utc_us", ())
+    assert flight.notes[0].startswith("the only UTC of the log is boot_time_utc_us, by PX4's own clock")
+
+
+def test_utc_of_a_receiver_is_preferred_to_utc_at_boot(path: Path, turn: Log) -> None:
+    turn.about("boot_time_utc_us", "uint64_t", round((ELEVEN_S - BOOT_S + 100.0) * 1e6))
+
+    flight = open_flight(turn.save(path))
+
+    assert (flight.attitude.first_s, flight.notes) == (pytest.approx(ELEVEN_S, abs=1e-6), ())
+
+
+def test_utc_at_boot_before_2010_is_none(path: Path) -> None:
+    log = Log()
+    log.about("boot_time_utc_us", "uint64_t", 946684800_000000)
+    for t in times():
+        log.attitude(t)
+
+    with pytest.raises(LogFormatError, match=r"the log has no UTC \(it has no vehicle_gps_position\)"):
+        open_flight(log.save(path))
+
+
+def test_utc_of_a_receiver_with_a_fix_is_preferred(path: Path) -> None:
+    """A receiver without a fix has a date of its own, whether it gets a fix later or not."""
+    log = Log()
+    for t in times(duration_s=10.0, rate_hz=5):
+        log.attitude(t)
+        log.gps(t, fix=0, utc_s=ELEVEN_S + 4e6 + t)
+        log.gps(t, fix=0 if t < BOOT_S + 8.0 else 3, utc_s=ELEVEN_S - 4e6 + t if t < BOOT_S + 8.0 else None, instance=1)
+
+    assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+
+
 @pytest.mark.parametrize("utc_s", [0.0, 315964800.0], ids=["zero", "1980"])
 def test_a_receiver_without_time_or_fix_is_not_used(path: Path, utc_s: float) -> None:
     log = Log()

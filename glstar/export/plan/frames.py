@@ -93,7 +93,8 @@ def _plan_triggered(
     first_s, last_s = attitude.first_s + start_s, attitude.last_s if stop_s is None else attitude.first_s + stop_s
     drawn: list[PlannedFrame] = []
     skipped: list[SkippedFrame] = []
-    for number, utc_s in enumerate((triggers.utc_s + exposure.at_delay_s).tolist()):
+    opened_s = (triggers.utc_s + exposure.at_delay_s).tolist()
+    for number, utc_s in zip(triggers.numbers.tolist(), opened_s, strict=True):
         shutter = exposure.starting_at(utc_s)
         if not first_s <= utc_s or shutter.stop_utc_s > last_s + CLOCK_GRAIN_S / 2 or len(drawn) == frames:
             continue

@@ -46,7 +46,7 @@ _RARELY = 0.01
 _REPORTED_S = 1.0
 # If a lane that is not logged flew for a larger fraction of the time, another lane is used, or ATT.
 _MOSTLY_UNLOGGED = 0.5
-# A lane that is farther from ATT, deg, was not the one that flew: ATT is rounded to 0.01 deg and logged in the same loop.
+# A lane that is farther from ATT did not fly, deg: ATT is rounded to 0.01 deg and logged in the same loop.
 _SAME_LANE_DEG = 0.1
 
 

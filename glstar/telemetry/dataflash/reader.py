@@ -12,7 +12,7 @@ import numpy as np
 
 from glstar.arrays import Float, Integer
 from glstar.errors import LogFormatError
-from glstar.flight import EventKind
+from glstar.flight import ONLY_CAMERA, EventKind
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
 from glstar.telemetry import source
@@ -69,8 +69,8 @@ _BY_PARAMETER = {
     "CRUISE_SPEED": "ArduRover",
     "JS_GAIN_DEFAULT": "ArduSub",
 }
-# Records of a triggered camera, the most exact one first.
-_TRIGGERS = ("CAM", "TRIG")
+# Records of a triggered camera: its answer, else that the trigger was sent, and the number of the camera in both.
+_ANSWER, _TRIGGER, _CAMERA = "CAM", "TRIG", "I"
 
 
 def is_dataflash(head: bytes) -> bool:
@@ -148,7 +148,8 @@ class DataFlashReader(source.TelemetrySource):
         """Yield all other samples of one boot."""
         yield _positions(log)
         yield _utc(log)
-        for samples in (_turn_rates(log), _triggers(log), _gimbal(log)):
+        yield from _triggers(log)
+        for samples in (_turn_rates(log), _gimbal(log)):
             if samples is not None:
                 yield samples
         yield from _events(log, _facts(log).vehicle)
@@ -346,13 +347,26 @@ def _first_gyro(log: Records, name: str) -> source.RateSamples | None:
     return None
 
 
-def _triggers(log: Records) -> source.TriggerSamples | None:
-    """Return when the camera was triggered: CAM, written when the camera answered, otherwise TRIG."""
-    for name in _TRIGGERS:
-        if (records := stamped(log, name)) is not None and records[0].size:
-            clock_s = records[0][source.valid_rare_times(records[0])]
-            return source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), name)
-    return None
+def _triggers(log: Records) -> Iterator[source.TriggerSamples]:
+    """Yield when each camera was triggered: CAM, written when the camera answered, otherwise TRIG."""
+    answered, sent = (dict(_of_cameras(log, name)) for name in (_ANSWER, _TRIGGER))
+    for camera in sorted({*answered, *sent}):
+        name, clock_s = (_ANSWER, answered[camera]) if camera in answered else (_TRIGGER, sent[camera])
+        notes: tuple[str, ...] = ()
+        if camera in sent and (lost := sent[camera].size - clock_s.size) > 0:
+            notes = (f"{lost} of {sent[camera].size} triggers of {camera} ({_TRIGGER}) have no answer ({_ANSWER})",)
+        yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), name, camera=camera, notes=notes)
+
+
+def _of_cameras(log: Records, name: str) -> Iterator[tuple[str, Float]]:
+    """Yield the name of each camera in a message, and the times of its records, s since boot."""
+    if (records := stamped(log, name)) is None:
+        return
+    clock_s, number = records[0], numbered(log, name, _CAMERA)
+    valid = source.valid_rare_times(clock_s) & (number >= 0)
+    for camera in np.unique(number[valid]).tolist():
+        called = f"camera:{camera}" if _CAMERA in log.fields(name) else ONLY_CAMERA
+        yield called, clock_s[valid & (number == camera)]
 
 
 def _gimbal(log: Records) -> source.GimbalSamples | None:

@@ -26,8 +26,19 @@ _TIMED = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")
 _REBOOT_S = 5.0
 # A single time that differs by more from its neighbours is damaged, s.
 _BOOT_SPIKE_S = 1.0
+# A larger step of UTC minus the time since boot is a change of its source, s, and one of this many times the usual
+# difference of two readings.
+_SAME_UTC_S, _TIMES_USUAL = 0.1, 5.0
+# The time since boot continues if the recorder's clock does, and if two readings are no farther apart, s.
+_SAME_ARRIVAL_S, _READINGS_APART_S = 1.0, 3600.0
+# Fewer consecutive readings of UTC that differ from the others are errors; the last ones of a boot need one less.
+_FEWEST_READINGS = 3
 # Boots recorded within this time have the same error of the recorder's clock, s; joined recordings have longer pauses.
 _SAME_RECORDING_S = 3600.0
+_CORRECTED = (
+    "{} of {} readings of SYSTEM_TIME are left out: the autopilot then corrected its UTC by {:+.1f} s without a reboot,"
+    " as when its GPS replaces the clock of a ground station"
+)
 NO_UTC = "no SYSTEM_TIME during this boot, and no other boot was recorded within an hour of it"
 # time_boot_ms has 32 bits: 49.7 days.  Some autopilots count the microseconds of an IMU with 32 bits: 71.6 minutes.
 _WRAP_S = 2**32 / 1000
@@ -53,6 +64,9 @@ class VehicleClock:
     is_known: NDArray[np.bool_]
     # For each boot, where its UTC comes from if not from the autopilot in that boot; else empty.
     utc_sources: tuple[str, ...]
+    # The packets with the UTC of the autopilot, without those before it was corrected.
+    readings: Float
+    notes: tuple[str, ...] = ()  # Remarks for the user on readings that are left out
 
     @classmethod
     def of(cls, packets: Packets, sender: Sender) -> "VehicleClock":
@@ -67,7 +81,7 @@ class VehicleClock:
         boot_s = boot_s + wraps * _WRAP_S
         at = heads[:, AT].astype(np.int64)
 
-        times = clock_readings(packets, sender)
+        times, notes = _corrected(clock_readings(packets, sender))
         near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
         read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
         readings = times[:, AT].astype(np.int64), read_s, system_time_utc_s(times)
@@ -108,6 +122,8 @@ class VehicleClock:
             arrived_s=arrived_s,
             is_known=is_known,
             utc_sources=tuple(sources),
+            readings=times,
+            notes=notes,
         )
 
     def read(self, rows: Float) -> tuple[Float, Integer]:
@@ -170,6 +186,34 @@ def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spa
         if 0 <= gaps_s[near] <= _SAME_RECORDING_S:
             utc_s[boot] = arrived_s[boot] + utc_s[with_utc[near]] - arrived_s[with_utc[near]]
             sources[boot] = f"the recorder's clock and the UTC of boot {with_utc[near] + 1}"
+
+
+def _corrected(times: Float) -> tuple[Float, tuple[str, ...]]:
+    """Return the readings of UTC without those before a correction during a boot, and a remark for each correction.
+
+    An autopilot may take the UTC of a ground station, or of a clock with a battery, until its GPS knows it; a GPS is
+    never replaced by these.  ArduPilot and PX4 then correct their clock once, so that the last level is the best one.
+    """
+    boot_s, utc_s = times[:, FIELDS_FROM] / 1e3, system_time_utc_s(times)
+    step_s = np.diff(boot_s)
+    continues = (step_s >= 0) & (step_s <= _READINGS_APART_S)
+    continues &= np.abs(np.diff(times[:, STAMP]) - step_s) < _SAME_ARRIVAL_S
+    used, notes = np.ones(len(times), dtype=bool), []
+    for rows in np.split(np.arange(len(times)), np.flatnonzero(~continues) + 1):
+        off_s = (utc_s - boot_s)[rows]
+        steps_s = np.abs(np.diff(off_s))
+        same_s = max(_SAME_UTC_S, _TIMES_USUAL * float(np.median(steps_s))) if steps_s.size else _SAME_UTC_S
+        *runs, last = np.split(off_s, np.flatnonzero(steps_s > same_s) + 1)
+        runs = [run for run in runs if run.size >= _FEWEST_READINGS]
+        levels = [float(np.median(run)) for run in (*runs, *([last] if last.size > 1 else []))]
+        if levels and max(levels) - min(levels) > same_s:
+            used[rows] = np.abs(off_s - levels[-1]) <= same_s
+            left_out = np.count_nonzero(~used[rows])
+            notes.append(_CORRECTED.format(left_out, rows.size, levels[-1] - levels[0]))
+        if levels and last.size == 1 and abs(off_s[-1] - levels[-1]) > same_s:
+            differs = f"the last reading of SYSTEM_TIME is {off_s[-1] - levels[-1]:+.1f} s from the others"
+            notes.append(f"{differs}, which are used")
+    return times[used], tuple(notes)
 
 
 def readings_source(count: int, sender: str = "") -> str:

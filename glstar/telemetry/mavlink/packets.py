@@ -43,7 +43,7 @@ MESSAGES = {
     129: ("SCALED_IMU3", _IMU),
     148: ("AUTOPILOT_VERSION", ("flight_sw_version",)),
     158: ("MOUNT_STATUS", ("pointing_a", "pointing_b", "pointing_c")),
-    180: ("CAMERA_FEEDBACK", ("time_usec", "img_idx")),
+    180: ("CAMERA_FEEDBACK", ("time_usec", "img_idx", "cam_idx")),
     253: ("STATUSTEXT", ()),
     265: ("MOUNT_ORIENTATION", ("time_boot_ms", "roll", "pitch", "yaw")),
     285: ("GIMBAL_DEVICE_ATTITUDE_STATUS", ("time_boot_ms", "flags", *(f"q[{k}]" for k in range(4)))),

@@ -14,8 +14,8 @@ SYSTEM_TIME           time_boot_ms, time_unix_usec                  UTC
 HIGHRES_IMU           time_usec, xgyro, ygyro, zgyro (rad/s)        gyro rates, from the most frequent message, if
 SCALED_IMU, 2, 3      time_boot_ms, xgyro, ygyro, zgyro (mrad/s)    that is as frequent as the attitude
 RAW_IMU               the same with time_usec                       the same, of ArduPilot; others have no unit
-CAMERA_FEEDBACK       time_usec                                     when the camera was triggered
-CAMERA_TRIGGER        time_usec                                     the same, if there is no CAMERA_FEEDBACK
+CAMERA_FEEDBACK       time_usec, img_idx, cam_idx                   when the camera was triggered
+CAMERA_TRIGGER        time_usec, seq                                the same, if there is no CAMERA_FEEDBACK
 GIMBAL_DEVICE_...      time_boot_ms, flags, q (..._ATTITUDE_STATUS)  attitude of a gimbal
 MOUNT_ORIENTATION     time_boot_ms, roll, pitch, yaw (deg)          the same, if there is none of the above
 MOUNT_STATUS          pointing_a, _b, _c (0.01 deg), on arrival     the same, if there is none of the above
@@ -43,12 +43,12 @@ import numpy as np
 
 from glstar.arrays import Float
 from glstar.errors import LogFormatError
-from glstar.flight import EventKind
+from glstar.flight import ONLY_CAMERA, EventKind
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry import source
 from glstar.telemetry.mavlink import vehicles
-from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, clock_readings, other_clocks, readings_source
+from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, other_clocks, readings_source
 from glstar.telemetry.mavlink.packets import (
     EULER,
     FIELDS_FROM,
@@ -69,8 +69,11 @@ _BANNER = re.compile(r"([A-Z]\w+) V(\d+\.\d+\S*.*)", re.ASCII)
 # MAV_COMP_ID_AUTOPILOT1.
 _FIRST_AUTOPILOT = 1
 
-# Messages of a triggered camera, the most exact one first.
-_TRIGGERS = ("CAMERA_FEEDBACK", "CAMERA_TRIGGER")
+# Messages of a triggered camera, the most exact one first; the first one has a number of the camera.
+_FEEDBACK = "CAMERA_FEEDBACK"
+_TRIGGERS = (_FEEDBACK, "CAMERA_TRIGGER")
+# A packet arrives within this time on a slow link, s; a time that differs more from its arrival is of another clock.
+_ARRIVES_WITHIN_S = 60.0
 # A shorter loss of samples is not reported, s.
 _REPORTED_S = 1.0
 _FIX_3D = 3
@@ -270,19 +273,49 @@ class TelemetryLogReader(source.TelemetrySource):
 
 
 def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[source.TriggerSamples]:
-    """Yield when the camera was triggered in a boot; CAMERA_FEEDBACK counts in UTC, or since boot without a GPS."""
+    """Yield when each camera was triggered in a boot."""
     for name in _TRIGGERS:
         rows = packets.message(name)
         rows = rows[(rows[:, SYSTEM] == sender[0]) & (clock.boot_of(rows) == boot)] if len(rows) else rows
-        if len(rows):
-            # A packet may arrive twice, and again on request.
-            _, first = np.unique(rows[:, FIELDS_FROM], return_index=True)
-            rows = rows[np.sort(first)]
-            time_s = rows[:, FIELDS_FROM] * 1e-6
-            is_utc = source.plausible_utc(time_s)
-            clock_s = np.where(is_utc, np.nan, clock.read_us(rows))
-            yield source.TriggerSamples(clock_s, np.where(is_utc, time_s, np.nan), name, boot)
-            return
+        if not len(rows):
+            continue
+        # A packet may arrive twice, and again on request: it has the same fields.
+        _, first = np.unique(rows[:, FIELDS_FROM:], axis=0, return_index=True)
+        rows = rows[np.sort(first)]
+        cameras = rows[:, -1] if name == _FEEDBACK else np.zeros(len(rows))
+        for camera in np.unique(cameras).astype(np.int64).tolist():
+            called = f"camera:{camera}" if name == _FEEDBACK else ONLY_CAMERA
+            yield _triggers_of(rows[cameras == camera], name, called, clock, boot)
+        return
+
+
+def _triggers_of(rows: Float, name: str, camera: str, clock: VehicleClock, boot: int) -> source.TriggerSamples:
+    """Return the triggers of one camera: CAMERA_FEEDBACK counts in UTC, or since boot, or has no time at all."""
+    number, notes = rows[:, FIELDS_FROM + 1].astype(np.int64), list[str]()
+    if is_numbered := np.unique(number).size == number.size:
+        order = np.argsort(number)
+        rows, number = rows[order], number[order]
+        missing = int(np.ptp(number)) + 1 - number.size
+        if missing:
+            numbers = f"{number[0]} to {number[-1]}"
+            notes.append(f"{missing} of the images {numbers} of {camera} are missing in {name}: packets were lost")
+    time_s, arrived_s = rows[:, FIELDS_FROM] * 1e-6, clock.on_arrival(rows)
+    is_utc = source.plausible_utc(time_s)
+    boot_s = clock.read_us(rows)
+    is_timed = is_utc | ((time_s > 0) & (np.abs(boot_s - arrived_s) <= _ARRIVES_WITHIN_S))
+    if not is_timed.all():
+        untimed = f"{np.count_nonzero(~is_timed)} of {len(rows)} triggers of {camera} have no time in {name}"
+        notes.append(f"{untimed}, as before GPS time: their packets' arrival dates them, after the exposure")
+    return source.TriggerSamples(
+        np.where(is_timed & ~is_utc, boot_s, arrived_s),
+        np.where(is_utc, time_s, np.nan),
+        name,
+        boot,
+        camera,
+        number if is_numbered else None,
+        clock_error_s=_ARRIVES_WITHIN_S,
+        notes=tuple(notes),
+    )
 
 
 def _events(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[source.EventSamples]:
@@ -336,11 +369,12 @@ def _position_samples(clock_s: Float, fields: Float, name: str) -> source.Positi
 
 def _utc(packets: Packets, sender: Sender, clock: VehicleClock) -> source.ClockSamples:
     """Return the UTC of the autopilot, else of another component of its system, else of any other system."""
-    times = clock_readings(packets, sender)
+    times = clock.readings
     if len(times):
         clock_s, boot = clock.read(times)
         origin = f"{HIL_STATE}, timed by UTC" if packets.timestamps_are_utc(sender) else readings_source(len(times))
-        return source.ClockSamples(clock_s[boot > 0], system_time_utc_s(times)[boot > 0], origin)
+        utc_s = system_time_utc_s(times)
+        return source.ClockSamples(clock_s[boot > 0], utc_s[boot > 0], origin, notes=clock.notes)
     for other in other_clocks(packets, sender):
         if len(times := packets.times(other)):
             origin = readings_source(len(times), packets.called(other))
