@@ -259,7 +259,7 @@ def _cut_at_steps(piece: _Piece, series: _Series, readings: _Readings) -> list[_
     position, offset_s = readings[0][inside], (readings[2] - readings[1])[inside]
     if position.size < 2:
         return [piece]
-    smooth_s = _running_median(offset_s)
+    smooth_s = running_median(offset_s)
     steps = []
     for i in np.flatnonzero(np.abs(np.diff(smooth_s)) > _SAME_CLOCK_S).tolist():
         near = np.arange(max(0, i - 2), min(offset_s.size, i + 4))
@@ -286,7 +286,7 @@ def _cut_at_arrivals(piece: _Piece, arrivals: _Readings) -> list[_Piece]:
     position, offset_s = arrivals[0][inside], (arrivals[2] - arrivals[1])[inside]
     if position.size < _MEDIAN_OF:
         return [piece]
-    steps = np.flatnonzero(np.abs(np.diff(_running_median(offset_s))) > _SAME_ARRIVAL_S)
+    steps = np.flatnonzero(np.abs(np.diff(running_median(offset_s))) > _SAME_ARRIVAL_S)
     # The running median steps one or two records later: the largest change nearby is the step.
     near = {int(i + np.argmax(np.abs(np.diff(offset_s[max(0, i - 2) : i + 4]))) - min(i, 2)) for i in steps.tolist()}
     bounds = [piece.span[0], *(int(position[i + 1]) for i in sorted(near)), piece.span[1]]
@@ -295,7 +295,7 @@ def _cut_at_arrivals(piece: _Piece, arrivals: _Readings) -> list[_Piece]:
     return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True) if span[0] < span[1]]
 
 
-def _running_median(values: Float) -> Float:
+def running_median(values: Float) -> Float:
     """Return the running median, constant at the ends."""
     half = _MEDIAN_OF // 2
     if values.size < _MEDIAN_OF:

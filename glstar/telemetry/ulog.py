@@ -495,7 +495,7 @@ def _triggers(log: Topics) -> Iterator[source.TriggerSamples]:
             captures = {number: replace(trigger, notes=(*trigger.notes, note)) for number in captures}
     cameras = captures or triggers
     for number, samples in cameras.items():
-        yield samples if len(cameras) == 1 else replace(samples, camera=f"{ONLY_CAMERA}:{number}")
+        yield replace(samples, camera=f"{ONLY_CAMERA}:{number}")
 
 
 def _captures(log: Topics) -> dict[int, source.TriggerSamples]:

@@ -187,3 +187,14 @@ def dataflash(path: Path, *, gps: bool = False, pos: bool = False) -> Path:
         if pos:
             log.pos(t)
     return log.save(path)
+
+
+def with_head(data: bytes) -> bytes:
+    """Return a log that begins with the FMT record of FMT, as every log file does."""
+    if data.startswith(b"FMT"):
+        return b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n" + data
+    return (
+        b"\xa3\x95\x80"
+        + struct.pack("<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+        + data
+    )

@@ -82,6 +82,14 @@ class Log:
         stamp = (round(time_s * 1e6), 0, camera, image)
         self.add(ardupilotmega.MAVLink_camera_feedback_message(*stamp, *place, 0), t_s)
 
+    def captured(
+        self, t_s: float, utc_s: float, boot_s: float, image: int, camera: int, is_good: bool, sender: tuple[int, int]
+    ) -> None:
+        """Add that an image was captured; the message arrives at a time since boot."""
+        stamp = (ms(boot_s), round(utc_s * 1e6), camera)
+        place = (-349300000, 1386000000, 48000, 48000, [1.0, 0.0, 0.0, 0.0])
+        self.add(common.MAVLink_camera_image_captured_message(*stamp, *place, image, int(is_good), b""), t_s, sender)
+
     def data(self) -> bytes:
         return b"".join(self.packets)
 

@@ -1,6 +1,5 @@
 """Logs of several boots: each boot is converted by its own UTC, or left out with a remark."""
 
-import struct
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +13,7 @@ from glstar.system.resources import asset
 from glstar.telemetry import FlightOptions, open_flight, open_source, survey
 from glstar.telemetry.boots import find_boots
 from tests.support import tlog, ulog
-from tests.support.dataflash import ELEVEN_MS, ELEVEN_S, HOME, WEEK, Log, TextLog, as_text
+from tests.support.dataflash import ELEVEN_MS, ELEVEN_S, HOME, WEEK, Log, TextLog, as_text, with_head
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 SKYWALKER = LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
@@ -96,17 +95,6 @@ def test_each_boot_has_its_own_utc_and_a_gap_is_between_them(path: Path, start_s
     assert yaw_deg(flight, HOUR_LATER_S + 7.0) == pytest.approx(207.0, abs=0.02)
     assert flight.notes == (
         "the log holds 2 boots of the autopilot; this flight is boots 1 and 2 (--boot N takes one)",
-    )
-
-
-def with_head(data: bytes) -> bytes:
-    """Return a log that begins with the FMT record of FMT, as every log file does."""
-    if data.startswith(b"FMT"):
-        return b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n" + data
-    return (
-        b"\xa3\x95\x80"
-        + struct.pack("<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-        + data
     )
 
 

@@ -2,7 +2,9 @@
 
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -422,6 +424,11 @@ def test_each_camera_of_a_dataflash_log_has_its_own_triggers(tmp_path: Path, kin
 
 def feedback(path: Path, shots: list[tuple[float, float, int, int]]) -> Path:
     """Write ten seconds of a telemetry log; shots: time of arrival, time_usec in s, img_idx and cam_idx."""
+    return telemetry_with(path, shots, tlog.Log.feedback)
+
+
+def telemetry_with(path: Path, shots: list[Any], add: Callable[..., None]) -> Path:
+    """Write ten seconds of a telemetry log, with a packet at the arrival of each shot."""
     log = tlog.Log()
     log.heartbeat()
     shots = sorted(shots)
@@ -432,7 +439,7 @@ def feedback(path: Path, shots: list[tuple[float, float, int, int]]) -> Path:
             log.time(t_s)
         while shots and BOOT_S + shots[0][0] < t_s + 0.02:
             arrival_s, *shot = shots.pop(0)
-            log.feedback(BOOT_S + arrival_s, *shot)
+            add(log, BOOT_S + arrival_s, *shot)
     return log.save(path)
 
 
@@ -444,8 +451,8 @@ def test_feedback_without_a_time_is_dated_by_arrival_and_numbered_by_the_camera(
 
     assert plan_of(flight) == [(0, 1.28), (1, 3.53), (2, 3.9), (3, 7.125)]
     assert flight.notes == (
-        "2 of 4 triggers of camera:0 have no time in CAMERA_FEEDBACK, as before GPS time: their packets' arrival dates"
-        " them, after the exposure",
+        "2 of 4 triggers of camera:0 have no time in CAMERA_FEEDBACK: their packets' arrival dates them, after the"
+        " exposure",
     )
 
 
@@ -477,6 +484,26 @@ def test_feedback_of_another_clock_is_dated_by_arrival(tmp_path: Path) -> None:
     assert seconds(flight) == [1.28, 3.53, 3.9, 7.125]
     assert any("1 of 4 triggers of camera:0 have no time in CAMERA_FEEDBACK" in note for note in flight.notes)
     assert any("1 of 4 times of CAMERA_FEEDBACK are" in note for note in flight.notes)
+
+
+def test_captures_of_px4_are_exposures_unless_they_failed(tmp_path: Path) -> None:
+    """The second one failed, the third has no UTC; a camera that is a component of its own has another clock."""
+    shots: list[Any] = [
+        (t_s + 0.05, 0.0 if n == 2 else ELEVEN_S + t_s, BOOT_S + t_s, n, 1, n != 1, (1, 1))
+        for n, t_s in enumerate(TRIGGERS_S)
+    ]
+    shots += [(t_s + 0.3, 0.0, 7.0 + t_s, n, 0, True, (1, 100)) for n, t_s in enumerate(TRIGGERS_S)]
+    path = telemetry_with(tmp_path / "log.tlog", shots, tlog.Log.captured)
+
+    flight = open_flight(path)
+
+    assert plan_of(flight, at="camera:1") == [(0, 1.25), (2, 3.9), (3, 7.125)]
+    assert seconds(flight, "camera:100") == [t_s + 0.3 for t_s in TRIGGERS_S]
+    assert flight.notes == (
+        "1 of 4 captures of camera:1 (CAMERA_IMAGE_CAPTURED) failed and are left out",
+        "4 of 4 triggers of camera:100 have no time in CAMERA_IMAGE_CAPTURED: their packets' arrival dates them, after"
+        " the exposure",
+    )
 
 
 def test_another_utc_of_the_flight_moves_triggers_with_utc_of_their_own(tmp_path: Path) -> None:

@@ -34,6 +34,8 @@ _FIX_3D = 3
 LOGGED_LATE_S = 0.020
 # A GPA record belongs to the GPS record of the same receiver that was written within this time, s.
 _SAME_SAMPLE_S = 0.05
+# A sample that is older when it is written, s, has another clock.
+_LATEST_S = 2.0
 # Names of week and millisecond, now and before 2015.
 _WEEK_AND_MS = (("GWk", "GMS"), ("Week", "TimeMS"))
 _UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS or T)"
@@ -249,7 +251,7 @@ def _utc(log: Records) -> source.ClockSamples:
         lag_s = float(np.median((clock_s - sampled_s)[valid]))
         clock_s, gps_s = sampled_s[valid], gps_s[valid]
     else:
-        how = "GPS time when logged (no GPA)"
+        how = f"GPS time when logged ({'GPA.SMS is of another clock' if 'GPA' in log else 'no GPA'})"
         lag_s = LOGGED_LATE_S
         clock_s = clock_s - LOGGED_LATE_S
     leap_s = leap_seconds(float(np.median(gps_s)))
@@ -309,6 +311,7 @@ def _sampled_s(log: Records, receiver: int, clock_s: Float) -> Float:
     if written_s.size:
         near = nearest(written_s, clock_s)
         together = np.abs(written_s[near] - clock_s) < _SAME_SAMPLE_S
+        together &= np.abs(sms_s[near] - clock_s) <= _LATEST_S
         sampled_s[together] = sms_s[near][together]
     return sampled_s
 
@@ -336,7 +339,8 @@ def _first_gyro(log: Records, name: str) -> source.RateSamples | None:
         if name == "GYR":  # written in bursts, with the time of each sample
             if (sampled := log.columns(spelling, "SampleUS")) is None:
                 continue
-            clock_s = np.where(sampled[0] > 0, sampled[0] * 1e-6, clock_s)
+            is_near = np.abs(sampled[0] * 1e-6 - clock_s) <= _LATEST_S
+            clock_s = np.where(is_near, sampled[0] * 1e-6, clock_s)
         instance, rate_rad_per_s = numbered(log, spelling, "I"), np.stack(rates, axis=-1)
         valid = source.valid_rates(rate_rad_per_s)
         for number in np.unique(instance[valid]):

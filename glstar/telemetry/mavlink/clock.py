@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.arrays import Float, Integer
-from glstar.telemetry.boots import find_boots, within
+from glstar.arrays import Float, Integer, Mask
+from glstar.telemetry.boots import find_boots, running_median, within
 from glstar.telemetry.mavlink.packets import (
     AT,
     EULER,
@@ -31,6 +31,8 @@ _BOOT_SPIKE_S = 1.0
 _SAME_UTC_S, _TIMES_USUAL = 0.1, 5.0
 # The time since boot continues if the recorder's clock does, and if two readings are no farther apart, s.
 _SAME_ARRIVAL_S, _READINGS_APART_S = 1.0, 3600.0
+# Packets continue while no interval is longer than this many median ones.
+_UNBROKEN = 3.0
 # Fewer consecutive readings of UTC that differ from the others are errors; the last ones of a boot need one less.
 _FEWEST_READINGS = 3
 # Boots recorded within this time have the same error of the recorder's clock, s; joined recordings have longer pauses.
@@ -58,7 +60,8 @@ class VehicleClock:
     wraps: Integer
     # For each boot by its number, the start of its clock relative to that of the first boot, s; index 0 is no boot.
     later_s: Float
-    # For each boot, the recorder's clock minus the time since boot, s.
+    # For each of these packets, its arrival time, and the recorder's clock minus the time since boot near it, s.
+    stamp_s: Float
     arrived_s: Float
     # For each boot, whether its UTC is known; True for all if it is unknown for all.
     is_known: NDArray[np.bool_]
@@ -81,7 +84,7 @@ class VehicleClock:
         boot_s = boot_s + wraps * _WRAP_S
         at = heads[:, AT].astype(np.int64)
 
-        times, notes = _corrected(clock_readings(packets, sender))
+        times, is_own, notes = _corrected(clock_readings(packets, sender), heads)
         near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
         read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
         readings = times[:, AT].astype(np.int64), read_s, system_time_utc_s(times)
@@ -119,10 +122,11 @@ class VehicleClock:
             boot=number_of,
             wraps=wraps,
             later_s=later_s,
-            arrived_s=arrived_s,
+            stamp_s=stamp_s,
+            arrived_s=_arrived_near_s(stamp_s - boot_s, arrived_s, number_of),
             is_known=is_known,
             utc_sources=tuple(sources),
-            readings=times,
+            readings=times[is_own],
             notes=notes,
         )
 
@@ -154,9 +158,23 @@ class VehicleClock:
 
     def on_arrival(self, rows: Float) -> Float:
         """Return the clock at the arrival of packets of other senders, s."""
-        boot = np.maximum(self.boot_of(rows), 1)
-        arrived: Float = rows[:, STAMP] - self.arrived_s[boot - 1] + self.later_s[boot]
+        after = np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)
+        before = (after - 1).clip(min=0)
+        # Of the packets before and after, the one that arrived at nearly the same time by the recorder's clock.
+        is_before = np.abs(rows[:, STAMP] - self.stamp_s[before]) < np.abs(rows[:, STAMP] - self.stamp_s[after])
+        near = np.where(is_before & (self.boot[before] == self.boot[after]), before, after)
+        arrived: Float = rows[:, STAMP] - self.arrived_s[near] + self.later_s[np.maximum(self.boot[near], 1)]
         return arrived
+
+
+def _arrived_near_s(arrived_s: Float, of_boot_s: Float, boot: Integer) -> Float:
+    """Return the recorder's clock minus the time since boot near each packet, (n,) s.
+
+    It is the median of the packet's boot, `of_boot_s`, unless the recorder's clock was set during that boot.
+    """
+    usual_s = of_boot_s[np.maximum(boot, 1) - 1]
+    local_s = running_median(arrived_s)
+    return np.where(np.abs(local_s - usual_s) > _SAME_ARRIVAL_S, local_s, usual_s)
 
 
 def _add_utc_on_arrival(
@@ -188,8 +206,11 @@ def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spa
             sources[boot] = f"the recorder's clock and the UTC of boot {with_utc[near] + 1}"
 
 
-def _corrected(times: Float) -> tuple[Float, tuple[str, ...]]:
-    """Return the readings of UTC without those before a correction during a boot, and a remark for each correction.
+def _corrected(times: Float, heads: Float) -> tuple[Float, Mask, tuple[str, ...]]:
+    """Return the readings of UTC, those before a correction corrected, and which are as they were sent, (n,) bool.
+
+    The last item is a remark for each correction.  `heads`: (m, 5) the packets of the autopilot with a time since boot,
+    in the order of the file.
 
     An autopilot may take the UTC of a ground station, or of a clock with a battery, until its GPS knows it; a GPS is
     never replaced by these.  ArduPilot and PX4 then correct their clock once, so that the last level is the best one.
@@ -197,8 +218,14 @@ def _corrected(times: Float) -> tuple[Float, tuple[str, ...]]:
     boot_s, utc_s = times[:, FIELDS_FROM] / 1e3, system_time_utc_s(times)
     step_s = np.diff(boot_s)
     continues = (step_s >= 0) & (step_s <= _READINGS_APART_S)
-    continues &= np.abs(np.diff(times[:, STAMP]) - step_s) < _SAME_ARRIVAL_S
-    used, notes = np.ones(len(times), dtype=bool), []
+    # Between two readings either the recorder's clock continues as well, or the packets do.
+    intervals = np.diff(heads[:, FIELDS_FROM], prepend=heads[:1, FIELDS_FROM])
+    breaks = (intervals < 0) | (
+        intervals > _UNBROKEN * np.median(np.abs(intervals[1:] if len(heads) > 1 else intervals))
+    )
+    is_unbroken = np.diff(np.searchsorted(heads[breaks, AT], times[:, AT], side="right")) == 0
+    continues &= (np.abs(np.diff(times[:, STAMP]) - step_s) < _SAME_ARRIVAL_S) | is_unbroken
+    times, used, notes = times.copy(), np.ones(len(times), dtype=bool), []
     for rows in np.split(np.arange(len(times)), np.flatnonzero(~continues) + 1):
         off_s = (utc_s - boot_s)[rows]
         steps_s = np.abs(np.diff(off_s))
@@ -208,12 +235,13 @@ def _corrected(times: Float) -> tuple[Float, tuple[str, ...]]:
         levels = [float(np.median(run)) for run in (*runs, *([last] if last.size > 1 else []))]
         if levels and max(levels) - min(levels) > same_s:
             used[rows] = np.abs(off_s - levels[-1]) <= same_s
-            left_out = np.count_nonzero(~used[rows])
-            notes.append(_CORRECTED.format(left_out, rows.size, levels[-1] - levels[0]))
+            early = rows[~used[rows]]
+            times[early, FIELDS_FROM + 1] = (boot_s[early] + levels[-1]) * 1e6
+            notes.append(_CORRECTED.format(early.size, rows.size, levels[-1] - levels[0]))
         if levels and last.size == 1 and abs(off_s[-1] - levels[-1]) > same_s:
             differs = f"the last reading of SYSTEM_TIME is {off_s[-1] - levels[-1]:+.1f} s from the others"
             notes.append(f"{differs}, which are used")
-    return times[used], tuple(notes)
+    return times, used, tuple(notes)
 
 
 def readings_source(count: int, sender: str = "") -> str:

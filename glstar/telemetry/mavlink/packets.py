@@ -45,6 +45,7 @@ MESSAGES = {
     158: ("MOUNT_STATUS", ("pointing_a", "pointing_b", "pointing_c")),
     180: ("CAMERA_FEEDBACK", ("time_usec", "img_idx", "cam_idx")),
     253: ("STATUSTEXT", ()),
+    263: ("CAMERA_IMAGE_CAPTURED", ("time_utc", "image_index", "camera_id", "time_boot_ms", "capture_result")),
     265: ("MOUNT_ORIENTATION", ("time_boot_ms", "roll", "pitch", "yaw")),
     285: ("GIMBAL_DEVICE_ATTITUDE_STATUS", ("time_boot_ms", "flags", *(f"q[{k}]" for k in range(4)))),
 }

@@ -15,7 +15,9 @@ HIGHRES_IMU           time_usec, xgyro, ygyro, zgyro (rad/s)        gyro rates, 
 SCALED_IMU, 2, 3      time_boot_ms, xgyro, ygyro, zgyro (mrad/s)    that is as frequent as the attitude
 RAW_IMU               the same with time_usec                       the same, of ArduPilot; others have no unit
 CAMERA_FEEDBACK       time_usec, img_idx, cam_idx                   when the camera was triggered
-CAMERA_TRIGGER        time_usec, seq                                the same, if there is no CAMERA_FEEDBACK
+CAMERA_IMAGE_...      time_utc, time_boot_ms, image_index,          the same, if there is no CAMERA_FEEDBACK
+                      camera_id, capture_result (..._CAPTURED)
+CAMERA_TRIGGER        time_usec, seq                                the same, if there is none of the above
 GIMBAL_DEVICE_...      time_boot_ms, flags, q (..._ATTITUDE_STATUS)  attitude of a gimbal
 MOUNT_ORIENTATION     time_boot_ms, roll, pitch, yaw (deg)          the same, if there is none of the above
 MOUNT_STATUS          pointing_a, _b, _c (0.01 deg), on arrival     the same, if there is none of the above
@@ -50,6 +52,7 @@ from glstar.telemetry import source
 from glstar.telemetry.mavlink import vehicles
 from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, other_clocks, readings_source
 from glstar.telemetry.mavlink.packets import (
+    COMPONENT,
     EULER,
     FIELDS_FROM,
     HIL_STATE,
@@ -69,9 +72,9 @@ _BANNER = re.compile(r"([A-Z]\w+) V(\d+\.\d+\S*.*)", re.ASCII)
 # MAV_COMP_ID_AUTOPILOT1.
 _FIRST_AUTOPILOT = 1
 
-# Messages of a triggered camera, the most exact one first; the first one has a number of the camera.
-_FEEDBACK = "CAMERA_FEEDBACK"
-_TRIGGERS = (_FEEDBACK, "CAMERA_TRIGGER")
+# Messages of a triggered camera, the most exact one first: answers of ArduPilot and of PX4, and what was sent to it.
+_CAPTURED, _SENT = "CAMERA_IMAGE_CAPTURED", "CAMERA_TRIGGER"
+_TRIGGERS = ("CAMERA_FEEDBACK", _CAPTURED, _SENT)
 # A packet arrives within this time on a slow link, s; a time that differs more from its arrival is of another clock.
 _ARRIVES_WITHIN_S = 60.0
 # A shorter loss of samples is not reported, s.
@@ -280,17 +283,24 @@ def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) 
         if not len(rows):
             continue
         # A packet may arrive twice, and again on request: it has the same fields.
-        _, first = np.unique(rows[:, FIELDS_FROM:], axis=0, return_index=True)
+        _, first = np.unique(rows[:, COMPONENT:], axis=0, return_index=True)
         rows = rows[np.sort(first)]
-        cameras = rows[:, -1] if name == _FEEDBACK else np.zeros(len(rows))
+        numbered = name != _SENT
+        cameras = rows[:, FIELDS_FROM + 2] if numbered else np.zeros(len(rows))
+        if name == _CAPTURED:
+            is_own = rows[:, COMPONENT] == sender[1]
+            # A camera that is a component of its own has its component's number, and its own time since boot.
+            cameras = np.where(is_own | (cameras > 0), cameras, rows[:, COMPONENT])
+            boot_us = np.where(is_own, rows[:, FIELDS_FROM + 3] * 1e3, 0.0)
+            rows[:, FIELDS_FROM] = np.where(rows[:, FIELDS_FROM] > 0, rows[:, FIELDS_FROM], boot_us)
         for camera in np.unique(cameras).astype(np.int64).tolist():
-            called = f"camera:{camera}" if name == _FEEDBACK else ONLY_CAMERA
+            called = f"{ONLY_CAMERA}:{camera}" if numbered else ONLY_CAMERA
             yield _triggers_of(rows[cameras == camera], name, called, clock, boot)
         return
 
 
 def _triggers_of(rows: Float, name: str, camera: str, clock: VehicleClock, boot: int) -> source.TriggerSamples:
-    """Return the triggers of one camera: CAMERA_FEEDBACK counts in UTC, or since boot, or has no time at all."""
+    """Return the triggers of one camera, whose times are UTC, or since boot, or 0 for none."""
     number, notes = rows[:, FIELDS_FROM + 1].astype(np.int64), list[str]()
     if is_numbered := np.unique(number).size == number.size:
         order = np.argsort(number)
@@ -299,13 +309,16 @@ def _triggers_of(rows: Float, name: str, camera: str, clock: VehicleClock, boot:
         if missing:
             numbers = f"{number[0]} to {number[-1]}"
             notes.append(f"{missing} of the images {numbers} of {camera} are missing in {name}: packets were lost")
+    if name == _CAPTURED and (failed := rows[:, -1] == 0).any():
+        notes.append(f"{np.count_nonzero(failed)} of {len(rows)} captures of {camera} ({name}) failed and are left out")
+        rows, number = rows[~failed], number[~failed]
     time_s, arrived_s = rows[:, FIELDS_FROM] * 1e-6, clock.on_arrival(rows)
     is_utc = source.plausible_utc(time_s)
     boot_s = clock.read_us(rows)
     is_timed = is_utc | ((time_s > 0) & (np.abs(boot_s - arrived_s) <= _ARRIVES_WITHIN_S))
     if not is_timed.all():
         untimed = f"{np.count_nonzero(~is_timed)} of {len(rows)} triggers of {camera} have no time in {name}"
-        notes.append(f"{untimed}, as before GPS time: their packets' arrival dates them, after the exposure")
+        notes.append(f"{untimed}: their packets' arrival dates them, after the exposure")
     return source.TriggerSamples(
         np.where(is_timed & ~is_utc, boot_s, arrived_s),
         np.where(is_utc, time_s, np.nan),
