@@ -517,12 +517,12 @@ def _sent_or_answered(log: Topics) -> dict[int, source.TriggerSamples]:
     with_answers = [number for number, is_answer in answers.items() if is_answer.any()]
     only_answers = [number for number in with_answers if answers[number].all()]
     used = only_answers if only_answers and only_answers == with_answers else list(topics)
-    sent = {n: np.count_nonzero(~answers[n]) for n in used}
+    sent = {n: int(np.count_nonzero(~answers[n])) for n in used}
     if used == only_answers and len(used) == 1:
-        sent[used[0]] = sum(np.count_nonzero(~is_answer) for is_answer in answers.values())
+        sent[used[0]] = sum(int(np.count_nonzero(~is_answer)) for is_answer in answers.values())
     triggers = {}
     for number in used:
-        is_answer, lost = answers[number], sent[number] - np.count_nonzero(answers[number])
+        is_answer, lost = answers[number], sent[number] - int(np.count_nonzero(answers[number]))
         notes = (f"{lost} of {sent[number]} triggers ({_TRIGGER}) have no answer and are left out",)
         rows = is_answer if is_answer.any() else ~is_answer
         triggers[number] = _trigger_samples(

@@ -90,7 +90,7 @@ def _choice(rng: np.random.Generator, *options: str) -> str:
 
 
 def _shots(rng: np.random.Generator, duration_s: float) -> list[float]:
-    """Return the times of some triggers, s from the first attitude, at least a second apart and from both ends."""
+    """Return the times of some triggers, s from the first attitude, far from each other and from both ends."""
     count = int(rng.integers(2, 8))
     return np.round(np.linspace(1.5, duration_s - 1.5, count) + rng.uniform(-0.2, 0.2, count), 3).tolist()
 
@@ -191,6 +191,15 @@ def _result(rng: np.random.Generator) -> int:
 
 
 # --- ArduPilot's own log --------------------------------------------------------------------------------------------
+# Part of a boot, as fractions, in which lane 0 is far from the truth, by what is logged.
+_FAR = {
+    "lanes 0 and 1": (0.0, 1.0),
+    "lane 1 not logged, 0 far": (0.0, 1.0),
+    "lane 1 not logged, 0 far later": (0.7, 1.0),
+    "a lane not logged for a part": (0.3, 0.6),
+}
+
+
 def _dataflash(rng: np.random.Generator, folder: Path) -> Case:
     case = Case(folder / "log.BIN")
     text = rng.random() < 0.3
@@ -208,29 +217,25 @@ def _dataflash(rng: np.random.Generator, folder: Path) -> Case:
 
 def _dataflash_boot(rng: np.random.Generator, case: Case, log: dataflash.Log, boot: tuple[float, float, float]) -> None:
     start_s, boot_s, duration_s = boot
-    lanes = _choice(
-        rng, "one", "both", "lane 1 not logged", "lane 1 not logged and far", "ATT only", "a part not logged"
-    )
+    lanes = _choice(rng, "one lane", "ATT only", "lane 1 not logged", *_FAR)
     sampled = _choice(rng, "GPA", "no GPA", "GPA of another clock")
     bogus, second = rng.random() < 0.3, rng.random() < 0.3
     case.decoys += [lanes, sampled] + ["a week of its own before the fix"] * bogus + ["a second receiver"] * second
     case.offset_s = max(case.offset_s, 0.01 if sampled == "GPA" else 0.08)
     fix_s, lag_s = float(rng.uniform(0.0, 0.7)) * duration_s if bogus else 0.0, float(rng.uniform(0.01, 0.09))
-    if lanes in {"both", "lane 1 not logged", "lane 1 not logged and far"}:
+    far_from_s, far_to_s = np.multiply(_FAR.get(lanes, (2.0, 2.0)), duration_s)
+    if "1" in lanes:
         log.xkf4(boot_s - 0.1, primary=1)
     for k, t in enumerate(_times(duration_s, _ATTITUDE_HZ)):
         true_deg = yaw_deg(ELEVEN_S + start_s + t)
         log.att(boot_s + t, yaw_deg=true_deg)
         log.pos(boot_s + t)
         if lanes != "ATT only":
-            is_far = lanes in {"both", "lane 1 not logged and far"} or (
-                lanes == "a part not logged" and 0.3 * duration_s < t < 0.6 * duration_s
-            )
-            log.xkq(boot_s + t, 0, true_deg + (_FAR_DEG if is_far else 0.0))
-        if lanes == "both":
+            log.xkq(boot_s + t, 0, true_deg + (_FAR_DEG if far_from_s <= t <= far_to_s else 0.0))
+        if lanes == "lanes 0 and 1":
             log.xkq(boot_s + t, 1, true_deg)
-        if lanes == "a part not logged":
-            log.xkf4(boot_s + t - 0.001, primary=int(0.3 * duration_s < t < 0.6 * duration_s))
+        if lanes == "a lane not logged for a part":
+            log.xkf4(boot_s + t - 0.001, primary=int(far_from_s <= t <= far_to_s))
         if k % 4:
             continue
         _dataflash_fix(log, boot_s + t, start_s + t - boot_s - t, lag_s, fixed=t >= fix_s, sampled=sampled)

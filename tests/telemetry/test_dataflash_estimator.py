@@ -140,6 +140,22 @@ def test_att_is_taken_if_the_lane_that_flew_is_not_logged_and_the_others_differ(
     assert taken in flight.notes[0]
 
 
+def test_a_lane_that_differs_from_att_by_the_trim_is_taken(path: Path) -> None:
+    log = Log()
+    for name, value in (("AHRS_TRIM_X", np.deg2rad(0.5)), ("AHRS_TRIM_Y", np.deg2rad(-0.7)), ("AHRS_TRIM_Z", 0.0)):
+        log.add("PARM", "QNf", "TimeUS,Name,Value", round(BOOT_S * 1e6), name, value)
+    log.xkf4(BOOT_S - 1.0, primary=1)
+    for t in times():
+        log.att(t, roll_deg=-0.5, pitch_deg=0.7, yaw_deg=10.0)
+        log.xkq(t, 0, 10.0)
+        log.pos(t)
+    for t in times(rate_hz=5):
+        log.gps(t)
+
+    assert yaw_error_deg(log.save(path), 10.0) < 0.01
+    assert open_flight(path).attitude_source.startswith("XKQ lane 0")
+
+
 def test_a_lane_that_flew_for_a_part_and_is_not_logged_leaves_a_gap_and_a_remark(path: Path) -> None:
     log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.0)
     log.xkf4(BOOT_S - 1.0, primary=0)

@@ -285,7 +285,7 @@ def flown_attitude(log: Records) -> tuple[AttitudeEstimate, AttitudeSamples] | N
         lane = estimate.flown(log)
         if lane is not None and np.mean(~np.isin(lane, estimate.lanes)) > _MOSTLY_UNLOGGED:
             att = AttitudeEstimate.of(log, "ATT")
-            if att is not None and not _is_lane_of(samples, att.primary(log)):
+            if att is not None and not _is_lane_of(log, samples, att.primary(log)):
                 return att, att.primary(log)
         return estimate, samples
     return None
@@ -322,14 +322,27 @@ def _unlogged(log: Records, taken: AttitudeEstimate) -> tuple[str, ...]:
     return (f"{flew}{share}, but {logged}; ATT is of the lane that flew, {choice}",)
 
 
-def _is_lane_of(samples: AttitudeSamples, att: AttitudeSamples) -> bool:
-    """Return whether the attitude of a lane is that of ATT, as far as ATT resolves it."""
+def _is_lane_of(log: Records, samples: AttitudeSamples, att: AttitudeSamples) -> bool:
+    """Return whether the attitude of a lane is that of ATT, as far as ATT resolves it and but for the trim of ATT."""
     near = nearest(att.clock_s, samples.clock_s)
     at_once = np.abs(att.clock_s[near] - samples.clock_s) < _AT_ONCE_S
     together = at_once if at_once.any() else np.abs(att.clock_s[near] - samples.clock_s) < _TOGETHER_S
     if not together.any():
         return False
-    return bool(np.median(_angle_deg(samples.q_body_ned[together], att.q_body_ned[near][together])) <= _SAME_LANE_DEG)
+    turn = multiply(samples.q_body_ned[together], conjugate(att.q_body_ned[near][together]))
+    turn_deg = np.rad2deg(2 * turn[:, 1:] * np.sign(turn[:, :1]))
+    trim_deg = np.rad2deg([_parameter(log, f"AHRS_TRIM_{axis}") for axis in "XYZ"])
+    off_deg = min((np.linalg.norm(turn_deg - sign * trim_deg, axis=-1) for sign in (1, -1)), key=np.median)
+    return bool(np.median(off_deg) <= _SAME_LANE_DEG and np.mean(off_deg > _REPORTED_DEG) < _RARELY)
+
+
+def _parameter(log: Records, name: str) -> float:
+    """Return the last value of a parameter; 0 if it is not logged."""
+    names, values = log.texts("PARM", "Name"), log.columns("PARM", "Value")
+    if values is None or len(names) != values[0].size:
+        return 0.0
+    known = [value for of, value in zip(names, values[0].tolist(), strict=True) if of == name and np.isfinite(value)]
+    return float(known[-1]) if known else 0.0
 
 
 def _active(log: Records) -> tuple[Float, Float]:

@@ -29,8 +29,8 @@ _BOOT_SPIKE_S = 1.0
 # A larger step of UTC minus the time since boot is a change of its source, s, and one of this many times the usual
 # difference of two readings.
 _SAME_UTC_S, _TIMES_USUAL = 0.1, 5.0
-# The time since boot continues if the recorder's clock does, and if two readings are no farther apart, s.
-_SAME_ARRIVAL_S, _READINGS_APART_S = 1.0, 3600.0
+# The time since boot continues if the recorder's clock does, within a second, and if the next reading is no later, s.
+_SAME_ARRIVAL_S, _LONGEST_PAUSE_S = 1.0, 3600.0
 # Packets continue while no interval is longer than this many median ones.
 _UNBROKEN = 3.0
 # Fewer consecutive readings of UTC that differ from the others are errors; the last ones of a boot need one less.
@@ -217,7 +217,7 @@ def _corrected(times: Float, heads: Float) -> tuple[Float, Mask, tuple[str, ...]
     """
     boot_s, utc_s = times[:, FIELDS_FROM] / 1e3, system_time_utc_s(times)
     step_s = np.diff(boot_s)
-    continues = (step_s >= 0) & (step_s <= _READINGS_APART_S)
+    continues = (step_s >= 0) & (step_s <= _LONGEST_PAUSE_S)
     # Between two readings either the recorder's clock continues as well, or the packets do.
     intervals = np.diff(heads[:, FIELDS_FROM], prepend=heads[:1, FIELDS_FROM])
     breaks = (intervals < 0) | (
