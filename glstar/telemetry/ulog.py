@@ -439,15 +439,16 @@ def _readings(topic: dict[str, Float]) -> _Readings | None:
 
 
 def _ages(topic: dict[str, Float]) -> tuple[Float, Mask]:
-    """Return the ages of UTC readings, s, and which of them are valid; all are 0 if hardly any is.
+    """Return the ages of UTC readings, s, and which readings are valid.
 
-    A receiver with one UTC reading a second repeats it, with its age.
+    A receiver with one UTC reading a second repeats it, with its age; without ages only the first of equal ones is new.
     """
     age_s = _logged_ages(topic)
     valid = np.abs(age_s) <= _OLDEST_S
-    if np.count_nonzero(valid) > _FEWEST_AGES * age_s.size:
+    if np.count_nonzero(valid) > _FEWEST_AGES * age_s.size and age_s[valid].any():
         return age_s, valid
-    return np.zeros_like(age_s), np.ones_like(valid)
+    is_new = np.diff(topic["time_utc_usec"], prepend=np.nan) != 0
+    return np.zeros_like(age_s), is_new
 
 
 def _logged_ages(topic: dict[str, Float]) -> Float:
@@ -457,14 +458,14 @@ def _logged_ages(topic: dict[str, Float]) -> Float:
 
 def _age_notes(name: str, topic: dict[str, Float]) -> tuple[str, ...]:
     """Return a remark if the ages of the UTC readings of a receiver are not used, or some readings are left out."""
-    age_s, (_, valid) = _logged_ages(topic), _ages(topic)
+    age_s, (used_s, _) = _logged_ages(topic), _ages(topic)
     field = f"{name}.timestamp_time_relative"
-    if not valid.all():
-        left_out = f"{np.count_nonzero(~valid)} of {valid.size} UTC readings are left out"
-        return (f"{left_out}: by {field} they were more than {_OLDEST_S:g} s old when logged",)
     odd = ~(np.abs(age_s) <= _OLDEST_S)
     if not odd.any():
         return ()
+    if used_s.any():
+        left_out = f"{np.count_nonzero(odd)} of {odd.size} UTC readings are left out"
+        return (f"{left_out}: by {field} they were more than {_OLDEST_S:g} s old when logged",)
     return (f"{field} is not used: by it the UTC readings were {np.median(age_s[odd]):.0f} s old when logged",)
 
 

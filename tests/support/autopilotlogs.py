@@ -117,7 +117,17 @@ def _px4_boot(rng: np.random.Generator, case: Case, start_s: float, duration_s: 
     log = ulog.Log()
     boot_s = float(np.round(rng.uniform(5.0, 300.0), 2))
     utc = lambda t: ELEVEN_S + start_s + t  # noqa: E731 - a short name for many calls
-    clock = _choice(rng, "gps", "gps", "ages", "ages of another clock", "random ages", "some ages", "at boot only")
+    clock = _choice(
+        rng,
+        "gps",
+        "gps",
+        "ages",
+        "ages of another clock",
+        "repeated without ages",
+        "random ages",
+        "some ages",
+        "at boot only",
+    )
     bogus = clock != "at boot only" and rng.random() < 0.3
     case.decoys += [clock] + (["a date of its own before the fix"] if bogus else [])
     case.offset_s = 0.01
@@ -135,8 +145,9 @@ def _px4_boot(rng: np.random.Generator, case: Case, start_s: float, duration_s: 
         fixed, age_s, logged_age_s = t >= fix_s, 0.0, None
         if clock == "ages":
             age_s = round(t % 1.0, 6)
-        elif clock == "ages of another clock":
-            logged_age_s = odd_age_s
+        elif clock in {"ages of another clock", "repeated without ages"}:
+            age_s = round(t % 1.0, 6) if second or clock == "repeated without ages" else 0.0
+            logged_age_s = odd_age_s if clock == "ages of another clock" else 0.0
         elif clock == "random ages":
             logged_age_s = float(rng.uniform(2.5, 2147.0))
         elif clock == "some ages" and k % 16:

@@ -246,6 +246,16 @@ def test_an_age_of_utc_beyond_two_seconds_is_not_used(path: Path, logged_age_s: 
     )
 
 
+@pytest.mark.parametrize("logged_age_s", [0.0, 1351.3])
+def test_a_repeated_time_without_an_age_is_used_once(path: Path, logged_age_s: float) -> None:
+    log = Log()
+    for t in times(duration_s=10.0, rate_hz=5):
+        log.attitude(t)
+        log.gps(t, age_s=(t - BOOT_S) % 1.0, logged_age_s=logged_age_s)
+
+    assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-3)
+
+
 def test_readings_of_utc_that_are_too_old_are_left_out(path: Path) -> None:
     """A receiver with a UTC reading every ten seconds repeats it: those with a valid age are used."""
     log = Log()
