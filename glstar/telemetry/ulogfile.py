@@ -367,7 +367,7 @@ def _needs_more(flags: bytes) -> bool:
 
 _TOPICS = (
     r"(?:vehicle|estimator|external_ins)_attitude(?:_groundtruth)?|vehicle_global_position|vehicle_gps_position"
-    r"|sensor_gps|vehicle_angular_velocity|sensor_combined|sensor_gyro|vehicle_status"
+    r"|sensor_gps|vehicle_angular_velocity|sensor_combined|sensor_gyro|vehicle_status|camera_capture|camera_trigger"
 )
 _FILE = re.compile(rf"(?P<log>.*)_(?P<topic>{_TOPICS})_(?P<instance>\d{{1,3}})\.csv", re.DOTALL | re.IGNORECASE)
 _QUATERNION = "q[0]"

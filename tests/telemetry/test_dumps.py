@@ -88,6 +88,22 @@ def test_a_file_of_ulog2csv_may_be_renamed_and_have_other_separators(tmp_path: P
         open_flight(path)
 
 
+def test_the_files_of_ulog2csv_give_the_triggers_of_the_log(tmp_path: Path) -> None:
+    log = ulog.Log()
+    for t in ulog.times(duration_s=4.0):
+        log.attitude(t)
+        log.gps(t)
+    for number in range(3):
+        log.trigger(ulog.BOOT_S + number + 0.5, number)
+        log.trigger(ulog.BOOT_S + number + 0.6, number, feedback=True)
+    as_csv(log.save(tmp_path / "log.ulg"), tmp_path)
+
+    flight = open_flight(tmp_path / "log_vehicle_attitude_0.csv")
+
+    exposed_s = flight.triggers_of("camera").utc_s - ELEVEN_S
+    np.testing.assert_allclose(exposed_s, [0.6, 1.6, 2.6], rtol=0, atol=1e-3)
+
+
 def test_the_named_attitude_of_ulog2csv_files_is_used(tmp_path: Path) -> None:
     log = ulog.Log()
     for t in ulog.times():
