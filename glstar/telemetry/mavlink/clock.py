@@ -29,10 +29,9 @@ _BOOT_SPIKE_S = 1.0
 # A larger step of UTC minus the time since boot is a change of its source, s, and one of this many times the usual
 # difference of two readings.
 _SAME_UTC_S, _TIMES_USUAL = 0.1, 5.0
-# The time since boot continues if the recorder's clock does, within a second, and if the next reading is no later, s.
-_SAME_ARRIVAL_S, _LONGEST_PAUSE_S = 1.0, 3600.0
-# Packets continue while no interval is longer than this many median ones.
-_UNBROKEN = 3.0
+# Two readings of UTC are of one boot if the recorder's clock minus the time since boot, or UTC minus that time, agrees
+# within these times, s, and if the second one is no later than this, s.
+_SAME_ARRIVAL_S, _SAME_BOOT_S, _LONGEST_PAUSE_S = 1.0, 0.5, 3600.0
 # Fewer consecutive readings of UTC that differ from the others are errors; the last ones of a boot need one less.
 _FEWEST_READINGS = 3
 # Boots recorded within this time have the same error of the recorder's clock, s; joined recordings have longer pauses.
@@ -84,7 +83,7 @@ class VehicleClock:
         boot_s = boot_s + wraps * _WRAP_S
         at = heads[:, AT].astype(np.int64)
 
-        times, is_own, notes = _corrected(clock_readings(packets, sender), heads)
+        times, is_own, notes = _corrected(clock_readings(packets, sender))
         near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
         read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
         readings = times[:, AT].astype(np.int64), read_s, system_time_utc_s(times)
@@ -206,25 +205,20 @@ def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spa
             sources[boot] = f"the recorder's clock and the UTC of boot {with_utc[near] + 1}"
 
 
-def _corrected(times: Float, heads: Float) -> tuple[Float, Mask, tuple[str, ...]]:
+def _corrected(times: Float) -> tuple[Float, Mask, tuple[str, ...]]:
     """Return the readings of UTC, those before a correction corrected, and which are as they were sent, (n,) bool.
 
-    The last item is a remark for each correction.  `heads`: (m, 5) the packets of the autopilot with a time since boot,
-    in the order of the file.
+    The last item is a remark for each correction.
 
     An autopilot may take the UTC of a ground station, or of a clock with a battery, until its GPS knows it; a GPS is
     never replaced by these.  ArduPilot and PX4 then correct their clock once, so that the last level is the best one.
     """
     boot_s, utc_s = times[:, FIELDS_FROM] / 1e3, system_time_utc_s(times)
     step_s = np.diff(boot_s)
-    continues = (step_s >= 0) & (step_s <= _LONGEST_PAUSE_S)
-    # Between two readings either the recorder's clock continues as well, or the packets do.
-    intervals = np.diff(heads[:, FIELDS_FROM], prepend=heads[:1, FIELDS_FROM])
-    breaks = (intervals < 0) | (
-        intervals > _UNBROKEN * np.median(np.abs(intervals[1:] if len(heads) > 1 else intervals))
-    )
-    is_unbroken = np.diff(np.searchsorted(heads[breaks, AT], times[:, AT], side="right")) == 0
-    continues &= (np.abs(np.diff(times[:, STAMP]) - step_s) < _SAME_ARRIVAL_S) | is_unbroken
+    # Two readings are of one boot if the recorder's clock continues between them, or UTC does.
+    continues = np.abs(np.diff(times[:, STAMP]) - step_s) < _SAME_ARRIVAL_S
+    continues |= np.abs(np.diff(utc_s) - step_s) < _SAME_BOOT_S
+    continues &= (step_s >= 0) & (step_s <= _LONGEST_PAUSE_S)
     times, used, notes = times.copy(), np.ones(len(times), dtype=bool), []
     for rows in np.split(np.arange(len(times)), np.flatnonzero(~continues) + 1):
         off_s = (utc_s - boot_s)[rows]
