@@ -315,7 +315,7 @@ def _telemetry_boot(rng: np.random.Generator, case: Case, log: tlog.Log, boot: t
     case.decoys += [clock, "recorder's clock set"] if step_s else [clock]
     case.decoys += ["link lost"] * (loss[0] < 1)
     off_s = {"station first": float(rng.uniform(-9000, 9000)), "nearly right first": float(rng.uniform(0.15, 2.0))}
-    # Not while the recorder's clock is set: nothing would tell such a boot from another one.
+    # Not while the recorder's clock is set: such a boot could not be distinguished from another one.
     corrected_s = float(rng.uniform(0.1, 0.7)) * duration_s
     case.offset_s = max(case.offset_s, 0.15 if clock == "station's only" else 0.01)
     pending = _feedback(rng, case, (start_s, boot_s, duration_s), loss)
