@@ -59,6 +59,13 @@ Sysid = Annotated[
         help="MAVLink system of the vehicle, in a .tlog of several vehicles.", show_default="the first with attitude"
     ),
 ]
+Vehicle = Annotated[
+    str | None,
+    typer.Option(
+        help="The vehicle, in a log of several: its name space in a ROS bag, such as uav1, or its MAVLink system.",
+        show_default="the one with attitude and position",
+    ),
+]
 Boot = Annotated[
     int | None,
     typer.Option(
@@ -202,6 +209,7 @@ class FlightFlags:
     lat: Lat = None
     lon: Lon = None
     sysid: Sysid = None
+    vehicle: Vehicle = None
     boot: Boot = None
     attitude: Attitude = None
     time_offset: TimeOffset = None

@@ -465,7 +465,14 @@ class Config:
 
 def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySource:
     """Open a log with the options of ``[flight]``."""
-    return open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, columns=flight.columns)
+    return open_source(
+        path,
+        attitude=flight.attitude,
+        sysid=flight.sysid,
+        boot=flight.boot,
+        columns=flight.columns,
+        vehicle=flight.vehicle,
+    )
 
 
 def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Origin]]:

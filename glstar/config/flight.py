@@ -61,6 +61,7 @@ FLIGHT_FLAGS = MappingProxyType(
         "latitude_deg": "--lat",
         "longitude_deg": "--lon",
         "sysid": "--sysid",
+        "vehicle": "--vehicle",
         "boot": "--boot",
         "attitude": "--attitude",
         "time_offset_s": "--time-offset",
@@ -276,6 +277,8 @@ class FlightSection(Section):
     )
     # For telemetry logs of several vehicles: the MAVLink system ID of the vehicle.
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+    # For logs of several vehicles: the name space of one in a ROS bag, or its MAVLink system.
+    vehicle: str | None = Field(default=None, min_length=1, description='a name space such as "uav1", or a system')
     # For logs of several boots of the autopilot: the number of the boot, from 1.
     boot: int | None = Field(default=None, ge=1, description="a whole number from 1")
     # The longest data gap of the attitude to interpolate across, s; frames in longer gaps are skipped.

@@ -26,6 +26,7 @@ START = "start_s"
 _READING_KEYS = (
     "flight.attitude",
     "flight.sysid",
+    "flight.vehicle",
     "flight.boot",
     "flight.max_gap_s",
     "flight.interpolation",

@@ -8,7 +8,16 @@ from numpy.typing import ArrayLike
 
 from glstar.arrays import Float, Mask, robust_std
 from glstar.flight.spline import RotationSpline, apply, cubic, vector_of_rate
-from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quaternion_from_turn, slerp, turn_between
+from glstar.rotation import (
+    conjugate,
+    fitted_rotation,
+    matrix_from_quaternion,
+    multiply,
+    quaternion_from_turn,
+    slerp,
+    turn_between,
+    turn_from_matrix,
+)
 
 # Two successive gyro readings with an interval above this many median intervals are separated by a data gap.
 DATA_GAP_INTERVALS = 3
@@ -256,3 +265,81 @@ def _cumulative_product(q: Float) -> Float:
     products = multiply(grid, np.broadcast_to(before, grid.shape)).reshape(-1, 4)[: len(q)]
     products = np.concatenate(([[1.0, 0.0, 0.0, 0.0]], products))
     return np.asarray(products / np.linalg.norm(products, axis=-1, keepdims=True))
+
+
+# Attitudes and gyros are compared over at least this time: long enough for the noise of attitudes, s.
+_COMPARED_S = 0.5
+# Largest difference between the turn rates of attitudes and gyros: constant, and varying beside a fraction of the rate,
+# rad/s; a constant one is corrected at each attitude.
+_MAX_BIAS_RAD_PER_S = np.deg2rad(1.0)
+_MAX_DIFFERENCE_RAD_PER_S, _MAX_DIFFERENCE = np.deg2rad(0.2), 0.1
+# Least part of the turns about a second axis that determines the rotation between two sensors.
+_SECOND_AXIS = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroAlignment:
+    """Whether gyros turn as an attitude does, and the constant rotation between their axes."""
+
+    C_body_gyro: Float | None  # (3, 3) from the axes of the gyros to those of the attitude; None if they do not agree
+    residual_deg_per_s: float  # Root mean square of the difference between the rates, without that rotation
+
+    @property
+    def angle_deg(self) -> float:
+        """The angle of the rotation; 0 without one."""
+        return (
+            0.0 if self.C_body_gyro is None else float(np.rad2deg(np.linalg.norm(turn_from_matrix(self.C_body_gyro))))
+        )
+
+    @classmethod
+    def of(cls, t_s: Float, q_body_ned: Float, gyro_t_s: Float, rate_rad_per_s: Float) -> Self | None:
+        """Compare attitudes (n, 4) at (n,) s with rates (m, 3) rad/s at (m,) s; None if they share no time.
+
+        A rotation is only accepted if the aircraft turns about two axes, so that it is determined.
+        """
+        turned, measured = _mean_rates(t_s, q_body_ned, gyro_t_s, rate_rad_per_s)
+        if not turned.size:
+            return None
+        residual = float(np.sqrt(((turned - measured) ** 2).sum(axis=-1).mean()))
+        if _is_same_turn(turned, measured):
+            return cls(np.eye(3), np.rad2deg(residual))
+        about = np.linalg.svd(measured, compute_uv=False)
+        C_body_gyro = fitted_rotation(measured, turned)
+        is_determined = about.size > 1 and about[1] > _SECOND_AXIS * about[0]
+        is_found = is_determined and _is_same_turn(turned, measured @ C_body_gyro.T)
+        return cls(C_body_gyro if is_found else None, np.rad2deg(residual))
+
+
+def _is_same_turn(turned: Float, measured: Float) -> bool:
+    """Return whether two sets of rates (n, 3), rad/s, agree but for a small constant."""
+    difference = turned - measured
+    bias = difference.mean(axis=0)
+    scatter = float(np.sqrt(((difference - bias) ** 2).sum(axis=-1).mean()))
+    allowed = _MAX_DIFFERENCE_RAD_PER_S + _MAX_DIFFERENCE * float(np.sqrt((turned**2).sum(axis=-1).mean()))
+    return bool(np.linalg.norm(bias) < _MAX_BIAS_RAD_PER_S and scatter < allowed)
+
+
+def _mean_rates(t_s: Float, q_body_ned: Float, gyro_t_s: Float, rate: Float) -> tuple[Float, Float]:
+    """Return mean rates (k, 3), rad/s, by attitudes and by gyros over the same intervals of at least `_COMPARED_S`."""
+    nothing = np.empty((0, 3))
+    t_s, first = np.unique(t_s, return_index=True)
+    gyro_t_s, first_gyro = np.unique(gyro_t_s, return_index=True)
+    if t_s.size < 2 or gyro_t_s.size < 2:
+        return nothing, nothing
+    q, rate = q_body_ned[first], rate[first_gyro]
+    step_s = np.diff(t_s)
+    turn = turn_between(q[:-1], q[1:])
+    integral = np.vstack(
+        [np.zeros(3), np.cumsum((rate[:-1] + rate[1:]) / 2 * np.diff(gyro_t_s)[:, np.newaxis], axis=0)]
+    )
+    at = np.stack([np.interp(t_s, gyro_t_s, column) for column in integral.T], axis=-1)
+    nearest = np.abs(gyro_t_s[np.clip(np.searchsorted(gyro_t_s, t_s), 0, gyro_t_s.size - 1)] - t_s)
+    near_s = DATA_GAP_INTERVALS * np.median(np.diff(gyro_t_s))
+    usable = (step_s < DATA_GAP_INTERVALS * np.median(step_s)) & (nearest[:-1] < near_s) & (nearest[1:] < near_s)
+    usable &= (t_s[:-1] >= gyro_t_s[0]) & (t_s[1:] <= gyro_t_s[-1])
+    if not usable.any():
+        return nothing, nothing
+    step_s, turn, measured = step_s[usable], turn[usable], np.diff(at, axis=0)[usable]
+    starts = np.arange(0, step_s.size, max(1, int(np.ceil(_COMPARED_S / np.median(step_s)))))
+    length_s = np.add.reduceat(step_s, starts)[:, np.newaxis]
+    return np.add.reduceat(turn, starts) / length_s, np.add.reduceat(measured, starts) / length_s

@@ -16,7 +16,7 @@ module                holds
 ``mavlink``           MAVLink logs: ``packets``, ``clock``, ``vehicles`` (names, gimbal), ``tlog``, ``mavlogdump``
 ``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
 ``ulog``              PX4 ULog and the CSV of ulog2csv; ``ulogfile``: their topics
-``rosbag``            ROS 1 and ROS 2 bags, MCAP
+``rosbag``            ROS 1 and ROS 2 bags, MCAP; ``bagfile``: their messages
 ``tracks``            positions without attitude: GPX, KML, KMZ, NMEA, IGC
 ``formats``           `LOG_FORMATS`, the table of log formats: a new format is a reader and one entry; gzip and zip
 ``recording``         `Recording`, the samples of one boot, and `FlightOptions`
@@ -41,7 +41,7 @@ from glstar.telemetry.formats import LOG_FORMATS, LOG_SUFFIXES, LogFormat
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader
 from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.recording import FlightOptions, Recording
-from glstar.telemetry.rosbag import BagReader, is_bag_directory
+from glstar.telemetry.rosbag import is_bag_directory
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
@@ -118,6 +118,7 @@ def open_flight(
     interpolation: Interpolation = "slerp",
     columns: str | None = None,
     position: str | None = None,
+    vehicle: str | None = None,
 ) -> Flight:
     """Open a flight log and return its flight.
 
@@ -147,6 +148,8 @@ def open_flight(
         What the columns of a table mean; see `column_map`.
     position : str, optional
         A GPX, KML, KMZ, NMEA or IGC file with the positions of the flight; they replace those of the log.
+    vehicle : str, optional
+        The vehicle, in a log of several: its name space in a ROS bag, or its MAVLink system, as `sysid`.
 
     Returns
     -------
@@ -159,7 +162,7 @@ def open_flight(
     """
     track = None if position is None else read_track(position)
     options = FlightOptions(time_offset_s, utc_start, site, max_gap_s, interpolation, track)
-    with open_source(path, attitude=attitude, sysid=sysid, boot=boot, columns=columns) as source:
+    with open_source(path, attitude=attitude, sysid=sysid, boot=boot, columns=columns, vehicle=vehicle) as source:
         return read_flight(source, options)
 
 
@@ -170,12 +173,13 @@ def open_source(
     sysid: int | None = None,
     boot: int | None = None,
     columns: str | None = None,
+    vehicle: str | None = None,
 ) -> TelemetrySource:
     """Open a flight log with the reader for its format.
 
     Parameters
     ----------
-    path, attitude, sysid, boot, columns
+    path, attitude, sysid, boot, columns, vehicle
         See `open_flight`.
 
     Returns
@@ -192,40 +196,50 @@ def open_source(
     """
     name = os.fspath(path)
     if is_flight_description(name):
-        return _described(name, attitude=attitude, sysid=sysid, boot=boot)
+        return _described(name, attitude=attitude, sysid=sysid, boot=boot, vehicle=vehicle)
     try:
         if is_bag_directory(name):
-            if sysid is not None:
-                raise LogFormatError(name, f"is a ROS bag; leave out sysid, which is {sysid}")
-            return BagReader(name, attitude=attitude, boot=boot, columns=columns)
+            kind = next(entry for entry in LOG_FORMATS if entry.has_name_spaces)
+            return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
         head = _head(name)
         if formats.is_packed(head):
-            options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns}
+            options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}
             return UnpackedSource(name, formats.unpack, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
-        kind = formats.log_format(head)
-        if kind is None:
+        recognised = formats.log_format(head)
+        if recognised is None:
             raise LogFormatError(name, f"this is {formats.other_file(head, name)} ({formats.READABLE})", offset=0)
-        return _reader(name, kind, sysid, columns)(name, attitude=attitude, boot=boot)
+        return _reader(name, recognised, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
 
-def _reader(name: str, kind: LogFormat, sysid: int | None, columns: str | None) -> Callable[..., TelemetrySource]:
+def _reader(
+    name: str, kind: LogFormat, sysid: int | None, vehicle: str | None, columns: str | None
+) -> Callable[..., TelemetrySource]:
     """Return the reader of a file with the options that only some formats have."""
+    if kind.has_systems and vehicle is not None:
+        if not vehicle.isdecimal() or sysid not in {None, int(vehicle)}:
+            raise LogFormatError(name, f"vehicle must be the MAVLink system of one, such as 1, not {vehicle!r}")
+        sysid = int(vehicle)
     if sysid is not None and not kind.has_systems:
         raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
+    if vehicle is not None and not (kind.has_systems or kind.has_name_spaces):
+        raise LogFormatError(name, f"is no log of several vehicles; leave out vehicle, which is {vehicle!r}")
+    if kind.has_name_spaces:
+        return partial(kind.reader, columns=columns, vehicle=vehicle)
     if columns is None:
         return partial(kind.reader, sysid=sysid) if kind.has_systems else kind.reader
-    if kind.takes_columns:
-        return partial(kind.reader, columns=columns)
     if not kind.is_table:
         raise LogFormatError(name, f"is no table but of the format {kind.name}; leave out columns (--columns)")
     return partial(MappedTableReader, columns=column_map(columns))
 
 
-def _described(name: str, *, attitude: str, sysid: int | None, boot: int | None) -> TelemetrySource:
+def _described(
+    name: str, *, attitude: str, sysid: int | None, boot: int | None, vehicle: str | None
+) -> TelemetrySource:
     """Open a flight that is described in one line; it has one attitude, one vehicle and one boot."""
     requested = {"attitude": attitude.lower() != "auto", "sysid": sysid is not None, "boot": boot not in {None, 1}}
+    requested["vehicle"] = vehicle is not None
     if superfluous := [option for option, is_requested in requested.items() if is_requested]:
         raise LogFormatError(name, f"a synthetic flight has one attitude; leave out {superfluous[0]}")
     return synthetic.SyntheticSource(name)

@@ -42,9 +42,10 @@ class LogFormat:
     reader : callable
         Opens a file: ``reader(path, attitude=..., boot=...)``.
     has_systems : bool
-        Whether a file may hold several vehicles; the reader then also takes ``sysid``.
-    takes_columns : bool
-        Whether the reader also takes ``columns``: topics and frames, as text.
+        Whether a file may hold several vehicles by MAVLink system; the reader then also takes ``sysid``.
+    has_name_spaces : bool
+        Whether a file may hold several vehicles by name; the reader then also takes ``vehicle``, and ``columns`` with
+        topics and frames, as text.
     is_table : bool
         Whether a column map can say what its columns mean.
     is_any_text : bool
@@ -56,7 +57,7 @@ class LogFormat:
     recognises: Callable[[bytes], bool]
     reader: Callable[..., TelemetrySource]
     has_systems: bool = False
-    takes_columns: bool = False
+    has_name_spaces: bool = False
     is_table: bool = False
     is_any_text: bool = False
 
@@ -73,7 +74,7 @@ LOG_FORMATS = (
     LogFormat("ArduPilot DataFlash", (".BIN", ".log"), is_dataflash, DataFlashReader),
     LogFormat("PX4 ULog", (".ulg",), is_ulog, ULogReader),
     LogFormat("MAVLink streams", (".rlog",), is_mavlink_stream, stream_reader, has_systems=True),
-    LogFormat("ROS bags", (".bag", ".mcap", ".db3"), is_bag, BagReader, takes_columns=True),
+    LogFormat("ROS bags", (".bag", ".mcap", ".db3"), is_bag, BagReader, has_name_spaces=True),
     LogFormat("Parquet tables", (".parquet",), is_parquet, MappedTableReader, is_table=True),
     LogFormat("Excel workbooks", (".xlsx",), is_office_file, MappedTableReader, is_table=True),
     _csv_tables(lambda head: is_mavlogdump(csv_header(head)), MavlogdumpReader),

@@ -14,67 +14,108 @@ sensor_msgs/TimeReference                   header.stamp, time_ref              
 ==========================================  ===========================================  ==============================
 
 Orientations turn the body (forward, left, up) into the world (east, north, up), as REP 103 and REP 145 say, unless the
-options of the bag or a frame_id that contains "ned" say otherwise.  The clock is that of the header stamps.
+options of the bag, a word in the frame of a pose ("map_ned") or the accelerometers of an Imu say otherwise: the
+frame_id of an Imu is the sensor's.  The clock is that of the header stamps.
+
+Topics of setpoints, of estimates that are sent to the autopilot and of gimbals, and an Imu that does not estimate its
+orientation are used only if the user names them.  The first part of a topic is a vehicle where that of another topic
+is its like (``/uav1``, ``/uav2``); a flight has topics of one vehicle.
 """
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+import re
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal, Self, get_args, get_type_hints
 
 import numpy as np
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError
+from glstar.flight.gyroaided import GyroAlignment
 from glstar.system.userinput import did_you_mean
 from glstar.telemetry import source
+from glstar.telemetry.bagfile import (
+    ATTITUDES,
+    CAMERA,
+    FIX,
+    GEO,
+    IMU,
+    MAGICS,
+    TIME,
+    Bag,
+    Topic,
+    is_bag_directory,
+    read_bag,
+)
 from glstar.telemetry.tables.mapped import q_body_ned_of
 
-_MAGICS = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
-_METADATA = "metadata.yaml"
+__all__ = ["BagOptions", "BagReader", "is_bag", "is_bag_directory"]
 
-
-def _pose_orientation(message: Any) -> Any:
-    return message.pose.orientation
-
-
-def _nested_orientation(message: Any) -> Any:
-    return message.pose.pose.orientation
-
-
-def _imu_orientation(message: Any) -> Any:
-    """Return the orientation of an Imu; None without one, which it says by its covariance."""
-    return None if message.orientation_covariance[0] == -1 else message.orientation
-
-
-# Messages with attitude, in the order of choice, and how each gives its orientation.
-_ATTITUDES: Mapping[str, Callable[[Any], Any]] = {
-    "geographic_msgs/msg/GeoPoseStamped": _pose_orientation,
-    "sensor_msgs/msg/Imu": _imu_orientation,
-    "geometry_msgs/msg/PoseStamped": _pose_orientation,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _nested_orientation,
-    "geometry_msgs/msg/QuaternionStamped": lambda message: message.quaternion,
-    "nav_msgs/msg/Odometry": _nested_orientation,
-}
-_IMU = "sensor_msgs/msg/Imu"
-_FIX = "sensor_msgs/msg/NavSatFix"
-_GEO = "geographic_msgs/msg/GeoPoseStamped"
-_TIME = "sensor_msgs/msg/TimeReference"
-_CAMERA = "sensor_msgs/msg/CameraInfo"
 # Messages of local frames, whose azimuth may be relative to the start.
-_RELATIVE = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
+_RELATIVE = {
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+}
+
+# Words of topics that say where a vehicle should be, or where something else is; the longer ones also within a word.
+_PLANNED = re.compile(
+    r".*(setpoint|waypoint|goal|target|desired|command|reference|planned).*|cmd|sp|ref|plans?|planner|trajectory|path"
+    r"|mission|home|origin|initial|initialpose|clicked|teleop|joy|markers?|tags?|aruco|apriltags?|landing|takeoff"
+    r"|predict(ed|ion)|station|beacon|dock"
+)
+_GIMBAL = re.compile("gimbal|mount|turret|ptu|pantilt")
+# Topics below mavros that are sent to the autopilot: estimates of other programs, and simulated sensors.
+_MAVROS_INPUT = re.compile("vision|vision_pose|vision_speed|mocap|fake_gps|hil|hil_.*|gps_input|gps_rtk")
+# Nodes that are the interface of an autopilot.
+_INTERFACE = re.compile("mavros|fmu|ap|dji_sdk|dji_osdk_ros|psdk_ros2|autopilot|fcu")
+# Words of sensors other than that of the aircraft's attitude.
+_DEVICE = re.compile(
+    "cam|camera|realsense|d4[0-9]*i?|t265|l515|zed.?|oakd?|stereo|depth|infra|lidar|laser|livox|avia|ouster|os.?|velodyne"
+    "|hesai|rslidar|radar|leica|phone|event|dvs|sonar|uwb"
+)
+# Words of parts of a vehicle: as the first part of a topic, none of them is a vehicle.
+_PART = re.compile(
+    f"{_DEVICE.pattern}|imus?|ahrs|ins|gps|gnss|rtk|navsat|navsatfix|fix|mag|compass|baro|sensors?|devices?|platform|nav"
+    "|navigation|localization|odom|odometry|ekf|ukf|filter|filtered|raw|state|estimator|fusion|slam|vio|lio|tf|left|right"
+    "|front|rear|back|top|bottom|up|down|primary|secondary|main|backup|aux|antenna|receiver|rover|base|port|channel|lane"
+    "|instance|vectornav|vn|xsens|mti|microstrain|gx|sbg|ellipse|novatel|ublox|septentrio|applanix|oxts|lord|adis|bno|mpu"
+    "|phidgets|pixhawk|trimble|piksi|emlid|vicon|optitrack|mocap|vrpn|qualisys|ground|truth|sim|gazebo|topic|data"
+)
+# A part of a topic that is a vehicle by its name: uav, drone_1, leader.
+_OF_GPS = re.compile("gps|gnss|pps|utc|mavros|fcu|ublox")
+_VEHICLE = re.compile(
+    r"(uav|uas|drone|robot|quad|quadrotor|quadcopter|copter|multirotor|hexacopter|octocopter|vtol|plane|aircraft"
+    r"|vehicle|agent|ugv|usv|uuv|boat|leader|follower|wingman|alpha|bravo|charlie|delta|mav|px4)([_-]?[0-9a-z]{1,2})?"
+)
+# Name of the vehicle whose topics have no name space, beside others that have one.
+UNNAMED = "unnamed"
+_NUMBERED = re.compile(r"(.*?)(?:[_-]?\d+|[_-][a-z])")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+# Words of frames that are the axes of a world or of a body.
+_WORLDS = ("NED", "ENU", "NWU")
+_BODIES = ("FRD", "FLU")
+# Frames that are no world of an aircraft: an object as a sensor sees it, and the axes of the Earth.
+_NO_WORLD = {"camera", "cam", "optical", "lidar", "ecef", "earth"}
+
+# Two TimeReferences that differ more are reported, s.
+_UTC_DIFFERENCE_S = 0.2
+# Two positions of one flight are closer, deg.
+_SAME_PLACE_DEG = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class BagOptions:
     """How the topics of a bag are read."""
 
-    position: str = ""  # Topic with the position; by default the most frequent NavSatFix
-    rates: str = ""  # Topic with the gyro rates; by default that of the attitude, or the most frequent Imu
-    utc: str = ""  # Topic with TimeReference; by default the most frequent one
-    # Axes that orientations refer to; "auto" is ENU, or NED if the frame_id contains "ned".
+    position: str = ""  # Topic with the position; by default the NavSatFix nearest to the attitude by its name
+    rates: str = ""  # Topic with the gyro rates; by default those that turn as the attitude does
+    utc: str = ""  # Topic with TimeReference; by default the one that counts UTC
+    # Axes that orientations refer to; "auto" is ENU, unless a word of the frame or the accelerometers say otherwise.
     world: Literal["auto", "ENU", "NED", "NWU"] = "auto"
     body: Literal["auto", "FLU", "FRD"] = "auto"  # Axes of the body; "auto" is FLU, or FRD with NED
 
@@ -96,56 +137,13 @@ class BagOptions:
         return cls(**values)
 
 
-@dataclass(slots=True)
-class _Topic:
-    """The messages of a topic, as columns."""
-
-    kind: str
-    frame_id: str = ""
-    stamps_s: list[float] = field(default_factory=list)
-    orientations: list[tuple[float, float, float, float]] = field(default_factory=list)
-    rates: list[tuple[float, float, float]] = field(default_factory=list)
-    positions: list[tuple[float, float, float]] = field(default_factory=list)  # Latitude, longitude, deg; height, m
-    utc_s: list[float] = field(default_factory=list)
-
-    def add(self, message: Any, received_s: float) -> None:
-        header = message.header
-        stamp_s = header.stamp.sec + header.stamp.nanosec * 1e-9
-        self.frame_id = self.frame_id or header.frame_id
-        self.stamps_s.append(stamp_s or received_s)
-        if self.kind in _ATTITUDES:
-            q = _ATTITUDES[self.kind](message)
-            self.orientations.append((np.nan,) * 4 if q is None else (q.w, q.x, q.y, q.z))
-        if self.kind == _IMU:
-            rate = message.angular_velocity
-            has_rate = message.angular_velocity_covariance[0] != -1
-            self.rates.append((rate.x, rate.y, rate.z) if has_rate else (np.nan,) * 3)
-        if self.kind == _FIX:
-            has_fix = message.status.status >= 0
-            fix = (message.latitude, message.longitude, message.altitude)
-            self.positions.append(fix if has_fix else (np.nan,) * 3)
-        if self.kind == _GEO:
-            position = message.pose.position
-            self.positions.append((position.latitude, position.longitude, position.altitude))
-        if self.kind == _TIME:
-            self.utc_s.append(message.time_ref.sec + message.time_ref.nanosec * 1e-9)
-
-    @property
-    def short_kind(self) -> str:
-        """The message without its package, for messages to the user."""
-        return self.kind.split("/")[-1]
-
-    @property
-    def has_attitude(self) -> bool:
-        return bool(source.unit_quaternions(np.array(self.orientations).reshape(-1, 4)).any())
-
-
 class BagReader(source.TelemetrySource):
     """A ROS bag as a telemetry source; its clock is that of the header stamps.
 
-    `path` is a ``.bag``, ``.mcap`` or ``.db3`` file, or the directory of a ROS 2 bag.  `attitude` is a topic, or
-    ``"auto"`` for the most frequent one of the first kind in the table above.  `columns` are `BagOptions` as text.
-    Raises LogFormatError if the bag cannot be read, or has no such topic.
+    `path` is a bag of ROS 1 or ROS 2, an MCAP recording, or the directory of a ROS 2 bag.  `attitude` is a topic, or
+    ``"auto"`` for the first one of the kinds in the table above that is valid and moves.  `columns` are `BagOptions` as
+    text; `vehicle` is the name space of one of several vehicles.  Raises LogFormatError if the bag cannot be read, or
+    has no such topic.
     """
 
     one_clock = True
@@ -157,166 +155,371 @@ class BagReader(source.TelemetrySource):
         attitude: str = "auto",
         boot: int | None = None,
         columns: str | None = None,
+        vehicle: str | None = None,
     ) -> None:
         self.name = os.fspath(path)
-        self._attitude = attitude
+        self._attitude = "" if attitude.lower() == "auto" else attitude
         self._options = BagOptions.of(columns)
+        self._requested = None if vehicle is None else vehicle.strip("/")
         source.check_only_boot(self.name, boot)
-        self._format = "ROS bag"
 
     def samples(self) -> Iterator[source.Samples]:
-        """Yield attitude, position, UTC and rates, a batch each.
+        """Yield attitude, position, UTC, rates and triggers of one vehicle.
 
         Raises LogFormatError if the bag has no attitude, or not the requested one.
         """
-        name = self._attitude_topic()
-        yield self._attitude_of(name)
-        yield self._position()
-        yield self._utc(name)
-        if (rates := self._rates(name)) is not None:
+        topic = self._attitude_topic
+        attitude = self._attitude_of(topic)
+        position, utc = self._position(topic), self._utc(topic)
+        rates, about_rates = self._rates(topic, attitude)
+        notes = (*attitude.notes, *self._notes(topic), *about_rates, *self._utc_notes(), *self._bag.notes)
+        yield replace(attitude, notes=notes)
+        yield position
+        yield utc
+        if rates is not None:
             yield rates
-        for info, topic in self._topics.items():
-            if topic.kind == _CAMERA and topic.stamps_s:
-                clock_s = np.array(topic.stamps_s)
-                yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info, camera=info)
+        for info in self._of_vehicle({CAMERA}):
+            clock_s = info.column("stamp_s")
+            yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info.name, camera=info.name)
 
     def attitudes(self) -> Iterator[tuple[str, source.AttitudeSamples]]:
         """Yield every topic with an attitude."""
-        for name, topic in self._topics.items():
-            if topic.has_attitude:
-                yield name, self._attitude_of(name)
+        for topic in self._with_attitude:
+            yield topic.name, self._attitude_of(topic)
 
     def facts(self, boots: Collection[int] = ()) -> source.LogFacts:  # noqa: ARG002 - there is one boot
         """Return the format."""
-        return source.LogFacts(self._format if self._topics is not None else "")
+        return source.LogFacts(self._bag.format, unread_bytes=self._bag.unread_bytes)
 
     def close(self) -> None:
         """Do nothing: the bag is only open while it is read."""
 
     @cached_property
-    def _topics(self) -> dict[str, _Topic]:
-        """The topics with messages of the table above, by name."""
-        try:
-            from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra, when a bag is read
-            from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - the same
-        except ImportError:
-            raise LogFormatError(
-                self.name, "is a ROS bag, which needs the rosbags library: pip install rosbags"
-            ) from None
-        kinds = {*_ATTITUDES, _FIX, _TIME, _CAMERA}
-        topics: dict[str, _Topic] = {}
-        try:
-            with AnyReader([Path(self.name)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-                self._format = "ROS 2 bag" if bag.is2 else "ROS 1 bag"
-                if self.name.endswith(".mcap"):
-                    self._format += " (MCAP)"
-                connections = [connection for connection in bag.connections if connection.msgtype in kinds]
-                for connection in connections:
-                    topics.setdefault(connection.topic, _Topic(connection.msgtype))
-                for connection, received_ns, raw in bag.messages(connections) if connections else ():
-                    topics[connection.topic].add(bag.deserialize(raw, connection.msgtype), received_ns * 1e-9)
-                self._kinds = sorted({connection.msgtype.replace("/msg/", "/") for connection in bag.connections})
-        except LogFormatError:
-            raise
-        except Exception as error:  # of a damaged bag the library raises any exception
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise LogFormatError(self.name, f"cannot be read as a ROS bag: {reason}") from error
-        return topics
+    def _bag(self) -> Bag:
+        return read_bag(self.name)
 
-    def _attitude_topic(self) -> str:
-        """Return the topic with the attitude."""
-        with_attitude = {name: topic for name, topic in self._topics.items() if topic.has_attitude}
-        if self._attitude.lower() != "auto":
+    @cached_property
+    def _topics(self) -> dict[str, Topic]:
+        return {name: topic for name, topic in self._bag.topics.items() if len(topic)}
+
+    @cached_property
+    def _with_attitude(self) -> list[Topic]:
+        """The topics with valid orientations."""
+        return [t for t in self._topics.values() if t.kind in ATTITUDES and t.is_oriented.any()]
+
+    @cached_property
+    def _vehicles(self) -> dict[str, str]:
+        """The vehicle of each topic, by its name; empty for topics of none or of all."""
+        return vehicles_of({name: topic.kind for name, topic in self._topics.items()})
+
+    @cached_property
+    def _vehicle(self) -> str:
+        """The vehicle of the flight; empty if the bag has a single one."""
+        names = sorted(set(self._vehicles.values()) - {""})
+        if self._requested is not None:
+            if self._requested not in names:
+                has = ", ".join(names) or "one vehicle, without a name"
+                raise LogFormatError(self.name, f"the bag has no vehicle {self._requested!r} (--vehicle); it has {has}")
+            return self._requested
+        if self._attitude in self._topics:
+            return self._vehicles[self._attitude]
+        fixes = [t for t in self._topics.values() if t.kind in {FIX, GEO} and not _purpose(t.name)]
+        with_fix = {self._vehicles[t.name] for t in fixes if t.positions().clock_s.size}
+        samples = Counter[str]()
+        for topic in self._with_attitude:
+            samples[self._vehicles[topic.name]] += 0 if self._doubt(topic) else len(topic)
+        usable = sorted(name for name, count in samples.items() if count)
+        return max(usable, key=lambda name: (name in with_fix, name in names, samples[name]), default="")
+
+    def _of_vehicle(self, kinds: Collection[str]) -> list[Topic]:
+        """Return the topics of some kinds of the vehicle of the flight, or, if none has any, those of no vehicle."""
+        of_kind = [topic for topic in self._topics.values() if topic.kind in kinds]
+        own = [topic for topic in of_kind if self._vehicles[topic.name] == self._vehicle]
+        is_shared = all(not self._vehicles[topic.name] for topic in of_kind)
+        return own or (of_kind if is_shared else [])
+
+    @cached_property
+    def _attitude_topic(self) -> Topic:
+        """The topic with the attitude."""
+        with_attitude = {topic.name: topic for topic in self._with_attitude}
+        if self._attitude:
             if self._attitude not in with_attitude:
                 listed = ", ".join(f"{name} ({topic.short_kind})" for name, topic in with_attitude.items())
                 has = f"it has {listed or 'none'}"
                 raise LogFormatError(self.name, f"the bag has no attitude {self._attitude!r} (--attitude); {has}")
-            return self._attitude
-        if not with_attitude:
-            kinds = ", ".join(self._kinds[:8]) or "no messages"
-            raise LogFormatError(self.name, f"the bag has no attitude: no Imu, Pose or Odometry; it has {kinds}")
-        order = list(_ATTITUDES)
-        rank = {name: (order.index(topic.kind), -len(topic.stamps_s)) for name, topic in with_attitude.items()}
-        return min(rank, key=rank.__getitem__)
+            topic = with_attitude[self._attitude]
+            if self._requested is not None and self._vehicles[topic.name] != self._vehicle:
+                raise LogFormatError(self.name, f"{topic.name} (--attitude) is not of {self._vehicle} (--vehicle)")
+            return topic
+        usable = [topic for topic in self._of_vehicle(ATTITUDES) if not self._doubt(topic)]
+        if not usable:
+            raise LogFormatError(self.name, self._no_attitude())
+        order = list(ATTITUDES)
+        return min(
+            usable,
+            key=lambda topic: (
+                _has(_DEVICE, f"{topic.name} {topic.frame_id}"),
+                order.index(topic.kind),
+                not any(map(_INTERFACE.fullmatch, topic.name.split("/"))),
+                -np.count_nonzero(topic.is_oriented),
+            ),
+        )
 
-    def _frames(self, topic: _Topic) -> tuple[str, str]:
+    def _no_attitude(self) -> str:
+        """Return why the bag has no attitude, for messages."""
+        doubts = [f"{t.name} ({t.short_kind}): {self._doubt(t)}" for t in self._of_vehicle(ATTITUDES)]
+        if doubts:
+            named = " (--attitude takes it nevertheless)" if self._with_attitude else ""
+            return f"the bag has no attitude that can be used: {'; '.join(doubts[:4])}{named}"
+        kinds = ", ".join(sorted(kind.replace("/msg/", "/") for kind in self._bag.kinds if kind)[:8]) or "no messages"
+        return f"the bag has no attitude: no Imu, Pose or Odometry; it has {kinds}"
+
+    @cached_property
+    def _doubts(self) -> dict[str, str]:
+        return {topic.name: self._doubt_of(topic) for topic in self._topics.values() if topic.kind in ATTITUDES}
+
+    def _doubt(self, topic: Topic) -> str:
+        """Return why an attitude is not used unless it is named; empty if it is good."""
+        return self._doubts[topic.name]
+
+    def _doubt_of(self, topic: Topic) -> str:
+        if not topic.is_oriented.any():
+            (reason, _), *_ = [*topic.unknown.most_common(1), ("it has no unit quaternions", 0)]
+            return reason
+        if purpose := _purpose(topic.name):
+            return purpose
+        frame = {*_words(topic.frame_id)}
+        if foreign := frame & ({"optical"} if topic.kind == IMU else _NO_WORLD):
+            owner = "the Earth" if foreign <= {"ecef", "earth"} else "a sensor"
+            return f"its frame {topic.frame_id!r} is that of {owner}"
+        others = [
+            other
+            for other in self._topics.values()
+            if other is not topic and other.kind in ATTITUDES and not _purpose(other.name)
+            if self._vehicles[other.name] == self._vehicles[topic.name]
+        ]
+        return topic.frozen_beside(others)
+
+    def _notes(self, chosen: Topic) -> list[str]:
+        """Return remarks on what was passed over."""
+        notes = []
+        vehicles = sorted(set(self._vehicles.values()) - {""})
+        if vehicles:
+            notes.append(
+                f"the bag holds {len(vehicles)} vehicles ({', '.join(vehicles)}); this flight is"
+                f" {self._vehicle or 'of none of them'} (--vehicle takes another one)"
+            )
+        others = [topic for topic in self._of_vehicle(ATTITUDES) if topic is not chosen]
+        if passed := [f"{topic.name} ({self._doubt(topic)})" for topic in others if self._doubt(topic)]:
+            notes.append(f"passed over: {', '.join(passed)}")
+        if doubt := self._doubt(chosen):
+            notes.append(f"{chosen.name} is used because it is named: {doubt}")
+        return notes
+
+    def _frames(self, topic: Topic) -> tuple[str, str]:
         """Return the axes of world and body of a topic."""
-        says_ned = "ned" in topic.frame_id.lower()
+        frames = {word.upper() for word in _words(topic.frame_id)} if topic.kind != IMU else set()
+        own = {word.upper() for word in _words(topic.child_frame_id)}
         world: str = self._options.world
         if world == "auto":
-            world = "NED" if says_ned else "ENU"
+            world = next((axes for axes in _WORLDS if axes in frames), "NED" if topic.is_up_down else "ENU")
         body: str = self._options.body
         if body == "auto":
-            body = "FRD" if world == "NED" else "FLU"
+            body = next((axes for axes in _BODIES if axes in own), "FRD" if world == "NED" else "FLU")
         return world, body
 
-    def _attitude_of(self, name: str) -> source.AttitudeSamples:
-        topic = self._topics[name]
+    def _attitude_of(self, topic: Topic) -> source.AttitudeSamples:
         world, body = self._frames(topic)
-        clock_s, q = np.array(topic.stamps_s), np.array(topic.orientations)
-        norm = source.quaternion_lengths(q)
-        valid = source.unit_quaternions(q) & source.valid_rare_times(clock_s)
-        q_body_ned = q_body_ned_of(q[valid] / norm[valid, np.newaxis], world, body, "body_to_world")
-        notes = [f"orientations of {name} are taken from {body} to {world} (--columns world=...,body=...)"]
+        clock_s, q = topic.column("stamp_s"), topic.column("orientation")
+        valid = topic.is_oriented & source.valid_rare_times(clock_s)
+        q_body_ned = q_body_ned_of(
+            q[valid] / source.quaternion_lengths(q[valid])[:, np.newaxis], world, body, "body_to_world"
+        )
+        notes = [f"orientations of {topic.name} are taken from {body} to {world} (--columns world=...,body=...)"]
+        if topic.kind == IMU and world == "NED" and self._options.world == "auto":
+            notes[0] = f"{notes[0]}: its accelerometers find up opposite to the third axis of its world"
+        elif topic.kind == IMU and "ned" in _words(topic.frame_id) and self._options.world == "auto":
+            notes[0] = f"{notes[0]}: the frame {topic.frame_id!r} is the sensor's and does not say what its world is"
         if topic.kind in _RELATIVE:
             frame = f"{topic.short_kind} in {topic.frame_id!r}"
-            notes.append(f"{name} is {frame}: its azimuth may be relative to the start")
+            notes.append(f"{topic.name} is {frame}: its azimuth may be relative to the start")
         segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
-        return source.AttitudeSamples(clock_s[valid], q_body_ned, segment, name, notes=tuple(notes))
+        return source.AttitudeSamples(clock_s[valid], q_body_ned, segment, topic.name, notes=tuple(notes))
 
-    def _chosen(self, option: str, requested: str, *kinds: str) -> str | None:
-        """Return the requested topic, or the most frequent one, of the last kind that there is; None without any."""
-        topics = {name: topic for name, topic in self._topics.items() if topic.kind in kinds and topic.stamps_s}
-        if requested:
-            if requested not in topics:
-                has = f"it has {', '.join(topics) or 'none'}"
-                raise LogFormatError(self.name, f"the bag has no {option} {requested!r} (--columns {option}=); {has}")
-            return requested
-        rank = {name: (topic.kind == kinds[-1], len(topic.stamps_s)) for name, topic in topics.items()}
-        return max(rank, key=rank.__getitem__, default=None)
+    def _named(self, option: str, kinds: Collection[str]) -> Topic | None:
+        """Return the topic that an option names; None if it is not given."""
+        name: str = getattr(self._options, option)
+        topics = {topic.name: topic for topic in self._topics.values() if topic.kind in kinds}
+        if name and name not in topics:
+            has = f"it has {', '.join(topics) or 'none'}"
+            raise LogFormatError(self.name, f"the bag has no {option} {name!r} (--columns {option}=); {has}")
+        return topics[name] if name else None
 
-    def _position(self) -> source.PositionSamples:
-        name = self._chosen("position", self._options.position, _GEO, _FIX)
-        if name is None:
-            return source.no_position_samples("it has no NavSatFix")
-        topic = self._topics[name]
-        latitude_deg, longitude_deg, height_m = np.array(topic.positions).T
-        samples = source.position_samples(np.array(topic.stamps_s), latitude_deg, longitude_deg, height_m, name)
-        return samples if samples.clock_s.size else source.no_position_samples(f"{name} never had a fix")
+    def _position(self, attitude: Topic) -> source.PositionSamples:
+        if (named := self._named("position", {GEO, FIX})) is not None:
+            samples = named.positions()
+            return samples if samples.clock_s.size else source.no_position_samples(f"{named.name} never had a fix")
+        topics = [topic for topic in self._of_vehicle({GEO, FIX}) if not _purpose(topic.name)]
+        read = [(topic, topic.positions()) for topic in topics]
+        usable = [(topic, samples) for topic, samples in read if samples.clock_s.size]
+        if not usable:
+            return source.no_position_samples(self._no_position(topics))
 
-    def _utc(self, attitude: str) -> source.ClockSamples:
+        def rank(pair: tuple[Topic, source.PositionSamples]) -> tuple[int, bool, int]:
+            return _shared_parts(pair[0].name, attitude.name), pair[0].kind == FIX, pair[1].clock_s.size
+
+        topic, best = max(usable, key=rank)
+        for other, samples in usable:
+            is_equal = rank((other, samples))[0] == rank((topic, best))[0] and other is not topic
+            if is_equal and _distance_deg(best, samples) > _SAME_PLACE_DEG:
+                raise LogFormatError(
+                    self.name,
+                    f"{topic.name} and {other.name} are {_distance_deg(best, samples) * 111:.0f} km apart, and nothing"
+                    " says which is the aircraft; name one with --columns position=TOPIC",
+                )
+        return best
+
+    def _no_position(self, topics: list[Topic]) -> str:
+        """Return why there is no position, for messages."""
+        if topics:
+            return f"{', '.join(topic.name for topic in topics)} never had a fix"
+        every = [topic.name for topic in self._topics.values() if topic.kind in {GEO, FIX}]
+        if not every:
+            return "it has no NavSatFix"
+        own = self._vehicle or "this vehicle"
+        return f"{own} has none; --columns position= takes another one of {', '.join(every)}"
+
+    def _utc(self, attitude: Topic) -> source.ClockSamples:
         """Return readings of UTC: TimeReference, otherwise the stamps themselves, if they are times of this century."""
-        name = self._chosen("utc", self._options.utc, _TIME)
-        if name is not None:
-            topic = self._topics[name]
-            clock_s, utc_s = np.array(topic.stamps_s), np.array(topic.utc_s)
-            valid = source.plausible_utc(utc_s)
-            if valid.any():
-                return source.ClockSamples(clock_s[valid], utc_s[valid], f"{name}, {np.count_nonzero(valid)} readings")
-        clock_s = np.array(self._topics[attitude].stamps_s)
+        if self._utc_topics:
+            topic, readings = self._utc_topics[0]
+            return source.ClockSamples(*readings, f"{topic.name}, {readings[0].size} readings")
+        clock_s = attitude.column("stamp_s")
         clock_s = clock_s[source.valid_rare_times(clock_s)]
         if clock_s.size and source.YEAR_2010_S <= float(np.median(clock_s)) < source.YEAR_2100_S:
-            return source.ClockSamples(clock_s, clock_s, f"stamps of {attitude}, by the clock of the computer")
-        return source.no_clock_samples("its stamps are no UTC, and it has no TimeReference")
+            return source.ClockSamples(clock_s, clock_s, f"stamps of {attitude.name}, by the clock of the computer")
+        has = "its TimeReference counts no UTC" if self._of_vehicle({TIME}) else "it has no TimeReference"
+        return source.no_clock_samples(f"its stamps are no UTC, and {has}")
 
-    def _rates(self, attitude: str) -> source.RateSamples | None:
-        requested = self._options.rates or (attitude if self._topics[attitude].kind == _IMU else "")
-        name = self._chosen("rates", requested, _IMU)
-        if name is None:
-            return None
-        topic = self._topics[name]
-        clock_s, rate = np.array(topic.stamps_s), np.array(topic.rates)
-        if self._frames(topic)[1] == "FLU":
-            rate = rate * np.array([1.0, -1.0, -1.0])
-        valid = source.valid_rare_times(clock_s) & source.valid_rates(rate)
-        return source.RateSamples(clock_s[valid], rate[valid], name) if valid.any() else None
+    @cached_property
+    def _utc_topics(self) -> list[tuple[Topic, tuple[Float, Float]]]:
+        """The TimeReferences that count UTC, with stamps and readings, the best one first."""
+        named = self._named("utc", {TIME})
+        read = [(topic, topic.utc_readings()) for topic in (self._of_vehicle({TIME}) if named is None else [named])]
+        usable = [(topic, readings) for topic, readings in read if readings[0].size]
+        return sorted(
+            usable,
+            key=lambda pair: (
+                _has(_DEVICE, pair[0].name),
+                not _has(_OF_GPS, f"{pair[0].name} {pair[0].origin}"),
+                -pair[1][0].size,
+            ),
+        )
+
+    def _utc_notes(self) -> list[str]:
+        """Return remarks on TimeReferences that are not used."""
+        usable = [topic.name for topic, _ in self._utc_topics]
+        notes = [f"{t.name} is passed over: it counts no UTC" for t in self._of_vehicle({TIME}) if t.name not in usable]
+        offsets_s = [float(np.median(utc_s - clock_s)) for _, (clock_s, utc_s) in self._utc_topics]
+        for (other, _), offset_s in zip(self._utc_topics[1:], offsets_s[1:], strict=True):
+            if abs(offset_s - offsets_s[0]) > _UTC_DIFFERENCE_S:
+                differs = f"differs by {offset_s - offsets_s[0]:.3f} s from {usable[0]}, which is used"
+                notes.append(f"the UTC of {other.name} {differs} (--columns utc=TOPIC)")
+        return notes
+
+    def _rates(self, topic: Topic, attitude: source.AttitudeSamples) -> tuple[source.RateSamples | None, list[str]]:
+        """Return the gyro rates that turn as the attitude does, and remarks on others."""
+        named = self._named("rates", {IMU})
+        refused: list[str] = []
+        usable: list[tuple[tuple[bool, bool, bool, int], source.RateSamples]] = []
+        for imu in self._of_vehicle({IMU}) if named is None else [named]:
+            clock_s, rate = imu.column("stamp_s"), imu.column("rate_rad_per_s")
+            if self._frames(imu)[1] == "FLU":
+                rate = rate * np.array([1.0, -1.0, -1.0])
+            valid = source.valid_rare_times(clock_s) & source.valid_rates(rate)
+            clock_s, rate = clock_s[valid], rate[valid]
+            found = GyroAlignment.of(attitude.clock_s, attitude.q_body_ned, clock_s, rate)
+            if found is None:
+                continue
+            if found.C_body_gyro is None:
+                refused.append(f"{imu.name} (off by {found.residual_deg_per_s:.1f} deg/s)")
+                continue
+            turned = f", turned by {found.angle_deg:.1f} deg into the axes of {topic.name}" if found.angle_deg else ""
+            rates = source.RateSamples(clock_s, rate @ found.C_body_gyro.T, f"{imu.name}{turned}")
+            usable.append(((bool(turned), _has(_DEVICE, imu.name), imu is not topic, -clock_s.size), rates))
+        notes = [f"gyros that do not turn as the attitude does are not used: {', '.join(refused)}"] if refused else []
+        return min(usable, key=lambda pair: pair[0], default=(None, None))[1], notes
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a topic or a frame, in lower case: ``local_NED``, ``baseLink``."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def _has(words: re.Pattern[str], name: str) -> bool:
+    """Return whether a topic or a frame has one of some words."""
+    return any(map(words.fullmatch, _words(name)))
+
+
+def _purpose(name: str) -> str:
+    """Return what a topic is for if it is not what the vehicle measures, by its name; otherwise empty."""
+    parts = [*name.strip("/").split("/"), "", ""]
+    if _has(_PLANNED, name):
+        return "by its name where something should be or another thing is, not a measurement"
+    if _has(_GIMBAL, name):
+        return "by its name of a gimbal"
+    for node, part, last in zip(parts, parts[1:], parts[2:], strict=False):
+        is_input = _MAVROS_INPUT.fullmatch(part) or (part, last) == ("odometry", "out")
+        if (node == "mavros" and is_input) or (node == "fmu" and part == "in"):
+            return "sent to the autopilot by another program"
+    return ""
+
+
+def _distance_deg(first: source.PositionSamples, second: source.PositionSamples) -> float:
+    """Return the distance between the medians of two positions, deg."""
+    north = np.median(first.latitude_rad) - np.median(second.latitude_rad)
+    east = (np.median(first.longitude_rad) - np.median(second.longitude_rad)) * np.cos(np.median(first.latitude_rad))
+    return float(np.rad2deg(np.hypot(north, east)))
+
+
+def _shared_parts(first: str, second: str) -> int:
+    """Return how many parts two topics have in common at their start."""
+    pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
+    return next((number for number, (a, b) in enumerate(pairs) if a != b), 0)
+
+
+def vehicles_of(kinds: Mapping[str, str]) -> dict[str, str]:
+    """Return the vehicle of each topic, empty if it belongs to none, by the kinds of topics with these names.
+
+    A part of a topic is a vehicle if it is called so (``drone_1``), if it is above the interface of an autopilot
+    (``/alpha/mavros``), if it is numbered (``/r1``, ``/r2``), or if another part has the same attitude below
+    (``/red/imu/data``, ``/blue/imu/data``).  With a single vehicle, all topics are its own.
+    """
+    parts = {name: name.strip("/").split("/") for name in kinds}
+    siblings: defaultdict[tuple[Any, ...], set[str]] = defaultdict(set)
+    found: set[str] = set()
+    for name, path in parts.items():
+        for depth, part in enumerate(path[:-1]):
+            if _has(_PART, part) or _INTERFACE.fullmatch(part):
+                continue
+            if _VEHICLE.fullmatch(part.lower()) or _INTERFACE.fullmatch(path[depth + 1]):
+                found.add(part)
+            stem = _NUMBERED.fullmatch(part.lower())
+            above = path[depth - 1] if depth else ""
+            if stem is not None and (stem[1] or not _has(_PART, above)):
+                siblings[(*path[:depth], stem[1], "numbered")].add(part)
+            if kinds[name] in ATTITUDES:
+                siblings[(*path[:depth], "/", *path[depth + 1 :], kinds[name])].add(part)
+    for group in siblings.values():
+        found |= group if len(group) > 1 else set()
+    vehicles = {name: next((part for part in path[:-1] if part in found), "") for name, path in parts.items()}
+    # An autopilot without a name space beside others with one: the first of several simulated ones.
+    is_unnamed = any(_INTERFACE.fullmatch(path[0]) for path in parts.values())
+    if is_unnamed and any(vehicles.values()):
+        vehicles = {name: vehicle or UNNAMED for name, vehicle in vehicles.items()}
+    return vehicles if len(set(vehicles.values()) - {""}) > 1 else dict.fromkeys(kinds, "")
 
 
 def is_bag(head: bytes) -> bool:
     """Return whether a file is a ROS bag, an MCAP recording, or the database of a ROS 2 bag, by its first bytes."""
-    return head.startswith(_MAGICS)
-
-
-def is_bag_directory(path: str | PathLike[str]) -> bool:
-    """Return whether a directory is a ROS 2 bag."""
-    return (Path(path) / _METADATA).is_file()
+    return head.startswith(MAGICS)

@@ -70,11 +70,14 @@ IMPORTED_IN = {
     "distributed": ["export"],
     "orjson": ["export", "render", "score"],
     "openpyxl": ["telemetry"],
+    "lz4": ["telemetry"],
+    "mcap": ["telemetry"],
     "rosbags": ["export", "telemetry"],
     "pyvirtualcam": ["export"],
     "zmq": ["export"],
     "pyarrow": ["export", "telemetry"],
     "zlib_ng": ["export", "system"],
+    "zstandard": ["telemetry"],
     "sqlite3": ["sky"],
     "typer": ["cli"],
     "rich": ["cli"],
@@ -268,6 +271,8 @@ def test_what_is_imported_is_declared() -> None:
         *(
             "distributed",
             "fsspec",
+            "lz4",
+            "mcap",
             "openpyxl",
             "orjson",
             "pyarrow",
@@ -279,6 +284,7 @@ def test_what_is_imported_is_declared() -> None:
             "tomli_w",
             "zlib_ng",
             "zmq",
+            "zstandard",
         ),
     }
     strangers = {

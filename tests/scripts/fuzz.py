@@ -38,9 +38,8 @@ from glstar.errors import LogFormatError
 from glstar.sky.place.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import open_flight, open_source
-from tests.support import joinedlogs, tlog, ulog
+from tests.support import bags, joinedlogs, tlog, ulog
 from tests.telemetry import test_mappedtable as mapped
-from tests.telemetry import test_rosbag as rosbag
 
 try:
     import resource
@@ -245,10 +244,10 @@ def _tables_of_others() -> list[Seed]:
 def _bags() -> list[Seed]:
     """Return bags of ROS 1 and ROS 2, each one file."""
     with tempfile.TemporaryDirectory() as name:
-        rosbag.written(Path(name) / "flight.bag", "bag")
+        bags.written(Path(name) / "flight.bag", "bag")
         found = [Seed("ROS 1 bag", {"flight.bag": (Path(name) / "flight.bag").read_bytes()}, chunks)]
         for kind in ("db3", "mcap"):
-            written = next(rosbag.written(Path(name) / kind, kind).glob(f"*.{kind}"))
+            written = next(bags.written(Path(name) / kind, kind).glob(f"*.{kind}"))
             found.append(Seed(f"ROS 2 {kind}", {f"flight.{kind}": written.read_bytes()}, chunks))
     return found
 

@@ -52,6 +52,7 @@ MEANINGS: Final = {
     "--start": "start, s from the first attitude",
     "--stats": "frame times of the window, as JSON",
     "--sysid": "which vehicle of the log or link",
+    "--vehicle": "which vehicle of the log, by name",
     "--time-offset": "the camera's clock minus the log's, s",
     "--utc": "a time, ISO 8601",
     "--utc-start": "UTC of the first attitude",

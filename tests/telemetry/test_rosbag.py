@@ -1,14 +1,9 @@
 """ROS bags, written by the rosbags library: attitude, UTC and position agree with SciPy."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation, Slerp
 from typer.testing import CliRunner
 
@@ -18,99 +13,9 @@ from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
 from glstar.sky.place.site import Site
 from glstar.telemetry import RateSamples, open_flight, open_source
+from tests.support.bags import ENU_FLU, NED_FRD, START_NS, TIMES_S, Bag, written
 
-START_NS = 1710068400_250000000
-TIMES_S = np.arange(100) * 0.04
-YAW_DEG, PITCH_DEG, ROLL_DEG = 350 + 9 * TIMES_S, 4 * np.sin(TIMES_S), 20 * np.cos(TIMES_S)
-NED_FRD = Rotation.from_euler("ZYX", np.column_stack([YAW_DEG, PITCH_DEG, ROLL_DEG]), degrees=True)
-ENU_FLU = (
-    Rotation.from_matrix(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]))
-    * NED_FRD
-    * Rotation.from_matrix(np.diag([1.0, -1, -1]))
-)
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60))
-NO = np.zeros(9)
-
-
-class Bag:
-    """A bag of any kind, written message by message."""
-
-    def __init__(self, path: Path, kind: str) -> None:
-        self.is1 = kind == "bag"
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.is1 else Stores.ROS2_HUMBLE)
-        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-        self.writer: Any = Writer1(path) if self.is1 else Writer2(path, version=9, storage_plugin=plugin)
-        self.connections: dict[str, Any] = {}
-        self.count = 0
-
-    def __enter__(self) -> "Bag":
-        self.writer.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.writer.close()
-
-    def make(self, name: str, **fields: Any) -> Any:
-        return self.store.types[name](**fields)
-
-    def header(self, stamp_ns: int, frame_id: str) -> Any:
-        stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-        own = {"seq": 0} if self.is1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **own)
-
-    def quaternion(self, x: float, y: float, z: float, w: float) -> Any:
-        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-    def vector(self, *xyz: float) -> Any:
-        return self.make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, xyz), strict=True)))
-
-    def write(self, topic: str, kind: str, received_ns: int, **fields: Any) -> None:
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        serialize = self.store.serialize_ros1 if self.is1 else self.store.serialize_cdr
-        self.writer.write(self.connections[topic], received_ns, serialize(self.make(kind, **fields), kind))
-
-    def imu(
-        self, k: int, start_ns: int, rotation: Rotation, frame_id: str = "imu_link", topic: str = "/imu/data"
-    ) -> None:
-        stamp_ns = start_ns + round(TIMES_S[k] * 1e9)
-        self.write(
-            topic, "sensor_msgs/msg/Imu", stamp_ns + 3_000_000,
-            header=self.header(stamp_ns, frame_id), orientation=self.quaternion(*rotation[k].as_quat()),
-            orientation_covariance=NO, angular_velocity=self.vector(0.1, 0.2, 0.3), angular_velocity_covariance=NO,
-            linear_acceleration=self.vector(0, 0, 9.8), linear_acceleration_covariance=NO,
-        )  # fmt: skip
-
-    def fix(self, k: int, start_ns: int, status: int = 0, topic: str = "/fix") -> None:
-        stamp_ns = start_ns + round(TIMES_S[k] * 1e9)
-        own = self.make("sensor_msgs/msg/NavSatStatus", status=status, service=1)
-        self.write(
-            topic, "sensor_msgs/msg/NavSatFix", stamp_ns, header=self.header(stamp_ns, "gps"), status=own,
-            latitude=-34.93 + 1e-5 * TIMES_S[k], longitude=138.6, altitude=150.0 + TIMES_S[k],
-            position_covariance=NO, position_covariance_type=0,
-        )  # fmt: skip
-
-    def camera_info(self, k: int, start_ns: int, topic: str) -> None:
-        stamp_ns = start_ns + round(TIMES_S[k] * 1e9)
-        letters = str.upper if self.is1 else str.lower
-        matrices = {letters(name): np.zeros(size) for name, size in (("d", 5), ("k", 9), ("r", 9), ("p", 12))}
-        self.write(
-            topic, "sensor_msgs/msg/CameraInfo", stamp_ns, header=self.header(stamp_ns, "camera"), height=4, width=4,
-            distortion_model="plumb_bob", **matrices, binning_x=0, binning_y=0,
-            roi=self.make(
-                "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-            ),
-        )  # fmt: skip
-
-
-def written(path: Path, kind: str, start_ns: int = START_NS) -> Path:
-    """Write a bag with attitude and position; return what a user would name."""
-    with Bag(path, kind) as bag:
-        for k in range(TIMES_S.size):
-            bag.imu(k, start_ns, ENU_FLU)
-            if k % 5 == 0:
-                bag.fix(k, start_ns, status=-1 if k == 0 else 0)
-    return path
 
 
 def require_agreement(flight: Flight, start_s: float = START_NS * 1e-9) -> None:
@@ -153,21 +58,37 @@ def test_info_and_export_take_the_directory_of_a_bag(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "frame_000000.png").exists()
 
 
-def test_ned_orientations_are_recognised_by_their_frame_or_by_the_option(tmp_path: Path) -> None:
+def test_the_frame_of_a_pose_and_the_accelerometers_of_an_imu_say_that_it_is_ned(tmp_path: Path) -> None:
     with Bag(tmp_path / "flight.bag", "bag") as bag:
         for k in range(TIMES_S.size):
-            bag.imu(k, START_NS, NED_FRD, "imu_ned")
-            bag.imu(k, START_NS, NED_FRD, "base", topic="/other")
+            bag.imu(k, START_NS, NED_FRD, up=-1.0)
+            bag.pose(k, START_NS, NED_FRD, "map_NED", "/pose")
+            bag.pose(k, START_NS, NED_FRD, "map", "/other")
 
-    for attitude, columns in (("/imu/data", None), ("/other", "world=NED,body=FRD"), ("/other", "world=NED")):
+    for attitude, columns in (
+        ("/imu/data", None),
+        ("/pose", None),
+        ("/other", "world=NED,body=FRD"),
+        ("/other", "world=NED"),
+    ):
         require_agreement(open_flight(tmp_path / "flight.bag", site=HOME, attitude=attitude, columns=columns))
+
+
+@pytest.mark.parametrize("frame_id", ["imu_aligned", "planned", "imu_ned", "ned"])
+def test_the_frame_of_an_imu_says_nothing_about_the_world(tmp_path: Path, frame_id: str) -> None:
+    with Bag(tmp_path / "flight", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            bag.imu(k, START_NS, ENU_FLU, frame_id)
+
+    require_agreement(open_flight(tmp_path / "flight", site=HOME))
 
 
 def test_rates_are_turned_into_forward_right_down(tmp_path: Path) -> None:
     with open_source(written(tmp_path / "flight", "db3")) as source:
         (rates,) = [one for one in source.samples() if isinstance(one, RateSamples)]
 
-    np.testing.assert_allclose(rates.rate_rad_per_s[0], [0.1, -0.2, -0.3], rtol=0, atol=1e-12)
+    turn = (NED_FRD[49].inv() * NED_FRD[51]).as_rotvec() / 0.08
+    np.testing.assert_allclose(rates.rate_rad_per_s[50], turn, rtol=0, atol=1e-9)
 
 
 def test_stamps_of_a_simulator_are_converted_by_time_reference(tmp_path: Path) -> None:

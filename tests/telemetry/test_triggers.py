@@ -22,8 +22,8 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.telemetry import open_flight
 from tests.support import tlog
 from tests.support import ulog as px4
+from tests.support.bags import ENU_FLU, START_NS, TIMES_S, Bag
 from tests.support.dataflash import Log, TextLog, times
-from tests.telemetry.test_rosbag import ENU_FLU, START_NS, TIMES_S, Bag
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
 BOOT_S = 30.0

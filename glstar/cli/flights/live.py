@@ -176,7 +176,7 @@ class _Injection:
 
 # These options apply to logs only.
 @with_verbosity
-@with_flight_flags(but={"attitude", "boot", "columns", "position"})
+@with_flight_flags(but={"attitude", "boot", "columns", "position", "vehicle"})
 def live(
     link: LinkName = None,
     *,
