@@ -13,7 +13,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -240,6 +240,10 @@ class _Channel(NamedTuple):
     is_idl: bool = False
     is_ros1: bool = False
 
+    def decode(self, raw: bytes) -> Any:
+        """Return a message."""
+        return _decoder(self.kind, self.definition, is_idl=self.is_idl, is_ros1=self.is_ros1)(raw)
+
 
 class _WholeReads:
     """A stream that raises EOFError rather than return fewer bytes than requested."""
@@ -310,7 +314,6 @@ def is_bag_directory(path: str | PathLike[str]) -> bool:
 
 def _read_file(bag: Bag, path: Path) -> None:
     """Add the messages of a file; raises LogFormatError if there are none before the first damage."""
-    decoders: dict[_Channel, Callable[[bytes], Any]] = {}
     count = 0
     with path.open("rb") as file:
         stream = _WholeReads(file)
@@ -321,9 +324,7 @@ def _read_file(bag: Bag, path: Path) -> None:
                     continue
                 topic = _topic(bag, channel)
                 try:
-                    if channel not in decoders:
-                        decoders[channel] = _decoder(channel)
-                    topic.add(decoders[channel](raw), received_ns * 1e-9)
+                    topic.add(channel.decode(raw), received_ns * 1e-9)
                 except Exception:
                     topic.undecoded += 1
         except Exception as error:
@@ -481,21 +482,23 @@ def _full_kind(kind: str) -> str:
     return kind if "/" in name else f"{package}/msg/{name}"
 
 
-def _decoder(channel: _Channel) -> Callable[[bytes], Any]:
-    """Return the function that decodes the messages of a channel, by its own definition, else by the usual one."""
+@lru_cache(maxsize=64)
+def _decoder(kind: str, definition: str, *, is_idl: bool, is_ros1: bool) -> Callable[[bytes], Any]:
+    """Return the function that decodes messages of a kind, by the definition in the bag, else by the usual one."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415
 
+    usual = Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE
     store = get_typestore(Stores.EMPTY)
     try:
-        if channel.is_idl:
-            parts = [part.partition("\n")[2] for part in channel.definition.split(f"{'=' * 80}\nIDL: ") if part]
-            for part in parts if channel.definition.startswith("=") else [channel.definition]:
+        if is_idl:
+            parts = [part.partition("\n")[2] for part in definition.split(f"{'=' * 80}\nIDL: ") if part]
+            for part in parts if definition.startswith("=") else [definition]:
                 store.register(get_types_from_idl(part))
         else:
-            store.register(get_types_from_msg(channel.definition, channel.kind))
-    except Exception:
-        store = get_typestore(Stores.ROS1_NOETIC if channel.is_ros1 else Stores.ROS2_HUMBLE)
-    if channel.kind not in store.fielddefs:
-        store = get_typestore(Stores.ROS1_NOETIC if channel.is_ros1 else Stores.ROS2_HUMBLE)
-    decode = store.deserialize_ros1 if channel.is_ros1 else store.deserialize_cdr
-    return lambda raw: decode(raw, channel.kind)
+            store.register(get_types_from_msg(definition, kind))
+    except Exception:  # of a damaged definition the library raises any exception
+        store = get_typestore(usual)
+    if kind not in store.fielddefs:
+        store = get_typestore(usual)
+    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+    return lambda raw: decode(raw, kind)

@@ -90,7 +90,7 @@ _PART = re.compile(
 _OF_GPS = re.compile("gps|gnss|pps|utc|mavros|fcu|ublox")
 _VEHICLE = re.compile(
     r"(uav|uas|drone|robot|quad|quadrotor|quadcopter|copter|multirotor|hexacopter|octocopter|vtol|plane|aircraft"
-    r"|vehicle|agent|ugv|usv|uuv|boat|leader|follower|wingman|alpha|bravo|charlie|delta|mav|px4)([_-]?[0-9a-z]{1,2})?"
+    r"|vehicle|agent|ugv|usv|uuv|boat|leader|follower|wingman|alpha|bravo|charlie|delta|mav|px4)([_-]?\d+|[_-][a-z])?"
 )
 # Name of the vehicle whose topics have no name space, beside others that have one.
 UNNAMED = "unnamed"
@@ -492,27 +492,31 @@ def vehicles_of(kinds: Mapping[str, str]) -> dict[str, str]:
     """Return the vehicle of each topic, empty if it belongs to none, by the kinds of topics with these names.
 
     A part of a topic is a vehicle if it is called so (``drone_1``), if it is above the interface of an autopilot
-    (``/alpha/mavros``), if it is numbered (``/r1``, ``/r2``), or if another part has the same attitude below
-    (``/red/imu/data``, ``/blue/imu/data``).  With a single vehicle, all topics are its own.
+    (``/alpha/mavros``), if it is numbered (``/r1``, ``/r2``), or if another part has two equal topics below
+    (``/red/odom`` and ``/red/fix``, as ``/blue`` has).  With a single vehicle, all topics are its own.
     """
     parts = {name: name.strip("/").split("/") for name in kinds}
-    siblings: defaultdict[tuple[Any, ...], set[str]] = defaultdict(set)
+    numbered: defaultdict[tuple[str, ...], set[str]] = defaultdict(set)
+    alike: defaultdict[tuple[str, ...], set[str]] = defaultdict(set)
     found: set[str] = set()
     for name, path in parts.items():
         for depth, part in enumerate(path[:-1]):
-            if _has(_PART, part) or _INTERFACE.fullmatch(part):
+            if _INTERFACE.fullmatch(part):
+                break
+            if _has(_PART, part):
                 continue
             if _VEHICLE.fullmatch(part.lower()) or _INTERFACE.fullmatch(path[depth + 1]):
                 found.add(part)
             stem = _NUMBERED.fullmatch(part.lower())
-            above = path[depth - 1] if depth else ""
-            if stem is not None and (stem[1] or not _has(_PART, above)):
-                siblings[(*path[:depth], stem[1], "numbered")].add(part)
-            if kinds[name] in ATTITUDES:
-                siblings[(*path[:depth], "/", *path[depth + 1 :], kinds[name])].add(part)
-    for group in siblings.values():
+            if stem is not None and (stem[1] or not depth or not _has(_PART, path[depth - 1])):
+                numbered[(*path[:depth], stem[1])].add(part)
+            if not _purpose(name):
+                alike[(*path[:depth], "", kinds[name], *path[depth + 1 :])].add(part)
+    for group in numbered.values():
         found |= group if len(group) > 1 else set()
-    vehicles = {name: next((part for part in path[:-1] if part in found), "") for name, path in parts.items()}
+    times = Counter(part for group in alike.values() if len(group) > 1 for part in group)
+    found |= {part for part, count in times.items() if count > 1}
+    vehicles = {name: "/".join(part for part in path[:-1] if part in found) for name, path in parts.items()}
     # An autopilot without a name space beside others with one: the first of several simulated ones.
     is_unnamed = any(_INTERFACE.fullmatch(path[0]) for path in parts.values())
     if is_unnamed and any(vehicles.values()):

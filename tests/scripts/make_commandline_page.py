@@ -52,10 +52,10 @@ MEANINGS: Final = {
     "--start": "start, s from the first attitude",
     "--stats": "frame times of the window, as JSON",
     "--sysid": "which vehicle of the log or link",
-    "--vehicle": "which vehicle of the log, by name",
     "--time-offset": "the camera's clock minus the log's, s",
     "--utc": "a time, ISO 8601",
     "--utc-start": "UTC of the first attitude",
+    "--vehicle": "which vehicle of the log, by name",
     "--verbose": "more on standard error: the driver, and progress without a terminal (`-v`); also before the command",
     "--with-truth": "send the truth with the frames of `zmq://`",
 }

@@ -1,5 +1,6 @@
 """Bags of any kind, written by the rosbags library."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +38,20 @@ GEO, POSE, QUATERNION = (
 POSE_COV, ODOMETRY = "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry"
 
 
+@cache
+def _store(distribution: Stores) -> Any:
+    store = get_typestore(distribution)
+    for name, definition in GEOGRAPHIC.items():
+        store.register(get_types_from_msg(definition, name))
+    return store
+
+
 class Bag:
     """A bag of any kind, written message by message."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.is1 = kind == "bag"
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.is1 else Stores.ROS2_HUMBLE)
-        for name, definition in GEOGRAPHIC.items():
-            self.store.register(get_types_from_msg(definition, name))
+        self.store = _store(Stores.ROS1_NOETIC if self.is1 else Stores.ROS2_HUMBLE)
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         self.writer: Any = Writer1(path) if self.is1 else Writer2(path, version=9, storage_plugin=plugin)
         self.connections: dict[str, Any] = {}
