@@ -272,7 +272,7 @@ _COMPARED_S = 0.5
 # Largest difference between the turn rates of attitudes and gyros: constant, and varying beside a fraction of the rate,
 # rad/s; a constant one is corrected at each attitude.
 _MAX_BIAS_RAD_PER_S = np.deg2rad(1.0)
-_MAX_DIFFERENCE_RAD_PER_S, _MAX_DIFFERENCE = np.deg2rad(0.2), 0.1
+_MAX_DIFFERENCE_RAD_PER_S, _MAX_DIFFERENCE = np.deg2rad(0.2), 0.2
 # Least part of the turns about a second axis that determines the rotation between two sensors.
 _SECOND_AXIS = 0.1
 
@@ -300,23 +300,23 @@ class GyroAlignment:
         turned, measured = _mean_rates(t_s, q_body_ned, gyro_t_s, rate_rad_per_s)
         if not turned.size:
             return None
-        residual = float(np.sqrt(((turned - measured) ** 2).sum(axis=-1).mean()))
-        if _is_same_turn(turned, measured):
-            return cls(np.eye(3), np.rad2deg(residual))
+        apart = turned - measured
+        residual = float(np.sqrt((apart**2).sum(axis=-1).mean()))
+        C_body_gyro, scatter = np.eye(3), _scatter(apart)
         about = np.linalg.svd(measured, compute_uv=False)
-        C_body_gyro = fitted_rotation(measured, turned)
-        is_determined = about.size > 1 and about[1] > _SECOND_AXIS * about[0]
-        is_found = is_determined and _is_same_turn(turned, measured @ C_body_gyro.T)
-        return cls(C_body_gyro if is_found else None, np.rad2deg(residual))
+        if about.size > 1 and about[1] > _SECOND_AXIS * about[0]:
+            fitted = fitted_rotation(measured, turned)
+            rotated = _scatter(turned - measured @ fitted.T)
+            if rotated < scatter / 2 and scatter > _MAX_DIFFERENCE_RAD_PER_S:
+                C_body_gyro, scatter, apart = fitted, rotated, turned - measured @ fitted.T
+        allowed = _MAX_DIFFERENCE_RAD_PER_S + _MAX_DIFFERENCE * float(np.sqrt((turned**2).sum(axis=-1).mean()))
+        agrees = scatter < allowed and np.linalg.norm(apart.mean(axis=0)) < _MAX_BIAS_RAD_PER_S
+        return cls(C_body_gyro if agrees else None, np.rad2deg(residual))
 
 
-def _is_same_turn(turned: Float, measured: Float) -> bool:
-    """Return whether two sets of rates (n, 3), rad/s, agree but for a small constant."""
-    difference = turned - measured
-    bias = difference.mean(axis=0)
-    scatter = float(np.sqrt(((difference - bias) ** 2).sum(axis=-1).mean()))
-    allowed = _MAX_DIFFERENCE_RAD_PER_S + _MAX_DIFFERENCE * float(np.sqrt((turned**2).sum(axis=-1).mean()))
-    return bool(np.linalg.norm(bias) < _MAX_BIAS_RAD_PER_S and scatter < allowed)
+def _scatter(apart: Float) -> float:
+    """Return the root mean square of differences, (n, 3), about their mean."""
+    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=-1).mean()))
 
 
 def _mean_rates(t_s: Float, q_body_ned: Float, gyro_t_s: Float, rate: Float) -> tuple[Float, Float]:

@@ -7,16 +7,18 @@ decode is counted, and schemas of other topics are never parsed.
 
 import bz2
 import io
+import sqlite3
 import struct
 import tempfile
 from array import array
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 
@@ -93,7 +95,8 @@ class Topic:
     frame_id: str = ""
     child_frame_id: str = ""
     origin: str = ""  # Where a TimeReference says that its time comes from
-    unknown: Counter[str] = field(default_factory=Counter)  # Why messages have no orientation
+    unmeasured: int = 0  # Number of messages whose covariance says that they have no orientation
+    unknown: int = 0  # Number of messages whose covariance says that their orientation may be any
     undecoded: int = 0  # Number of messages that rosbags cannot decode
     _cells: "array[float]" = field(default_factory=lambda: array("d"))
 
@@ -123,8 +126,9 @@ class Topic:
     def _add_gyros(self, row: list[float], message: Any) -> None:
         """Complete the row of an Imu, which says by covariances what it does not measure."""
         variance = message.orientation_covariance[::4]
-        if variance[0] == -1 or max(variance) > _UNKNOWN_RAD2:
-            self.unknown[f"its orientation_covariance says {max(variance, key=abs):g}, so it has no orientation"] += 1
+        self.unknown += max(variance) > _UNKNOWN_RAD2
+        if variance[0] == -1:
+            self.unmeasured += 1
             row[2:6] = [np.nan] * 4
         rate, acceleration = message.angular_velocity, message.linear_acceleration
         if message.angular_velocity_covariance[0] != -1:
@@ -332,8 +336,8 @@ def _read_file(bag: Bag, path: Path) -> None:
             if not count:
                 raise LogFormatError(bag.name, f"cannot be read as a ROS bag: {reason}") from error
             bag.unread_bytes += stream.size - stream.tell()
-            where = f"byte {stream.tell()} of {stream.size} of {path.name}"
-            bag.notes.append(f"the recording breaks off at {where}, and its last messages are lost: {reason}")
+            where = f"at byte {stream.tell()} of {stream.size} of {path.name}" if stream.tell() else f"in {path.name}"
+            bag.notes.append(f"the recording breaks off {where}, and its last messages are lost: {reason}")
 
 
 def _topic(bag: Bag, channel: _Channel) -> Topic:
@@ -394,25 +398,28 @@ def _mcap_channel(record: Any, schema: Any) -> _Channel:
 
 
 def _sqlite(bag: Bag, path: Path) -> _Messages:
-    from rosbags.rosbag2 import Reader  # noqa: PLC0415 - see `read_bag`
-
-    storage: Any = Reader.STORAGE_PLUGINS[".db3"](path)
-    storage.open()
+    """Yield the messages of a database, with those that a killed recorder left in its write-ahead log."""
+    address = f"file:{quote(str(path.absolute()))}"
     try:
+        database = sqlite3.connect(f"{address}?mode=ro", uri=True)
+        database.execute("SELECT count(*) FROM topics").fetchone()
+    except sqlite3.OperationalError:  # in a folder that cannot be written the log cannot be read
+        database = sqlite3.connect(f"{address}?immutable=1", uri=True)
+    with closing(database):
+        definitions: dict[str, tuple[str, bool]] = {}
+        if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
+            rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
+            definitions = {kind: (text, encoding == "ros2idl") for kind, text, encoding in rows}
         channels = {
-            connection.id: _Channel(
-                connection.topic,
-                connection.msgtype if connection.ext.serialization_format == "cdr" else "",
-                connection.msgdef.data,
-                connection.msgdef.format.name == "IDL",
+            number: _Channel(name, kind if serialised == "cdr" else "", *definitions.get(kind, ("", False)))
+            for number, name, kind, serialised in database.execute(
+                "SELECT id, name, type, serialization_format FROM topics"
             )
-            for connection in storage.connections
         }
         bag.kinds.update(channel.kind for channel in channels.values())
-        for connection, received_ns, raw in storage.messages(storage.connections):
-            yield channels[connection.id], received_ns, _unpacked(raw)
-    finally:
-        storage.close()
+        for number, received_ns, raw in database.execute("SELECT topic_id, timestamp, data FROM messages"):
+            if number in channels:
+                yield channels[number], received_ns, _unpacked(raw)
 
 
 def _compressed(bag: Bag, stream: Any) -> _Messages:

@@ -284,8 +284,11 @@ class BagReader(source.TelemetrySource):
 
     def _doubt_of(self, topic: Topic) -> str:
         if not topic.is_oriented.any():
-            (reason, _), *_ = [*topic.unknown.most_common(1), ("it has no unit quaternions", 0)]
-            return reason
+            return (
+                "its covariance says that it has no orientation" if topic.unmeasured else "it has no unit quaternions"
+            )
+        if topic.unknown > len(topic) / 2:
+            return "its covariance says that its orientation is not known"
         if purpose := _purpose(topic.name):
             return purpose
         frame = {*_words(topic.frame_id)}

@@ -78,7 +78,7 @@ IMPORTED_IN = {
     "pyarrow": ["export", "telemetry"],
     "zlib_ng": ["export", "system"],
     "zstandard": ["telemetry"],
-    "sqlite3": ["sky"],
+    "sqlite3": ["sky", "telemetry"],
     "typer": ["cli"],
     "rich": ["cli"],
     "pydantic": ["config"],
