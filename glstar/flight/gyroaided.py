@@ -300,23 +300,23 @@ class GyroAlignment:
         turned, measured = _mean_rates(t_s, q_body_ned, gyro_t_s, rate_rad_per_s)
         if not turned.size:
             return None
-        apart = turned - measured
-        residual = float(np.sqrt((apart**2).sum(axis=-1).mean()))
-        C_body_gyro, scatter = np.eye(3), _scatter(apart)
+        difference = turned - measured
+        residual = float(np.sqrt((difference**2).sum(axis=-1).mean()))
+        C_body_gyro, scatter = np.eye(3), _scatter(difference)
         about = np.linalg.svd(measured, compute_uv=False)
         if about.size > 1 and about[1] > _SECOND_AXIS * about[0]:
             fitted = fitted_rotation(measured, turned)
             rotated = _scatter(turned - measured @ fitted.T)
             if rotated < scatter / 2 and scatter > _MAX_DIFFERENCE_RAD_PER_S:
-                C_body_gyro, scatter, apart = fitted, rotated, turned - measured @ fitted.T
+                C_body_gyro, scatter, difference = fitted, rotated, turned - measured @ fitted.T
         allowed = _MAX_DIFFERENCE_RAD_PER_S + _MAX_DIFFERENCE * float(np.sqrt((turned**2).sum(axis=-1).mean()))
-        agrees = scatter < allowed and np.linalg.norm(apart.mean(axis=0)) < _MAX_BIAS_RAD_PER_S
+        agrees = scatter < allowed and np.linalg.norm(difference.mean(axis=0)) < _MAX_BIAS_RAD_PER_S
         return cls(C_body_gyro if agrees else None, np.rad2deg(residual))
 
 
-def _scatter(apart: Float) -> float:
+def _scatter(difference: Float) -> float:
     """Return the root mean square of differences, (n, 3), about their mean."""
-    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=-1).mean()))
+    return float(np.sqrt(((difference - difference.mean(axis=0)) ** 2).sum(axis=-1).mean()))
 
 
 def _mean_rates(t_s: Float, q_body_ned: Float, gyro_t_s: Float, rate: Float) -> tuple[Float, Float]:

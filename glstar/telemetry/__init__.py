@@ -16,7 +16,7 @@ module                holds
 ``mavlink``           MAVLink logs: ``packets``, ``clock``, ``vehicles`` (names, gimbal), ``tlog``, ``mavlogdump``
 ``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
 ``ulog``              PX4 ULog and the CSV of ulog2csv; ``ulogfile``: their topics
-``rosbag``            ROS 1 and ROS 2 bags, MCAP; ``bagfile``: their messages
+``bags``              ROS 1 and ROS 2 bags, MCAP: ``storage``, and ``topics``: what each measures
 ``tracks``            positions without attitude: GPX, KML, KMZ, NMEA, IGC
 ``formats``           `LOG_FORMATS`, the table of log formats: a new format is a reader and one entry; gzip and zip
 ``recording``         `Recording`, the samples of one boot, and `FlightOptions`
@@ -36,12 +36,12 @@ from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
 from glstar.sky.place.site import Site
 from glstar.telemetry import formats, synthetic
+from glstar.telemetry.bags import is_bag_directory
 from glstar.telemetry.dataflash import DataFlashReader
 from glstar.telemetry.formats import LOG_FORMATS, LOG_SUFFIXES, LogFormat
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader
 from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.recording import FlightOptions, Recording
-from glstar.telemetry.rosbag import is_bag_directory
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,

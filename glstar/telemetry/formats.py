@@ -15,11 +15,11 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from glstar.errors import LogFormatError
+from glstar.telemetry.bags import BagReader, is_bag
 from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader, is_dataflash, is_dataflash_dump
 from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.mavlink.packets import is_telemetry_log
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader, is_mavlink_stream, stream_reader
-from glstar.telemetry.rosbag import BagReader, is_bag
 from glstar.telemetry.source import TelemetrySource
 from glstar.telemetry.tables.files import csv_header, is_office_file, is_parquet, table_header
 from glstar.telemetry.tables.mapped import MappedTableReader, ready_map

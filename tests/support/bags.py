@@ -145,10 +145,13 @@ class Bag:
             position_covariance_type=0,
         )  # fmt: skip
 
-    def time(self, topic: str, stamp_ns: int, utc_ns: int, origin: str = "gps") -> None:
+    def time(
+        self, topic: str, stamp_ns: int, utc_ns: int, origin: str = "gps", *, received_ns: int | None = None
+    ) -> None:
         """Write a TimeReference."""
+        header = self.header(stamp_ns, "")
         self.write(
-            topic, TIME, stamp_ns, header=self.header(stamp_ns, ""), source=origin,
+            topic, TIME, stamp_ns if received_ns is None else received_ns, header=header, source=origin,
             time_ref=self.make("builtin_interfaces/msg/Time", sec=utc_ns // 10**9, nanosec=utc_ns % 10**9),
         )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,6 +67,10 @@ PLANNED = (
     (ODOMETRY, "planning/desiredState"),
     (QUATERNION, "commanded_attitude"),
     (QUATERNION, "gimbal/attitude"),
+    (POSE, "des_pose"),
+    (ODOMETRY, "tracker/tgtState"),
+    (POSE, "detections/person/pose"),
+    (POSE, "formation/wp_next"),
     (POSE, "mavros/mount_control/pose"),
 )
 SENSORS = (
@@ -113,6 +118,26 @@ class Motion:
         return np.asarray((before.inv() * after).as_rotvec() / 2e-3)
 
 
+class _SortedBag(Bag):
+    """A bag whose messages are written in the order of reception, when it is closed."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        super().__init__(path, kind)
+        self.waiting: list[tuple[int, str, str, dict[str, Any]]] = []
+
+    def write(self, topic: str, kind: str, received_ns: int, **fields: Any) -> None:
+        self.waiting.append((received_ns, topic, kind, fields))
+
+    @property
+    def topics(self) -> set[str]:
+        return {topic for _, topic, _, _ in self.waiting}
+
+    def __exit__(self, *error: object) -> None:
+        for received_ns, topic, kind, fields in sorted(self.waiting, key=lambda message: message[0]):
+            super().write(topic, kind, received_ns, **fields)
+        super().__exit__(*error)
+
+
 @dataclass
 class RandomBag:
     """A bag in a file, and the flights that may be read from it."""
@@ -130,7 +155,7 @@ def random_bag(random: Random, folder: Path) -> RandomBag:
     flights = [flight]
     name = folder / ("flight.bag" if kind == "bag" else "flight")
     late_ns = int(random.choice([0, 0, 0, 100_000_000_000, -1_710_000_000_000_000_000]))
-    with Bag(name, kind) as bag:
+    with _SortedBag(name, kind) as bag:
         space, other = "", None
         if random.random() < 0.3:
             first, second = VEHICLES[random.integers(len(VEHICLES))]
@@ -163,7 +188,7 @@ def _renamed(random: Random, name: Path, kind: str, said: list[str]) -> Path:
     return file.rename(name.parent / f"renamed{suffix}")
 
 
-def _add_flight(bag: Bag, random: Random, motion: Motion, space: str, late_ns: int, said: list[str]) -> None:
+def _add_flight(bag: _SortedBag, random: Random, motion: Motion, space: str, late_ns: int, said: list[str]) -> None:
     kind, topic = MEASURED[random.integers(len(MEASURED))]
     said.append(f"/{space}{topic} ({kind})")
     frame = str(random.choice(FRAMES)) if kind == IMU else "map"
@@ -176,7 +201,7 @@ def _add_flight(bag: Bag, random: Random, motion: Motion, space: str, late_ns: i
 
 
 def _turning(
-    bag: Bag, random: Random, motion: Motion, kind: str, topic: str, late_ns: int, frame: str, rate_hz: float
+    bag: _SortedBag, random: Random, motion: Motion, kind: str, topic: str, late_ns: int, frame: str, rate_hz: float
 ) -> None:
     force = (0.0, 0.0, 0.0) if random.random() < 0.3 else (0.0, 0.0, 9.8)
     times_s = np.arange(0, DURATION_S, 1 / rate_hz)
@@ -189,7 +214,9 @@ def _turning(
         )  # fmt: skip
 
 
-def _add_vehicle(bag: Bag, random: Random, space: str, late_ns: int, said: list[str], *, has_fix: bool) -> Motion:
+def _add_vehicle(
+    bag: _SortedBag, random: Random, space: str, late_ns: int, said: list[str], *, has_fix: bool
+) -> Motion:
     """Add another vehicle, with or without its position."""
     motion = Motion.of(random)
     kind, topic = MEASURED[random.integers(6)]
@@ -204,28 +231,28 @@ def _add_vehicle(bag: Bag, random: Random, space: str, late_ns: int, said: list[
     return motion
 
 
-def _add_clocks(bag: Bag, random: Random, space: str, late_ns: int, said: list[str]) -> None:
+def _add_clocks(bag: _SortedBag, random: Random, space: str, late_ns: int, said: list[str]) -> None:
     """Add the TimeReference of a bag whose stamps are no UTC, and others."""
     fcu = str(random.choice(["mavros/time_reference", "gps/time_reference", "ublox/time"]))
     decoys = ("lidar/trigger_time", "camera/sync", "pps/count", "sensors/clock")
-    decoy, way = str(random.choice(decoys)), str(random.choice(["none", "boot", "1970", "frozen", "jumps"]))
-    said.append(f"TimeReference {fcu}, {decoy} {way}")
+    decoy, fault = str(random.choice(decoys)), str(random.choice(["none", "boot", "1970", "frozen", "jumps"]))
+    said.append(f"TimeReference {fcu}, {decoy} {fault}")
     for number, t_s in enumerate(np.arange(0, DURATION_S, 0.5)):
         utc_ns = UTC_NS + round(t_s * 1e9)
         bag.time(f"/{space}{fcu}", utc_ns + late_ns, utc_ns)
-        for fraction in np.arange(0, 0.5, 0.05) if way != "none" else ():
+        for fraction in np.arange(0, 0.5, 0.05) if fault != "none" else ():
             then_ns = utc_ns + round(fraction * 1e9)
             read_ns = {
                 "boot": 1000_000_000_000 + then_ns - UTC_NS,
                 "1970": then_ns - UTC_NS,
                 "frozen": 1710000000_000000000,
                 "jumps": then_ns + int(random.uniform(-3e11, 3e11)),
-            }[way]
+            }[fault]
             bag.time(f"/{space}{decoy}", then_ns + late_ns, read_ns, origin=str(random.choice(["", "sensor"])))
         del number
 
 
-def _planned(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
+def _planned(bag: _SortedBag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
     kind, topic = PLANNED[random.integers(len(PLANNED))]
     said.append(f"planned {topic}")
     motion = Motion.of(random)
@@ -233,24 +260,24 @@ def _planned(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int,
     del flight
 
 
-def _sensor(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
-    """Add the IMU of another sensor: without orientation in one way of several, or with one of its own."""
+def _sensor(bag: _SortedBag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
+    """Add the IMU of another sensor: without orientation in one fault of several, or with one of its own."""
     topic, frame = SENSORS[random.integers(len(SENSORS))]
-    way = str(random.choice(["identity", "fixed", "minus one", "zero", "unknown", "own"]))
-    said.append(f"{topic} {way}")
+    fault = str(random.choice(["identity", "fixed", "minus one", "zero", "unknown", "own"]))
+    said.append(f"{topic} {fault}")
     turned = Rotation.random(random_state=int(random.integers(1 << 30)))
     times_s = np.arange(0, DURATION_S, 1 / random.uniform(50, 200))
     rotations, rates = flight.body_to_enu(times_s) * turned, turned.inv().apply(flight.rate_flu(times_s))
-    covariance = {"minus one": NO_ORIENTATION, "unknown": np.diag([1e6, 1e6, 1e6]).ravel()}.get(way, np.zeros(9))
+    covariance = {"minus one": NO_ORIENTATION, "unknown": np.diag([1e6, 1e6, 1e6]).ravel()}.get(fault, np.zeros(9))
     for k, t_s in enumerate(times_s):
-        rotation = {"identity": Rotation.identity(), "fixed": turned}.get(way, rotations[k])
+        rotation = {"identity": Rotation.identity(), "fixed": turned}.get(fault, rotations[k])
         bag.oriented(
             IMU, f"/{space}{topic}", UTC_NS + late_ns + round(t_s * 1e9), rotation, frame, covariance=covariance,
-            rate=rates[k], quaternion=np.zeros(4) if way == "zero" else None, acceleration=(0.0, 0.0, 9.8),
+            rate=rates[k], quaternion=np.zeros(4) if fault == "zero" else None, acceleration=(0.0, 0.0, 9.8),
         )  # fmt: skip
 
 
-def _places(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
+def _places(bag: _SortedBag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
     """Add positions that are none of the vehicle's: without a fix, of its home or of its goal."""
     names = (
         "mavros/home_position/fix",
@@ -269,11 +296,11 @@ def _places(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int, 
     del flight
 
 
-def _frozen(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
+def _frozen(bag: _SortedBag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
     """Add an attitude that stands still, as fast as a real one."""
     kind, topic = MEASURED[random.integers(len(MEASURED))]
     name = f"/{space}{topic}"
-    if name in bag.connections:
+    if name in bag.topics:
         return
     said.append(f"frozen {topic}")
     rotation = flight.body_to_enu(0.0) if random.random() < 0.5 else Rotation.identity()
@@ -282,7 +309,20 @@ def _frozen(bag: Bag, random: Random, flight: Motion, space: str, late_ns: int, 
         bag.oriented(kind, name, stamp_ns, rotation, "odom", rate=0.01 * random.normal(size=3), place=flight.place)
 
 
-DECOYS: tuple[Callable[..., None], ...] = (_planned, _planned, _sensor, _places, _frozen)
+def _other_clock(bag: _SortedBag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:
+    """Add a camera whose stamps count from its start, and an IMU that counts so and has gyros only."""
+    said.append("another clock")
+    times_s = np.arange(0, DURATION_S, 0.04)
+    for t_s, rate in zip(times_s, flight.rate_flu(times_s), strict=True):
+        received_ns, stamp_ns = UTC_NS + late_ns + round(t_s * 1e9), 20_000_000_000 + round(t_s * 1e9)
+        bag.oriented(
+            IMU, f"/{space}boot/imu", stamp_ns, Rotation.identity(), "imu", covariance=NO_ORIENTATION, rate=rate,
+            late_ns=received_ns - stamp_ns,
+        )  # fmt: skip
+    del random
+
+
+DECOYS: tuple[Callable[..., None], ...] = (_planned, _planned, _sensor, _places, _frozen, _other_clock)
 
 
 def judged(made: RandomBag) -> str:

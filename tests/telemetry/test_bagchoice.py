@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from glstar.errors import LogFormatError
 from glstar.rotation import turn_between
 from glstar.telemetry import open_flight, open_source, read_flight, survey
-from glstar.telemetry.rosbag import vehicles_of
+from glstar.telemetry.bags.topics import vehicles_of
 from tests.support.bags import (
     ENU_FLU,
     GEO,
@@ -80,22 +80,22 @@ def test_a_setpoint_is_used_if_it_is_named(tmp_path: Path) -> None:
     assert any("is used because it is named" in note for note in flight.notes)
 
 
-@pytest.mark.parametrize("way", ["identity", "fixed", "minus one", "unknown", "zero", "own"])
-def test_an_imu_that_estimates_no_orientation_is_passed_over(tmp_path: Path, way: str) -> None:
-    covariance = {"minus one": NO_ORIENTATION, "unknown": np.diag([1e6] * 3).ravel()}.get(way, np.zeros(9))
+@pytest.mark.parametrize("fault", ["identity", "fixed", "minus one", "unknown", "zero", "own"])
+def test_an_imu_that_estimates_no_orientation_is_passed_over(tmp_path: Path, fault: str) -> None:
+    covariance = {"minus one": NO_ORIENTATION, "unknown": np.diag([1e6] * 3).ravel()}.get(fault, np.zeros(9))
 
     def livox(bag: Bag, k: int, stamp_ns: int) -> None:
-        rotation = {"identity": Rotation.identity(), "fixed": UPSIDE_DOWN}.get(way, ENU_FLU[k] * UPSIDE_DOWN)
+        rotation = {"identity": Rotation.identity(), "fixed": UPSIDE_DOWN}.get(fault, ENU_FLU[k] * UPSIDE_DOWN)
         for repeat in range(4):
             bag.oriented(
                 IMU, "/livox/imu", stamp_ns + repeat * 1_000_000, rotation, "livox_frame", rate=(0.1, 0.1, 0.1),
-                covariance=covariance, quaternion=(0.0, 0.0, 0.0, 0.0) if way == "zero" else None,
+                covariance=covariance, quaternion=(0.0, 0.0, 0.0, 0.0) if fault == "zero" else None,
             )  # fmt: skip
 
     flight = open_flight(flight_with(tmp_path / "bag", livox))
 
     require_agreement(flight)
-    assert way == "own" or any("passed over: /livox/imu (" in note for note in flight.notes)
+    assert fault == "own" or any("passed over: /livox/imu (" in note for note in flight.notes)
 
 
 def test_an_attitude_that_stops_moving_is_passed_over(tmp_path: Path) -> None:
@@ -172,15 +172,36 @@ def test_the_position_of_another_vehicle_is_not_taken(tmp_path: Path) -> None:
     require_agreement(open_flight(tmp_path / "bag", columns="position=/uav2/fix"))
 
 
-def test_positions_far_apart_in_one_name_space_are_refused(tmp_path: Path) -> None:
+def test_distant_positions_in_one_name_space_are_refused(tmp_path: Path) -> None:
     def other(bag: Bag, k: int, stamp_ns: int) -> None:
         del k
         bag.placed("/mavros/global_position/other", stamp_ns, (-33.0, 140.0, 500.0))
 
     path = flight_with(tmp_path / "bag", other)
 
-    with pytest.raises(LogFormatError, match=r"km apart, and nothing says which is the aircraft; name one with --col"):
+    with pytest.raises(
+        LogFormatError, match=r"km from each other, and nothing says which is the aircraft; name one with --col"
+    ):
         open_flight(path)
+
+
+def test_stamps_of_another_clock_are_replaced_by_reception(tmp_path: Path) -> None:
+    boot_ns = 30_000_000_000
+
+    def others(bag: Bag, k: int, stamp_ns: int) -> None:
+        since_ns = stamp_ns - START_NS + boot_ns
+        bag.time("/gps/time_reference", since_ns, stamp_ns - 100_000_000_000, received_ns=stamp_ns)
+        bag.oriented(
+            IMU, "/boot/imu", since_ns, ENU_FLU[k], covariance=NO_ORIENTATION, rate=(1.0, 0.0, 0.0),
+            late_ns=stamp_ns - since_ns,
+        )  # fmt: skip
+
+    flight = open_flight(flight_with(tmp_path / "bag", others))
+
+    # As well as messages are received: the Imu 3 ms after its stamp.
+    assert abs(flight.attitude.first_s - (START_NS * 1e-9 - 100.0)) < 0.005
+    assert any("are replaced by times of reception: /gps/time_reference" in note for note in flight.notes)
+    assert any("/boot/imu (its stamps are of another clock)" in note for note in flight.notes)
 
 
 def test_parts_of_one_vehicle_are_no_vehicles() -> None:
@@ -206,15 +227,16 @@ def test_vehicles_of_several_name_spaces_are_found() -> None:
         {"/red/imu": IMU, "/red/fix": fix, "/blue/imu": IMU, "/blue/fix": fix},
         {"/fmu/out/pose": POSE, "/px4_1/fmu/out/pose": POSE},
         {"/leader/imu": IMU, "/vicon/follower/pose": POSE},
+        {"/uav1/imu": IMU, "/husky/fix": fix, "/camera/imu": IMU, "/goal/pose": POSE},
     )
 
     found = [sorted(set(vehicles_of(kinds | shared).values()) - {""}) for kinds in bags]
 
-    assert found == [["uav1", "uav2"], ["blue", "red"], ["px4_1", "unnamed"], ["follower", "leader"]]
+    assert found == [["uav1", "uav2"], ["blue", "red"], ["px4_1", "unnamed"], ["follower", "leader"], ["husky", "uav1"]]
 
 
-@pytest.mark.parametrize("way", ["boot", "1970", "frozen", "scattered"])
-def test_a_time_reference_that_counts_no_utc_is_passed_over(tmp_path: Path, way: str) -> None:
+@pytest.mark.parametrize("fault", ["boot", "1970", "frozen", "scattered"])
+def test_a_time_reference_that_counts_no_utc_is_passed_over(tmp_path: Path, fault: str) -> None:
     late_ns = 100_000_000_000
 
     def clocks(bag: Bag, k: int, stamp_ns: int) -> None:
@@ -227,7 +249,7 @@ def test_a_time_reference_that_counts_no_utc_is_passed_over(tmp_path: Path, way:
             "scattered": utc_ns + k * 10**9,
         }
         for repeat in range(3):
-            bag.time("/lidar/trigger_time", stamp_ns + repeat * 1_000_000, read_ns[way])
+            bag.time("/lidar/trigger_time", stamp_ns + repeat * 1_000_000, read_ns[fault])
         if k % 10 == 0:
             bag.time("/gps/time_reference", stamp_ns, utc_ns)
 
@@ -429,7 +451,7 @@ def test_a_directory_without_metadata_is_a_bag_if_its_recorder_was_killed(tmp_pa
     require_agreement(open_flight(folder))
 
 
-def test_two_kinds_on_one_topic_are_kept_apart(tmp_path: Path) -> None:
+def test_two_kinds_on_one_topic_are_two_topics(tmp_path: Path) -> None:
     def pose(bag: Bag, k: int, stamp_ns: int) -> None:
         del k
         connection = bag.connections.pop("/mavros/imu/data")

@@ -23,9 +23,8 @@ is its like (``/uav1``, ``/uav2``); a flight has topics of one vehicle.
 """
 
 import os
-import re
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -38,18 +37,22 @@ from glstar.errors import ConfigError, LogFormatError
 from glstar.flight.gyroaided import GyroAlignment
 from glstar.system.userinput import did_you_mean
 from glstar.telemetry import source
-from glstar.telemetry.bagfile import (
+from glstar.telemetry.bags.storage import MAGICS, Bag, is_bag_directory, read_bag
+from glstar.telemetry.bags.topics import (
     ATTITUDES,
     CAMERA,
+    DEVICE,
     FIX,
     GEO,
     IMU,
-    MAGICS,
+    INTERFACE,
+    OF_GPS,
     TIME,
-    Bag,
     Topic,
-    is_bag_directory,
-    read_bag,
+    has_word,
+    purpose_of,
+    vehicles_of,
+    words_of,
 )
 from glstar.telemetry.tables.mapped import q_body_ned_of
 
@@ -62,40 +65,6 @@ _RELATIVE = {
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
-# Words of topics that say where a vehicle should be, or where something else is; the longer ones also within a word.
-_PLANNED = re.compile(
-    r".*(setpoint|waypoint|goal|target|desired|command|reference|planned).*|cmd|sp|ref|plans?|planner|trajectory|path"
-    r"|mission|home|origin|initial|initialpose|clicked|teleop|joy|markers?|tags?|aruco|apriltags?|landing|takeoff"
-    r"|predict(ed|ion)|station|beacon|dock"
-)
-_GIMBAL = re.compile("gimbal|mount|turret|ptu|pantilt")
-# Topics below mavros that are sent to the autopilot: estimates of other programs, and simulated sensors.
-_MAVROS_INPUT = re.compile("vision|vision_pose|vision_speed|mocap|fake_gps|hil|hil_.*|gps_input|gps_rtk")
-# Nodes that are the interface of an autopilot.
-_INTERFACE = re.compile("mavros|fmu|ap|dji_sdk|dji_osdk_ros|psdk_ros2|autopilot|fcu")
-# Words of sensors other than that of the aircraft's attitude.
-_DEVICE = re.compile(
-    "cam|camera|realsense|d4[0-9]*i?|t265|l515|zed.?|oakd?|stereo|depth|infra|lidar|laser|livox|avia|ouster|os.?|velodyne"
-    "|hesai|rslidar|radar|leica|phone|event|dvs|sonar|uwb"
-)
-# Words of parts of a vehicle: as the first part of a topic, none of them is a vehicle.
-_PART = re.compile(
-    f"{_DEVICE.pattern}|imus?|ahrs|ins|gps|gnss|rtk|navsat|navsatfix|fix|mag|compass|baro|sensors?|devices?|platform|nav"
-    "|navigation|localization|odom|odometry|ekf|ukf|filter|filtered|raw|state|estimator|fusion|slam|vio|lio|tf|left|right"
-    "|front|rear|back|top|bottom|up|down|primary|secondary|main|backup|aux|antenna|receiver|rover|base|port|channel|lane"
-    "|instance|vectornav|vn|xsens|mti|microstrain|gx|sbg|ellipse|novatel|ublox|septentrio|applanix|oxts|lord|adis|bno|mpu"
-    "|phidgets|pixhawk|trimble|piksi|emlid|vicon|optitrack|mocap|vrpn|qualisys|ground|truth|sim|gazebo|topic|data"
-)
-# A part of a topic that is a vehicle by its name: uav, drone_1, leader.
-_OF_GPS = re.compile("gps|gnss|pps|utc|mavros|fcu|ublox")
-_VEHICLE = re.compile(
-    r"(uav|uas|drone|robot|quad|quadrotor|quadcopter|copter|multirotor|hexacopter|octocopter|vtol|plane|aircraft"
-    r"|vehicle|agent|ugv|usv|uuv|boat|leader|follower|wingman|alpha|bravo|charlie|delta|mav|px4)([_-]?\d+|[_-][a-z])?"
-)
-# Name of the vehicle whose topics have no name space, beside others that have one.
-UNNAMED = "unnamed"
-_NUMBERED = re.compile(r"(.*?)(?:[_-]?\d+|[_-][a-z])")
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 # Words of frames that are the axes of a world or of a body.
 _WORLDS = ("NED", "ENU", "NWU")
 _BODIES = ("FRD", "FLU")
@@ -179,7 +148,7 @@ class BagReader(source.TelemetrySource):
         if rates is not None:
             yield rates
         for info in self._of_vehicle({CAMERA}):
-            clock_s = info.column("stamp_s")
+            clock_s = info.clock_s(topic)
             yield source.TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info.name, camera=info.name)
 
     def attitudes(self) -> Iterator[tuple[str, source.AttitudeSamples]]:
@@ -223,8 +192,8 @@ class BagReader(source.TelemetrySource):
             return self._requested
         if self._attitude in self._topics:
             return self._vehicles[self._attitude]
-        fixes = [t for t in self._topics.values() if t.kind in {FIX, GEO} and not _purpose(t.name)]
-        with_fix = {self._vehicles[t.name] for t in fixes if t.positions().clock_s.size}
+        fixes = [t for t in self._topics.values() if t.kind in {FIX, GEO} and not purpose_of(t.name)]
+        with_fix = {self._vehicles[t.name] for t in fixes if t.positions(t).clock_s.size}
         samples = Counter[str]()
         for topic in self._with_attitude:
             samples[self._vehicles[topic.name]] += 0 if self._doubt(topic) else len(topic)
@@ -258,9 +227,9 @@ class BagReader(source.TelemetrySource):
         return min(
             usable,
             key=lambda topic: (
-                _has(_DEVICE, f"{topic.name} {topic.frame_id}"),
+                has_word(DEVICE, f"{topic.name} {topic.frame_id}"),
                 order.index(topic.kind),
-                not any(map(_INTERFACE.fullmatch, topic.name.split("/"))),
+                not any(map(INTERFACE.fullmatch, topic.name.split("/"))),
                 -np.count_nonzero(topic.is_oriented),
             ),
         )
@@ -289,16 +258,18 @@ class BagReader(source.TelemetrySource):
             )
         if topic.unknown > len(topic) / 2:
             return "its covariance says that its orientation is not known"
-        if purpose := _purpose(topic.name):
+        if purpose := purpose_of(topic.name):
             return purpose
-        frame = {*_words(topic.frame_id)}
+        frame = {*words_of(topic.frame_id)}
         if foreign := frame & ({"optical"} if topic.kind == IMU else _NO_WORLD):
             owner = "the Earth" if foreign <= {"ecef", "earth"} else "a sensor"
             return f"its frame {topic.frame_id!r} is that of {owner}"
+        if _NO_WORLD & {*words_of(topic.child_frame_id)}:
+            return f"its body {topic.child_frame_id!r} is a sensor"
         others = [
             other
             for other in self._topics.values()
-            if other is not topic and other.kind in ATTITUDES and not _purpose(other.name)
+            if other is not topic and other.kind in ATTITUDES and not purpose_of(other.name)
             if self._vehicles[other.name] == self._vehicles[topic.name]
         ]
         return topic.frozen_beside(others)
@@ -317,12 +288,18 @@ class BagReader(source.TelemetrySource):
             notes.append(f"passed over: {', '.join(passed)}")
         if doubt := self._doubt(chosen):
             notes.append(f"{chosen.name} is used because it is named: {doubt}")
+        others = [topic for topic in self._of_vehicle({FIX, TIME, CAMERA}) if topic.is_other_clock(chosen)]
+        if others:
+            named = ", ".join(f"{topic.name} ({topic.late_s - chosen.late_s:.0f} s)" for topic in others)
+            notes.append(
+                f"stamps of another clock than that of {chosen.name} are replaced by times of reception: {named}"
+            )
         return notes
 
     def _frames(self, topic: Topic) -> tuple[str, str]:
         """Return the axes of world and body of a topic."""
-        frames = {word.upper() for word in _words(topic.frame_id)} if topic.kind != IMU else set()
-        own = {word.upper() for word in _words(topic.child_frame_id)}
+        frames = {word.upper() for word in words_of(topic.frame_id)} if topic.kind != IMU else set()
+        own = {word.upper() for word in words_of(topic.child_frame_id)}
         world: str = self._options.world
         if world == "auto":
             world = next((axes for axes in _WORLDS if axes in frames), "NED" if topic.is_up_down else "ENU")
@@ -341,7 +318,7 @@ class BagReader(source.TelemetrySource):
         notes = [f"orientations of {topic.name} are taken from {body} to {world} (--columns world=...,body=...)"]
         if topic.kind == IMU and world == "NED" and self._options.world == "auto":
             notes[0] = f"{notes[0]}: its accelerometers find up opposite to the third axis of its world"
-        elif topic.kind == IMU and "ned" in _words(topic.frame_id) and self._options.world == "auto":
+        elif topic.kind == IMU and "ned" in words_of(topic.frame_id) and self._options.world == "auto":
             notes[0] = f"{notes[0]}: the frame {topic.frame_id!r} is the sensor's and does not say what its world is"
         if topic.kind in _RELATIVE:
             frame = f"{topic.short_kind} in {topic.frame_id!r}"
@@ -360,26 +337,26 @@ class BagReader(source.TelemetrySource):
 
     def _position(self, attitude: Topic) -> source.PositionSamples:
         if (named := self._named("position", {GEO, FIX})) is not None:
-            samples = named.positions()
+            samples = named.positions(attitude)
             return samples if samples.clock_s.size else source.no_position_samples(f"{named.name} never had a fix")
-        topics = [topic for topic in self._of_vehicle({GEO, FIX}) if not _purpose(topic.name)]
-        read = [(topic, topic.positions()) for topic in topics]
+        topics = [topic for topic in self._of_vehicle({GEO, FIX}) if not purpose_of(topic.name)]
+        read = [(topic, topic.positions(attitude)) for topic in topics]
         usable = [(topic, samples) for topic, samples in read if samples.clock_s.size]
         if not usable:
             return source.no_position_samples(self._no_position(topics))
 
-        def rank(pair: tuple[Topic, source.PositionSamples]) -> tuple[int, bool, int]:
-            return _shared_parts(pair[0].name, attitude.name), pair[0].kind == FIX, pair[1].clock_s.size
+        def rank(pair: tuple[Topic, source.PositionSamples]) -> tuple[bool, int, bool, int]:
+            is_base = "base" in words_of(pair[0].name)  # of an RTK receiver
+            return not is_base, _shared_parts(pair[0].name, attitude.name), pair[0].kind == FIX, pair[1].clock_s.size
 
         topic, best = max(usable, key=rank)
         for other, samples in usable:
-            is_equal = rank((other, samples))[0] == rank((topic, best))[0] and other is not topic
-            if is_equal and _distance_deg(best, samples) > _SAME_PLACE_DEG:
-                raise LogFormatError(
-                    self.name,
-                    f"{topic.name} and {other.name} are {_distance_deg(best, samples) * 111:.0f} km apart, and nothing"
-                    " says which is the aircraft; name one with --columns position=TOPIC",
-                )
+            is_equal = rank((other, samples))[:2] == rank((topic, best))[:2] and other is not topic
+            distance_deg = _distance_deg(best, samples)
+            if is_equal and distance_deg > _SAME_PLACE_DEG:
+                both = f"{topic.name} and {other.name} are {distance_deg * 111:.0f} km from each other"
+                remedy = "nothing says which is the aircraft; name one with --columns position=TOPIC"
+                raise LogFormatError(self.name, f"{both}, and {remedy}")
         return best
 
     def _no_position(self, topics: list[Topic]) -> str:
@@ -408,13 +385,14 @@ class BagReader(source.TelemetrySource):
     def _utc_topics(self) -> list[tuple[Topic, tuple[Float, Float]]]:
         """The TimeReferences that count UTC, with stamps and readings, the best one first."""
         named = self._named("utc", {TIME})
-        read = [(topic, topic.utc_readings()) for topic in (self._of_vehicle({TIME}) if named is None else [named])]
+        topics = self._of_vehicle({TIME}) if named is None else [named]
+        read = [(topic, topic.utc_readings(self._attitude_topic)) for topic in topics]
         usable = [(topic, readings) for topic, readings in read if readings[0].size]
         return sorted(
             usable,
             key=lambda pair: (
-                _has(_DEVICE, pair[0].name),
-                not _has(_OF_GPS, f"{pair[0].name} {pair[0].origin}"),
+                has_word(DEVICE, pair[0].name),
+                not has_word(OF_GPS, f"{pair[0].name} {pair[0].origin}"),
                 -pair[1][0].size,
             ),
         )
@@ -436,6 +414,9 @@ class BagReader(source.TelemetrySource):
         refused: list[str] = []
         usable: list[tuple[tuple[bool, bool, bool, int], source.RateSamples]] = []
         for imu in self._of_vehicle({IMU}) if named is None else [named]:
+            if imu.is_other_clock(topic):
+                refused.append(f"{imu.name} (its stamps are of another clock)")
+                continue
             clock_s, rate = imu.column("stamp_s"), imu.column("rate_rad_per_s")
             if self._frames(imu)[1] == "FLU":
                 rate = rate * np.array([1.0, -1.0, -1.0])
@@ -449,33 +430,9 @@ class BagReader(source.TelemetrySource):
                 continue
             turned = f", turned by {found.angle_deg:.1f} deg into the axes of {topic.name}" if found.angle_deg else ""
             rates = source.RateSamples(clock_s, rate @ found.C_body_gyro.T, f"{imu.name}{turned}")
-            usable.append(((bool(turned), _has(_DEVICE, imu.name), imu is not topic, -clock_s.size), rates))
+            usable.append(((bool(turned), has_word(DEVICE, imu.name), imu is not topic, -clock_s.size), rates))
         notes = [f"gyros that do not turn as the attitude does are not used: {', '.join(refused)}"] if refused else []
         return min(usable, key=lambda pair: pair[0], default=(None, None))[1], notes
-
-
-def _words(name: str) -> list[str]:
-    """Return the words of a topic or a frame, in lower case: ``local_NED``, ``baseLink``."""
-    return [word.lower() for word in _WORD.findall(name)]
-
-
-def _has(words: re.Pattern[str], name: str) -> bool:
-    """Return whether a topic or a frame has one of some words."""
-    return any(map(words.fullmatch, _words(name)))
-
-
-def _purpose(name: str) -> str:
-    """Return what a topic is for if it is not what the vehicle measures, by its name; otherwise empty."""
-    parts = [*name.strip("/").split("/"), "", ""]
-    if _has(_PLANNED, name):
-        return "by its name where something should be or another thing is, not a measurement"
-    if _has(_GIMBAL, name):
-        return "by its name of a gimbal"
-    for node, part, last in zip(parts, parts[1:], parts[2:], strict=False):
-        is_input = _MAVROS_INPUT.fullmatch(part) or (part, last) == ("odometry", "out")
-        if (node == "mavros" and is_input) or (node == "fmu" and part == "in"):
-            return "sent to the autopilot by another program"
-    return ""
 
 
 def _distance_deg(first: source.PositionSamples, second: source.PositionSamples) -> float:
@@ -489,42 +446,6 @@ def _shared_parts(first: str, second: str) -> int:
     """Return how many parts two topics have in common at their start."""
     pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
     return next((number for number, (a, b) in enumerate(pairs) if a != b), 0)
-
-
-def vehicles_of(kinds: Mapping[str, str]) -> dict[str, str]:
-    """Return the vehicle of each topic, empty if it belongs to none, by the kinds of topics with these names.
-
-    A part of a topic is a vehicle if it is called so (``drone_1``), if it is above the interface of an autopilot
-    (``/alpha/mavros``), if it is numbered (``/r1``, ``/r2``), or if another part has two equal topics below
-    (``/red/odom`` and ``/red/fix``, as ``/blue`` has).  With a single vehicle, all topics are its own.
-    """
-    parts = {name: name.strip("/").split("/") for name in kinds}
-    numbered: defaultdict[tuple[str, ...], set[str]] = defaultdict(set)
-    alike: defaultdict[tuple[str, ...], set[str]] = defaultdict(set)
-    found: set[str] = set()
-    for name, path in parts.items():
-        for depth, part in enumerate(path[:-1]):
-            if _INTERFACE.fullmatch(part):
-                break
-            if _has(_PART, part):
-                continue
-            if _VEHICLE.fullmatch(part.lower()) or _INTERFACE.fullmatch(path[depth + 1]):
-                found.add(part)
-            stem = _NUMBERED.fullmatch(part.lower())
-            if stem is not None and (stem[1] or not depth or not _has(_PART, path[depth - 1])):
-                numbered[(*path[:depth], stem[1])].add(part)
-            if not _purpose(name):
-                alike[(*path[:depth], "", kinds[name], *path[depth + 1 :])].add(part)
-    for group in numbered.values():
-        found |= group if len(group) > 1 else set()
-    times = Counter(part for group in alike.values() if len(group) > 1 for part in group)
-    found |= {part for part, count in times.items() if count > 1}
-    vehicles = {name: "/".join(part for part in path[:-1] if part in found) for name, path in parts.items()}
-    # An autopilot without a name space beside others with one: the first of several simulated ones.
-    is_unnamed = any(_INTERFACE.fullmatch(path[0]) for path in parts.values())
-    if is_unnamed and any(vehicles.values()):
-        vehicles = {name: vehicle or UNNAMED for name, vehicle in vehicles.items()}
-    return vehicles if len(set(vehicles.values()) - {""}) > 1 else dict.fromkeys(kinds, "")
 
 
 def is_bag(head: bytes) -> bool:
