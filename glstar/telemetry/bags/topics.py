@@ -221,9 +221,9 @@ def _angles_rad(q1: Float, q2: Float) -> Float:
 # Words of topics that say where a vehicle should be, or where something else is; the longer ones also within a word.
 _PLANNED = re.compile(
     r".*(setpoint|waypoint|goal|target|desired|command|reference|planned).*|cmd|sp|ref|plans?|planner|trajectory|path"
-    r"|mission|home|origin|initial|initialpose|clicked|teleop|joy|markers?|tags?|aruco|apriltags?|landing|takeoff"
+    r"|mission|home|origin|offset|initial|initialpose|clicked|teleop|joy|markers?|tags?|aruco|apriltags?|landing|takeoff"
     r"|predict(ed|ion)|station|beacon|dock|des|demand(ed)?|nominal|wanted|intended|wps?|traj|tgt|setpt|carrot|lookahead"
-    r"|rally|next|traffic|intruder|adsb|obstacles?|detect(ed|ions?)?|objects?|person|people|pad|gcs|operator|pilot"
+    r"|rally|next|traffic|intruder|adsb|obstacles?|detect(ed|ions?)?|objects?|person|people|pad|gcs"
 )
 _GIMBAL = re.compile("gimbal|mount|turret|ptu|pantilt")
 # Topics below mavros that are sent to the autopilot: estimates of other programs, and simulated sensors.
