@@ -6,6 +6,7 @@ Each bag must give the true flight or be refused; another answer is printed, and
 import argparse
 import sys
 import tempfile
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -19,9 +20,13 @@ def main() -> int:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--count", type=int, default=2000)
     options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
     given = options.parse_args()
+    end_s = time.monotonic() + given.seconds
     results = Counter[str]()
     for seed in range(given.seed, given.seed + given.count):
+        if time.monotonic() > end_s:
+            break
         with tempfile.TemporaryDirectory(prefix="glstar-") as folder:
             made = random_bag(np.random.default_rng(seed), Path(folder))
             result = judged(made)
