@@ -242,6 +242,7 @@ class ClockQuality:
     # Median delay from the GPS sample to its record in the log, s; None where it does not matter.
     lag_s: float | None = None
     lag_is_measured: bool = False  # Whether the log contains the delay; otherwise the usual one is assumed
+    cut: int = 0  # Number of other readings that disagree and are not used
 
 
 # Name of the triggers of a camera without a number or a topic of its own, and of those of the only camera.

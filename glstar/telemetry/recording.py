@@ -132,8 +132,12 @@ class Recording:
     @property
     def utc_minus_clock_s(self) -> float | None:
         """UTC minus the clock of the boot by its own readings, s; None if it has none."""
+        if not self.clock.clock_s.size:
+            return None
+        if self.clock.utc_minus_clock_s is not None:
+            return self.clock.utc_minus_clock_s
         # The median ignores single late or wrong readings; the first readings of a receiver often are.
-        return float(np.median(self.clock.utc_s - self.clock.clock_s)) if self.clock.clock_s.size else None
+        return float(np.median(self.clock.utc_s - self.clock.clock_s))
 
     @property
     def clock_quality(self) -> tuple[ClockQuality, ...]:
@@ -148,6 +152,7 @@ class Recording:
             largest_s=round(float(off_s.max()), 6),
             lag_s=None if self.clock.lag_s is None else round(self.clock.lag_s, 6),
             lag_is_measured=self.clock.lag_is_measured,
+            cut=self.clock.cut,
         )
         return (quality,)
 
@@ -286,6 +291,7 @@ def _position(batches: list[PositionSamples]) -> PositionSamples:
 
 def _clock(batches: list[ClockSamples]) -> ClockSamples:
     lagging = next((b for b in batches if b.lag_s is not None), None)
+    offset_s = next((b.utc_minus_clock_s for b in batches if b.utc_minus_clock_s is not None), None)
     return ClockSamples(
         _joined(b.clock_s for b in batches),
         _joined(b.utc_s for b in batches),
@@ -293,6 +299,8 @@ def _clock(batches: list[ClockSamples]) -> ClockSamples:
         lag_s=None if lagging is None else lagging.lag_s,
         lag_is_measured=lagging is not None and lagging.lag_is_measured,
         notes=tuple(dict.fromkeys(note for batch in batches for note in batch.notes)),
+        utc_minus_clock_s=offset_s,
+        cut=sum(b.cut for b in batches),
     )
 
 

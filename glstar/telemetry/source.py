@@ -119,6 +119,10 @@ class ClockSamples:
         Whether the log contains the delay; otherwise the usual one is assumed.
     notes : tuple of str
         Remarks for the user on readings that are left out, or on their quality.
+    utc_minus_clock_s : float or None
+        UTC minus the clock as the reader found it, s; None: the median of the readings.
+    cut : int
+        Number of readings that disagree and are not among these.
     """
 
     clock_s: Float
@@ -128,6 +132,8 @@ class ClockSamples:
     lag_s: float | None = None
     lag_is_measured: bool = False
     notes: tuple[str, ...] = ()
+    utc_minus_clock_s: float | None = None
+    cut: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -350,6 +356,7 @@ YEAR_2100_S = 4102444800.0
 
 # A sample that differs this much from the median of itself and its two neighbours is damaged.
 _CLOCK_SPIKE_S = 1.0
+_SPIKE_INTERVALS = 3.0
 _POSITION_SPIKE_DEG = 0.01
 # Positions this close to 0 N 0 E mean that there is no fix, deg: an estimator without an origin drifts by some metres.
 _ZERO_POSITION_DEG = 0.001
@@ -372,7 +379,10 @@ def spikes(values: Float, limit: float) -> Mask:
 
 def valid_times(clock_s: Float) -> Mask:
     """Return which of (n,) times in the order of the log, s, are finite, no spikes, within a month of the median."""
-    return valid_rare_times(clock_s) & ~spikes(clock_s, _CLOCK_SPIKE_S)
+    valid = valid_rare_times(clock_s)
+    # At the ends of slow samples the median of three is one interval away.
+    usual_s = float(np.median(np.abs(np.diff(clock_s[valid])))) if np.count_nonzero(valid) > 1 else 0.0
+    return valid & ~spikes(clock_s, max(_CLOCK_SPIKE_S, _SPIKE_INTERVALS * usual_s))
 
 
 def valid_rare_times(clock_s: Float) -> Mask:

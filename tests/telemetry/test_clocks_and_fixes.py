@@ -271,6 +271,6 @@ def test_the_manifest_has_lag_spread_and_notes(tmp_path: Path) -> None:
     manifest = prepare_export(Config(), path, tmp_path / "frames", ExportOptions(frames=1)).manifest
 
     assert manifest["flight"]["clocks"] == [
-        {"readings": 41, "spread_s": 0.0, "largest_s": 0.0, "lag_s": 0.02, "lag_is_measured": False}
+        {"readings": 41, "spread_s": 0.0, "largest_s": 0.0, "lag_s": 0.02, "lag_is_measured": False, "cut": 0}
     ]
     assert manifest["flight"]["notes"][1].startswith("boot 2, 4.0 s, is left out: it is at the same time as boot 1")

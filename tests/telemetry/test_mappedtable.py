@@ -207,7 +207,9 @@ def test_a_betaflight_table_holds_three_components_of_a_quaternion(tmp_path: Pat
     table = pd.DataFrame({"loopIteration": np.arange(TIMES_S.size), "time (us)": TIMES_S * 1e6 + 5e6})
     for k in range(3):
         table[f"imuQuaternion[{k}]"] = q_xyzw[:, k] * 32767
-    table["GPS_coord[0]"], table["GPS_coord[1]"], table["GPS_altitude"] = LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M
+    table["GPS_coord[0]"], table["GPS_coord[1]"] = LATITUDE_DEG, LONGITUDE_DEG
+    # Decimetres, as Betaflight writes since 4.
+    table["GPS_altitude"] = 10 * HEIGHT_M
     table.to_csv(tmp_path / "btfl.csv", index=False)
 
     require_agreement(open_flight(tmp_path / "btfl.csv", utc_start=START_S))

@@ -259,7 +259,8 @@ def _utc(log: Survey) -> str:
 
 def _readings(clock: ClockQuality) -> str:
     """Return the agreement of the UTC readings and their logging delay."""
-    within = f"{clock.readings} of UTC, 95 % within {_short(clock.spread_s)} of their median, all"
+    cut = f" (and {clock.cut} that disagree, not used)" if clock.cut else ""
+    within = f"{clock.readings} of UTC{cut}, 95 % within {_short(clock.spread_s)} of their median, all"
     if clock.lag_s is None:
         lag = ""
     elif clock.lag_is_measured:

@@ -24,6 +24,16 @@ from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
 from glstar.system.resources import asset
 from glstar.system.userinput import did_you_mean, nearest_word, read_text
 from glstar.telemetry import source
+from glstar.telemetry.tables.clock import (
+    clock_boots,
+    described_cuts,
+    first_of_each_time,
+    fitted_clock,
+    has_whole_seconds,
+    left_out_rows,
+    rows_of,
+    valid_rows,
+)
 from glstar.telemetry.tables.files import TABLE_UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
 
 # Size limit of a map, bytes.
@@ -36,8 +46,9 @@ _ANGLES_RAD = {"deg": 0.017453292519943295, "rad": 1.0, "decideg": 0.00174532925
 _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PLACE_RAD = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
 _FOOT_M = 0.3048
-# Readings of UTC with whole seconds: each is early by up to a second.
-_WHOLE_S = 1e-6
+_YEAR_S = 365.25 * 86400
+# A clock whose rate differs more from that of UTC is reported; crystals differ by up to 50 millionths.
+_NOTABLE_RATE = 1e-4
 
 # Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
 _HALF = float(np.sqrt(0.5))
@@ -86,8 +97,9 @@ class ColumnMap:
     latitude: Names = ()  # WGS84, in `place_unit`
     longitude: Names = ()
     place_unit: Literal["deg", "rad", "1e-7deg"] = "deg"
-    height: Names = ()  # Height in m or in ft; the first one in the table is used
+    height: Names = ()  # Height in m, ft or dm; the first one in the table is used
     height_ft: Names = ()
+    height_dm: Names = ()  # In tenths of a metre
     roll_rate: Names = ()  # Gyro rates about the axes of the body, in `rate_unit`
     pitch_rate: Names = ()
     yaw_rate: Names = ()
@@ -238,11 +250,8 @@ def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
 class MappedTableReader(source.TelemetrySource):
     """A table of text, Parquet or Excel as a telemetry source; its clock is the time of its rows.
 
-    `columns` says what its columns mean; by default its header does.  A table has one attitude, ``"auto"``, and one
-    boot.  Raises LogFormatError if the table lacks columns, with the names of similar ones.
+    `columns` says what its columns mean; by default its header does.  A table has one attitude, ``"auto"``.  Raises LogFormatError if the table lacks columns, with the names of similar ones.
     """
-
-    one_clock = True
 
     def __init__(
         self,
@@ -254,25 +263,43 @@ class MappedTableReader(source.TelemetrySource):
     ) -> None:
         self.name = os.fspath(path)
         refuse_other_attitudes(self.name, attitude)
-        source.check_only_boot(self.name, boot)
+        self._boot = boot
         self._table = read_table(self.name, () if columns is None else columns.names)
         self._map = columns or self._map_of_header()
         self._check()
+        self.one_clock = self._is_utc
 
     def samples(self) -> Iterator[source.Samples]:
-        """Yield attitude, position, UTC and, if the table has them, rates, a batch each.
+        """Yield attitude, position, UTC and, if the table has them, rates, a batch each for every boot.
 
-        Raises LogFormatError if a cell is invalid.
+        Raises LogFormatError if a cell is invalid, or the table has no such boot.
         """
-        clock_s = self._clock_s
-        q, valid = self._q_body_ned()
-        valid &= np.isfinite(clock_s)
-        segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
-        yield source.AttitudeSamples(clock_s[valid], q[valid], segment, self._map.title, notes=self._notes())
-        yield self._positions()
-        yield self._utc()
-        if (rates := self._rates()) is not None:
-            yield rates
+        q, has_attitude = self._q_body_ned()
+        for boot in self.boots():
+            rows = rows_of(boot, self._clock_s.size) & np.isfinite(self._clock_s)
+            if self._is_utc:
+                clock_s, clock, notes = self._clock_s, self._utc_clock(rows), ()
+                # Attitudes in rows that repeat a time are later than it.
+                valid = first_of_each_time(np.where(rows & has_attitude, clock_s, nan))
+            else:
+                clock_s, clock, notes = self._own_clock(rows)
+                valid = rows & has_attitude
+            segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
+            notes = (*self._notes(), *notes)
+            attitude = source.AttitudeSamples(clock_s[valid], q[valid], segment, self._map.title, notes=notes)
+            batches = (attitude, self._positions(clock_s, rows), clock, self._rates(clock_s, rows))
+            yield from (replace(batch, boot=boot.number) for batch in batches if batch is not None)
+
+    def boots(self) -> tuple[source.Boot, ...]:
+        """Return the boots of the table, or the requested one: its clock steps back, or steps against UTC.
+
+        Raises LogFormatError if the table has no such boot.
+        """
+        return source.chosen_boots(self.name, self._boots, self._boot)
+
+    @cached_property
+    def _boots(self) -> tuple[source.Boot, ...]:
+        return clock_boots(self._clock_s, self._clock_s if self._is_utc else self._utc_column)
 
     def facts(self, boots: Collection[int] = ()) -> source.LogFacts:  # noqa: ARG002 - there is one boot
         """Return the format."""
@@ -315,7 +342,17 @@ class MappedTableReader(source.TelemetrySource):
 
     @cached_property
     def _clock_s(self) -> Float:
-        """Clock of each row, s; UTC unless the epoch is "start"."""
+        """Clock of each row, s; UTC unless the epoch is "start"; NaN where it is impossible."""
+        return np.where(valid_rows(self._time_s), self._time_s, nan)
+
+    @property
+    def _dropped(self) -> int:
+        """Number of rows with an impossible time."""
+        return int(np.count_nonzero(np.isfinite(self._time_s)) - np.count_nonzero(np.isfinite(self._clock_s)))
+
+    @cached_property
+    def _time_s(self) -> Float:
+        """Time of each row as in the table, s."""
         wanted, table = self._map, self._table
         name = self._name(wanted.time)
         if name is None:
@@ -328,8 +365,13 @@ class MappedTableReader(source.TelemetrySource):
         if wanted.time_epoch != "unix":
             week = self._name(wanted.gps_week)
             time_s = time_s + GPS_EPOCH_S + (0.0 if week is None else table.numbers(week) * WEEK_S)
-            plausible_s = time_s[np.isfinite(time_s) & (np.abs(time_s) < source.YEAR_2100_S)]
-            time_s = time_s - (leap_seconds(float(np.median(plausible_s))) if plausible_s.size else 0.0)
+            fixed_s = time_s[source.plausible_utc(time_s)]
+            if fixed_s.size:
+                # Without a fix the week is 0.
+                time_s = np.where(time_s < source.YEAR_2010_S, nan, time_s)
+            else:
+                fixed_s = time_s[np.isfinite(time_s) & (np.abs(time_s) < source.YEAR_2100_S)]
+            time_s = time_s - (leap_seconds(float(np.median(fixed_s))) if fixed_s.size else 0.0)
         return self._plausible(time_s, name)
 
     @cached_property
@@ -377,7 +419,7 @@ class MappedTableReader(source.TelemetrySource):
             row = int(np.argmax(bad))
             raise self._table.error(row, column, f"{self._table.columns[column.removeprefix('-')][row]} {why}")
 
-    def _positions(self) -> source.Samples:
+    def _positions(self, clock_s: Float, rows: Mask) -> source.Samples:
         wanted, table = self._map, self._table
         names = self._name(wanted.latitude), self._name(wanted.longitude)
         if names[0] is None or names[1] is None:
@@ -385,39 +427,58 @@ class MappedTableReader(source.TelemetrySource):
         scale = np.rad2deg(_PLACE_RAD[wanted.place_unit])
         latitude_deg, longitude_deg = (table.numbers(name) * scale for name in names if name is not None)
         height_m = np.zeros(latitude_deg.size)
-        for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M)):
+        for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M), (wanted.height_dm, 0.1)):
             if (name := self._name(alternatives)) is not None:
                 height_m = np.nan_to_num(table.numbers(name) * unit_m)
                 break
         longitude_deg = np.where(longitude_deg > 180, longitude_deg - 360, longitude_deg)
-        samples = source.position_samples(self._clock_s, latitude_deg, longitude_deg, height_m, self._map.title)
+        columns = (column[rows] for column in (clock_s, latitude_deg, longitude_deg, height_m))
+        samples = source.position_samples(*columns, self._map.title)
         return samples if samples.clock_s.size else source.no_position_samples("latitude and longitude are empty or 0")
 
-    def _utc(self) -> source.ClockSamples:
-        """Return UTC readings: the clock itself, or the offset of the clock by the column with UTC."""
-        clock_s, wanted = self._clock_s, self._map
-        if wanted.time_epoch != "start" or self._name(wanted.time) is None:
-            valid = np.isfinite(clock_s)
-            return source.ClockSamples(clock_s[valid], clock_s[valid], self._map.title)
-        utc_s = self._utc_column
-        valid = np.isfinite(utc_s) & np.isfinite(clock_s) & (utc_s >= source.YEAR_2010_S)
-        if not valid.any():
-            return source.no_clock_samples("its time counts from its own start, and it has no column with UTC")
-        clock_s, utc_s = clock_s[valid], utc_s[valid]
-        if (np.abs(utc_s - np.round(utc_s)) < _WHOLE_S).all():
-            # Truncated to seconds: the reading just after the tick is the most exact one.
-            last = np.argmax(utc_s - clock_s)
-            clock_s, utc_s = clock_s[last : last + 1], utc_s[last : last + 1]
-        return source.ClockSamples(clock_s, utc_s, f"{self._map.title}, {self._name(wanted.utc)}")
+    @property
+    def _is_utc(self) -> bool:
+        """Whether the clock of the table is UTC."""
+        return self._map.time_epoch != "start" or self._name(self._map.time) is None
+
+    def _utc_clock(self, rows: Mask) -> source.ClockSamples:
+        """Return UTC readings of a boot whose clock is UTC."""
+        clock_s = self._clock_s[rows]
+        if self._map.time_epoch in {"gps", "week"} and clock_s.size and np.median(clock_s) < source.YEAR_2010_S:
+            year = 1970 + int(np.median(clock_s) / _YEAR_S)
+            return source.no_clock_samples(f"its GPS time says {year}: the receiver's week has rolled over")
+        return source.ClockSamples(clock_s, clock_s, self._map.title)
+
+    def _own_clock(self, rows: Mask) -> tuple[Float, source.ClockSamples, tuple[str, ...]]:
+        """Return the clock at the rate of UTC, the readings of UTC of a boot, and remarks on them."""
+        inside = np.flatnonzero(rows)
+        utc_s = np.where(self._utc_column >= source.YEAR_2010_S, self._utc_column, nan)
+        fit = fitted_clock(self._clock_s[inside], utc_s[inside])
+        if fit.reason:
+            return self._clock_s, source.no_clock_samples(fit.reason), ()
+        clock_s = fit.at_rate_of_utc(self._clock_s)
+        cells = np.count_nonzero(np.isfinite(utc_s[inside]))
+        notes = [described_cuts(fit, cells, self._table.lines[inside])] if fit.cut.size else []
+        if has_whole_seconds(utc_s[inside]):
+            notes.append("its UTC has whole seconds: the time of an attitude is uncertain by one sample interval")
+        if abs(fit.rate) > _NOTABLE_RATE:
+            notes.append(f"its clock gains {-1e6 * fit.rate:.0f} millionths on its UTC, which the times follow")
+        clock = source.ClockSamples(
+            clock_s[inside][fit.rows],
+            fit.utc_s,
+            f"{self._map.title}, {self._name(self._map.utc)}",
+            utc_minus_clock_s=fit.utc_minus_clock_s,
+            cut=fit.cut.size,
+        )
+        return clock_s, clock, tuple(notes)
 
     def _notes(self) -> tuple[str, ...]:
         notes = [self._map.note] if self._map.note else []
-        readings = self._utc_column[np.isfinite(self._utc_column)]
-        if self._map.time_epoch == "start" and readings.size and (np.abs(readings % 1) < _WHOLE_S).all():
-            notes.append("its UTC has whole seconds: the time of an attitude is uncertain by one sample interval")
+        if dropped := self._dropped:
+            notes.append(left_out_rows(dropped))
         return tuple(notes)
 
-    def _rates(self) -> source.RateSamples | None:
+    def _rates(self, clock_s: Float, rows: Mask) -> source.RateSamples | None:
         wanted = self._map
         alternatives = (wanted.roll_rate, wanted.pitch_rate, wanted.yaw_rate)
         names = [name for axis in alternatives if (name := self._name(axis)) is not None]
@@ -426,5 +487,5 @@ class MappedTableReader(source.TelemetrySource):
         rate = np.stack([self._table.numbers(name) for name in names], axis=-1) * _ANGLES_RAD[wanted.rate_unit]
         if wanted.body == "FLU":
             rate = rate * np.array([1.0, -1.0, -1.0])
-        valid = np.isfinite(rate).all(axis=-1) & np.isfinite(self._clock_s) & source.valid_rates(rate)
-        return source.RateSamples(self._clock_s[valid], rate[valid], self._map.title)
+        valid = np.isfinite(rate).all(axis=-1) & rows & source.valid_rates(rate)
+        return source.RateSamples(clock_s[valid], rate[valid], self._map.title)

@@ -36,6 +36,7 @@ from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import nearest_word
 from glstar.telemetry import source
+from glstar.telemetry.tables.clock import in_first_second, left_out_rows, valid_rows
 from glstar.telemetry.tables.files import ROWS_AT_ONCE, TABLE_UNIT_TOLERANCE, csv_rows, refuse_other_attitudes
 
 _TIMES = ("utc", "utc_s")
@@ -76,6 +77,7 @@ class TableReader(source.TelemetrySource):
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
         self.name = os.fspath(path)
         self._boot = boot
+        self._dropped = 0
         refuse_other_attitudes(self.name, attitude)
         line, header = next(csv_rows(self.name), (0, []))
         if not header:
@@ -91,7 +93,13 @@ class TableReader(source.TelemetrySource):
         chosen = {boot.number for boot in self.boots()}
         for part in self._parts:
             if part.boot in chosen:
-                yield from (replace(batch, boot=part.boot) for batch in part.samples)
+                yield from (self._noted(replace(batch, boot=part.boot)) for batch in part.samples)
+
+    def _noted(self, batch: source.Samples) -> source.Samples:
+        """Return a batch with a remark on rows that were left out."""
+        if not self._dropped or not isinstance(batch, source.AttitudeSamples):
+            return batch
+        return replace(batch, notes=(left_out_rows(self._dropped),))
 
     def boots(self) -> tuple[source.Boot, ...]:
         """Return the parts of the table as boots, or the requested one.
@@ -126,6 +134,13 @@ class TableReader(source.TelemetrySource):
             by_column = zip(*cells[:complete], strict=True) if complete else repeat(())
             columns = dict(zip(self._header, by_column, strict=False))
             utc_s = _Columns(self.name, lines[:complete], columns).utc_s()
+            valid = valid_rows(utc_s) & (bool(parts) | ~in_first_second(utc_s))
+            if not valid.all():
+                kept = np.flatnonzero(valid).tolist()
+                columns = {name: tuple(column[row] for row in kept) for name, column in columns.items()}
+                lines, utc_s = tuple(lines[row] for row in kept), utc_s[valid]
+                self._dropped += complete - len(kept)
+                complete = len(kept)
             before_s = parts[-1].last_s if parts else nan
             step_s = np.diff(utc_s, prepend=before_s)
             jumps = np.flatnonzero((step_s < -_BACK_S) | (step_s > _SAME_FLIGHT_S)).tolist()
