@@ -5,6 +5,7 @@ clock, and UTC then lies between that row and the one before it.  Offset and rat
 readings agree; others are cut.  Where the offset steps for longer than a glitch, another boot begins.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import nan
@@ -25,9 +26,16 @@ _NO_RATE_FRACTION = 0.98
 _SMALLEST_DRIFT_S = 0.002
 # Readings of UTC with whole seconds: each is early by up to a second.
 _WHOLE_S = 1e-6
-# Number of readings, and of pairs of them, from which rates are estimated.
+# Number of readings, of cells, and of pairs of them, from which rates are estimated.
 _SUBSAMPLE = 200
-_PAIRS = 400
+_CELLS = 2000
+_PAIRS = 200
+# At least this fraction of the cells of a boot agree; those of a clock that stands still do not.
+_FEWEST_AGREEING = 0.25
+# At least this fraction of those that do not stand still agree; otherwise either of two clocks may be wrong.
+_FEWEST_AGREEING_MOVING = 0.6
+# A smaller step back of the clock is no other boot, s.
+_BACK_S = 0.1
 # Fewest readings of another clock within a table, and largest number of such clocks.
 _FEWEST_READINGS = 3
 _MAX_CLOCKS = 8
@@ -47,6 +55,7 @@ class ClockFit:
     rate: float  # Seconds of UTC per second of the clock, minus 1
     reference_s: float  # Time of the clock at which both scales of it agree, s
     utc_minus_clock_s: float  # UTC minus the clock at the rate of UTC, s
+    cells: int  # Number of rows with UTC
     rows: Integer  # (k,) rows with readings that agree
     utc_s: Float  # (k,) their UTC, s since 1970
     cut: Integer  # Rows whose UTC disagrees
@@ -75,10 +84,6 @@ class _Readings:
     @property
     def offset_s(self) -> Float:
         return self.utc_s - self.clock_s
-
-    @property
-    def tolerance_s(self) -> float:
-        return max(_SAME_CLOCK_S, float(np.median(self.clock_s - self.before_s)) if self.rows.size else 0.0)
 
     def at_rate(self, rate: float, reference_s: float) -> "_Readings":
         clock_s, before_s = (times + rate * (times - reference_s) for times in (self.clock_s, self.before_s))
@@ -119,24 +124,27 @@ def clock_boots(clock_s: Float, utc_s: Float) -> tuple[Boot, ...]:
     """
     rows = np.arange(clock_s.size)
     steps_s = np.diff(clock_s[np.isfinite(clock_s)])
-    if steps_s.size < 2 or np.count_nonzero(steps_s < 0) > _MAX_STEPS_BACK or np.median(steps_s) > _SLOW_ROWS_S:
+    usual_s = float(np.median(np.abs(steps_s))) if steps_s.size else 0.0
+    if steps_s.size < 2 or np.count_nonzero(steps_s < 0) > _MAX_STEPS_BACK or usual_s > _SLOW_ROWS_S:
         return (Boot(1),)
-    readings = _readings(clock_s, utc_s)
-    agreed_s = readings.utc_s.copy()
-    remaining = np.ones(readings.rows.size, dtype=bool)
+    cells = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(utc_s))
+    remaining, hold_s = np.ones(cells.size, dtype=bool), _usual_hold_s(clock_s, utc_s)
+    found: list[tuple[Integer, Float]] = []
     for _ in range(_MAX_CLOCKS):
         if np.count_nonzero(remaining) < _FEWEST_READINGS:
             break
-        part = readings.only(remaining)
-        offset_s, rate = _line(part)
-        line_s = offset_s + rate * (readings.clock_s - part.clock_s[0])
-        agree = remaining & (np.abs(readings.offset_s - line_s) <= readings.tolerance_s)
-        if np.count_nonzero(agree) < _FEWEST_READINGS:
+        offset_s, agree = _line(clock_s[cells], utc_s[cells], remaining, usual_s, hold_s)
+        readings = _readings(clock_s, utc_s, cells[agree])
+        if readings.rows.size < _FEWEST_READINGS:
             break
         # Without the scatter of readings within a row, which is no step.
-        agreed_s[agree] = readings.clock_s[agree] + offset_s
+        found.append((readings.rows, readings.clock_s + offset_s))
         remaining &= ~agree
-    return find_boots([(rows, clock_s)], (readings.rows, readings.clock_s, agreed_s), checked=True)
+    at = np.concatenate([np.empty(0, dtype=np.int64), *(part for part, _ in found)])
+    agreed_s = np.concatenate([np.empty(0), *(part for _, part in found)])
+    order = np.argsort(at)
+    readings_of_utc = (at[order], clock_s[at[order]], agreed_s[order])
+    return find_boots([(rows, clock_s)], readings_of_utc, back_s=max(_BACK_S, 1.5 * usual_s), checked=True)
 
 
 def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
@@ -146,58 +154,84 @@ def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
     """
     nothing = np.empty(0, dtype=np.int64)
     cells = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(utc_s))
-    readings = _readings(clock_s, utc_s)
 
     def refused(reason: str) -> ClockFit:
-        return ClockFit(0.0, 0.0, nan, nothing, np.empty(0), nothing, 0.0, reason)
+        return ClockFit(0.0, 0.0, nan, cells.size, nothing, np.empty(0), nothing, 0.0, reason)
 
     if not cells.size:
         return refused("its time counts from its own start, and it has no column with UTC")
-    if np.ptp(utc_s[cells]) == 0 and np.ptp(clock_s[cells]) > 1 + readings.tolerance_s:
+    usual_s = float(np.median(np.abs(np.diff(clock_s)))) if clock_s.size > 1 else 0.0
+    hold_s = _usual_hold_s(clock_s, utc_s)
+    if np.ptp(utc_s[cells]) == 0 and np.ptp(clock_s[cells]) > 1 + usual_s:
         return refused("its UTC stands still")
-    if (unit := _wrong_rate(readings)) is not None:
-        return refused(f"in one second of its clock its UTC goes on by {unit:.6g} s; check time_unit")
-    offset_s, rate = _line(readings)
-    line_s = offset_s + rate * (readings.clock_s - readings.clock_s[0])
-    agree = np.abs(readings.offset_s - line_s) <= readings.tolerance_s
-    if 2 * np.count_nonzero(agree) <= readings.rows.size:
-        return refused(f"of its {readings.rows.size} readings of UTC no more than half agree with its clock")
-    used = readings.only(agree)
+    agree = _line(clock_s[cells], utc_s[cells], np.ones(cells.size, dtype=bool), usual_s, hold_s)[1]
+    used = _readings(clock_s, utc_s, cells[agree])
+    if np.count_nonzero(agree) < _FEWEST_AGREEING * cells.size or not used.rows.size:
+        unit = _median_slope(clock_s[cells], utc_s[cells])
+        if unit == 0:
+            return refused("its UTC stands still most of the time")
+        if not 1 - _MAX_RATE < unit < 1 + _MAX_RATE:
+            return refused(f"in a second of its clock, its UTC goes on by {unit:.4g} s; check time_unit")
+        count = np.count_nonzero(agree)
+        return refused(f"of its {cells.size} cells of UTC no more than {count} agree with its clock")
+    moving = _moving(clock_s[cells], utc_s[cells], 1.5 * hold_s + usual_s)
+    if np.count_nonzero(agree & moving) < _FEWEST_AGREEING_MOVING * np.count_nonzero(moving):
+        return refused("its UTC tells two times, and most cells agree with neither")
+    used = used.only(_near(used, usual_s))
     rate, reference_s = _refined_rate(used), float(np.median(used.clock_s))
     at_rate = used.at_rate(rate, reference_s)
-    if readings.are_held:
+    if used.are_held:
         # UTC minus the clock is largest just after the tick, but no more than the row before it allows.
         offset_s = _most_common(at_rate.offset_s, at_rate.utc_s - at_rate.before_s)[0]
     else:
         offset_s = float(np.median(at_rate.offset_s))
-    cell_clock_s = clock_s[cells] + rate * (clock_s[cells] - reference_s)
-    ahead_s = utc_s[cells] - cell_clock_s - offset_s
-    held_s = _usual_hold_s(readings)
-    odd = (ahead_s > readings.tolerance_s) | (ahead_s < -readings.tolerance_s - held_s)
+    ahead_s = utc_s[cells] - offset_s - clock_s[cells] - rate * (clock_s[cells] - reference_s)
+    odd = (ahead_s > max(_SAME_CLOCK_S, usual_s)) | (ahead_s < -max(_SAME_CLOCK_S, usual_s) - hold_s)
     largest_s = float(np.abs(ahead_s[odd]).max(initial=0.0))
-    return ClockFit(rate, reference_s, offset_s, used.rows, used.utc_s, cells[odd], largest_s)
+    return ClockFit(rate, reference_s, offset_s, cells.size, used.rows, used.utc_s, cells[odd], largest_s)
 
 
-def _readings(clock_s: Float, utc_s: Float) -> _Readings:
-    """Return the rows in which a value of UTC occurs first."""
+def most_agree(fits: Sequence[ClockFit]) -> bool:
+    """Return whether enough cells of UTC of all boots of a table agree with their clocks."""
+    agreeing = sum(fit.cells - fit.cut.size for fit in fits if not fit.reason)
+    return agreeing >= _FEWEST_AGREEING * sum(fit.cells for fit in fits)
+
+
+def _readings(clock_s: Float, utc_s: Float, cells: Integer) -> _Readings:
+    """Return which of the cells of UTC, (k,) rows, hold a value first."""
+    only_s = np.full(utc_s.size, nan)
+    only_s[cells] = utc_s[cells]
+    rows = np.flatnonzero(first_of_each_time(only_s))
     timed = np.isfinite(clock_s)
-    cells = timed & np.isfinite(utc_s)
-    first = first_of_each_time(np.where(cells, utc_s, nan))
-    rows = np.flatnonzero(first)
     all_s, place = clock_s[timed], np.cumsum(timed)[rows] - 1
     step_s = float(np.median(np.abs(np.diff(all_s)))) if all_s.size > 1 else 0.0
-    before_s = np.where(place > 0, all_s[np.maximum(place - 1, 0)] if all_s.size else 0.0, clock_s[rows] - step_s)
-    # After a step back of the clock the row before says nothing.
-    before_s = np.where(before_s < clock_s[rows], before_s, clock_s[rows] - step_s)
-    repeated = rows.size < 0.9 * np.count_nonzero(cells)
+    before_s = all_s[np.maximum(place - 1, 0)]
+    # After a step back of the clock, and in the first row, the row before says nothing.
+    before_s = np.where((place > 0) & (before_s < clock_s[rows]), before_s, clock_s[rows] - step_s)
+    repeated = rows.size < 0.9 * cells.size
     return _Readings(rows, clock_s[rows], before_s, utc_s[rows], bool(repeated or has_whole_seconds(utc_s[rows])))
 
 
-def _usual_hold_s(readings: _Readings) -> float:
-    """Return for how long a value of UTC is usually repeated, s; a truncated second for at least a second."""
-    if not readings.are_held or readings.rows.size < 2:
-        return 1.0 if has_whole_seconds(readings.utc_s) else 0.0
-    return max(float(np.median(np.abs(np.diff(readings.utc_s)))), 1.0 if has_whole_seconds(readings.utc_s) else 0.0)
+def _usual_hold_s(clock_s: Float, utc_s: Float) -> float:
+    """Return for how long a value of UTC is usually repeated, s; a truncated second for a second."""
+    cells = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(utc_s))
+    changes = cells[1:][np.diff(utc_s[cells]) != 0]
+    hold_s = float(np.median(np.abs(np.diff(clock_s[changes])))) if changes.size > 1 else 0.0
+    return max(hold_s, 1.0) if has_whole_seconds(utc_s[cells]) else hold_s
+
+
+def _moving(clock_s: Float, utc_s: Float, hold_s: float) -> Mask:
+    """Return which of (k,) cells of UTC do not stand still: they have their value for no longer than is usual."""
+    begins = np.concatenate([[True], np.diff(utc_s) != 0])
+    start = np.maximum.accumulate(np.where(begins, np.arange(utc_s.size), 0))
+    return np.asarray(np.abs(clock_s - clock_s[start]) <= hold_s)
+
+
+def _near(readings: _Readings, usual_s: float) -> Mask:
+    """Return which of (n,) readings agree with most of them about the offset, without rate."""
+    margin_s = max(_SAME_CLOCK_S, usual_s)
+    low_s = _most_common(readings.offset_s - margin_s, readings.offset_s + margin_s)[0]
+    return np.asarray(np.abs(readings.offset_s - low_s) <= margin_s + _SMALLEST_DRIFT_S)
 
 
 def _most_common(low: Float, high: Float) -> tuple[float, int]:
@@ -210,29 +244,36 @@ def _most_common(low: Float, high: Float) -> tuple[float, int]:
     return float(ends[order][best]), int(count[best])
 
 
-def _line(readings: _Readings) -> tuple[float, float]:
-    """Return the offset at the first reading, s, and the rate of the line with which most readings agree."""
-    clock_s, offset_s, tolerance_s = readings.clock_s - readings.clock_s[0], readings.offset_s, readings.tolerance_s
+def _line(clock_s: Float, utc_s: Float, chosen: Mask, usual_s: float, hold_s: float) -> tuple[float, Mask]:
+    """Return UTC minus the clock with which most of some (k,) cells of UTC agree, s, and which of them do.
+
+    `chosen` (k,): the cells; `usual_s`: interval of rows; `hold_s`: how long a value is repeated.
+    """
+    rows = np.flatnonzero(chosen)
+    some = rows[:: max(1, rows.size // _CELLS)]
+    origin_s = float(np.median(clock_s[some]))
+    past_s, offset_s = clock_s[some] - origin_s, (utc_s - clock_s)[some]
+    reach_s = max(_SAME_CLOCK_S, usual_s) + hold_s / 2
 
     def count_at(rate: float) -> tuple[int, float]:
-        level_s = offset_s - rate * clock_s
-        low_s, count = _most_common(level_s - tolerance_s, level_s + tolerance_s)
-        near_s = level_s[(level_s >= low_s - tolerance_s) & (level_s <= low_s + tolerance_s)]
-        return count, float(np.median(near_s))
+        level_s = offset_s - rate * past_s
+        low_s, count = _most_common(level_s - reach_s, level_s + reach_s)
+        near_s = level_s[np.abs(level_s - low_s) <= reach_s]
+        return count, (float(near_s.min()) + float(near_s.max())) / 2
 
     count, best_s = count_at(0.0)
     rate = 0.0
-    if count >= 0.9 * offset_s.size:
-        return best_s, rate
-    random = np.random.default_rng(0)
-    one, other = random.integers(0, offset_s.size, (2, _PAIRS))
-    apart = clock_s[one] != clock_s[other]
-    slopes = (offset_s[other] - offset_s[one])[apart] / (clock_s[other] - clock_s[one])[apart]
-    for slope in np.unique(slopes[np.abs(slopes) <= _MAX_RATE]).tolist():
-        more, level_s = count_at(slope)
-        if more > 1.1 * count + 1:
-            count, best_s, rate = more, level_s, slope
-    return best_s, rate
+    if count < 0.9 * some.size:
+        one, other = np.random.default_rng(0).integers(0, some.size, (2, _PAIRS))
+        apart_s = past_s[other] - past_s[one]
+        distant = np.abs(apart_s) > np.ptp(past_s) / 4
+        slopes = (offset_s[other] - offset_s[one])[distant] / apart_s[distant]
+        for slope in np.unique(slopes[np.abs(slopes) <= _MAX_RATE]).tolist():
+            more, level_s = count_at(slope)
+            if more > 1.1 * count + 1:
+                count, best_s, rate = more, level_s, slope
+    ahead_s = utc_s - clock_s - best_s - rate * (clock_s - origin_s)
+    return best_s, chosen & (np.abs(ahead_s) <= reach_s)
 
 
 def _refined_rate(readings: _Readings) -> float:
@@ -259,14 +300,6 @@ def _median_slope(x: Float, y: Float) -> float:
     apart = x[chosen[other]] - x[chosen[one]]
     distant = np.abs(apart) >= np.ptp(x) / 4
     return float(np.median((y[chosen[other]] - y[chosen[one]])[distant] / apart[distant])) if distant.any() else 0.0
-
-
-def _wrong_rate(readings: _Readings) -> float | None:
-    """Return the rate of UTC against a clock in another unit than it says; None if the unit is right."""
-    if readings.rows.size < _FEWEST_READINGS or np.ptp(readings.clock_s) <= 0:
-        return None
-    slope = _median_slope(readings.clock_s, readings.utc_s)
-    return None if 0.5 < slope < 2 or slope <= 0 else slope
 
 
 def valid_rows(clock_s: Float) -> Mask:
@@ -303,11 +336,11 @@ def rows_of(boot: Boot, size: int) -> Mask:
     return within(np.arange(size), boot.spans)
 
 
-def described_cuts(fit: ClockFit, cells: int, lines: Integer) -> str:
+def described_cuts(fit: ClockFit, lines: Integer) -> str:
     """Return a remark on the cells of UTC that disagree with a clock.  `lines` (n,): line of each row."""
     verb = "disagrees" if fit.cut.size == 1 else "disagree"
     return (
-        f"{fit.cut.size} of its {cells} cells of UTC {verb} with its clock by up to {fit.largest_s:.1f} s"
+        f"{fit.cut.size} of its {fit.cells} cells of UTC {verb} with its clock by up to {fit.largest_s:.1f} s"
         f" (the first one in line {int(lines[fit.cut.min()])}) and {'is' if fit.cut.size == 1 else 'are'} not used"
     )
 

@@ -25,12 +25,14 @@ from glstar.system.resources import asset
 from glstar.system.userinput import did_you_mean, nearest_word, read_text
 from glstar.telemetry import source
 from glstar.telemetry.tables.clock import (
+    ClockFit,
     clock_boots,
     described_cuts,
     first_of_each_time,
     fitted_clock,
     has_whole_seconds,
     left_out_rows,
+    most_agree,
     rows_of,
     valid_rows,
 )
@@ -276,13 +278,13 @@ class MappedTableReader(source.TelemetrySource):
         """
         q, has_attitude = self._q_body_ned()
         for boot in self.boots():
-            rows = rows_of(boot, self._clock_s.size) & np.isfinite(self._clock_s)
+            rows = self._rows_of(boot)
             if self._is_utc:
                 clock_s, clock, notes = self._clock_s, self._utc_clock(rows), ()
                 # Attitudes in rows that repeat a time are later than it.
                 valid = first_of_each_time(np.where(rows & has_attitude, clock_s, nan))
             else:
-                clock_s, clock, notes = self._own_clock(rows)
+                clock_s, clock, notes = self._own_clock(boot)
                 valid = rows & has_attitude
             segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
             notes = (*self._notes(), *notes)
@@ -379,7 +381,8 @@ class MappedTableReader(source.TelemetrySource):
         name = self._name(self._map.utc)
         if name is None:
             return np.full(self._table.lines.size, nan)
-        return self._table.times(name, self._name(self._map.utc_date))
+        utc_s = self._table.times(name, self._name(self._map.utc_date))
+        return utc_s if self._is_utc else np.where(utc_s >= source.YEAR_2010_S, utc_s, nan)
 
     def _plausible(self, utc_s: Float, column: str) -> Float:
         """Return UTC, s since 1970; raises LogFormatError if a row is not from 1970 to 2100."""
@@ -449,17 +452,25 @@ class MappedTableReader(source.TelemetrySource):
             return source.no_clock_samples(f"its GPS time says {year}: the receiver's week has rolled over")
         return source.ClockSamples(clock_s, clock_s, self._map.title)
 
-    def _own_clock(self, rows: Mask) -> tuple[Float, source.ClockSamples, tuple[str, ...]]:
+    @cached_property
+    def _fits(self) -> dict[int, ClockFit]:
+        """UTC of each boot by its own clock, by its number."""
+        inside = {boot.number: self._rows_of(boot) for boot in self._boots}
+        return {n: fitted_clock(self._clock_s[rows], self._utc_column[rows]) for n, rows in inside.items()}
+
+    def _rows_of(self, boot: source.Boot) -> Mask:
+        return rows_of(boot, self._clock_s.size) & np.isfinite(self._clock_s)
+
+    def _own_clock(self, boot: source.Boot) -> tuple[Float, source.ClockSamples, tuple[str, ...]]:
         """Return the clock at the rate of UTC, the readings of UTC of a boot, and remarks on them."""
-        inside = np.flatnonzero(rows)
-        utc_s = np.where(self._utc_column >= source.YEAR_2010_S, self._utc_column, nan)
-        fit = fitted_clock(self._clock_s[inside], utc_s[inside])
+        fit, inside = self._fits[boot.number], self._rows_of(boot)
         if fit.reason:
             return self._clock_s, source.no_clock_samples(fit.reason), ()
+        if not most_agree([*self._fits.values()]):
+            return self._clock_s, source.no_clock_samples("most of its cells of UTC disagree with its clock"), ()
         clock_s = fit.at_rate_of_utc(self._clock_s)
-        cells = np.count_nonzero(np.isfinite(utc_s[inside]))
-        notes = [described_cuts(fit, cells, self._table.lines[inside])] if fit.cut.size else []
-        if has_whole_seconds(utc_s[inside]):
+        notes = [described_cuts(fit, self._table.lines[inside])] if fit.cut.size else []
+        if has_whole_seconds(fit.utc_s):
             notes.append("its UTC has whole seconds: the time of an attitude is uncertain by one sample interval")
         if abs(fit.rate) > _NOTABLE_RATE:
             notes.append(f"its clock gains {-1e6 * fit.rate:.0f} millionths on its UTC, which the times follow")
