@@ -243,7 +243,7 @@ class RecordedLog:
         clocks = tuple(dict.fromkeys(clock for boot in boots.values() for clock in boot.clock_quality))
         if options.utc_start is not None:
             utc_source, clocks = given_utc(options.utc_start), ()
-        notes = _notes_per_boot({n: boot.remarks(by_log=options.utc_start is None) for n, boot in boots.items()})
+        notes = _notes_per_boot({n: boot.remarks(options) for n, boot in boots.items()})
         triggers = [part for n, boot in boots.items() for part in boot.camera_triggers(shifts_s[n])]
         gimbals = [boot.gimbal.over_utc(shifts_s[number]) for number, boot in boots.items() if boot.gimbal is not None]
         return Flight(

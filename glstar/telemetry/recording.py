@@ -30,11 +30,15 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
     TriggerSamples,
+    flyable,
 )
 from glstar.telemetry.tracks import GivenTrack
 
 # A track that is shorter than the flight by less than this is not reported, s.
 _TRACK_ENDS_S = 5.0
+# A longer time without a fix is reported, s; a much longer one is between two flights.
+_TRACK_GAP_S = 300.0
+_OTHER_FLIGHT_S = 4 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +73,25 @@ class FlightOptions:
         """
         if self.track is None:
             return ()
-        first_s, last_s = float(self.track.track.utc_s[0]), float(self.track.track.utc_s[-1])
+        utc_s, source = self.track.track.utc_s, self.track.source
+        first_s, last_s = float(utc_s[0]), float(utc_s[-1])
+        flight = f"from {format_utc(attitude.first_s)} to {format_utc(attitude.last_s)}"
         if first_s > attitude.last_s or last_s < attitude.first_s:
             track = f"from {format_utc(first_s)} to {format_utc(last_s)}"
-            flight = f"from {format_utc(attitude.first_s)} to {format_utc(attitude.last_s)}"
-            raise LogFormatError(name, f"the track {self.track.source} lies {track}, the flight {flight}")
+            raise LogFormatError(name, f"the track {source} lies {track}, the flight {flight}")
+        notes = list(self.track.notes)
         outside_s = max(first_s - attitude.first_s, 0.0), max(attitude.last_s - last_s, 0.0)
-        if max(outside_s) < _TRACK_ENDS_S:
-            return ()
-        ends = f"{outside_s[0]:.0f} s after the flight begins and ends {outside_s[1]:.0f} s before it ends"
-        return (f"the track {self.track.source} begins {ends}; there its nearest fix is used",)
+        if max(outside_s) >= _TRACK_ENDS_S:
+            ends = f"{outside_s[0]:.0f} s after the flight begins and ends {outside_s[1]:.0f} s before it ends"
+            notes.append(f"the track {source} begins {ends}; there its nearest fix is used")
+        meets = (utc_s[:-1] < attitude.last_s) & (utc_s[1:] > attitude.first_s)
+        gap_s = float(np.diff(utc_s)[meets].max(initial=0.0))
+        if gap_s > _OTHER_FLIGHT_S and not ((utc_s >= attitude.first_s) & (utc_s <= attitude.last_s)).any():
+            hours = f"for {gap_s / 3600:.1f} h around it"
+            raise LogFormatError(name, f"the track {source} has no fix during the flight {flight}, and {hours}")
+        if gap_s > _TRACK_GAP_S:
+            notes.append(f"the track {source} has no fix for {gap_s / 60:.0f} min of the flight; there it is interpolated")
+        return tuple(notes)
 
 
 DEFAULT_OPTIONS = FlightOptions()
@@ -97,6 +110,7 @@ class Recording:
     triggers: tuple[TriggerSamples, ...] = ()
     gimbal: GimbalSamples | None = None  # None if the log has none
     events: tuple[EventSamples, ...] = ()
+    position_notes: tuple[str, ...] = ()  # Remarks on positions that were left out
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
@@ -112,10 +126,12 @@ class Recording:
     def of(cls, name: str, batches: Iterable[Samples], boot: int = 1) -> Self:
         """Sort batches of samples of one boot of a log by kind."""
         every = list(batches)
+        position, position_notes = _position([batch for batch in every if isinstance(batch, PositionSamples)])
         return cls(
             name=name,
             attitude=_attitude([batch for batch in every if isinstance(batch, AttitudeSamples)]),
-            position=_position([batch for batch in every if isinstance(batch, PositionSamples)]),
+            position=position,
+            position_notes=position_notes,
             clock=_clock([batch for batch in every if isinstance(batch, ClockSamples)]),
             rates=_rates([batch for batch in every if isinstance(batch, RateSamples)]),
             boot=boot,
@@ -180,17 +196,19 @@ class Recording:
             position_source=self.position.source if position is None else options.position_source,
             utc_source=self.clock.source if utc_start is None else given_utc(utc_start),
             time_offset_s=options.time_offset_s,
-            notes=(*self.remarks(by_log=utc_start is None), *options.notes(attitude, self.name)),
+            notes=(*self.remarks(options), *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
             triggers=self.camera_triggers(shift_s),
             gimbal=None if self.gimbal is None else self.gimbal.over_utc(shift_s),
             events=FlightEvents.joined(part.over_utc(shift_s) for part in self.events),
         )
 
-    def remarks(self, *, by_log: bool) -> tuple[str, ...]:
-        """Return remarks for the user on how the samples were read; `by_log`: whether the UTC of the log is used."""
+    def remarks(self, options: FlightOptions) -> tuple[str, ...]:
+        """Return remarks for the user on how the samples that are used with some options were read."""
+        of_clock = self.clock.notes if options.utc_start is None else ()
+        of_positions = self.position_notes if options.position is None else ()
         of_triggers = [note for part in self.triggers for note in part.remarks(self.utc_minus_clock_s)]
-        return tuple(dict.fromkeys((*self.attitude.notes, *(self.clock.notes if by_log else ()), *of_triggers)))
+        return tuple(dict.fromkeys((*self.attitude.notes, *of_clock, *of_positions, *of_triggers)))
 
     def camera_triggers(self, utc_minus_clock_s: float) -> tuple[CameraTriggers, ...]:
         """Return when each camera was triggered; see `TriggerSamples.over_utc`."""
@@ -279,14 +297,21 @@ def _attitude(batches: list[AttitudeSamples]) -> AttitudeSamples:
     )
 
 
-def _position(batches: list[PositionSamples]) -> PositionSamples:
-    return PositionSamples(
+def _position(batches: list[PositionSamples]) -> tuple[PositionSamples, tuple[str, ...]]:
+    """Return the positions of all batches that an aircraft can fly, and a remark on the others."""
+    columns = np.stack([
         _joined(b.clock_s for b in batches),
         _joined(b.latitude_rad for b in batches),
         _joined(b.longitude_rad for b in batches),
         _joined(b.height_m for b in batches),
-        _source(batches),
-    )
+    ])
+    columns = columns[:, np.isfinite(columns).all(axis=0)]
+    order = np.argsort(columns[0], kind="stable")
+    reachable = np.ones(order.size, dtype=bool)
+    reachable[order] = flyable(*columns[:, order])
+    cut = int(np.count_nonzero(~reachable))
+    note = f"{cut} of {order.size} positions are so far from the others that no aircraft flies there, and are left out"
+    return PositionSamples(*columns[:, reachable], _source(batches)), (note,) if cut else ()
 
 
 def _clock(batches: list[ClockSamples]) -> ClockSamples:

@@ -357,7 +357,12 @@ YEAR_2100_S = 4102444800.0
 # A sample that differs this much from the median of itself and its two neighbours is damaged.
 _CLOCK_SPIKE_S = 1.0
 _SPIKE_INTERVALS = 3.0
-_POSITION_SPIKE_DEG = 0.01
+# An aircraft flies no faster, m/s; positions jump by less where an estimator is reset, m.
+_LARGEST_SPEED_M_PER_S = 700.0
+_POSITION_NOISE_M = 200.0
+_EARTH_RADIUS_M = 6.371e6
+# Number of runs of positions before one that are searched for the one that it goes on from.
+_RUNS_BACK = 100
 # Positions this close to 0 N 0 E mean that there is no fix, deg: an estimator without an origin drifts by some metres.
 _ZERO_POSITION_DEG = 0.001
 # Gyros of autopilots measure up to 2000 deg/s, some up to 4000 deg/s.
@@ -398,15 +403,52 @@ def position_samples(
     clock_s: Float, latitude_deg: Float, longitude_deg: Float, height_m: Float, source: str
 ) -> PositionSamples:
     """Return the valid ones of (n,) positions in the order of the log; `source`: where they come from, for messages."""
-    with np.errstate(invalid="ignore"):
-        valid = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180)
-        valid &= (height_m >= HEIGHTS_M[0]) & (height_m <= HEIGHTS_M[1])
-        valid &= ~is_zero_position(latitude_deg, longitude_deg)
-    valid &= valid_times(clock_s)
-    valid &= ~spikes(latitude_deg, _POSITION_SPIKE_DEG) & ~spikes(longitude_deg, _POSITION_SPIKE_DEG)
+    valid = valid_positions(latitude_deg, longitude_deg, height_m) & valid_times(clock_s)
     return PositionSamples(
         clock_s[valid], np.deg2rad(latitude_deg[valid]), np.deg2rad(longitude_deg[valid]), height_m[valid], source
     )
+
+
+def valid_positions(latitude_deg: Float, longitude_deg: Float, height_m: Float) -> Mask:
+    """Return which of (n,) positions are on the Earth, not at 0 N 0 E, and at a height of flights."""
+    with np.errstate(invalid="ignore"):
+        valid: Mask = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180)
+        valid &= (height_m >= HEIGHTS_M[0]) & (height_m <= HEIGHTS_M[1])
+        valid &= ~is_zero_position(latitude_deg, longitude_deg)
+    return valid
+
+
+def flyable(clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m: Float) -> Mask:
+    """Return which of (n,) valid positions, sorted by time, s, belong to the longest sequence that an aircraft can fly.
+
+    Runs of positions are joined if the aircraft can get from the last of one to the first of the next.
+    """
+    if clock_s.size < 2:
+        return np.ones(clock_s.size, dtype=bool)
+    level = np.cos(latitude_rad)
+    direction = [level * np.cos(longitude_rad), level * np.sin(longitude_rad), np.sin(latitude_rad)]
+    place_m = np.stack(direction, axis=-1) * (_EARTH_RADIUS_M + height_m)[:, np.newaxis]
+
+    def reached(one: Integer, other: Integer | int) -> Mask:
+        distance_m = np.linalg.norm(place_m[other] - place_m[one], axis=-1)
+        return np.asarray(distance_m <= _POSITION_NOISE_M + _LARGEST_SPEED_M_PER_S * (clock_s[other] - clock_s[one]))
+
+    rows = np.arange(clock_s.size)
+    starts = np.concatenate([[0], np.flatnonzero(~reached(rows[:-1], rows[1:])) + 1])
+    ends = np.concatenate([starts[1:], [clock_s.size]])
+    length, previous = ends - starts, np.full(starts.size, -1)
+    for run in range(1, starts.size):
+        first = max(0, run - _RUNS_BACK)
+        joined = np.flatnonzero(reached(ends[first:run] - 1, int(starts[run]))) + first
+        if joined.size:
+            previous[run] = joined[np.argmax(length[joined])]
+            length[run] += length[previous[run]]
+    kept = np.zeros(clock_s.size, dtype=bool)
+    run = int(np.argmax(length))
+    while run >= 0:
+        kept[starts[run] : ends[run]] = True
+        run = int(previous[run])
+    return kept
 
 
 def is_zero_position(latitude_deg: Float, longitude_deg: Float) -> Mask:

@@ -1,31 +1,56 @@
 """Tracks of position and time without attitude: GPX, KML, KMZ, NMEA 0183 and IGC.
 
-A track supplies the positions of a flight whose log has none, or better ones: ``--position track.gpx``.
+A track supplies the positions of a flight whose log has none, or better ones: ``--position track.gpx``.  Elements that
+cannot be used, of a receiver without a fix or damaged, are passed over and counted.
 """
 
 import re
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import reduce
+from math import nan
 from operator import xor
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import PositionTrack
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_bytes
+from glstar.telemetry.source import flyable, valid_positions
 
 # For messages.
 TRACK_FORMATS = "GPX, KML, KMZ, NMEA or IGC"
 # Larger files are refused as mistakes: a day of 10 Hz NMEA has 200 MB.
 _LARGEST_BYTES = 512 << 20
 _DAY_S = 86400.0
-# UTC, latitude and longitude (deg), height (m).
-_Fix = tuple[float, float, float, float]
+# Receivers without a date report 1980 or 1970, s since 1970.
+_YEAR_1990_S = 631152000.0
+# XML: its beginning as bytes and as text, and the encoding that it declares.
+_XML = re.compile(rb"^(\xef\xbb\xbf)?\s*<|^(\xff\xfe)?<\x00|^(\xfe\xff)?\x00<")
+_ENCODING = re.compile(rb"""^[^>]{0,80}encoding=["']([\w.-]+)["']""")
+_NMEA = re.compile(rb"\$[A-Z]{2}(RMC|GGA|ZDA),")
+# Heights of KML that are above ground, or meaningless.
+_ABOVE_GROUND = {"relativeToGround", "relativeToSeaFloor", "clampToGround", "clampToSeaFloor"}
+
+
+class _Fix(NamedTuple):
+    """A fix; without a height it is NaN."""
+
+    utc_s: float
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+
+# Reads the fixes of a text, and counts what it passes over, by reason.
+_Parse = Callable[[str, Counter[str]], Iterator[_Fix]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +59,7 @@ class GivenTrack:
 
     track: PositionTrack
     source: str  # File, format and number of fixes, for messages
+    notes: tuple[str, ...] = ()  # Remarks for the user on what was passed over
 
 
 def read_track(path: str) -> GivenTrack:
@@ -41,40 +67,80 @@ def read_track(path: str) -> GivenTrack:
 
     Raises LogFormatError if it cannot be read, or has no positions with times.
     """
+    passed: Counter[str] = Counter()
     try:
-        content = read_bytes(path, _LARGEST_BYTES)
-        kind, parse = _format(path, content)
-        fixes = np.array(sorted(parse(_text(content))), dtype=np.float64).reshape(-1, 4)
+        kind, parse, text = _format(path, read_bytes(path, _LARGEST_BYTES))
+        fixes = np.array(sorted(parse(text, passed), key=lambda fix: fix[0]), dtype=np.float64).reshape(-1, 4)
     except (ValueError, KeyError, IndexError, ET.ParseError, zipfile.BadZipFile) as error:
         if isinstance(error, LogFormatError):
             raise
         raise LogFormatError(path, f"cannot be read as a track: {error}") from error
-    valid = np.isfinite(fixes).all(axis=1) & (np.abs(fixes[:, 1]) <= 90) & (np.abs(fixes[:, 2]) <= 360)
-    fixes = fixes[valid]
+    fixes = _valid(fixes, passed)
+    name = Path(path).name
+    why = "; ".join(f"{count} {reason}" for reason, count in passed.items())
     if not fixes.size:
-        raise LogFormatError(path, f"has no places with times in it ({kind})")
-    track = PositionTrack.from_samples(fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), fixes[:, 3])
-    return GivenTrack(track, f"{Path(path).name}, {kind}, {len(fixes)} fixes")
+        raise LogFormatError(path, f"has no places with times in it ({kind}){'; passed over: ' if why else ''}{why}")
+    notes = [f"of the track {name} were passed over: {why}"] if passed else []
+    heights_m, missing = fixes[:, 3], np.isnan(fixes[:, 3])
+    if missing.all():
+        notes.append(f"the track {name} has no heights above sea level: 0 m is taken")
+        heights_m = np.zeros(len(fixes))
+    elif missing.any():
+        heights_m = np.interp(fixes[:, 0], fixes[~missing, 0], heights_m[~missing])
+    track = PositionTrack.from_samples(fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
+    return GivenTrack(track, f"{name}, {kind}, {len(fixes)} fixes", tuple(notes))
 
 
-def _format(path: str, content: bytes) -> tuple[str, Callable[[str], Iterator[_Fix]]]:
-    """Return the name of a format, and the function that yields its fixes."""
-    head = content[:4096].lstrip(b"\xef\xbb\xbf \r\n\t")
-    if head.startswith(b"PK\x03\x04"):
-        return "KMZ", lambda _: _kml(_text(_kmz(path)))
-    if b"<gpx" in head:
-        return "GPX", _gpx
-    if b"<kml" in head:
-        return "KML", _kml
-    if re.match(rb"A[A-Z0-9]{3}", head) and re.search(rb"^(HFDTE|B\d{6})", content, re.M):
-        return "IGC", _igc
-    if re.search(rb"^\$[A-Z]{2}(RMC|GGA|ZDA)", content, re.M):
-        return "NMEA", _nmea
+def _valid(fixes: Float, passed: Counter[str]) -> Float:
+    """Return the (n, 4) fixes that a receiver with a fix on an aircraft can have; others are counted."""
+    dated = np.isfinite(fixes[:, 0]) & (fixes[:, 0] >= _YEAR_1990_S)
+    passed["without a date"] += int(np.count_nonzero(~dated))
+    fixes = fixes[dated]
+    heights_m = np.nan_to_num(fixes[:, 3])
+    # Longitudes may run from 0 to 360.
+    longitude_deg = np.where((fixes[:, 2] > 180) & (fixes[:, 2] <= 360), fixes[:, 2] - 360, fixes[:, 2])
+    real = valid_positions(fixes[:, 1], longitude_deg, heights_m)
+    passed["at 0 N 0 E, beyond a pole or at an impossible height"] += int(np.count_nonzero(~real))
+    fixes, heights_m = fixes[real], heights_m[real]
+    known = np.isfinite(fixes[:, 3])
+    heights_m = np.interp(fixes[:, 0], fixes[known, 0], fixes[known, 3]) if known.any() else heights_m
+    reachable = flyable(fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
+    passed["so far from the others that no aircraft flies there"] += int(np.count_nonzero(~reachable))
+    for reason in [reason for reason, count in passed.items() if not count]:
+        del passed[reason]
+    return fixes[reachable]
+
+
+def _format(path: str, content: bytes) -> tuple[str, _Parse, str]:
+    """Return the name of a format, the function that yields its fixes, and the text."""
+    if content.startswith(b"PK\x03\x04"):
+        content = _kmz(path)
+        kind, parse, text = _format(path, content)
+        return "KMZ" if kind == "KML" else kind, parse, text
+    text = _text(content)
+    if _XML.match(content[:64]):
+        root = next((name for name, _ in _elements(text, None)), "")
+        kinds: dict[str, tuple[str, _Parse]] = {"gpx": ("GPX", _gpx), "kml": ("KML", _kml)}
+        if root in kinds:
+            return (*kinds[root], text)
+    head = content.lstrip(b"\xef\xbb\xbf \r\n\t")
+    if re.match(rb"A[A-Z0-9]{3}", head) and re.search(rb"^(H[FOP]DTE|B\d{6})", content, re.M):
+        return "IGC", _igc, text
+    if _NMEA.search(content):
+        return "NMEA", _nmea, text
     raise LogFormatError(path, f"is no track that glstar knows: {TRACK_FORMATS}")
 
 
 def _text(content: bytes) -> str:
-    return content.decode("utf-8-sig", errors="replace")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", errors="replace")
+    if content.startswith((b"<\x00", b"\x00<")):
+        return content.decode("utf-16-le" if content.startswith(b"<") else "utf-16-be", errors="replace")
+    declared = _ENCODING.match(content[:200])
+    try:
+        return content.decode(declared[1].decode() if declared else "utf-8-sig", errors="replace").lstrip("\ufeff")
+    except LookupError:
+        return content.decode("utf-8-sig", errors="replace")
 
 
 def _kmz(path: str) -> bytes:
@@ -85,12 +151,38 @@ def _kmz(path: str) -> bytes:
         return archive.read(names[0])
 
 
-def _elements(text: str) -> Iterator[tuple[str, ET.Element]]:
-    """Yield the elements of an XML document with their names without the namespace."""
+def _elements(text: str, passed: Counter[str] | None) -> Iterator[tuple[str, ET.Element]]:
+    """Yield the elements of an XML document when they end, with their names without the namespace.
+
+    Without `passed`, only the root when it begins.  A document that ends early is read up to there, and counted.
+    """
     if "<!ENTITY" in text:
         raise ValueError("it declares entities, which no track needs")
-    for element in ET.fromstring(text).iter():  # noqa: S314 - without entities
+    parser = ET.XMLPullParser(["start" if passed is None else "end"])
+    error: ET.ParseError | None = None
+    try:
+        parser.feed(text.lstrip())
+        parser.close()
+    except ET.ParseError as damage:
+        error = damage
+    ended = 0
+    events = parser.read_events()
+    while True:
+        try:
+            _, element = next(events)
+        except StopIteration:
+            break
+        except ET.ParseError as damage:
+            error = damage
+            break
+        ended += 1
         yield str(element.tag).rpartition("}")[2], element
+        if passed is None:
+            return
+    if error is not None:
+        if passed is None or not ended:
+            raise error
+        passed[f"all after its damage or end ({error})"] += 1
 
 
 def _texts(elements: Iterable[ET.Element]) -> list[tuple[str, str]]:
@@ -99,93 +191,222 @@ def _texts(elements: Iterable[ET.Element]) -> list[tuple[str, str]]:
 
 
 def _utc_s(text: str) -> float:
+    """Return the UTC of an ISO 8601 date and time of day, of which 24:00:00 is the end of the day."""
+    if ":" not in text:
+        raise ValueError(f"{text!r} has no time of day")
+    late_s = _DAY_S if re.search(r"T24:00(:00)?", text) else 0.0
     try:
-        return parse_utc(text)
+        return parse_utc(text.replace("T24:", "T00:").replace("z", "Z")) + late_s
     except ConfigError as error:
         raise ValueError(str(error)) from error
 
 
-def _gpx(text: str) -> Iterator[_Fix]:
-    for name, element in _elements(text):
-        if name == "trkpt":
-            texts = dict(_texts(element))
-            if "time" in texts:
-                height_m = float(texts.get("ele") or 0)
-                yield _utc_s(texts["time"]), float(element.attrib["lat"]), float(element.attrib["lon"]), height_m
+def _height_m(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return nan
 
 
-def _kml(text: str) -> Iterator[_Fix]:
-    for name, element in _elements(text):
+def _gpx(text: str, passed: Counter[str]) -> Iterator[_Fix]:
+    for name, element in _elements(text, passed):
+        if name != "trkpt":
+            continue
+        texts = dict(_texts(element))
+        if texts.get("fix") == "none":
+            passed["without a fix"] += 1
+        elif "time" not in texts:
+            passed["without a time"] += 1
+        else:
+            try:
+                place_deg = float(element.attrib["lat"]), float(element.attrib["lon"])
+                yield _Fix(_utc_s(texts["time"]), *place_deg, _height_m(texts.get("ele", "")))
+            except (ValueError, KeyError):
+                passed["without a readable place or time"] += 1
+
+
+def _kml(text: str, passed: Counter[str]) -> Iterator[_Fix]:
+    for name, element in _elements(text, passed):
         if name == "Track":
             parts = _texts(element)
             times = [text for tag, text in parts if tag == "when"]
             positions = [text for tag, text in parts if tag == "coord"]
-            for when, position in zip(times, positions, strict=True):
-                yield (_utc_s(when), *_kml_position(position.split()))
+            if len(times) != len(positions):
+                raise ValueError(f"a gx:Track has {len(times)} times and {len(positions)} places")
+            above = _is_above_ground(element)
+            yield from _kml_fixes(zip(times, (place.split() for place in positions), strict=True), above, passed)
         if name == "Placemark":
-            texts = dict(_texts(element.iter()))
-            if texts.get("when") and texts.get("coordinates") and "Point" in texts:
-                yield (_utc_s(texts["when"]), *_kml_position(texts["coordinates"].split(",")))
+            children = {str(child.tag).rpartition("}")[2]: child for child in element}
+            if "TimeStamp" in children and "Point" in children:
+                when = dict(_texts(children["TimeStamp"])).get("when", "")
+                place = dict(_texts(children["Point"])).get("coordinates", "")
+                above = _is_above_ground(children["Point"])
+                yield from _kml_fixes([(when, place.split(","))], above, passed)
 
 
-def _kml_position(parts: list[str]) -> tuple[float, float, float]:
-    """Return latitude and longitude, deg, and height, m; 0 without one."""
-    longitude, latitude, *height = map(float, parts)
-    return latitude, longitude, height[0] if height else 0.0
+def _is_above_ground(geometry: ET.Element) -> bool:
+    """Return whether the heights of a geometry are above ground, or meaningless."""
+    return dict(_texts(geometry)).get("altitudeMode", "absolute") in _ABOVE_GROUND
 
 
-def _igc(text: str) -> Iterator[_Fix]:
+def _kml_fixes(fixes: Iterable[tuple[str, list[str]]], above: bool, passed: Counter[str]) -> Iterator[_Fix]:
+    """Yield the fixes of times and places: longitude, latitude (deg) and perhaps height (m)."""
+    for when, place in fixes:
+        try:
+            utc_s, (longitude_deg, latitude_deg, *height) = _utc_s(when), [float(part) for part in place]
+        except ValueError:
+            passed["without a readable place or time"] += 1
+            continue
+        if above and height:
+            passed["heights above ground, which are none above sea level"] += 1
+        yield _Fix(utc_s, latitude_deg, longitude_deg, height[0] if height and not above else nan)
+
+
+_IGC_DATE = re.compile(r"H[FOP]DTE\s*(?:DATE)?[\s:]*(\d\d)[\s./-]*(\d\d)[\s./-]*(\d\d)")
+_IGC_FIX = re.compile(
+    r"B(\d\d)(\d\d)(\d\d)(\d\d)(\d{5})([NS])(\d{3})(\d{5})([EW])([AV])([-\d]\d{4})([-\d]\d{4})"
+)
+
+
+def _igc(text: str, passed: Counter[str]) -> Iterator[_Fix]:
     """Yield the B records of an IGC file; their times are UTC of the day in HFDTE, and go on after midnight."""
-    day_s = before_s = float("nan")
+    day_s = before_s = nan
+    fraction_at = slice(0, 0)
+    with_height: list[_Fix] = []
+    without: list[_Fix] = []
     for line in text.splitlines():
-        if date := re.match(r"HFDTE(?:DATE:)?\s*(\d\d)(\d\d)(\d\d)", line):
+        if date := _IGC_DATE.match(line):
             day, month, year = date.groups()
-            day_s, before_s = _utc_s(f"20{year}-{month}-{day}"), float("nan")
-        fix = re.match(
-            r"B(\d\d)(\d\d)(\d\d)(\d\d)(\d{5})([NS])(\d{3})(\d{5})([EW])([AV])([-\d]\d{4})([-\d]\d{4})", line
-        )
+            day_s, before_s = _utc_s(f"{_century(year)}{year}-{month}-{day}T00:00"), nan
+        if line.startswith("I") and (tds := re.search(r"(\d\d)(\d\d)TDS", line)):
+            fraction_at = slice(int(tds[1]) - 1, int(tds[2]))
+        if not re.match(r"B\d", line):
+            continue
+        fix = _IGC_FIX.match(line)
         if fix is None:
+            passed["unreadable B records"] += 1
             continue
         hours, minutes, seconds, north, north_min, side, east, east_min, east_side = fix.groups()[:9]
-        utc_s = day_s + 3600 * int(hours) + 60 * int(minutes) + int(seconds)
+        fraction = line[fraction_at]
+        clock_s = 3600 * int(hours) + 60 * int(minutes) + int(seconds)
+        utc_s = day_s + clock_s + (float(f"0.{fraction}") if fraction.isdigit() else 0.0)
         if utc_s < before_s - _DAY_S / 2:
             day_s, utc_s = day_s + _DAY_S, utc_s + _DAY_S
         before_s = utc_s
         latitude_deg = (int(north) + int(north_min) / 60000) * (1 if side == "N" else -1)
         longitude_deg = (int(east) + int(east_min) / 60000) * (1 if east_side == "E" else -1)
-        # V is a fix without GNSS height: the height by pressure remains.
-        yield utc_s, latitude_deg, longitude_deg, float(fix[12] if fix[10] == "A" else fix[11])
+        # V is a fix without GNSS height, or none: its height is by pressure.
+        kind, height_m = (with_height, fix[12]) if fix[10] == "A" else (without, fix[11])
+        kind.append(_Fix(utc_s, latitude_deg, longitude_deg, float(height_m)))
+    if with_height and without:
+        passed["without a 3D fix (V)"] += len(without)
+    yield from with_height or without
 
 
-def _nmea(text: str) -> Iterator[_Fix]:
-    """Yield the fixes of NMEA sentences: RMC has date, time and position, GGA the height at the same time of day."""
-    heights_m: dict[str, float] = {}
-    positions: list[tuple[str, float, float, float]] = []
-    for line in text.splitlines():
-        fields = _nmea_fields(line)
-        if fields and fields[0][2:] == "GGA" and fields[6] not in {"", "0"} and fields[9]:
-            heights_m[fields[1]] = float(fields[9]) + float(fields[11] or 0)
-        if fields and fields[0][2:] == "RMC" and fields[2] == "A":
-            time, date = fields[1], fields[9]
-            utc_s = _utc_s(f"20{date[4:6]}-{date[2:4]}-{date[:2]}T{time[:2]}:{time[2:4]}:{time[4:6]}")
-            utc_s += float(f"0{time[6:]}")
-            positions.append((time, utc_s, _nmea_angle(fields[3], fields[4]), _nmea_angle(fields[5], fields[6])))
-    for time, utc_s, latitude_deg, longitude_deg in positions:
-        yield utc_s, latitude_deg, longitude_deg, heights_m.get(time, 0.0)
+def _century(year: str) -> str:
+    """Return the century of a year of two digits: receivers without a date say 80."""
+    return "19" if int(year) >= 80 else "20"
 
 
-def _nmea_fields(line: str) -> list[str]:
-    """Return the fields of a sentence; none if its checksum is wrong or missing."""
-    start, star = line.find("$"), line.rfind("*")
-    if start < 0 or star < start:
-        return []
-    body = line[start + 1 : star]
-    if line[star + 1 : star + 3].upper() != f"{reduce(xor, body.encode(), 0):02X}":
-        return []
-    return body.split(",")
+def _nmea(text: str, passed: Counter[str]) -> Iterator[_Fix]:
+    """Yield the fixes of NMEA sentences: RMC and ZDA have the date of those beside them, GGA the height."""
+    sentences = [sentence for line in text.splitlines() for sentence in _nmea_sentences(line)]
+    checked = sum(has_sum for _, has_sum, _ in sentences)
+    # Where sentences have checksums, one without is damaged.
+    read = [fields for fields, has_sum, valid in sentences if (valid if has_sum else 2 * checked < len(sentences))]
+    passed["sentences with a wrong checksum or without one"] += len(sentences) - len(read)
+    dated = _nmea_dated(read, passed)
+    places: dict[float, tuple[float, float]] = {}
+    heights_m: dict[float, float] = {}
+    invalid: set[float] = set()
+    for utc_s, fields in dated:
+        is_gga, key = fields[0][2:] == "GGA", round(utc_s, 3)
+        state, mode = (fields[6], "") if is_gga else (fields[2], fields[12] if len(fields) > 12 else "")
+        # Estimated by dead reckoning: quality 6, mode E.
+        if state in ({"", "0", "6"} if is_gga else {"", "V"}) or mode in {"N", "E"}:
+            invalid.add(key)
+            continue
+        try:
+            latitude_deg, longitude_deg = (_nmea_angle(*fields[k : k + 2]) for k in ((2, 4) if is_gga else (3, 5)))
+        except ValueError:
+            passed["sentences without a readable place"] += 1
+            continue
+        if not is_gga or key not in places:
+            places[key] = latitude_deg, longitude_deg
+        if is_gga and fields[9]:
+            heights_m[key] = _height_m(fields[9]) + (_height_m(fields[11]) if fields[11] else 0.0)
+    passed["times without a fix"] += len(invalid)
+    for key, place_deg in places.items():
+        if key not in invalid:
+            yield _Fix(key, *place_deg, heights_m.get(key, nan))
+
+
+def _nmea_dated(sentences: list[list[str]], passed: Counter[str]) -> list[tuple[float, list[str]]]:
+    """Return UTC, s since 1970, and fields of the sentences RMC and GGA; the nearest date before or after counts."""
+    undated: list[tuple[float, list[str]]] = []
+    dated: list[tuple[float, list[str]]] = []
+    latest: tuple[float, float] | None = None
+    for fields in sentences:
+        kind = fields[0][2:]
+        if len(fields) < {"RMC": 10, "GGA": 12, "ZDA": 5}.get(kind, 1 << 30):
+            continue
+        try:
+            clock_s = _time_of_day_s(fields[1])
+            date = _nmea_date(fields)
+        except ValueError:
+            passed["sentences without a time"] += 1
+            continue
+        if date is not None:
+            latest = date, clock_s
+            dated += [(_at_date(*latest, other_s), other) for other_s, other in undated]
+            undated = []
+        if kind == "ZDA":
+            continue
+        if latest is None:
+            undated.append((clock_s, fields))
+        else:
+            dated.append((_at_date(*latest, clock_s), fields))
+    passed["sentences without a date"] += len(undated)
+    return dated
+
+
+def _nmea_date(fields: list[str]) -> float | None:
+    """Return the midnight, s since 1970, of the date of a sentence RMC or ZDA; None without one."""
+    if fields[0][2:] == "ZDA":
+        day, month, year = fields[2:5]
+    elif fields[0][2:] == "RMC" and fields[9]:
+        day, month, year = fields[9][:2], fields[9][2:4], _century(fields[9][4:6]) + fields[9][4:6]
+    else:
+        return None
+    return _utc_s(f"{year}-{month:0>2}-{day:0>2}T00:00") if year else None
+
+
+def _at_date(midnight_s: float, clock_s: float, other_s: float) -> float:
+    """Return the UTC of a time of day, s, beside a sentence with a date and another time of day, s."""
+    return midnight_s + other_s - _DAY_S * round((other_s - clock_s) / _DAY_S)
+
+
+def _time_of_day_s(text: str) -> float:
+    """Return the seconds of hhmmss.ss."""
+    if not re.fullmatch(r"\d{6}(\.\d*)?", text):
+        raise ValueError(f"{text!r} is no time")
+    return 3600 * int(text[:2]) + 60 * int(text[2:4]) + float(text[4:])
+
+
+def _nmea_sentences(line: str) -> Iterator[tuple[list[str], bool, bool]]:
+    """Yield the fields of the sentences of a line, whether they have a checksum, and whether it is right.
+
+    A tag block or the time of a logger may come before a sentence.
+    """
+    for part in line.split("$")[1:]:
+        body, star, checksum = part.partition("*")
+        is_right = checksum[:2].upper() == f"{reduce(xor, body.encode(errors='replace'), 0):02X}"
+        yield body.strip().split(","), bool(star), bool(star) and is_right
 
 
 def _nmea_angle(text: str, side: str) -> float:
     """Return degrees of ddmm.mmmm or dddmm.mmmm."""
-    minutes_at = text.index(".") - 2
-    return (int(text[:minutes_at]) + float(text[minutes_at:]) / 60) * (1 if side in "NE" else -1)
+    whole = text.partition(".")[0]
+    if len(whole) < 3 or side not in set("NESW"):
+        raise ValueError(f"{text!r} {side!r} is no angle")
+    return (int(whole[:-2]) + float(text[len(whole) - 2 :]) / 60) * (1 if side in "NE" else -1)
