@@ -125,7 +125,8 @@ def open_flight(
     Parameters
     ----------
     path : path-like
-        A flight log, also gzipped or in a zip archive, or a table; its content determines the format.
+        A flight log, also gzipped or in a zip archive, or a table; its content determines the format.  Of an archive
+        with several logs, ``FILE.zip::member`` is one.
     attitude : str
         Which attitude of the log: a message or topic by name, or ``"auto"`` for the best one; see `DataFlashReader`,
         `TelemetryLogReader`, `ULogReader` and `BagReader`.
@@ -201,7 +202,10 @@ def open_source(
         if is_bag_directory(name):
             kind = next(entry for entry in LOG_FORMATS if entry.has_name_spaces)
             return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
-        head = _head(name)
+        archive, member = formats.archive_and_member(name)
+        head = _head(archive)
+        if member and not formats.is_packed(head):
+            raise LogFormatError(name, "only a zip archive has members")
         if formats.is_packed(head):
             options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}
             return UnpackedSource(name, formats.unpack, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ import re
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -21,7 +21,7 @@ from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.mavlink.packets import is_telemetry_log
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader, is_mavlink_stream, stream_reader
 from glstar.telemetry.source import TelemetrySource
-from glstar.telemetry.tables.files import csv_header, is_office_file, is_parquet, table_header
+from glstar.telemetry.tables.files import csv_header, is_office_file, is_parquet, is_preamble, table_header
 from glstar.telemetry.tables.mapped import MappedTableReader, ready_map
 from glstar.telemetry.tables.native import TableReader
 from glstar.telemetry.ulog import Ulog2csvReader, ULogReader, is_ulog, is_ulog2csv
@@ -68,6 +68,10 @@ def _csv_tables(
     return LogFormat("CSV tables", (".csv",), recognises, reader, is_table=True, is_any_text=is_any_text)
 
 
+def _has_ready_map(header: Sequence[str]) -> bool:
+    return ready_map(header) is not None or is_preamble(header)
+
+
 # In the order of recognition: binary formats, then text formats, the most general last.
 LOG_FORMATS = (
     LogFormat("MAVLink telemetry logs", (".tlog",), is_telemetry_log, TelemetryLogReader, has_systems=True),
@@ -80,7 +84,7 @@ LOG_FORMATS = (
     _csv_tables(lambda head: is_mavlogdump(csv_header(head)), MavlogdumpReader),
     _csv_tables(lambda head: is_dataflash_dump(csv_header(head)), DataFlashDumpReader),
     _csv_tables(lambda head: is_ulog2csv(csv_header(head)), Ulog2csvReader),
-    _csv_tables(lambda head: ready_map(table_header(head)) is not None, MappedTableReader),
+    _csv_tables(lambda head: _has_ready_map(table_header(head)), MappedTableReader),
     _csv_tables(lambda head: other_file(head, "") is None, TableReader, is_any_text=True),
 )
 
@@ -106,6 +110,10 @@ _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 # Name of the member of a KMZ, which is a track.
 _KMZ = b"doc.kml"
 _HEAD_BYTES = 4096
+# Between an archive and its member: FILE.zip::folder/flight.csv.
+_MEMBER = "::"
+# Number of logs that a message lists.
+_LISTED = 20
 # Larger content is refused: a few kilobytes can unpack to any size, bytes.
 _LARGEST_BYTES = 16 << 30
 _PIECE_BYTES = 1 << 20
@@ -132,19 +140,22 @@ _DAMAGED = (
 def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
     """Unpack the log of a gzip file or a zip archive into a temporary directory, beside other files of the archive.
 
-    Returns the directory, to be removed by its `cleanup`, and the log.  Raises LogFormatError if the file is damaged,
-    or does not hold exactly one log.
+    `name` may be ``FILE.zip::member``.  Returns the directory, to be removed by its `cleanup`, and the log.  Raises
+    LogFormatError if the file is damaged, or does not hold exactly one log and none is named.
     """
+    archive, member = archive_and_member(name)
     folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
     try:
-        with Path(name).open("rb") as file:
+        with Path(archive).open("rb") as file:
             is_gzip = file.read(2) == _GZIP
         if is_gzip:
-            path = Path(folder.name) / (PurePath(name).stem or "log")
-            with gzip.open(name) as packed:
+            if member:
+                raise LogFormatError(name, "is gzipped, which has no members")
+            path = Path(folder.name) / (PurePath(archive).stem or "log")
+            with gzip.open(archive) as packed:
                 _copy(name, packed, path, 0)
             return folder, path
-        return folder, _unzipped(name, Path(folder.name))
+        return folder, _unzipped(name, archive, member, Path(folder.name))
     except _DAMAGED as error:
         folder.cleanup()
         raise LogFormatError(name, f"cannot be unpacked: {error}") from error
@@ -164,30 +175,65 @@ def _copy(name: str, packed: Any, path: Path, before_bytes: int) -> int:
     return before_bytes
 
 
-def _unzipped(name: str, folder: Path) -> Path:
-    """Unpack all files of an archive into one folder, and return the only log."""
+def archive_and_member(name: str) -> tuple[str, str]:
+    """Return the file and the member of ``FILE.zip::member``; the member is empty if there is none."""
+    archive, separator, member = name.partition(_MEMBER)
+    if not separator or Path(name).exists() or not Path(archive).is_file():
+        return name, ""
+    return archive, member
+
+
+def _unzipped(name: str, archive_name: str, wanted: str, folder: Path) -> Path:
+    """Unpack all files of an archive with their folders, and return the log that is wanted, or the only one."""
     size = 0
-    logs: list[Path] = []
-    texts: list[Path] = []
-    with zipfile.ZipFile(name) as archive:
-        for member in archive.infolist():
-            # A path could lead out of the folder: only its last part counts.
-            path = folder / PurePath(member.filename.replace("\\", "/")).name
-            if member.is_dir() or path.name.startswith(".") or path.exists():
+    logs: dict[str, Path] = {}
+    texts: dict[str, Path] = {}
+    with zipfile.ZipFile(archive_name) as archive:
+        for number, member in enumerate(archive.infolist()):
+            title = member.filename.replace("\\", "/")
+            path = _inside(folder, title)
+            if member.is_dir() or path.name.startswith("."):
                 continue
+            if path.exists():
+                title = f"{title}#{number + 1}"
+                path = folder / f"#{number + 1}" / path.name
+            path.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as packed:
                 size = _copy(name, packed, path, size)
             with path.open("rb") as file:
                 head = file.read(_HEAD_BYTES)
             if (kind := log_format(head)) is not None:
-                (texts if kind.is_any_text else logs).append(path)
+                (texts if kind.is_any_text else logs)[title] = path
+    if wanted:
+        return _named(name, wanted, logs | texts)
     # Any text may be a table: a text beside a log is a readme.
     logs = logs or texts
-    if len(logs) != 1:
-        held = ", ".join(path.name for path in logs[:5])
-        what = f"holds {len(logs)} logs ({held}); unpack it and name one" if logs else "is a zip archive without a log"
-        raise LogFormatError(name, what)
-    return logs[0]
+    if len(logs) == 1:
+        return next(iter(logs.values()))
+    if not logs:
+        raise LogFormatError(name, "is a zip archive without a log")
+    example = f"{PurePath(archive_name).name}{_MEMBER}{next(iter(logs))}"
+    raise LogFormatError(name, f"holds {len(logs)} logs ({_list(logs)}); name one, such as {example}")
+
+
+def _inside(folder: Path, member: str) -> Path:
+    """Return the path of a member of an archive in a folder; its name cannot lead out of it."""
+    parts = [part.replace(":", "_") for part in member.split("/") if part not in {"", ".", ".."}]
+    return folder.joinpath(*parts or ["log"])
+
+
+def _named(name: str, wanted: str, logs: dict[str, Path]) -> Path:
+    """Return the log of an archive with a path, or with a file name that only one has."""
+    wanted = wanted.replace("\\", "/").strip("/")
+    titles = [title for title in logs if title == wanted] or [t for t in logs if PurePath(t).name == wanted]
+    if len(titles) != 1:
+        held = f"it holds {_list(logs)}" if logs else "it holds no log"
+        raise LogFormatError(name, f"the archive has {'several' if titles else 'no'} logs of that name; {held}")
+    return logs[titles[0]]
+
+
+def _list(logs: dict[str, Path]) -> str:
+    return ", ".join([*list(logs)[:_LISTED], *(["..."] if len(logs) > _LISTED else [])])
 
 
 # What a file is that has positions only.

@@ -32,13 +32,12 @@ from glstar.telemetry.source import (
     TriggerSamples,
     flyable,
 )
-from glstar.telemetry.tracks import GivenTrack
+from glstar.telemetry.tracks import BETWEEN_FLIGHTS_S, GivenTrack
 
 # A track that is shorter than the flight by less than this is not reported, s.
 _TRACK_ENDS_S = 5.0
-# A longer time without a fix is reported, s; a much longer one is between two flights.
+# A longer time without a fix is reported, s.
 _TRACK_GAP_S = 300.0
-_OTHER_FLIGHT_S = 4 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +84,9 @@ class FlightOptions:
             ends = f"{outside_s[0]:.0f} s after the flight begins and ends {outside_s[1]:.0f} s before it ends"
             notes.append(f"the track {source} begins {ends}; there its nearest fix is used")
         meets = (utc_s[:-1] < attitude.last_s) & (utc_s[1:] > attitude.first_s)
+        # Within a long gap the nearest fixes are held, at its middle.
         gap_s = float(np.diff(utc_s)[meets].max(initial=0.0))
-        if gap_s > _OTHER_FLIGHT_S and not ((utc_s >= attitude.first_s) & (utc_s <= attitude.last_s)).any():
+        if gap_s > BETWEEN_FLIGHTS_S and not ((utc_s >= attitude.first_s) & (utc_s <= attitude.last_s)).any():
             hours = f"for {gap_s / 3600:.1f} h around it"
             raise LogFormatError(name, f"the track {source} has no fix during the flight {flight}, and {hours}")
         if gap_s > _TRACK_GAP_S:

@@ -361,6 +361,8 @@ _SPIKE_INTERVALS = 3.0
 _LARGEST_SPEED_M_PER_S = 700.0
 _POSITION_NOISE_M = 200.0
 _EARTH_RADIUS_M = 6.371e6
+# A pause, in median intervals of positions.
+_PAUSE_INTERVALS = 10.0
 # Number of runs of positions before one that are searched for the one that it goes on from.
 _RUNS_BACK = 100
 # Positions this close to 0 N 0 E mean that there is no fix, deg: an estimator without an origin drifts by some metres.
@@ -434,7 +436,10 @@ def flyable(clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m:
         return np.asarray(distance_m <= _POSITION_NOISE_M + _LARGEST_SPEED_M_PER_S * (clock_s[other] - clock_s[one]))
 
     rows = np.arange(clock_s.size)
-    starts = np.concatenate([[0], np.flatnonzero(~reached(rows[:-1], rows[1:])) + 1])
+    # After a pause almost any place is reached: it may be gone on from an earlier run than the one before it.
+    steps_s = np.diff(clock_s)
+    parted = ~reached(rows[:-1], rows[1:]) | (steps_s > _PAUSE_INTERVALS * np.median(steps_s))
+    starts = np.concatenate([[0], np.flatnonzero(parted) + 1])
     ends = np.concatenate([starts[1:], [clock_s.size]])
     length, previous = ends - starts, np.full(starts.size, -1)
     for run in range(1, starts.size):

@@ -19,6 +19,7 @@ from glstar.sky.observed.solarsystem import moon_over
 from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc
+from glstar.telemetry.formats import archive_and_member
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
 from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
@@ -293,5 +294,5 @@ def _command(name: str, flags: Mapping[str, object]) -> str:
 
 
 def _file_bytes(name: str) -> int:
-    path = Path(name)
+    path = Path(archive_and_member(name)[0])
     return path.stat().st_size if path.is_file() else 0

@@ -30,6 +30,8 @@ TRACK_FORMATS = "GPX, KML, KMZ, NMEA or IGC"
 # Larger files are refused as mistakes: a day of 10 Hz NMEA has 200 MB.
 _LARGEST_BYTES = 512 << 20
 _DAY_S = 86400.0
+# A longer time without a fix is between two flights, s.
+BETWEEN_FLIGHTS_S = 4 * 3600.0
 # Receivers without a date report 1980 or 1970, s since 1970.
 _YEAR_1990_S = 631152000.0
 # XML: its beginning as bytes and as text, and the encoding that it declares.
@@ -87,8 +89,18 @@ def read_track(path: str) -> GivenTrack:
         heights_m = np.zeros(len(fixes))
     elif missing.any():
         heights_m = np.interp(fixes[:, 0], fixes[~missing, 0], heights_m[~missing])
-    track = PositionTrack.from_samples(fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
+    columns = [fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m]
+    track = PositionTrack.from_samples(*_held_between_flights(np.stack(columns)))
     return GivenTrack(track, f"{name}, {kind}, {len(fixes)} fixes", tuple(notes))
+
+
+def _held_between_flights(columns: Float) -> Float:
+    """Return (4, n) time and position with the nearest fix held, not interpolated, through the time between flights."""
+    before = np.flatnonzero(np.diff(columns[0]) > BETWEEN_FLIGHTS_S)
+    middle_s = (columns[0, before] + columns[0, before + 1]) / 2
+    held, other = columns[:, before].copy(), columns[:, before + 1].copy()
+    held[0], other[0] = middle_s - 1e-3, middle_s
+    return np.insert(columns, np.repeat(before + 1, 2), np.stack([held, other], axis=-1).reshape(4, -1), axis=1)
 
 
 def _valid(fixes: Float, passed: Counter[str]) -> Float:
@@ -342,32 +354,39 @@ def _nmea(text: str, passed: Counter[str]) -> Iterator[_Fix]:
 
 
 def _nmea_dated(sentences: list[list[str]], passed: Counter[str]) -> list[tuple[float, list[str]]]:
-    """Return UTC, s since 1970, and fields of the sentences RMC and GGA; the nearest date before or after counts."""
+    """Return UTC, s since 1970, and fields of the sentences RMC and GGA.
+
+    A sentence without a date has that of the one before or after it whose time of day is nearer.
+    """
     undated: list[tuple[float, list[str]]] = []
     dated: list[tuple[float, list[str]]] = []
     latest: tuple[float, float] | None = None
     for fields in sentences:
-        kind = fields[0][2:]
-        if len(fields) < {"RMC": 10, "GGA": 12, "ZDA": 5}.get(kind, 1 << 30):
+        if len(fields) < {"RMC": 10, "GGA": 12, "ZDA": 5}.get(fields[0][2:], 1 << 30):
             continue
         try:
-            clock_s = _time_of_day_s(fields[1])
-            date = _nmea_date(fields)
+            clock_s, midnight_s = _time_of_day_s(fields[1]), _nmea_date(fields)
         except ValueError:
             passed["sentences without a time"] += 1
             continue
-        if date is not None:
-            latest = date, clock_s
-            dated += [(_at_date(*latest, other_s), other) for other_s, other in undated]
-            undated = []
-        if kind == "ZDA":
-            continue
-        if latest is None:
+        if midnight_s is None:
             undated.append((clock_s, fields))
-        else:
-            dated.append((_at_date(*latest, clock_s), fields))
-    passed["sentences without a date"] += len(undated)
-    return dated
+            continue
+        dates = [date for date in (latest, (midnight_s, clock_s)) if date is not None]
+        dated += [(_nearest_utc_s(dates, other_s), other) for other_s, other in undated]
+        undated, latest = [], (midnight_s, clock_s)
+        if fields[0][2:] == "RMC":
+            dated.append((midnight_s + clock_s, fields))
+    if latest is None:
+        passed["sentences without a date"] += len(undated)
+        return []
+    return dated + [(_nearest_utc_s([latest], other_s), other) for other_s, other in undated]
+
+
+def _nearest_utc_s(dates: list[tuple[float, float]], clock_s: float) -> float:
+    """Return the UTC of a time of day, s, beside sentences with dates: midnight and time of day, s."""
+    times_s = [midnight_s + clock_s - _DAY_S * round((clock_s - at_s) / _DAY_S) for midnight_s, at_s in dates]
+    return min(zip(times_s, dates, strict=True), key=lambda time: abs(time[0] - sum(time[1])))[0]
 
 
 def _nmea_date(fields: list[str]) -> float | None:
@@ -379,11 +398,6 @@ def _nmea_date(fields: list[str]) -> float | None:
     else:
         return None
     return _utc_s(f"{year}-{month:0>2}-{day:0>2}T00:00") if year else None
-
-
-def _at_date(midnight_s: float, clock_s: float, other_s: float) -> float:
-    """Return the UTC of a time of day, s, beside a sentence with a date and another time of day, s."""
-    return midnight_s + other_s - _DAY_S * round((other_s - clock_s) / _DAY_S)
 
 
 def _time_of_day_s(text: str) -> float:

@@ -16,6 +16,7 @@ from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
 from glstar.sky.place.site import Site
+from glstar.rotation import euler_from_quaternion
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import RateSamples, column_map, open_flight, open_source, ready_maps
@@ -381,7 +382,11 @@ def test_a_gzipped_log_and_a_zipped_log_are_opened(tmp_path: Path, log: Path) ->
     [
         (
             {"a.csv": "utc,roll_deg\n", "b.csv": "utc,roll_deg\n"},
-            r"holds 2 logs \(a.csv, b.csv\); unpack it and name one",
+            r"holds 2 logs \(a.csv, b.csv\); name one, such as logs.zip::a.csv",
+        ),
+        (
+            {"a/flight.csv": "utc,roll_deg\n", "b/flight.csv": "utc,roll_deg\n"},
+            r"holds 2 logs \(a/flight.csv, b/flight.csv\); name one, such as logs.zip::a/flight.csv",
         ),
         ({"a.png": b"\x89PNG\r\n\x1a\n"}, "is a zip archive without a log"),
         ({"a.csv": "utc,roll_deg\n1,2\n"}, r"a.csv: line 1: .*no column pitch_deg"),
@@ -398,6 +403,24 @@ def test_an_archive_without_exactly_one_log_is_refused(
         open_flight(tmp_path / "logs.zip")
 
     assert str(caught.value).startswith(f"{tmp_path / 'logs.zip'}: ")
+
+
+@pytest.mark.parametrize(("folder", "expected_deg"), [("a", 50.0), ("b", 200.0), ("../b", 200.0), ("c\\d", 200.0)])
+def test_a_member_of_an_archive_is_opened(tmp_path: Path, folder: str, expected_deg: float) -> None:
+    header = "utc,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg\n"
+    rows = "2024-03-10T11:00:00Z,1,2,{0},-34,138\n2024-03-10T11:00:01Z,1,2,{0},-34,138\n"
+    with zipfile.ZipFile(tmp_path / "card.zip", "w") as archive:
+        archive.writestr("a/flight.csv" if folder != "a" else "b/flight.csv", header + rows.format(250 - expected_deg))
+        archive.writestr(f"{folder}/flight.csv", header + rows.format(expected_deg))
+
+    flight = open_flight(f"{tmp_path / 'card.zip'}::{folder}/flight.csv")
+
+    found_deg = np.rad2deg(euler_from_quaternion(flight.attitude.q_body_ned)[2]) % 360
+    np.testing.assert_allclose(found_deg, expected_deg, rtol=0, atol=1e-9)
+    with pytest.raises(LogFormatError, match="the archive has several logs of that name; it holds .*/flight.csv"):
+        open_flight(f"{tmp_path / 'card.zip'}::flight.csv")
+    with pytest.raises(LogFormatError, match="the archive has no logs of that name; it holds .*/flight.csv"):
+        open_flight(f"{tmp_path / 'card.zip'}::c/other.csv")
 
 
 def test_an_archive_with_a_damaged_name_is_refused(tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ _SEPARATORS = ",;\t|"
 _EMPTY = {"", "nan", "na", "n/a", "none", "null", "-"}
 # Longest header, bytes: blackbox and DJI tables have hundreds of columns.
 _HEADER_BYTES = 65536
+# Largest number of lines with settings before a header.
+_PREAMBLE_LINES = 5000
 # First bytes of an Excel workbook, and names of its first members.
 _ZIP = b"PK\x03\x04"
 _OFFICE_MARKS = (b"[Content_Types].xml", b"docProps/", b"xl/")
@@ -113,7 +115,7 @@ class TableFile:
         if isinstance(cell, datetime):
             return (cell if cell.tzinfo else cell.replace(tzinfo=UTC)).timestamp()
         text = f"{'' if day is None else day} {'' if cell is None else cell}".strip()
-        if text.lower() in _EMPTY:
+        if text.lower() in _EMPTY or text.startswith("0000"):
             return np.nan
         try:
             return parse_utc(_on_24_hours(text).replace("/", "-").removesuffix(" UTC"))
@@ -164,7 +166,7 @@ def table_header(head: bytes) -> tuple[str, ...]:
     """Return the header of a text table, from the first bytes of its file; empty if they are not text."""
     if b"\0" in head:
         return ()
-    lines = _lines(head.decode("utf-8-sig", errors="replace"))
+    lines = _past_preamble(_lines(head.decode("utf-8-sig", errors="replace")))
     first = next(iter(lines), (0, ""))[1]
     return tuple(_cells(first, _separator(first)))
 
@@ -201,6 +203,26 @@ def _lines(text: str) -> list[tuple[int, str]]:
     return lines
 
 
+def _past_preamble(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return lines without those before the header that have a name and a value each."""
+    if not lines or len(_cells(lines[0][1], _separator(lines[0][1]))) != 2:
+        return lines
+    separator = _separator(lines[0][1])
+    wide = (k for k, (_, line) in enumerate(lines[:_PREAMBLE_LINES]) if len(_cells(line, separator)) > 3)
+    return lines[next(wide, 0) :]
+
+
+def is_preamble(header: Sequence[str]) -> bool:
+    """Return whether the first line of a table begins the settings that Blackbox Explorer writes before its header."""
+    return tuple(header) == ("fieldname", "fieldvalue")
+
+
+def numbers_without_header(line: str) -> int:
+    """Return how many numbers a first line has, which then is no header; 0 if it has other cells."""
+    cells = _cells(line, _separator(line))
+    return len(cells) if all(_is_number(cell) for cell in cells) else 0
+
+
 def _names_columns(comment: str, row: str) -> bool:
     """Return whether a comment has as many names as the row after it has cells, which begin with a number."""
     names, cells = _cells(comment, _separator(comment)), _cells(row, _separator(row))
@@ -233,7 +255,7 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
     content = Path(path).read_bytes()
     if b"\0" in content[:_HEADER_BYTES]:
         raise LogFormatError(path, "is no table: it is not text", offset=0)
-    lines = _lines(content.decode("utf-8-sig", errors="replace"))
+    lines = _past_preamble(_lines(content.decode("utf-8-sig", errors="replace")))
     if not lines:
         raise LogFormatError(path, "has only blank lines and comments", offset=0)
     separator = _separator(lines[0][1])

@@ -37,7 +37,7 @@ from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import nearest_word
 from glstar.telemetry import source
 from glstar.telemetry.tables.clock import in_first_second, left_out_rows, valid_rows
-from glstar.telemetry.tables.files import ROWS_AT_ONCE, TABLE_UNIT_TOLERANCE, csv_rows, refuse_other_attitudes
+from glstar.telemetry.tables.files import ROWS_AT_ONCE, TABLE_UNIT_TOLERANCE, csv_rows, numbers_without_header, refuse_other_attitudes
 
 _TIMES = ("utc", "utc_s")
 _EULER = ("roll_deg", "pitch_deg", "yaw_deg")
@@ -51,6 +51,8 @@ _BACK_S = 1.0
 _SAME_FLIGHT_S = 86400.0
 # Largest number of parts; with more steps back the rows are simply not sorted.
 _MAX_PARTS = 20
+# A TUM trajectory has a time, a place and a quaternion.
+_TUM_COLUMNS = 8
 # UTC seconds outside these years are milliseconds, or seconds since boot.
 _YEAR_1972_S = 63072000.0
 
@@ -174,6 +176,9 @@ class TableReader(source.TelemetrySource):
         header = textwrap.shorten(", ".join(name or "(nameless)" for name in self._header), 100, placeholder=" ...")
         if not columns:
             hint = "; say with --columns what they mean (glstar manual logs)" if len(self._header) > 1 else ""
+            if count := numbers_without_header(" ".join(self._header)):
+                tum = ": --columns tum, if it is a TUM trajectory" if count == _TUM_COLUMNS else " with --columns"
+                raise invalid(f"no header but {count} numbers; say what they mean{tum} (glstar manual logs)")
             usual = "its header would name utc or utc_s, ..."
             raise invalid(f"no table of a flight: {usual}; this line has {header}{hint}")
         if repeated := [name for name in columns if columns.count(name) > 1]:
