@@ -72,7 +72,7 @@ class FlightOptions:
         """
         if self.track is None:
             return ()
-        utc_s, source = self.track.track.utc_s, self.track.source
+        utc_s, source = self.track.fix_utc_s, self.track.source
         first_s, last_s = float(utc_s[0]), float(utc_s[-1])
         flight = f"from {format_utc(attitude.first_s)} to {format_utc(attitude.last_s)}"
         if first_s > attitude.last_s or last_s < attitude.first_s:
@@ -84,7 +84,6 @@ class FlightOptions:
             ends = f"{outside_s[0]:.0f} s after the flight begins and ends {outside_s[1]:.0f} s before it ends"
             notes.append(f"the track {source} begins {ends}; there its nearest fix is used")
         meets = (utc_s[:-1] < attitude.last_s) & (utc_s[1:] > attitude.first_s)
-        # Within a long gap the nearest fixes are held, at its middle.
         gap_s = float(np.diff(utc_s)[meets].max(initial=0.0))
         if gap_s > BETWEEN_FLIGHTS_S and not ((utc_s >= attitude.first_s) & (utc_s <= attitude.last_s)).any():
             hours = f"for {gap_s / 3600:.1f} h around it"

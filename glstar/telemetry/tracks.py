@@ -61,6 +61,7 @@ class GivenTrack:
 
     track: PositionTrack
     source: str  # File, format and number of fixes, for messages
+    fix_utc_s: Float  # Times of its fixes, s since 1970
     notes: tuple[str, ...] = ()  # Remarks for the user on what was passed over
 
 
@@ -91,7 +92,7 @@ def read_track(path: str) -> GivenTrack:
         heights_m = np.interp(fixes[:, 0], fixes[~missing, 0], heights_m[~missing])
     columns = [fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m]
     track = PositionTrack.from_samples(*_held_between_flights(np.stack(columns)))
-    return GivenTrack(track, f"{name}, {kind}, {len(fixes)} fixes", tuple(notes))
+    return GivenTrack(track, f"{name}, {kind}, {len(fixes)} fixes", fixes[:, 0], tuple(notes))
 
 
 def _held_between_flights(columns: Float) -> Float:

@@ -13,6 +13,7 @@ from math import nan
 import numpy as np
 
 from glstar.arrays import Float, Integer, Mask
+from glstar.sky.place.timescale import CLOCK_GRAIN_S
 from glstar.telemetry.boots import find_boots, within
 from glstar.telemetry.source import Boot, valid_times
 
@@ -253,12 +254,13 @@ def _line(clock_s: Float, utc_s: Float, chosen: Mask, usual_s: float, hold_s: fl
     some = rows[:: max(1, rows.size // _CELLS)]
     origin_s = float(np.median(clock_s[some]))
     past_s, offset_s = clock_s[some] - origin_s, (utc_s - clock_s)[some]
-    reach_s = max(_SAME_CLOCK_S, usual_s) + hold_s / 2
+    # With the resolution of seconds since 1970.
+    reach_s = max(_SAME_CLOCK_S, usual_s) + hold_s / 2 + CLOCK_GRAIN_S
 
     def count_at(rate: float) -> tuple[int, float]:
         level_s = offset_s - rate * past_s
         low_s, count = _most_common(level_s - reach_s, level_s + reach_s)
-        near_s = level_s[np.abs(level_s - low_s) <= reach_s]
+        near_s = level_s[np.abs(level_s - low_s) <= reach_s + CLOCK_GRAIN_S]
         return count, (float(near_s.min()) + float(near_s.max())) / 2
 
     count, best_s = count_at(0.0)

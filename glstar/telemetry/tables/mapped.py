@@ -50,7 +50,7 @@ _PLACE_RAD = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
 _FOOT_M = 0.3048
 _YEAR_S = 365.25 * 86400
 # A clock whose rate differs more from that of UTC is reported; crystals differ by up to 50 millionths.
-_NOTABLE_RATE = 1e-4
+_NOTABLE_RATE = 5e-5
 
 # Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
 _HALF = float(np.sqrt(0.5))
