@@ -12,7 +12,7 @@ module                holds
 ====================  ==================================================================================================
 ``source``            `TelemetrySource`, the interface of readers; their samples, and removal of damaged ones
 ``boots``             detection of reboots within a log
-``tables``            ``files`` (text, Parquet, Excel), ``native`` (own columns), ``mapped`` (by a `ColumnMap`)
+``tables``            ``files`` (text, Parquet, Excel), ``native``, ``mapped`` (by a `ColumnMap`), ``tableclock``
 ``mavlink``           MAVLink logs: ``packets``, ``clock``, ``vehicles`` (names, gimbal), ``tlog``, ``mavlogdump``
 ``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
 ``ulog``              PX4 ULog and the CSV of ulog2csv; ``ulogfile``: their topics
@@ -54,6 +54,7 @@ from glstar.telemetry.source import (
     TelemetrySource,
     TriggerSamples,
     UnpackedSource,
+    archive_and_member,
 )
 from glstar.telemetry.survey import Survey, TriggerSurvey, survey
 from glstar.telemetry.synthetic import KEYS, PREFIX, ScriptedFlight, is_flight_description, synthetic_flight
@@ -202,9 +203,9 @@ def open_source(
         if is_bag_directory(name):
             kind = next(entry for entry in LOG_FORMATS if entry.has_name_spaces)
             return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
-        archive, member = formats.archive_and_member(name)
+        archive, member = archive_and_member(name)
         head = _head(archive)
-        if member and not formats.is_packed(head):
+        if member and not head.startswith(b"PK"):
             raise LogFormatError(name, "only a zip archive has members")
         if formats.is_packed(head):
             options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}

@@ -20,7 +20,7 @@ from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader, is_
 from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.mavlink.packets import is_telemetry_log
 from glstar.telemetry.mavlink.tlog import TelemetryLogReader, is_mavlink_stream, stream_reader
-from glstar.telemetry.source import TelemetrySource
+from glstar.telemetry.source import MEMBER_MARK, TelemetrySource, archive_and_member
 from glstar.telemetry.tables.files import csv_header, is_office_file, is_parquet, is_preamble, table_header
 from glstar.telemetry.tables.mapped import MappedTableReader, ready_map
 from glstar.telemetry.tables.native import TableReader
@@ -110,8 +110,6 @@ _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 # Name of the member of a KMZ, which is a track.
 _KMZ = b"doc.kml"
 _HEAD_BYTES = 4096
-# Between an archive and its member: FILE.zip::folder/flight.csv.
-_MEMBER = "::"
 # Number of logs that a message lists.
 _LISTED = 20
 # Larger content is refused: a few kilobytes can unpack to any size, bytes.
@@ -149,8 +147,6 @@ def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
         with Path(archive).open("rb") as file:
             is_gzip = file.read(2) == _GZIP
         if is_gzip:
-            if member:
-                raise LogFormatError(name, "is gzipped, which has no members")
             path = Path(folder.name) / (PurePath(archive).stem or "log")
             with gzip.open(archive) as packed:
                 _copy(name, packed, path, 0)
@@ -173,14 +169,6 @@ def _copy(name: str, packed: Any, path: Path, before_bytes: int) -> int:
                 raise LogFormatError(name, f"unpacks to more than {_LARGEST_BYTES >> 30} GiB")
             file.write(piece)
     return before_bytes
-
-
-def archive_and_member(name: str) -> tuple[str, str]:
-    """Return the file and the member of ``FILE.zip::member``; the member is empty if there is none."""
-    archive, separator, member = name.partition(_MEMBER)
-    if not separator or Path(name).exists() or not Path(archive).is_file():
-        return name, ""
-    return archive, member
 
 
 def _unzipped(name: str, archive_name: str, wanted: str, folder: Path) -> Path:
@@ -212,7 +200,7 @@ def _unzipped(name: str, archive_name: str, wanted: str, folder: Path) -> Path:
         return next(iter(logs.values()))
     if not logs:
         raise LogFormatError(name, "is a zip archive without a log")
-    example = f"{PurePath(archive_name).name}{_MEMBER}{next(iter(logs))}"
+    example = f"{PurePath(archive_name).name}{MEMBER_MARK}{next(iter(logs))}"
     raise LogFormatError(name, f"holds {len(logs)} logs ({_list(logs)}); name one, such as {example}")
 
 

@@ -89,7 +89,9 @@ class FlightOptions:
             hours = f"for {gap_s / 3600:.1f} h around it"
             raise LogFormatError(name, f"the track {source} has no fix during the flight {flight}, and {hours}")
         if gap_s > _TRACK_GAP_S:
-            notes.append(f"the track {source} has no fix for {gap_s / 60:.0f} min of the flight; there it is interpolated")
+            notes.append(
+                f"the track {source} has no fix for {gap_s / 60:.0f} min of the flight; there it is interpolated"
+            )
         return tuple(notes)
 
 
@@ -298,19 +300,23 @@ def _attitude(batches: list[AttitudeSamples]) -> AttitudeSamples:
 
 def _position(batches: list[PositionSamples]) -> tuple[PositionSamples, tuple[str, ...]]:
     """Return the positions of all batches that an aircraft can fly, and a remark on the others."""
-    columns = np.stack([
-        _joined(b.clock_s for b in batches),
-        _joined(b.latitude_rad for b in batches),
-        _joined(b.longitude_rad for b in batches),
-        _joined(b.height_m for b in batches),
-    ])
+    columns = np.stack(
+        [
+            _joined(b.clock_s for b in batches),
+            _joined(b.latitude_rad for b in batches),
+            _joined(b.longitude_rad for b in batches),
+            _joined(b.height_m for b in batches),
+        ]
+    )
     columns = columns[:, np.isfinite(columns).all(axis=0)]
     order = np.argsort(columns[0], kind="stable")
     reachable = np.ones(order.size, dtype=bool)
     reachable[order] = flyable(*columns[:, order])
     cut = int(np.count_nonzero(~reachable))
-    note = f"{cut} of {order.size} positions are so far from the others that no aircraft flies there, and are left out"
-    return PositionSamples(*columns[:, reachable], _source(batches)), (note,) if cut else ()
+    note = f"{cut} of {order.size} positions are too far from the others for an aircraft, and are left out"
+    clock_s, latitude_rad, longitude_rad, height_m = columns[:, reachable]
+    kept = PositionSamples(clock_s, latitude_rad, longitude_rad, height_m, _source(batches))
+    return kept, (note,) if cut else ()
 
 
 def _clock(batches: list[ClockSamples]) -> ClockSamples:

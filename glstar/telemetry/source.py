@@ -500,6 +500,18 @@ def valid_rates(rate_rad_per_s: Float) -> Mask:
     return valid
 
 
+# Between an archive and its member: FILE.zip::folder/flight.csv.
+MEMBER_MARK = "::"
+
+
+def archive_and_member(name: str) -> tuple[str, str]:
+    """Return the file and the member of ``FILE.zip::member``; the member is empty if there is none."""
+    archive, separator, member = name.partition(MEMBER_MARK)
+    if not separator or Path(name).exists() or not Path(archive).is_file():
+        return name, ""
+    return archive, member
+
+
 Unpack = Callable[[str], tuple["tempfile.TemporaryDirectory[str]", Path]]
 
 

@@ -19,10 +19,9 @@ from glstar.sky.observed.solarsystem import moon_over
 from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc
-from glstar.telemetry.formats import archive_and_member
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
-from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
+from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource, archive_and_member
 
 # At a higher rate of the attitude, slerp between samples is accurate to a fraction of a pixel, Hz.
 _SLERP_SUFFICES_HZ = 45.0

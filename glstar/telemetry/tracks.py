@@ -13,7 +13,7 @@ from functools import reduce
 from math import nan
 from operator import xor
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -36,6 +36,8 @@ BETWEEN_FLIGHTS_S = 4 * 3600.0
 _YEAR_1990_S = 631152000.0
 # XML: its beginning as bytes and as text, and the encoding that it declares.
 _XML = re.compile(rb"^(\xef\xbb\xbf)?\s*<|^(\xff\xfe)?<\x00|^(\xfe\xff)?\x00<")
+_ROOT = re.compile(r"<(?:[\w.-]+:)?([A-Za-z]\w*)")
+_COMMENTS = re.compile(r"<!--.*?-->", re.S)
 _ENCODING = re.compile(rb"""^[^>]{0,80}encoding=["']([\w.-]+)["']""")
 _NMEA = re.compile(rb"\$[A-Z]{2}(RMC|GGA|ZDA),")
 # Heights of KML that are above ground, or meaningless.
@@ -118,7 +120,7 @@ def _valid(fixes: Float, passed: Counter[str]) -> Float:
     known = np.isfinite(fixes[:, 3])
     heights_m = np.interp(fixes[:, 0], fixes[known, 0], fixes[known, 3]) if known.any() else heights_m
     reachable = flyable(fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
-    passed["so far from the others that no aircraft flies there"] += int(np.count_nonzero(~reachable))
+    passed["too far from the others for an aircraft"] += int(np.count_nonzero(~reachable))
     for reason in [reason for reason, count in passed.items() if not count]:
         del passed[reason]
     return fixes[reachable]
@@ -132,10 +134,10 @@ def _format(path: str, content: bytes) -> tuple[str, _Parse, str]:
         return "KMZ" if kind == "KML" else kind, parse, text
     text = _text(content)
     if _XML.match(content[:64]):
-        root = next((name for name, _ in _elements(text, None)), "")
+        root = _ROOT.search(_COMMENTS.sub("", text))
         kinds: dict[str, tuple[str, _Parse]] = {"gpx": ("GPX", _gpx), "kml": ("KML", _kml)}
-        if root in kinds:
-            return (*kinds[root], text)
+        if root is not None and root[1] in kinds:
+            return (*kinds[root[1]], text)
     head = content.lstrip(b"\xef\xbb\xbf \r\n\t")
     if re.match(rb"A[A-Z0-9]{3}", head) and re.search(rb"^(H[FOP]DTE|B\d{6})", content, re.M):
         return "IGC", _igc, text
@@ -164,37 +166,24 @@ def _kmz(path: str) -> bytes:
         return archive.read(names[0])
 
 
-def _elements(text: str, passed: Counter[str] | None) -> Iterator[tuple[str, ET.Element]]:
+def _elements(text: str, passed: Counter[str]) -> Iterator[tuple[str, ET.Element]]:
     """Yield the elements of an XML document when they end, with their names without the namespace.
 
-    Without `passed`, only the root when it begins.  A document that ends early is read up to there, and counted.
+    A document that ends early is read up to there, and counted.
     """
     if "<!ENTITY" in text:
         raise ValueError("it declares entities, which no track needs")
-    parser = ET.XMLPullParser(["start" if passed is None else "end"])
-    error: ET.ParseError | None = None
+    parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(["end"])
+    ended = 0
     try:
         parser.feed(text.lstrip())
+        for _, element in cast(Iterator[tuple[str, ET.Element]], parser.read_events()):
+            ended += 1
+            yield str(element.tag).rpartition("}")[2], element
         parser.close()
-    except ET.ParseError as damage:
-        error = damage
-    ended = 0
-    events = parser.read_events()
-    while True:
-        try:
-            _, element = next(events)
-        except StopIteration:
-            break
-        except ET.ParseError as damage:
-            error = damage
-            break
-        ended += 1
-        yield str(element.tag).rpartition("}")[2], element
-        if passed is None:
-            return
-    if error is not None:
-        if passed is None or not ended:
-            raise error
+    except ET.ParseError as error:
+        if not ended:
+            raise
         passed[f"all after its damage or end ({error})"] += 1
 
 
@@ -276,9 +265,7 @@ def _kml_fixes(fixes: Iterable[tuple[str, list[str]]], above: bool, passed: Coun
 
 
 _IGC_DATE = re.compile(r"H[FOP]DTE\s*(?:DATE)?[\s:]*(\d\d)[\s./-]*(\d\d)[\s./-]*(\d\d)")
-_IGC_FIX = re.compile(
-    r"B(\d\d)(\d\d)(\d\d)(\d\d)(\d{5})([NS])(\d{3})(\d{5})([EW])([AV])([-\d]\d{4})([-\d]\d{4})"
-)
+_IGC_FIX = re.compile(r"B(\d\d)(\d\d)(\d\d)(\d\d)(\d{5})([NS])(\d{3})(\d{5})([EW])([AV])([-\d]\d{4})([-\d]\d{4})")
 
 
 def _igc(text: str, passed: Counter[str]) -> Iterator[_Fix]:

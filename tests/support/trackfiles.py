@@ -79,9 +79,7 @@ def _spikes(random: np.random.Generator, points: list[_Point]) -> list[_Point]:
 def _elsewhere(random: np.random.Generator, points: list[_Point]) -> list[_Point]:
     start = int(random.integers(0, len(points)))
     rows = range(start, start + int(random.uniform(0.05, 0.3) * len(points)))
-    return [
-        _Point(p.utc_s, 48.1, 11.6, 520.0) if k in rows else p for k, p in enumerate(points)
-    ]
+    return [_Point(p.utc_s, 48.1, 11.6, 520.0) if k in rows else p for k, p in enumerate(points)]
 
 
 def _impossible_heights(random: np.random.Generator, points: list[_Point]) -> list[_Point]:

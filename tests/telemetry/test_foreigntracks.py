@@ -1,5 +1,6 @@
 """Tracks of strangers: fixes that are none, damaged elements, and unusual but valid files."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -50,17 +51,22 @@ def test_the_place_of_a_receiver_without_a_fix_is_none(tmp_path: Path) -> None:
 
     for utc_s in FIRST_S + np.array([0.0, 5.0, 9.5, 15.0]):
         site = flight.position.at(utc_s)
-        np.testing.assert_allclose(np.rad2deg([site.latitude_rad, site.longitude_rad]), [-34.93, 138.6], atol=1e-6)
+        np.testing.assert_allclose(
+            np.rad2deg([site.latitude_rad, site.longitude_rad]), [-34.93, 138.6], rtol=0, atol=1e-6
+        )
     assert any("10 without a 3D fix (V)" in note for note in flight.notes)
 
 
 def gpx(points: list[tuple[float, float, float, float]]) -> str:
     """Return a track of seconds, latitude, longitude and height."""
     texts = "".join(
-        f'<trkpt lat="{latitude}" lon="{longitude}"><ele>{height}</ele><time>2024-03-10T11:00:{second:02.0f}Z</time></trkpt>'
+        f'<trkpt lat="{latitude}" lon="{longitude}"><ele>{height}</ele>'
+        f"<time>2024-03-10T11:00:{second:02.0f}Z</time></trkpt>"
         for second, latitude, longitude, height in points
     )
-    return f'<?xml version="1.0"?><gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{texts}</trkseg></trk></gpx>'
+    return (
+        f'<?xml version="1.0"?><gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{texts}</trkseg></trk></gpx>'
+    )
 
 
 @pytest.mark.parametrize(
@@ -68,9 +74,9 @@ def gpx(points: list[tuple[float, float, float, float]]) -> str:
     [
         ((0.0, 0.0, 0.0), "1 at 0 N 0 E, beyond a pole or at an impossible height"),
         ((-34.93, 138.6, -20000.0), "1 at 0 N 0 E, beyond a pole or at an impossible height"),
-        ((-34.93, 138.6, 60000.0), "1 so far from the others that no aircraft flies there"),
-        ((-34.83, 138.6, 100.0), "1 so far from the others that no aircraft flies there"),
-        ((48.1, 11.6, 100.0), "1 so far from the others that no aircraft flies there"),
+        ((-34.93, 138.6, 60000.0), "1 too far from the others for an aircraft"),
+        ((-34.83, 138.6, 100.0), "1 too far from the others for an aircraft"),
+        ((48.1, 11.6, 100.0), "1 too far from the others for an aircraft"),
     ],
 )
 def test_a_wrong_fix_is_passed_over_and_counted(tmp_path: Path, wrong: tuple[float, ...], reason: str) -> None:
@@ -95,7 +101,7 @@ def test_a_wrong_fix_is_passed_over_and_counted(tmp_path: Path, wrong: tuple[flo
         lambda text: text.replace('"1.0"?', '"1.0" encoding="UTF-16"?').encode("utf-16-le"),
         lambda text: text.replace("<?xml", "\ufeff<?xml").encode(),
         lambda text: text.replace('"1.0"?', '"1.0" encoding="ISO-8859-1"?').encode("latin-1"),
-        lambda text: text.replace("<", "<g:").replace("<g:/", "</g:").replace("<g:?", "<?").replace("xmlns", "xmlns:g").encode(),
+        lambda text: re.sub(r"<(/?)(?=[a-z])", r"<\1g:", text).replace("xmlns", "xmlns:g").encode(),
         lambda text: text.replace("<gpx", f"<!-- {'x' * 9000} -->\n<gpx").encode(),
         lambda text: text.replace("<time>", "<time>\n ").replace("Z</time>", ".000z\n</time>").encode(),
         # The recorder lost its power.
@@ -112,19 +118,23 @@ def test_unusual_and_damaged_gpx_files_are_read(tmp_path: Path, write: Callable[
     found = read_track(str(tmp_path / "track.gpx"))
 
     assert found.track.utc_s.size >= 18
-    np.testing.assert_allclose(found.track.utc_s % 1, 0, atol=1e-6)
+    np.testing.assert_allclose(found.track.utc_s % 1, 0, rtol=0, atol=1e-6)
     np.testing.assert_allclose(np.rad2deg(found.track.latitude_rad), -34.93, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.track.height_m, 100, rtol=0, atol=1e-9)
 
 
 def test_the_end_of_a_day_is_the_next_midnight(tmp_path: Path) -> None:
     text = gpx([(0.0, -34.93, 138.6, 100.0), (1.0, -34.93, 138.6, 100.0)])
-    text = text.replace("2024-03-10T11:00:00Z", "2024-03-10T23:59:59Z").replace("2024-03-10T11:00:01", "2024-03-10T24:00:00")
+    text = text.replace("2024-03-10T11:00:00Z", "2024-03-10T23:59:59Z").replace(
+        "2024-03-10T11:00:01", "2024-03-10T24:00:00"
+    )
     (tmp_path / "track.gpx").write_text(text)
 
     np.testing.assert_allclose(
         read_track(str(tmp_path / "track.gpx")).track.utc_s,
         [parse_utc("2024-03-10T23:59:59Z"), parse_utc("2024-03-11T00:00:00Z")],
+        rtol=0,
+        atol=1e-6,
     )
 
 
@@ -137,7 +147,7 @@ def test_dates_of_igc_files_have_many_forms(tmp_path: Path, header: str) -> None
 
     found = read_track(str(tmp_path / "track.igc"))
 
-    np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.arange(20))
+    np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.arange(20), rtol=0, atol=1e-6)
     assert found.notes == ("of the track track.igc were passed over: 1 unreadable B records",)
 
 
@@ -164,7 +174,7 @@ def test_an_empty_element_of_kml_is_skipped_and_counted(tmp_path: Path) -> None:
 
     found = read_track(str(tmp_path / "track.kml"))
 
-    np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.delete(np.arange(20), 9))
+    np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.delete(np.arange(20), 9), rtol=0, atol=1e-6)
     assert found.notes == ("of the track track.kml were passed over: 1 without a readable place or time",)
 
 
@@ -183,7 +193,7 @@ def test_heights_above_ground_are_not_above_sea_level(tmp_path: Path, mode: str,
 
     found = read_track(str(tmp_path / "track.kml"))
 
-    np.testing.assert_allclose(found.track.height_m, height_m)
+    np.testing.assert_allclose(found.track.height_m, height_m, rtol=0, atol=1e-9)
     assert any("has no heights above sea level: 0 m is taken" in note for note in found.notes) == (height_m == 0)
 
 
@@ -226,9 +236,7 @@ def test_the_height_of_nmea_is_of_the_same_day(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 @pytest.mark.parametrize("second", [rmc, lambda time: f"GPZDA,{time},10,03,2024,00,00"])
-@pytest.mark.parametrize(
-    "before", ["", "\\s:rcv1,c:1710068400*5A\\", "2024-03-10 11:00:00.123 ", "[1710068400.2] "]
-)
+@pytest.mark.parametrize("before", ["", "\\s:rcv1,c:1710068400*5A\\", "2024-03-10 11:00:00.123 ", "[1710068400.2] "])
 @pytest.mark.parametrize("checksum", [True, False])
 def test_sentences_of_nmea_have_many_forms(
     tmp_path: Path, order: tuple[int, int], second: Callable[[str], str], before: str, checksum: bool
@@ -239,7 +247,7 @@ def test_sentences_of_nmea_have_many_forms(
 
     found = read_track(str(tmp_path / "track.nmea"))
 
-    np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.arange(20))
+    np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.arange(20), rtol=0, atol=1e-6)
     np.testing.assert_allclose(np.rad2deg(found.track.latitude_rad), -34.93, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.track.height_m, 96.8, rtol=0, atol=1e-6)
 

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
-from glstar.rotation import matrix_from_quaternion
+from glstar.rotation import euler_from_quaternion, matrix_from_quaternion
 from glstar.sky.place.site import Site
-from glstar.rotation import euler_from_quaternion
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import RateSamples, column_map, open_flight, open_source, ready_maps
@@ -417,9 +416,9 @@ def test_a_member_of_an_archive_is_opened(tmp_path: Path, folder: str, expected_
 
     found_deg = np.rad2deg(euler_from_quaternion(flight.attitude.q_body_ned)[2]) % 360
     np.testing.assert_allclose(found_deg, expected_deg, rtol=0, atol=1e-9)
-    with pytest.raises(LogFormatError, match="the archive has several logs of that name; it holds .*/flight.csv"):
+    with pytest.raises(LogFormatError, match=r"the archive has several logs of that name; it holds .*/flight\.csv"):
         open_flight(f"{tmp_path / 'card.zip'}::flight.csv")
-    with pytest.raises(LogFormatError, match="the archive has no logs of that name; it holds .*/flight.csv"):
+    with pytest.raises(LogFormatError, match=r"the archive has no logs of that name; it holds .*/flight\.csv"):
         open_flight(f"{tmp_path / 'card.zip'}::c/other.csv")
 
 

@@ -24,7 +24,8 @@ from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
 from glstar.system.resources import asset
 from glstar.system.userinput import did_you_mean, nearest_word, read_text
 from glstar.telemetry import source
-from glstar.telemetry.tables.clock import (
+from glstar.telemetry.tables.files import TABLE_UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
+from glstar.telemetry.tables.tableclock import (
     ClockFit,
     clock_boots,
     described_cuts,
@@ -36,7 +37,6 @@ from glstar.telemetry.tables.clock import (
     rows_of,
     valid_rows,
 )
-from glstar.telemetry.tables.files import TABLE_UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
 
 # Size limit of a map, bytes.
 _LARGEST_BYTES = 2**20
@@ -252,7 +252,8 @@ def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
 class MappedTableReader(source.TelemetrySource):
     """A table of text, Parquet or Excel as a telemetry source; its clock is the time of its rows.
 
-    `columns` says what its columns mean; by default its header does.  A table has one attitude, ``"auto"``.  Raises LogFormatError if the table lacks columns, with the names of similar ones.
+    `columns` says what its columns mean; by default its header does.  A table has one attitude, ``"auto"``.  Raises
+    LogFormatError if the table lacks columns, with the names of similar ones.
     """
 
     def __init__(
@@ -280,7 +281,8 @@ class MappedTableReader(source.TelemetrySource):
         for boot in self.boots():
             rows = self._rows_of(boot)
             if self._is_utc:
-                clock_s, clock, notes = self._clock_s, self._utc_clock(rows), ()
+                clock_s, clock = self._clock_s, self._utc_clock(rows)
+                notes: tuple[str, ...] = ()
                 # Attitudes in rows that repeat a time are later than it.
                 valid = first_of_each_time(np.where(rows & has_attitude, clock_s, nan))
             else:
@@ -435,8 +437,9 @@ class MappedTableReader(source.TelemetrySource):
                 height_m = np.nan_to_num(table.numbers(name) * unit_m)
                 break
         longitude_deg = np.where(longitude_deg > 180, longitude_deg - 360, longitude_deg)
-        columns = (column[rows] for column in (clock_s, latitude_deg, longitude_deg, height_m))
-        samples = source.position_samples(*columns, self._map.title)
+        samples = source.position_samples(
+            clock_s[rows], latitude_deg[rows], longitude_deg[rows], height_m[rows], self._map.title
+        )
         return samples if samples.clock_s.size else source.no_position_samples("latitude and longitude are empty or 0")
 
     @property

@@ -36,8 +36,14 @@ from glstar.rotation import quaternion_from_euler
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import nearest_word
 from glstar.telemetry import source
-from glstar.telemetry.tables.clock import in_first_second, left_out_rows, valid_rows
-from glstar.telemetry.tables.files import ROWS_AT_ONCE, TABLE_UNIT_TOLERANCE, csv_rows, numbers_without_header, refuse_other_attitudes
+from glstar.telemetry.tables.files import (
+    ROWS_AT_ONCE,
+    TABLE_UNIT_TOLERANCE,
+    csv_rows,
+    numbers_without_header,
+    refuse_other_attitudes,
+)
+from glstar.telemetry.tables.tableclock import in_first_second, left_out_rows, valid_rows
 
 _TIMES = ("utc", "utc_s")
 _EULER = ("roll_deg", "pitch_deg", "yaw_deg")

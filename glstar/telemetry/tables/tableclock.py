@@ -6,7 +6,7 @@ readings agree; others are cut.  Where the offset steps for longer than a glitch
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import nan
 
@@ -79,8 +79,13 @@ class _Readings:
     are_held: bool  # Whether most values are repeated in the rows after it, or have whole seconds
 
     def only(self, which: Mask) -> "_Readings":
-        columns = (self.rows, self.clock_s, self.before_s, self.utc_s)
-        return _Readings(*(column[which] for column in columns), self.are_held)  # type: ignore[arg-type]
+        return replace(
+            self,
+            rows=self.rows[which],
+            clock_s=self.clock_s[which],
+            before_s=self.before_s[which],
+            utc_s=self.utc_s[which],
+        )
 
     @property
     def offset_s(self) -> Float:
@@ -159,22 +164,14 @@ def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
     def refused(reason: str) -> ClockFit:
         return ClockFit(0.0, 0.0, nan, cells.size, nothing, np.empty(0), nothing, 0.0, reason)
 
-    if not cells.size:
-        return refused("its time counts from its own start, and it has no column with UTC")
     usual_s = float(np.median(np.abs(np.diff(clock_s)))) if clock_s.size > 1 else 0.0
     hold_s = _usual_hold_s(clock_s, utc_s)
-    if np.ptp(utc_s[cells]) == 0 and np.ptp(clock_s[cells]) > 1 + usual_s:
-        return refused("its UTC stands still")
+    if reason := _no_utc(clock_s[cells], utc_s[cells], usual_s):
+        return refused(reason)
     agree = _line(clock_s[cells], utc_s[cells], np.ones(cells.size, dtype=bool), usual_s, hold_s)[1]
     used = _readings(clock_s, utc_s, cells[agree])
     if np.count_nonzero(agree) < _FEWEST_AGREEING * cells.size or not used.rows.size:
-        unit = _median_slope(clock_s[cells], utc_s[cells])
-        if unit == 0:
-            return refused("its UTC stands still most of the time")
-        if not 1 - _MAX_RATE < unit < 1 + _MAX_RATE:
-            return refused(f"in a second of its clock, its UTC goes on by {unit:.4g} s; check time_unit")
-        count = np.count_nonzero(agree)
-        return refused(f"of its {cells.size} cells of UTC no more than {count} agree with its clock")
+        return refused(_disagreement(clock_s[cells], utc_s[cells], int(np.count_nonzero(agree))))
     moving = _moving(clock_s[cells], utc_s[cells], 1.5 * hold_s + usual_s)
     if np.count_nonzero(agree & moving) < _FEWEST_AGREEING_MOVING * np.count_nonzero(moving):
         return refused("its UTC tells two times, and most cells agree with neither")
@@ -190,6 +187,23 @@ def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
     odd = (ahead_s > max(_SAME_CLOCK_S, usual_s)) | (ahead_s < -max(_SAME_CLOCK_S, usual_s) - hold_s)
     largest_s = float(np.abs(ahead_s[odd]).max(initial=0.0))
     return ClockFit(rate, reference_s, offset_s, cells.size, used.rows, used.utc_s, cells[odd], largest_s)
+
+
+def _no_utc(clock_s: Float, utc_s: Float, usual_s: float) -> str:
+    """Return why (k,) cells of UTC tell no time; empty if they do.  `usual_s`: interval of rows."""
+    if not clock_s.size:
+        return "its time counts from its own start, and it has no column with UTC"
+    return "its UTC stands still" if np.ptp(utc_s) == 0 and np.ptp(clock_s) > 1 + usual_s else ""
+
+
+def _disagreement(clock_s: Float, utc_s: Float, agreeing: int) -> str:
+    """Return why few of (k,) cells of UTC agree with a clock."""
+    unit = _median_slope(clock_s, utc_s)
+    if unit == 0:
+        return "its UTC stands still most of the time"
+    if not 1 - _MAX_RATE < unit < 1 + _MAX_RATE:
+        return f"in a second of its clock, its UTC goes on by {unit:.4g} s; check time_unit"
+    return f"of its {utc_s.size} cells of UTC no more than {agreeing} agree with its clock"
 
 
 def most_agree(fits: Sequence[ClockFit]) -> bool:
@@ -267,9 +281,9 @@ def _line(clock_s: Float, utc_s: Float, chosen: Mask, usual_s: float, hold_s: fl
     rate = 0.0
     if count < 0.9 * some.size:
         one, other = np.random.default_rng(0).integers(0, some.size, (2, _PAIRS))
-        apart_s = past_s[other] - past_s[one]
-        distant = np.abs(apart_s) > np.ptp(past_s) / 4
-        slopes = (offset_s[other] - offset_s[one])[distant] / apart_s[distant]
+        between_s = past_s[other] - past_s[one]
+        distant = np.abs(between_s) > np.ptp(past_s) / 4
+        slopes = (offset_s[other] - offset_s[one])[distant] / between_s[distant]
         for slope in np.unique(slopes[np.abs(slopes) <= _MAX_RATE]).tolist():
             more, level_s = count_at(slope)
             if more > 1.1 * count + 1:
@@ -299,9 +313,9 @@ def _median_slope(x: Float, y: Float) -> float:
     """Return the median slope between distant points (Theil and Sen)."""
     chosen = np.unique(np.linspace(0, x.size - 1, min(x.size, _SUBSAMPLE)).astype(int))
     one, other = np.triu_indices(chosen.size, 1)
-    apart = x[chosen[other]] - x[chosen[one]]
-    distant = np.abs(apart) >= np.ptp(x) / 4
-    return float(np.median((y[chosen[other]] - y[chosen[one]])[distant] / apart[distant])) if distant.any() else 0.0
+    run, rise = x[chosen[other]] - x[chosen[one]], y[chosen[other]] - y[chosen[one]]
+    distant = np.abs(run) >= np.ptp(x) / 4
+    return float(np.median(rise[distant] / run[distant])) if distant.any() else 0.0
 
 
 def valid_rows(clock_s: Float) -> Mask:
@@ -349,4 +363,6 @@ def described_cuts(fit: ClockFit, lines: Integer) -> str:
 
 def left_out_rows(count: int) -> str:
     """Return a remark on a number of rows with an impossible time."""
-    return f"{count} row{'s have' if count > 1 else ' has'} an impossible time and {'are' if count > 1 else 'is'} left out"
+    return (
+        f"{count} row{'s have' if count > 1 else ' has'} an impossible time and {'are' if count > 1 else 'is'} left out"
+    )
