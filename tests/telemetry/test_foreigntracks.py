@@ -295,4 +295,4 @@ def test_positions_of_a_log_that_no_aircraft_reaches_are_left_out(tmp_path: Path
     flight = open_flight(tmp_path / "flight.csv")
 
     assert abs(np.rad2deg(flight.position.at(FIRST_S + 2.5).latitude_rad) + 34.93) < 1e-9
-    assert any(note.startswith("10 of 100 positions are so far from the others") for note in flight.notes)
+    assert any(note.startswith("10 of 100 positions are too far from the others") for note in flight.notes)

@@ -139,7 +139,7 @@ def test_a_table_without_heights_is_at_sea_level(path: Path) -> None:
 
 
 def test_attitude_and_position_may_have_different_rates(path: Path) -> None:
-    path.write_text(EULER + "2024-03-10T11:00:00.15Z,,,,-34.94,138.61,\n2024-03-10T11:00:00.3Z,1,2,3,,,\n")
+    path.write_text(EULER + "2024-03-10T11:00:00.15Z,,,,-34.9301,138.6001,\n2024-03-10T11:00:00.3Z,1,2,3,,,\n")
 
     flight = open_flight(path)
 

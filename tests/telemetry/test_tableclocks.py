@@ -82,7 +82,7 @@ def test_a_date_before_the_first_fix_is_cut(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stands", [CLOCK_S < 9, CLOCK_S > 20])
-def test_a_clock_that_stands_still_tells_no_time(tmp_path: Path, stands: np.ndarray) -> None:
+def test_a_clock_that_stands_still_shifts_nothing(tmp_path: Path, stands: np.ndarray) -> None:
     held_s = WHOLE_S[stands][-1 if stands[0] else 0]
     path = airdata(tmp_path / "air.csv", CLOCK_S, texts(np.where(stands, held_s, WHOLE_S)))
 
@@ -100,7 +100,7 @@ def test_a_table_whose_utc_stands_still_has_none(tmp_path: Path) -> None:
 def test_two_times_of_about_equal_length_are_refused(tmp_path: Path) -> None:
     past_s = np.where(np.arange(300) % 100 < 50, WHOLE_S, WHOLE_S + 300)
 
-    with pytest.raises(LogFormatError, match="its UTC tells two times, and most cells agree with neither"):
+    with pytest.raises(LogFormatError, match="its UTC has two different times, and most cells agree with neither"):
         open_flight(airdata(tmp_path / "air.csv", CLOCK_S, texts(past_s)))
 
 

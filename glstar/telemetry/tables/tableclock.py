@@ -174,7 +174,7 @@ def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
         return refused(_disagreement(clock_s[cells], utc_s[cells], int(np.count_nonzero(agree))))
     moving = _moving(clock_s[cells], utc_s[cells], 1.5 * hold_s + usual_s)
     if np.count_nonzero(agree & moving) < _FEWEST_AGREEING_MOVING * np.count_nonzero(moving):
-        return refused("its UTC tells two times, and most cells agree with neither")
+        return refused("its UTC has two different times, and most cells agree with neither")
     used = used.only(_near(used, usual_s))
     rate, reference_s = _refined_rate(used), float(np.median(used.clock_s))
     at_rate = used.at_rate(rate, reference_s)
@@ -190,7 +190,7 @@ def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
 
 
 def _no_utc(clock_s: Float, utc_s: Float, usual_s: float) -> str:
-    """Return why (k,) cells of UTC tell no time; empty if they do.  `usual_s`: interval of rows."""
+    """Return why (k,) cells of UTC are of no use; empty if they are.  `usual_s`: interval of rows."""
     if not clock_s.size:
         return "its time counts from its own start, and it has no column with UTC"
     return "its UTC stands still" if np.ptp(utc_s) == 0 and np.ptp(clock_s) > 1 + usual_s else ""
