@@ -2,6 +2,7 @@
 
 import json
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -64,3 +65,8 @@ def test_info_says_where_the_camera_points_and_what_cloud_transmits(
     assert abs(found["axis_altitude_deg"] - pitch_deg) < 0.1
     if not said:
         assert 0.05 < found["cloud_transmission"] < 0.6
+
+
+@pytest.mark.skipif(find_spec("astropy_iers_data") is None, reason="astropy-iers-data is an extra")
+def test_an_export_after_the_end_of_the_table_of_ut1_notes_it(tmp_path: Path) -> None:
+    assert "UT1 - UTC = " in notes(tmp_path, "2060-03-18T12:00:00Z", pitch_deg=60.0)

@@ -14,7 +14,7 @@ from glstar.cli import app
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.observed.solarsystem import AU_KM, BODIES, Body, is_corrected, moon_km, moon_vmag, observed_bodies
 from glstar.sky.observed.stars import Sky
-from glstar.sky.place.apparent import ASTROMETRY
+from glstar.sky.place.apparent import ASTROMETRY, direction
 from glstar.sky.place.horizon import ned_direction
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import parse_utc, tt_julian_date
@@ -142,6 +142,22 @@ def test_meeus_example_of_the_moon() -> None:
     place = observed_bodies(sky(), parse_utc("1992-04-11T23:59:01Z"), Site(0.0, 0.0), ("Moon",))[0]
     np.testing.assert_allclose(np.rad2deg(place.phase_angle_rad), 69.0756, rtol=0, atol=1)  # the parallax of the place
     np.testing.assert_allclose(np.rad2deg(place.bright_limb_rad), 285.0, rtol=0, atol=1)
+
+
+@pytest.mark.parametrize("astrometry", ["paper", "erfa"])
+def test_right_ascension_and_declination_are_those_of_azimuth_and_altitude(astrometry: str) -> None:
+    # Diurnal aberration, up to 0.32 arcsec, is in both.
+    of_date = sky(astrometry=astrometry)
+    for utc, site in (("2026-06-20T12:07:27Z", Site(0.0, 0.0)), ("2031-01-01T00:00:00Z", Site(0.7, -2.0, 12_000.0))):
+        utc_s = parse_utc(utc)
+        C_ned_eq = of_date.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
+        for body in observed_bodies(of_date, utc_s, site):
+            seen = direction(*body.ra_dec_rad)
+            np.testing.assert_allclose(
+                C_ned_eq @ seen, ned_direction(body.azimuth_rad, body.altitude_rad), rtol=0, atol=1e-5 * ARCSEC_RAD
+            )
+            separation_rad = np.linalg.norm(seen - body.direction_eq)
+            assert separation_rad < 0.33 * ARCSEC_RAD
 
 
 def test_the_moon_parallax_grows_with_height() -> None:

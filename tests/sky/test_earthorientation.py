@@ -15,7 +15,7 @@ from glstar.sky.place import timescale as earthorientation
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import ned_direction
 from glstar.sky.place.site import Site
-from glstar.sky.place.timescale import described_earth_orientation, earth_orientation, parse_utc
+from glstar.sky.place.timescale import described_earth_orientation, earth_orientation, earth_orientation_note, parse_utc
 from tests.support.exports import SETTINGS, done, manifest_of, refused, table_of_a_flight, truth_of
 
 ARCSEC = np.pi / 648000
@@ -118,11 +118,40 @@ def test_without_the_package_ut1_is_utc_and_manifests_are_as_before(without_tabl
 @installed
 @pytest.mark.parametrize("utc", ["1970-06-01", "2090-01-01"])
 def test_for_times_outside_the_table_the_manifest_has_its_range(utc: str) -> None:
-    assert earth_orientation(parse_utc(utc)) is None
     described = described_earth_orientation(parse_utc(utc))["earth_orientation"]
-    assert described["dut1_s"] == 0.0
     assert described["covers"].startswith("1973-01-02 to 20")
     assert json.dumps(described)
+
+
+@installed
+def test_before_the_table_ut1_is_utc() -> None:
+    utc_s = parse_utc("1970-06-01")
+    assert earth_orientation(utc_s) is None
+    assert described_earth_orientation(utc_s)["earth_orientation"]["dut1_s"] == 0.0
+    assert "begins on 1973-01-02" in earth_orientation_note(utc_s)
+
+
+@installed
+def test_after_the_table_the_last_values_continue_and_a_note_says_so() -> None:
+    iers = pytest.importorskip("astropy.utils.iers")
+    table = iers.IERS_A.open(iers.IERS_A_FILE)
+    last = table[np.isfinite(table["UT1_UTC"])][-1]
+    last_s = (last["MJD"].to_value("d") - 40587) * 86400
+
+    for days in (0.0, 0.5, 1.0, 365.0, 3000.0):
+        found = earth_orientation(last_s + 86400 * days)
+        assert found is not None
+        assert found.dut1_s == pytest.approx(last["UT1_UTC"].to_value("s"), abs=1e-7)
+        poles_rad = [last[name].to_value("rad") for name in ("PM_x", "PM_y")]
+        np.testing.assert_allclose([found.x_pole_rad, found.y_pole_rad], poles_rad, rtol=0, atol=1e-5 * ARCSEC)
+        note = earth_orientation_note(last_s + 86400 * days)
+        if days < 1:
+            assert days > 0 or note == ""
+        else:
+            assert f"{days:.0f} days earlier" in note
+    described = described_earth_orientation(last_s + 86400)["earth_orientation"]
+    assert described["dut1_s"] == round(last["UT1_UTC"].to_value("s"), 7)
+    assert described["covers"].startswith("1973-01-02 to 20")
 
 
 def test_a_saved_config_has_no_dut1_from_the_table(tmp_path: Path) -> None:

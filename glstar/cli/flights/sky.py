@@ -15,16 +15,22 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.flightoptions import echo_catalogue_note
+from glstar.cli.verbosity import echo_note
 from glstar.errors import ConfigError
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.sky.observed.satellites import Satellites, visible_vmag
 from glstar.sky.observed.solarsystem import Body, is_corrected, observed_bodies
 from glstar.sky.observed.stars import ObservedPlaces, Sky
 from glstar.sky.place.apparent import ASTROMETRY
-from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad
+from glstar.sky.place.horizon import ned_to_azimuth_altitude_rad, with_diurnal_aberration
 from glstar.sky.place.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
-from glstar.sky.place.timescale import described_earth_orientation, format_utc, parse_known_utc, tt_julian_date
+from glstar.sky.place.timescale import (
+    described_earth_orientation,
+    earth_orientation_note,
+    format_utc,
+    parse_known_utc,
+    tt_julian_date,
+)
 
 # Columns of the Sun, the Moon and the planets, with their decimals in a table.
 _BODY_DECIMALS = {
@@ -110,33 +116,44 @@ def sky(
     utc_s = parse_known_utc(utc) if utc else time.time()
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
-    echo_catalogue_note(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
     of_date = Sky(chosen, ASTROMETRY[astrometry.value], dut1)
-    ut1 = _ut1_label(dut1, utc_s)
     if satellites is not None:
         elements = Satellites.open(satellites, satellite_mag)
-        listing = _of_satellites(elements, of_date, utc_s, site, ut1, everything=everything)
+        listing = _of_satellites(elements, of_date, utc_s, site, everything=everything)
     elif bodies:
-        listing = _of_bodies(of_date, utc_s, site, ut1)
+        listing = _of_bodies(of_date, utc_s, site)
     else:
-        listing = _of_stars(of_date, utc_s, site, vmag, ut1, everything=everything)
+        listing = _of_stars(of_date, utc_s, site, vmag, everything=everything)
     title = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}"
-    _print(listing, _format_of(format_, as_json=as_json), title)
+    _print(listing.with_notes(stars.note, dut1, utc_s), _format_of(format_, as_json=as_json), title)
 
 
 class _Listing(NamedTuple):
-    """What is printed: rows and their columns, the table of a terminal, and why there are no rows."""
+    """What is printed: rows and their columns, the table of a terminal, and what limits the accuracy."""
 
     rows: list[_Row]
     columns: Sequence[str]
     headers: Sequence[str]  # of the table
     cells: Iterable[Sequence[str]]  # of the table, by row
     caption: str
-    why_none: str
+    why_none: str  # why there are no rows
+    notes: tuple[str, ...] = ()  # errors to expect
+
+    def with_notes(self, of_catalogue: str, dut1_s: float | None, utc_s: float) -> "_Listing":
+        """Return the listing with the UT1 - UTC that it uses: in the caption, or among the notes if it is a guess."""
+        ut1, note = "", ""
+        if dut1_s is not None:
+            ut1 = f"; UT1 - UTC = {dut1_s:+.4f} s as given by --dut1"
+        elif not (note := earth_orientation_note(utc_s)):
+            table = described_earth_orientation(utc_s)["earth_orientation"]
+            ut1 = f"; UT1 - UTC = {table['dut1_s']:+.4f} s by {table['source']}"
+        # No number depends on UT1 where there is no row.
+        notes = (*self.notes, of_catalogue, note if self.rows else "")
+        return self._replace(caption=self.caption + ut1, notes=tuple(filter(None, notes)))
 
 
-def _of_stars(sky: Sky, utc_s: float, site: Site, vmag: float, ut1: str, *, everything: bool) -> _Listing:
+def _of_stars(sky: Sky, utc_s: float, site: Site, vmag: float, *, everything: bool) -> _Listing:
     rows = _star_rows(sky.observed_places(utc_s, site), everything=everything)
     cells = (
         (
@@ -147,20 +164,21 @@ def _of_stars(sky: Sky, utc_s: float, site: Site, vmag: float, ut1: str, *, ever
         )
         for row in rows
     )
-    caption = f"{len(rows)} stars; apparent place of date, degrees; {ut1}"
+    caption = f"{len(rows)} stars; apparent place of date, degrees"
     return _Listing(rows, _COLUMNS, ("star", *_COLUMNS[2:]), cells, caption, _why_none(len(sky.catalogue), vmag))
 
 
-def _of_bodies(sky: Sky, utc_s: float, site: Site, ut1: str) -> _Listing:
+def _of_bodies(sky: Sky, utc_s: float, site: Site) -> _Listing:
     rows = [_body_row(body) for body in observed_bodies(sky, utc_s, site)]
-    accuracy = "within 1 arcsec of DE421" if is_corrected(tt_julian_date(utc_s)) else "within 90 arcsec (not 1990-2050)"
+    is_accurate = is_corrected(tt_julian_date(utc_s))
+    notes = () if is_accurate else ("places are within 90 arcsec only: outside of 1990-2050 they have no corrections",)
     sun, moon = rows[0], rows[1]
     light = f"the Sun at {sun['altitude_deg']:.1f} deg, the Moon {moon['illuminated_fraction']:.0%} lit"
     short = {"apparent_altitude_deg": "apparent_alt", "illuminated_fraction": "lit"}
     columns = ("name", *_BODY_DECIMALS)
     cells = ((row["name"], *_decimal(row, _BODY_DECIMALS)) for row in rows)
-    caption = f"{light}; topocentric apparent place of date, {accuracy}; {ut1}"
-    return _Listing(rows, columns, [short.get(column, column) for column in columns], cells, caption, "")
+    caption = f"{light}; topocentric apparent place of date{', within 1 arcsec of DE421' if is_accurate else ''}"
+    return _Listing(rows, columns, [short.get(column, column) for column in columns], cells, caption, "", notes)
 
 
 def _body_row(body: Body) -> _Row:
@@ -177,17 +195,13 @@ def _body_row(body: Body) -> _Row:
     return {"name": body.name} | {key: None if n is None else round(n, _DIGITS) for key, n in numbers.items()}
 
 
-def _of_satellites(
-    satellites: Satellites, sky: Sky, utc_s: float, site: Site, ut1: str, *, everything: bool
-) -> _Listing:
+def _of_satellites(satellites: Satellites, sky: Sky, utc_s: float, site: Site, *, everything: bool) -> _Listing:
     rows = _satellite_rows(satellites, sky, utc_s, site, everything=everything)
     columns = ("name", "satellite_number", *_SATELLITE_DECIMALS)
     cells = ((row["name"], str(row["satellite_number"]), *_decimal(row, _SATELLITE_DECIMALS)) for row in rows)
-    caption = (
-        "topocentric, with light time, without refraction; lit: the part of the Sun that it sees;"
-        f" {satellites.age_note(utc_s) or ut1}"
-    )
-    return _Listing(rows, columns, columns, cells, caption, "no satellite is above the horizon; --all shows them too")
+    caption = "topocentric, with light time, without refraction; lit: the part of the Sun that it sees"
+    why_none = "no satellite is above the horizon; --all shows them too"
+    return _Listing(rows, columns, columns, cells, caption, why_none, (satellites.age_note(utc_s),))
 
 
 def _satellite_rows(satellites: Satellites, sky: Sky, utc_s: float, site: Site, *, everything: bool) -> list[_Row]:
@@ -197,7 +211,8 @@ def _satellite_rows(satellites: Satellites, sky: Sky, utc_s: float, site: Site, 
     rows = []
     for satellite in satellites.satellites:
         seen = satellite.seen(sky, np.array([utc_s]), site.latitude_rad, site.longitude_rad, site.height_m)
-        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(C_ned_eq @ seen.direction_eq[0])
+        seen_ned = with_diurnal_aberration(C_ned_eq @ seen.direction_eq[0], site.latitude_rad, site.height_m)
+        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(seen_ned)
         if not (np.isfinite(altitude_rad) and (everything or altitude_rad > 0)):
             continue
         vmag, lit = visible_vmag(satellite, seen, sun.direction_eq)
@@ -215,18 +230,22 @@ def _decimal(row: _Row, decimals: Mapping[str, int]) -> Iterator[str]:
 
 def _print(listing: _Listing, format_: _Format, title: str) -> None:
     if format_ is _Format.json:
-        json.dump(listing.rows, sys.stdout, ensure_ascii=False, indent=1)
+        notes = {"notes": list(listing.notes)} if listing.notes else {}
+        json.dump([row | notes for row in listing.rows], sys.stdout, ensure_ascii=False, indent=1)
         typer.echo()
     elif format_ is _Format.csv:
         typer.echo(_csv(listing.rows, listing.columns), nl=False)
     else:
-        table = Table(title=title, caption=listing.caption)
+        table = Table(title=title, caption="; ".join([listing.caption, *listing.notes]))
         for header in listing.headers:
             table.add_column(header, justify="left" if header == "name" else "right", no_wrap=True)
         for cells in listing.cells:
             table.add_row(*cells)
         # A pipe has no width: use one that is wide enough for all columns.
         Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
+    if format_ is not _Format.table:
+        for note in listing.notes:
+            echo_note(f"note: {note}")
     if not listing.rows:
         typer.echo(f"glstar: {listing.why_none}", err=True)
 
@@ -268,15 +287,3 @@ def _csv(rows: list[_Row], columns: Sequence[str]) -> str:
     angles = [angle for angle in _ANGLES if angle in columns]
     writer.writerows(row | {angle: f"{row[angle]:.{_DIGITS}f}" for angle in angles} for row in rows)
     return text.getvalue()
-
-
-def _ut1_label(dut1_s: float | None, utc_s: float) -> str:
-    """Return the UT1 - UTC of the table, and its source."""
-    if dut1_s is not None:
-        return f"UT1 - UTC = {dut1_s:+.4f} s as given by --dut1"
-    table = described_earth_orientation(utc_s).get("earth_orientation")
-    if table is None:
-        return "UT1 = UTC assumed (astropy-iers-data is not installed)"
-    if "covers" in table:
-        return f"UT1 = UTC assumed ({table['source']} covers {table['covers']} only)"
-    return f"UT1 - UTC = {table['dut1_s']:+.4f} s by {table['source']}"

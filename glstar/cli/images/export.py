@@ -20,6 +20,7 @@ from glstar.cli.verbosity import echo_detail, echo_note, with_verbosity
 from glstar.flight import DATA_GAP
 from glstar.render.truth.conditions import conditions_report
 from glstar.sky.observed.stars import sun_altitude_rad
+from glstar.sky.place.timescale import earth_orientation_note, has_earth_orientation
 from glstar.system.process import EXIT_INTERRUPTED, exit_on_interrupt
 
 if TYPE_CHECKING:
@@ -443,6 +444,10 @@ def _light_notes(frames: "Frames") -> list[str]:
         notes.append(f"the middle frame: {conditions_report(middle.simulator.scene(middle.exposure))}")
     satellites = middle.simulator.sky.satellites
     if satellites is not None and (note := satellites.age_note(middle.exposure.mid_utc_s)):
+        notes.append(note)
+    # Without the package, UT1 = UTC for every flight: the manual says it.
+    is_from_table = middle.simulator.sky.dut1_s is None and has_earth_orientation()
+    if is_from_table and (note := earth_orientation_note(middle.exposure.mid_utc_s)):
         notes.append(note)
     return notes
 

@@ -7,7 +7,7 @@ holds the differences from 1990 to 2050 as Chebyshev series (`tests/scripts/make
 planets follow Mallama & Hilton 2018 (Astronomy and Computing 25, 10), without the rotation of Mars (0.06 mag).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from math import asin, atan2, cos, degrees, exp, log10, pi, sin, sqrt
 from types import MappingProxyType
@@ -24,7 +24,7 @@ from glstar.sky.air.refraction import refraction_rad
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY, direction, right_ascension_declination
-from glstar.sky.place.horizon import C_ned_eq, diurnal_aberration_rad, ned_to_azimuth_altitude_rad
+from glstar.sky.place.horizon import C_ned_eq, ned_to_azimuth_altitude_rad, with_diurnal_aberration
 from glstar.sky.place.site import Site, geocentric_m
 from glstar.sky.place.timescale import JulianDate, centuries_since_j2000, tt_julian_date
 from glstar.system.resources import asset
@@ -254,6 +254,8 @@ class Body:
     # Position angle of the middle of the bright limb, from celestial north through east, rad; None for the Sun.
     bright_limb_rad: float | None
     vmag: float  # V magnitude above the air
+    # (3,) diurnal aberration, true equator and equinox: it adds to `direction_eq`
+    diurnal_aberration_eq: Float = field(default_factory=lambda: np.zeros(3))
 
     @property
     def illuminated_fraction(self) -> float:
@@ -262,8 +264,8 @@ class Body:
 
     @property
     def ra_dec_rad(self) -> tuple[float, float]:
-        """Topocentric apparent right ascension and declination of date, rad."""
-        ra_rad, dec_rad = right_ascension_declination(self.direction_eq)
+        """Topocentric apparent right ascension and declination of date, with diurnal aberration, rad."""
+        ra_rad, dec_rad = right_ascension_declination(self.direction_eq + self.diurnal_aberration_eq)
         return float(ra_rad), float(dec_rad)
 
 
@@ -292,7 +294,7 @@ class _Observer:
         self._year = 2000 + 100 * centuries_since_j2000(self._tt)
         self._C_eq_icrs = sky.astrometry.C_eq_icrs(utc_s)
         self._C_ned_eq = sky.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
-        self._towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
+        self._site = site
         self._refraction_scale = sky.refraction_scale(site)
         geocentric_km = geocentric_m(site.latitude_rad, site.longitude_rad, site.height_m) / 1000
         in_ned = C_ned_eq(site.latitude_rad, site.longitude_rad) @ geocentric_km
@@ -308,7 +310,9 @@ class _Observer:
         from_sun_km = barycentric_km - sun_km
         distance_km = float(np.linalg.norm(from_observer_km))
         direction_eq = self._C_eq_icrs @ self._apparent(name, from_observer_km, from_sun_km)
-        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(self._C_ned_eq @ direction_eq + self._towards_east)
+        in_ned = self._C_ned_eq @ direction_eq
+        seen_ned = with_diurnal_aberration(in_ned, self._site.latitude_rad, self._site.height_m)
+        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(seen_ned)
         if name == "Sun":
             phase_rad, bright_limb_rad, to_sun = 0.0, None, np.zeros(3)
         else:
@@ -328,6 +332,7 @@ class _Observer:
             phase_angle_rad=phase_rad,
             bright_limb_rad=bright_limb_rad,
             vmag=self._vmag(name, from_sun_km / AU_KM, from_observer_km / AU_KM, phase_rad),
+            diurnal_aberration_eq=self._C_ned_eq.T @ (seen_ned - in_ned),
         )
 
     def _as_seen(self, name: str) -> tuple[Float, Float]:

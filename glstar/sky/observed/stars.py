@@ -50,7 +50,7 @@ class Sky:
         The paper's formulae or ERFA.
     dut1_s : float or None
         UT1 - UTC, s, with a fixed pole.  None takes UT1 - UTC and polar motion from the IERS table of the package
-        astropy-iers-data; without the package, UT1 = UTC.
+        astropy-iers-data, after its end from its last day; without the package, UT1 = UTC.
     refraction : bool
         Whether atmospheric refraction is simulated.
     dip : bool
@@ -202,8 +202,8 @@ class Sky:
         stars = self.star_field(utc_s)
         ra_rad, dec_rad = right_ascension_declination(stars.direction_eq)
         C = self.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
-        towards_east = np.array([0.0, horizon.diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
-        azimuth_rad, altitude_rad = horizon.ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
+        seen_ned = horizon.with_diurnal_aberration(stars.direction_eq @ C.T, site.latitude_rad, site.height_m)
+        azimuth_rad, altitude_rad = horizon.ned_to_azimuth_altitude_rad(seen_ned)
         refracted_rad = altitude_rad + refraction_rad(altitude_rad, self.refraction_scale(site))
         return ObservedPlaces(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, refracted_rad)
 

@@ -102,6 +102,15 @@ def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
     return _EARTH_ROTATION_RAD_PER_S * from_axis_m / _LIGHT_M_PER_S
 
 
+def with_diurnal_aberration(direction_ned: ArrayLike, latitude_rad: float, height_m: float) -> Float:
+    """Return the vectors, (..., 3) north, east, down, along which an observer on the turning Earth sees.
+
+    `direction_ned` (..., 3): unit vectors without diurnal aberration; `latitude_rad`, `height_m`: the observer.
+    """
+    towards_east = np.array([0.0, diurnal_aberration_rad(latitude_rad, height_m), 0.0])
+    return np.asarray(np.asarray(direction_ned, dtype=np.float64) + towards_east)
+
+
 def dip_rad(height_m: float) -> float:
     """Return the dip of the sea's horizon below the horizontal, with refraction: 1.63 deg at 3 km, 0 below the sea.
 

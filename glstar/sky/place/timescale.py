@@ -3,8 +3,8 @@
 glstar counts time in `utc_s`: seconds of UTC since 1970-01-01, with 86400 s per day (a leap second has the same number
 as the second after it).  Julian dates have two parts whose sum is the date, because the resolution of a single float64
 at 2 400 000 days is only 40 microseconds.  UT1 - UTC and polar motion are those of the IERS table in the optional
-package astropy-iers-data; without it, or outside its table, UT1 = UTC and a fixed pole are assumed (errors of up to 13"
-and 0.5").
+package astropy-iers-data, whose last values continue after its end; without it, or before its first day, UT1 = UTC and
+a fixed pole are assumed (errors of up to 13" and 0.5").
 """
 
 import hashlib
@@ -201,9 +201,12 @@ class _Table:
 
 
 def earth_orientation(utc_s: float) -> EarthOrientation | None:
-    """Return the Earth orientation interpolated between the days of the IERS table; None outside of it."""
+    """Return the Earth orientation of the IERS table: between its days, and after its end the last values.
+
+    None before its first day, and if no table is installed.
+    """
     table = _table()
-    if table is None or not table.utc_s[0] <= utc_s <= table.utc_s[-1]:
+    if table is None or utc_s < table.utc_s[0]:
         return None
     # UT1 - TAI is interpolated, because it has no leap seconds.
     values = (table.ut1_minus_tai_s, table.x_pole_rad, table.y_pole_rad)
@@ -222,10 +225,11 @@ def described_earth_orientation(utc_s: float) -> dict[str, Any]:
     if table is None:
         return {}
     source = {"source": table.source, "sha256": table.sha256}
+    if not table.utc_s[0] <= utc_s <= table.utc_s[-1]:
+        source["covers"] = f"{format_utc(table.utc_s[0])[:10]} to {format_utc(table.utc_s[-1])[:10]}"
     earth = earth_orientation(utc_s)
     if earth is None:
-        covers = f"{format_utc(table.utc_s[0])[:10]} to {format_utc(table.utc_s[-1])[:10]}"
-        return {"earth_orientation": source | {"covers": covers, "dut1_s": 0.0}}
+        return {"earth_orientation": source | {"dut1_s": 0.0}}
     values = {
         "utc": format_utc(utc_s),
         "dut1_s": round(earth.dut1_s, 7),
@@ -233,6 +237,31 @@ def described_earth_orientation(utc_s: float) -> dict[str, Any]:
         "y_pole_arcsec": round(earth.y_pole_rad / _ARCSEC_RAD, 6),
     }
     return {"earth_orientation": source | values}
+
+
+def earth_orientation_note(utc_s: float) -> str:
+    """Return a remark on the UT1 of a time that the IERS table does not cover; empty if it does."""
+    table = _table()
+    if table is None:
+        return (
+            "UT1 = UTC assumed (astropy-iers-data is not installed): azimuths and altitudes may be 13 arcsec off;"
+            " pip install astropy-iers-data"
+        )
+    if table.utc_s[0] <= utc_s <= table.utc_s[-1]:
+        return ""
+    earth = earth_orientation(utc_s)
+    if earth is None:
+        first = format_utc(table.utc_s[0])[:10]
+        return (
+            f"UT1 = UTC assumed ({table.source} begins on {first}): azimuths and altitudes may be 13 arcsec off, and"
+            " more before UTC had whole leap seconds (1972)"
+        )
+    days = (utc_s - table.utc_s[-1]) / _DAY_S
+    return (
+        f"UT1 - UTC = {earth.dut1_s:+.4f} s continues the last value of {table.source}, which ends on"
+        f" {format_utc(table.utc_s[-1])[:10]}, {days:.0f} days earlier: UT1 drifts by up to 17 arcsec a year; update"
+        " astropy-iers-data"
+    )
 
 
 @lru_cache(maxsize=1)
