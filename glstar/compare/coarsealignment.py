@@ -28,6 +28,8 @@ class _CoarseSearch:
     samples: int = 24  # samples along each star path, in each short exposure of a stacked image
     most_samples: int = 240  # largest number of samples along the path of a stacked image
     step_s: float = 0.0125  # step of the clock offset
+    own_step_s: float = 0.05  # step of the delay of a single image: 1 deg at 20 deg/s, within the search for its shift
+    likely: float = 0.9  # correlations above this fraction of the largest one are likely
     max_offsets: int = 200  # number of steps in each direction of time
     readout_s: float = 0.25  # largest readout time
     readout_step_s: float = 0.0125  # a third of a bin at the border of the image, at 20 deg/s and a field of 50 deg
@@ -64,6 +66,27 @@ def likely_start(
         if value > best[0]:
             best = value, turn_rad, delay_s
     return best[1], best[2]
+
+
+def likely_delay_s(
+    image: tuple[Exposure, SubtractedImage], simulator: Simulator, *, search_px: float, search_s: float
+) -> float:
+    """Return the delay of one image, s, by cross-correlation of the binned image with its predicted signal.
+
+    `search_px`: the largest shift of the image, px; `search_s`: the largest absolute delay, s.  A turning aircraft and
+    a turned camera shift the image alike, so of all likely delays that with the smallest shift is taken.
+    """
+    search = _Correlations([image], simulator, search_px)
+    steps = min(int(np.ceil(search_s / _COARSE.own_step_s)), _COARSE.max_offsets)
+    offsets = np.linspace(-search_s, search_s, 2 * steps + 1)
+    exposure, _ = image
+    found = [search.best([replace(exposure, start_utc_s=exposure.start_utc_s + float(s))]) for s in offsets]
+    value, shift_rad = np.array([one[0] for one in found]), np.array([np.linalg.norm(one[1]) for one in found])
+    # Outside of the flight, a correlation is -inf.
+    likely = value >= _COARSE.likely * np.max(value, initial=0.0)
+    if not likely.any():
+        return 0.0
+    return float(offsets[np.argmin(np.where(likely, shift_rad + 1e-9 * np.abs(offsets), np.inf))])
 
 
 def likely_readout(

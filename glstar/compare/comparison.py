@@ -255,6 +255,7 @@ class Comparison:
     worst: tuple[tuple[Pair, Cutouts], ...]  # the pairs with the largest centroid distances beyond the noise
     alignment: Alignment | None  # the clock offset and mount that were fitted first
     time_sources: str  # where the times of the images come from, or how the images were paired
+    notes: tuple[str, ...] = ()  # for the user: what the times leave open
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -294,7 +295,9 @@ class Collector:
         """Add an image that cannot be compared; `file`, `kind`, `reason`: the attributes of `RejectedImage`."""
         self.left_out.append(RejectedImage(file, reason, kind))
 
-    def result(self, alignment: Alignment | None, time_sources: str, folder: Path) -> Comparison:
+    def result(
+        self, alignment: Alignment | None, time_sources: str, folder: Path, notes: tuple[str, ...] = ()
+    ) -> Comparison:
         """Return the comparison of the images in a folder; raises ImagesError if no star was paired."""
         if not self.pairs:
             raise ImagesError(folder, _nothing_paired(self.left_out))
@@ -306,6 +309,7 @@ class Collector:
             tuple(self._worst),
             alignment,
             time_sources,
+            notes,
         )
 
 

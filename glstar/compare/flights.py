@@ -14,15 +14,15 @@ from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
-from glstar.compare.alignment import Alignment, fit_alignment
-from glstar.compare.coarsealignment import likely_readout, likely_start
+from glstar.compare.alignment import MIDDLE_GRAINS, MOST_GRAINS, Alignment, fit_alignment, fit_own_delay_s
+from glstar.compare.coarsealignment import likely_delay_s, likely_readout, likely_start
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, chance, rejection
 from glstar.compare.detection import SubtractedImage, subtract_background
 from glstar.compare.pairs import Pairing, measure, pair_trails
 from glstar.compare.prediction import Trails, predicted_trails
 from glstar.errors import ConfigError, ImagesError
 from glstar.export.frame import frame_seed
-from glstar.images import RealImage, TimeReference, exposure_of, read_grey
+from glstar.images import ImageTime, RealImage, TimeReference, exposure_of, read_grey, with_common_grains, zone_hint
 from glstar.render.effects import scaled_keys
 from glstar.render.scene.scene import Renderer
 from glstar.render.simulator import Simulator
@@ -35,6 +35,14 @@ _CACHE_BYTES = 600 * 2**20
 _BYTES_PER_PX = 9
 # Largest number of images in a fit, evenly chosen: its error falls with the square root, its time grows in proportion.
 _MAX_FITTED = 48
+# Times in smaller steps are not searched for, s: the trails are within the search for the camera's direction.
+_LEAST_SEARCHED_S = 0.02
+# Iterations of the time of a single image, and the step below which it is found, s.
+_OWN_ITERATIONS, _OWN_STEP_S = 4, 1e-3
+# The smallest standard deviation of the attitude error, rad, that a delay of a single image may explain: 0.02 deg.
+_LEAST_TURN_RAD = 3.5e-4
+# Zones of cameras, s: quarters of an hour, from -12 to 14 h.
+_ZONES_S = 900.0 * np.arange(-48, 57)
 # A mount with a larger standard error is not determined, deg.
 _MAX_MOUNT_STD_DEG = 1.0
 _BY_HAND = "set clock or mount by hand first"
@@ -96,18 +104,23 @@ class FlightComparison:
         self._reference = reference
         self._given_readout_s = exposure.readout_s
         self._stack = exposure
-        for image in images:
+        times = with_common_grains([image.time for image in images])
+        for image in (replace(image, time=time) for image, time in zip(images, times, strict=True)):
             # Star paths are sampled at equal time steps, as for sub-exposures.
             even = replace(exposure, trail="sprites")
             ahead_s = simulator.flight.time_offset_s
             shutter = exposure_of(image.time, even, reference=reference, ahead_s=ahead_s, own_length=own_length)
+            middle_s = shutter.start_utc_s + MIDDLE_GRAINS * image.time.grain_s
+            shutter = replace(shutter, start_utc_s=middle_s)
             reason = self._uncovered(shutter)
             if reason is None:
                 self._exposures.append((image, shutter))
             else:
-                self._rejected.append(RejectedImage(image.path.name, reason[1], reason[0]))
+                hint = self._zone_hint(image, shutter)
+                self._rejected.append(RejectedImage(image.path.name, reason[1] + hint, reason[0]))
         self._folder = images[0].path.parent if images else Path()
         self._time_sources = _count_sources(images)
+        self._notes = self._notes_on(times)
 
     def run(self, alignment: Alignment | None = None, *, on_step: OnStep | None = None) -> Comparison:
         """Compare all images.
@@ -128,7 +141,8 @@ class FlightComparison:
                 collected.reject(image.path.name, _kind_of(error), str(error).removeprefix(f"{image.path}: "))
                 report(number + 1, len(self._exposures))
                 continue
-            pairing = self._find_trails(number, mount, delay_s, readout_s)
+            own_s = self._own_delay_s(number, mount, delay_s, readout_s, alignment)
+            pairing = self._find_trails(number, mount, delay_s + own_s, readout_s)
             if pairing is None:
                 collected.reject(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
             elif (reason := rejection(pairing, sky) or chance(pairing)) is not None:
@@ -137,7 +151,7 @@ class FlightComparison:
                 trails = pairing.trails
                 compared = ComparedImage(
                     image.path.name,
-                    self._exposure_at(number, delay_s, readout_s).start_utc_s,
+                    self._exposure_at(number, delay_s + own_s, readout_s).start_utc_s,
                     len(trails),
                     len(pairing.found_indices),
                     pairing.astray,
@@ -147,7 +161,34 @@ class FlightComparison:
                 )
                 collected.add(compared, measure(image.path.name, sky, pairing))
             report(number + 1, len(self._exposures))
-        return collected.result(alignment, self._time_sources, self._folder)
+        return collected.result(alignment, self._time_sources, self._folder, self._notes)
+
+    def _own_delay_s(
+        self, number: int, mount: Mount, delay_s: float, readout_s: float, alignment: Alignment | None
+    ) -> float:
+        """Return the delay of an image whose time is in whole seconds beside the common one, s; 0 if it is exact."""
+        image, shutter = self._exposures[number]
+        grain_s = image.time.grain_s
+        if grain_s < _LEAST_SEARCHED_S:
+            return 0.0
+        common = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s).with_readout_s(readout_s)
+        simulator = replace(self._simulator_for(), mount=mount)
+        own_s = self._searched_delay_s(number, common, simulator, MOST_GRAINS * grain_s)
+        turn_std_rad = max(_LEAST_TURN_RAD, 0.0 if alignment is None else alignment.attitude_std_rad)
+        for _ in range(_OWN_ITERATIONS):
+            pairing = self._find_trails(number, mount, delay_s + own_s, readout_s)
+            if pairing is None or not pairing.found_indices:
+                return own_s
+            before_s = own_s
+            own_s = fit_own_delay_s(pairing, self._focal_px, own_s, grain_s, turn_std_rad)
+            if abs(own_s - before_s) < _OWN_STEP_S:
+                break
+        return own_s
+
+    def _searched_delay_s(self, number: int, common: Exposure, simulator: Simulator, search_s: float) -> float:
+        """Return the likely delay of an image beside a common exposure, s."""
+        sky = self._subtracted_image(self._exposures[number][0])
+        return likely_delay_s((common, sky), simulator, search_px=self._search_px(), search_s=search_s)
 
     def align(
         self, *, fit_time: bool, fit_mount: bool, fit_readout: bool = False, on_step: OnStep | None = None
@@ -166,8 +207,15 @@ class FlightComparison:
         if not usable:
             return None
         simulator = self._simulator_for()
-        camera = simulator.camera
-        start = self._start(usable, fit_time=fit_time, fit_readout=fit_readout)
+        grains_s = [self._exposures[number][0].time.grain_s for number in usable]
+        exact = [number for number, grain_s in zip(usable, grains_s, strict=True) if grain_s < _LEAST_SEARCHED_S]
+        start = np.zeros(3), 0.0, self._given_readout_s
+        if exact:
+            start = self._start(exact, fit_time=fit_time, fit_readout=fit_readout)
+        own_s = self._own_starts_s(usable, grains_s, start[1], self._search.time_s if fit_time and not exact else 0.0)
+        if fit_time and not exact:
+            start = start[0], float(np.median(own_s)), start[2]
+            own_s = own_s - start[1]
 
         def find_trails(which: int, mount: Mount, delay_s: float, readout_s: float) -> Pairing | None:
             pairing = self._find_trails(usable[which], mount, delay_s, readout_s)
@@ -184,10 +232,30 @@ class FlightComparison:
             fit_mount=fit_mount,
             fit_readout=fit_readout,
             readout_s=self._given_readout_s,
-            focal_px=(camera.fx_px + camera.fy_px) / 2,
+            focal_px=self._focal_px,
             start=(start[0] if fit_mount else np.zeros(3), *start[1:]),
+            grains_s=grains_s,
+            own_start_s=own_s.tolist(),
             on_step=on_step,
         )
+
+    def _own_starts_s(self, usable: Sequence[int], grains_s: Sequence[float], delay_s: float, search_s: float) -> Float:
+        """Return start values of the delays of images beside a common one, (n,) s: 0 where times are exact.
+
+        `search_s`: how much farther the delay of all of them is searched for.
+        """
+        own_s = np.zeros(len(usable))
+        for row, (number, grain_s) in enumerate(zip(usable, grains_s, strict=True)):
+            if grain_s >= _LEAST_SEARCHED_S:
+                _, shutter = self._exposures[number]
+                common = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s)
+                most_s = MOST_GRAINS * grain_s + search_s
+                own_s[row] = self._searched_delay_s(number, common, self._simulator_for(), most_s)
+        return own_s
+
+    @property
+    def _focal_px(self) -> float:
+        return (self._simulator.camera.fx_px + self._simulator.camera.fy_px) / 2
 
     def _usable_images(self) -> list[int]:
         """Return the numbers of up to 48 images that can be read, evenly chosen."""
@@ -291,6 +359,40 @@ class FlightComparison:
         camera = self._simulator.camera
         radius_px = max(camera.fx_px, camera.fy_px) * np.tan(self._search.angle_rad)
         return float(np.clip(radius_px, 4.0, 0.4 * min(camera.width_px, camera.height_px)))
+
+    def _notes_on(self, times: Sequence[ImageTime]) -> tuple[str, ...]:
+        """Return remarks on times in whole seconds, and on those without a zone."""
+        notes = []
+        coarse_s = [time.grain_s for time in times if time.grain_s >= _LEAST_SEARCHED_S]
+        if coarse_s:
+            notes.append(
+                f"the times of {len(coarse_s)} of {len(times)} images are in steps of {max(coarse_s):g} s, so each was"
+                " compared at the time within its step that fits its trails best"
+            )
+        zoneless = sum(time.is_zoneless for time in times)
+        if zoneless:
+            notes.append(
+                f"the times of {zoneless} of {len(times)} images have no zone and were taken as UTC;"
+                f" {zone_hint(self._local_zone_s())}"
+            )
+        return tuple(notes)
+
+    def _local_zone_s(self) -> float:
+        """Return the zone of the flight by its longitude, whole hours, s."""
+        longitude_rad = float(self._simulator.flight.position.longitude_rad[0])
+        return 3600.0 * round(float(np.rad2deg(np.remainder(longitude_rad + np.pi, 2 * np.pi) - np.pi)) / 15)
+
+    def _zone_hint(self, image: RealImage, shutter: Exposure) -> str:
+        """Return a remark on the zone with which an image without a zone lies in the flight; empty if there is none."""
+        if not image.time.is_zoneless:
+            return ""
+        starts_s = shutter.start_utc_s - _ZONES_S
+        attitude = self._simulator.flight.attitude
+        inside = _ZONES_S[(starts_s >= attitude.first_s) & (starts_s + shutter.span_s <= attitude.last_s)]
+        if not len(inside):
+            return ""
+        zone_s = float(min(inside, key=lambda zone_s: abs(zone_s - self._local_zone_s())))
+        return f"; its time has no zone and was taken as UTC: {zone_hint(zone_s)}, with which it lies in the flight"
 
     def _uncovered(self, shutter: Exposure) -> tuple[str, str] | None:
         """Return why the flight does not cover an exposure (kind, reason); None if it does."""

@@ -249,6 +249,7 @@ def comparison_json(comparison: Comparison, **about: Any) -> dict[str, Any]:
         "schema": SCHEMA,
         **about,
         "time_sources": comparison.time_sources,
+        "notes": list(comparison.notes),
         "pairs": len(comparison.pairs),
         "summary": comparison.summary,
         "alignment": None if comparison.alignment is None else alignment_json(comparison.alignment),

@@ -7,14 +7,15 @@ The sources, in order of preference:
 3. EXIF whose zone is known: by ``OffsetTimeOriginal``, or by the GPS time beside it;
 4. the file name.  EXIF without a zone is taken as UTC, unless the name has another second.
 
-Each time carries a label of its source.
+Each time carries a label of its source, its unit (EXIF without sub-seconds has whole seconds), and whether the source
+states a zone.
 """
 
 import csv
 import json
 import logging
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone
@@ -54,6 +55,9 @@ _DATE_IN_NAME = re.compile(
 _COUNT_IN_NAME = re.compile(r"(?<![\d.])(\d{19}|\d{16}|\d{13}|\d{9,10}(?:\.\d{1,9})?)(?!\d)")
 _COUNTS_PER_S = {19: 1e9, 16: 1e6, 13: 1e3}
 
+# Decimals of a time of day, or of a number.
+_DECIMALS = re.compile(r"\d[.,](\d+)")
+
 # Zones are whole quarters of an hour; a GPS time that is farther than this from one belongs to an older fix.
 _QUARTER_S = 900
 _GPS_AGE_S = 120
@@ -82,6 +86,10 @@ class ImageTime:
     exposure_s: float | None = None  # Exposure time, s; None if the source does not state it
     # Whether the time is known to be the start of the exposure; otherwise the user chooses a `TimeReference`.
     is_start: bool = False
+    # The unit of the time, s: it is cut off or rounded to whole seconds if this is 1; 0 if it is exact.
+    grain_s: float = 0.0
+    # Whether the source states no zone, so that a camera set to local time is wrong by its zone.
+    is_zoneless: bool = False
 
     def fraction_before(self, reference: TimeReference) -> float:
         """Return the fraction of the exposure that lies before this time, 0 to 1.
@@ -99,6 +107,7 @@ class ExifTime:
     utc_s: float | None = None  # UTC seconds since 1970; without a zone, the camera's clock is taken as UTC
     zone: str | None = None  # A label of the zone; None if it is unknown
     exposure_s: float | None = None  # Exposure time, s
+    grain_s: float = 1.0  # Unit of the time, s: 1 without sub-seconds, and with those that are all 0
 
 
 def exposure_of(
@@ -128,16 +137,36 @@ def exposure_of(
 def time_of(path: Path) -> ImageTime | None:
     """Return the time of an image from its EXIF or its name; None if neither has one."""
     exif = read_exif(path)
-    named_s = utc_from_name(path.name)
+    named = _time_in_name(path.name)
+    named_s = None if named is None else named.utc_s
     if exif.utc_s is not None and exif.zone is not None:
-        return ImageTime(exif.utc_s, f"EXIF, {exif.zone}", exif.exposure_s)
+        return ImageTime(exif.utc_s, f"EXIF, {exif.zone}", exif.exposure_s, grain_s=exif.grain_s)
     # EXIF and name with the same second come from one clock: the one with a fraction of a second is more precise.
     same_clock = exif.utc_s is not None and named_s is not None and abs(exif.utc_s - named_s) < 1
     if exif.utc_s is not None and (named_s is None or (same_clock and exif.utc_s % 1 > 0)):
-        return ImageTime(exif.utc_s, "EXIF without a zone, taken as UTC", exif.exposure_s)
-    if named_s is not None:
-        return ImageTime(named_s, "name", exif.exposure_s)
+        label = "EXIF without a zone, taken as UTC"
+        return ImageTime(exif.utc_s, label, exif.exposure_s, grain_s=exif.grain_s, is_zoneless=True)
+    if named is not None:
+        return replace(named, exposure_s=exif.exposure_s)
     return None
+
+
+def with_common_grains(times: Sequence[ImageTime]) -> list[ImageTime]:
+    """Return times with the finest unit that any time of the same source has.
+
+    Programs leave out decimals that are 0, so a single time looks coarser than it is.
+    """
+    finest = dict[str, float]()
+    for time in times:
+        finest[time.source] = min(time.grain_s, finest.get(time.source, time.grain_s))
+    return [replace(time, grain_s=finest[time.source]) for time in times]
+
+
+def zone_hint(zone_s: float) -> str:
+    """Return what a user does about times without a zone; `zone_s`: the zone that the camera may show, s."""
+    hours, minutes = divmod(round(abs(zone_s) / 60), 60)
+    zone = f"{'-' if zone_s < 0 else '+'}{hours:02}:{minutes:02}"
+    return f"if the camera shows local time, such as that of {zone}, add --time-offset {zone_s:g}"
 
 
 def utc_from_name(name: str) -> float | None:
@@ -146,14 +175,22 @@ def utc_from_name(name: str) -> float | None:
     A name without a zone is UTC.  Names are such as ``2019-07-29T204726_Alt40.tiff``, ``IMG_20190729_204726_123.jpg``,
     ``2019-07-29T20:47:26.5Z.png``, ``1564433246.5.png``, ``1564433246500.png``.
     """
+    named = _time_in_name(name)
+    return None if named is None else named.utc_s
+
+
+def _time_in_name(name: str) -> ImageTime | None:
     for found in _DATE_IN_NAME.finditer(name):
         with suppress(ValueError):
-            return _utc_of_date(found)
+            decimals = found["decimals"] or found["milliseconds"] or ""
+            grain_s = 10.0 ** -len(decimals)
+            return ImageTime(_utc_of_date(found), "name", grain_s=grain_s, is_zoneless=found["zone"] is None)
     for found in _COUNT_IN_NAME.finditer(name):
         digits = found[1]
-        utc_s = float(digits) / _COUNTS_PER_S.get(len(digits), 1.0)
+        counts_per_s = _COUNTS_PER_S.get(len(digits), 1.0)
+        utc_s = float(digits) / counts_per_s
         if _YEAR_1990_S <= utc_s < _YEAR_2100_S:
-            return utc_s
+            return ImageTime(utc_s, "name", grain_s=_decimal_grain_s(digits) / counts_per_s)
     return None
 
 
@@ -185,16 +222,20 @@ def read_exif(path: Path) -> ExifTime:
     exposure_s = _exposure_s(tags)
     with suppress(ValueError):
         local = _exif_datetime(_text(tags, "EXIF DateTimeOriginal"))
-        local += timedelta(seconds=_fraction_s(_text(tags, "EXIF SubSecTimeOriginal")))
+        digits = _text(tags, "EXIF SubSecTimeOriginal")
+        local += timedelta(seconds=_fraction_s(digits))
+        # Many cameras write zeros and have no sub-seconds.
+        grain_s = 10.0 ** -len(digits) if digits.strip("0").isdecimal() else 1.0
         offset = _text(tags, "EXIF OffsetTimeOriginal")
         if offset:
             with suppress(ValueError):
-                return ExifTime(local.replace(tzinfo=_zone(offset)).timestamp(), f"zone {offset}", exposure_s)
+                utc_s = local.replace(tzinfo=_zone(offset)).timestamp()
+                return ExifTime(utc_s, f"zone {offset}", exposure_s, grain_s)
         zone_s = _zone_by_gps_s(tags, local)
         if zone_s is not None:
             label = f"zone {zone_s / 3600:+g} h by its GPS time"
-            return ExifTime(local.timestamp() - zone_s, label, exposure_s)
-        return ExifTime(local.timestamp(), None, exposure_s)
+            return ExifTime(local.timestamp() - zone_s, label, exposure_s, grain_s)
+        return ExifTime(local.timestamp(), None, exposure_s, grain_s)
     return ExifTime(exposure_s=exposure_s)
 
 
@@ -268,8 +309,15 @@ def _table_times(table: str, rows: Any, column: str) -> tuple[dict[str, ImageTim
                 f"{table}: {file or 'a row without a file'}: {text[:40]!r} is not a {column} of 1990 to 2100"
             )
             continue
-        times[file] = ImageTime(utc_s, table, _table_exposure_s(row.get("exposure_s")))
+        exposure_s, grain_s = _table_exposure_s(row.get("exposure_s")), _decimal_grain_s(text)
+        times[file] = ImageTime(utc_s, table, exposure_s, grain_s=grain_s)
     return times, problems
+
+
+def _decimal_grain_s(text: str) -> float:
+    """Return the unit of the last digit of a number or a time of day, s: 1 without decimals."""
+    found = _DECIMALS.search(text)
+    return 10.0 ** -len(found[1]) if found else 1.0
 
 
 def _table_exposure_s(text: str | None) -> float | None:

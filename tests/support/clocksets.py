@@ -1,5 +1,6 @@
 """Sets of images with a known clock offset, mount error and readout time, to check the standard errors of `compare`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -42,6 +43,10 @@ class ClockFit:
     turn_error_rad, turn_std_rad : (3,) float64
         About the camera's axes.
     alignment : Alignment
+    left_out : int
+        Images that could not be compared.
+    start_error_s : float
+        Largest error of the start of an exposure that was compared, s.
     """
 
     offset_s: float
@@ -52,6 +57,8 @@ class ClockFit:
     turn_error_rad: np.ndarray
     turn_std_rad: np.ndarray
     alignment: Alignment
+    left_out: int
+    start_error_s: float
 
     @property
     def z(self) -> np.ndarray:
@@ -74,6 +81,9 @@ def clock_fit(
     scatter_mag: float = 0.2,
     fit_mount: bool = True,
     max_readout_s: float = 0.0,
+    stamp: Callable[[float], float] | None = None,
+    grain_s: float = 0.0,
+    spacing_s: float | None = None,
 ) -> ClockFit | None:
     """Draw a set of 8-bit images of a flight in waves and fit their clock and their mount.
 
@@ -99,6 +109,12 @@ def clock_fit(
     max_readout_s : float
         If positive, the rows of the camera open with a random readout time up to this, s, in either direction, and it
         is fitted.
+    stamp : callable or None
+        What the camera writes of the UTC of its clock, such as `math.floor`; None for all digits.
+    grain_s : float
+        The unit of that.
+    spacing_s : float or None
+        Time between the images, so that all have the same fraction of a second; None for random times.
 
     Returns
     -------
@@ -111,7 +127,10 @@ def clock_fit(
     roll = 0.25 * np.sin(2 * np.pi * t / 5.0 + wave[0]) + 0.01 * np.sin(2 * np.pi * 1.3 * t + wave[1])
     pitch = 0.08 * np.sin(2 * np.pi * t / 3.7 + wave[2]) + 0.005 * np.sin(2 * np.pi * 0.9 * t + wave[3])
     yaw = wave[4] + 0.12 * t + 0.1 * np.sin(2 * np.pi * t / 6.1 + wave[5])
-    starts_s = np.linspace(0.5, _FLIGHT_S - 1.0, images) + rng.uniform(0, 0.4, images)
+    margin_s = 2 * grain_s
+    starts_s = np.linspace(0.5 + margin_s, _FLIGHT_S - 1.0 - margin_s, images) + rng.uniform(0, 0.4, images)
+    if spacing_s is not None:
+        starts_s = starts_s[0] + spacing_s * np.arange(images)
     sky = Sky(StarCatalogue.open("bsc5").brighter_than(limit_vmag))
     sensor = Sensor(reference_peak_dn=300.0, sky_std_dn=sky_std_dn)
     every = slice(None, None, 240 // log_hz)
@@ -126,7 +145,8 @@ def clock_fit(
         return Simulator.of(flight, sky, _LENS, Mount(), sensor)
 
     real, thought = simulator(NIGHT_UTC_S + t, attitude), simulator(NIGHT_UTC_S + t[every], logged[every])
-    offset_s = rng.uniform(-_CLOCK_S, _CLOCK_S)
+    largest_s = _CLOCK_S + 0.3 * grain_s
+    offset_s = rng.uniform(-largest_s, largest_s)
     turn_rad = np.deg2rad(rng.uniform(-_TURN_DEG, _TURN_DEG, 3)) * fit_mount
     C_turn = matrix_from_quaternion(quaternion_from_turn(turn_rad))
     vmag = real.stars.vmag + rng.normal(0, scatter_mag, len(real.stars))
@@ -139,18 +159,21 @@ def clock_fit(
         frame = renderer.render(real.scene(exposure), seed=int(rng.integers(2**31)))
         path = folder / f"set{seed}_{number}.png"
         cv2.imwrite(str(path), frame.pixels)
-        equations = ImageTime(NIGHT_UTC_S + start_s + offset_s, "a test", _EXPOSURE_S, is_start=True)
-        taken.append(RealImage(path, equations))
+        written_s = NIGHT_UTC_S + start_s + offset_s
+        written_s = written_s if stamp is None else stamp(written_s)
+        taken.append(RealImage(path, ImageTime(written_s, "a test", _EXPOSURE_S, is_start=True, grain_s=grain_s)))
     comparing = FlightComparison(
         thought,
         renderer,
         taken,
         Exposure(NIGHT_UTC_S, _EXPOSURE_S),
-        search=Search(most_stars=16, time_s=0.025, angle_rad=np.deg2rad(1.0)),
+        search=Search(most_stars=16, time_s=largest_s + 0.005, angle_rad=np.deg2rad(1.0)),
     )
     fitted = comparing.align(fit_time=True, fit_mount=fit_mount, fit_readout=max_readout_s > 0)
     if fitted is None or not fitted.fitted_time:
         return None
+    compared = comparing.run(fitted)
+    off_s = [abs(seen.start_utc_s - NIGHT_UTC_S - starts_s[_number(seen.file)]) for seen in compared.images]
     return ClockFit(
         -fitted.delay_s,
         offset_s,
@@ -160,7 +183,13 @@ def clock_fit(
         fitted.turn_rad - turn_rad,
         fitted.turn_std_rad,
         fitted,
+        len(compared.left_out),
+        float(max(off_s)),
     )
+
+
+def _number(file: str) -> int:
+    return int(file.removesuffix(".png").rpartition("_")[2])
 
 
 def _times(q: np.ndarray, r: np.ndarray) -> np.ndarray:

@@ -80,7 +80,8 @@ def measure_image(request: "ResidualRequest") -> "TrailResiduals":
         comparison = FlightComparison(
             request.simulator.with_flight(flight),
             renderer,
-            [request.image],
+            # The trails are those of the picture shown, at the image's time as it is.
+            [replace(request.image, time=replace(request.image.time, grain_s=0.0))],
             request.exposure,
             reference=request.reference,
             own_length=request.own_length,

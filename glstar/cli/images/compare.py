@@ -252,6 +252,8 @@ def _print_summary(settings: "Config", comparison: "Comparison", written: list[P
             f" {trail['direction_difference_deg']['mean']:+.2f} deg in the mean"
         )
     _print_alignment(settings, comparison)
+    for note in comparison.notes:
+        echo_note(f"note: {note}")
     for one in comparison.left_out[:_LISTED]:
         typer.echo(f"left out: {one.file}: {one.reason}", err=True)
     if len(comparison.left_out) > _LISTED:
