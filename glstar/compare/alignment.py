@@ -425,9 +425,8 @@ def _grain_notes(equations: Sequence[_NormalEquations]) -> list[str]:
     if not grains_s:
         return []
     return [
-        f"the times of {len(grains_s)} of {len(equations)} images are in steps of {max(grains_s):g} s: the time of each"
-        " exposure within them was fitted, and whether the camera cuts off or rounds belongs to the uncertainty; times"
-        " with fractions of a second determine the clock better"
+        f"{len(grains_s)} of {len(equations)} images have times in steps of {max(grains_s):g} s; the uncertainty"
+        " includes that the camera may cut off or round them: times with fractions of a second determine the clock better"
     ]
 
 

@@ -37,6 +37,8 @@ _BYTES_PER_PX = 9
 _MAX_FITTED = 48
 # Times in smaller steps are not searched for, s: the trails are within the search for the camera's direction.
 _LEAST_SEARCHED_S = 0.02
+# Times that are tried within the unit of an image's time, if a cross-correlation does not find it.
+_OWN_TRIES = 31
 # Iterations of the time of a single image, and the step below which it is found, s.
 _OWN_ITERATIONS, _OWN_STEP_S = 4, 1e-3
 # The smallest standard deviation of the attitude error, rad, that a delay of a single image may explain: 0.02 deg.
@@ -146,7 +148,9 @@ class FlightComparison:
             if pairing is None:
                 collected.reject(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
             elif (reason := rejection(pairing, sky) or chance(pairing)) is not None:
-                collected.reject(image.path.name, *reason)
+                grain_s = image.time.grain_s
+                steps = f"; its time is in steps of {grain_s:g} s, and all within were tried"
+                collected.reject(image.path.name, reason[0], reason[1] + steps * (grain_s >= _LEAST_SEARCHED_S))
             else:
                 trails = pairing.trails
                 compared = ComparedImage(
@@ -173,17 +177,34 @@ class FlightComparison:
             return 0.0
         common = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s).with_readout_s(readout_s)
         simulator = replace(self._simulator_for(), mount=mount)
-        own_s = self._searched_delay_s(number, common, simulator, MOST_GRAINS * grain_s)
+        most_s, sky = MOST_GRAINS * grain_s, self._subtracted_image(image)
         turn_std_rad = max(_LEAST_TURN_RAD, 0.0 if alignment is None else alignment.attitude_std_rad)
-        for _ in range(_OWN_ITERATIONS):
-            pairing = self._find_trails(number, mount, delay_s + own_s, readout_s)
-            if pairing is None or not pairing.found_indices:
-                return own_s
-            before_s = own_s
-            own_s = fit_own_delay_s(pairing, self._focal_px, own_s, grain_s, turn_std_rad)
-            if abs(own_s - before_s) < _OWN_STEP_S:
-                break
-        return own_s
+
+        def find(own_s: float) -> Pairing | None:
+            return self._find_trails(number, mount, delay_s + own_s, readout_s)
+
+        def fitted(own_s: float) -> tuple[float, Pairing | None]:
+            for _ in range(_OWN_ITERATIONS):
+                pairing, before_s = find(own_s), own_s
+                if pairing is None or not pairing.found_indices:
+                    break
+                own_s = fit_own_delay_s(pairing, self._focal_px, own_s, grain_s, turn_std_rad)
+                if abs(own_s - before_s) < _OWN_STEP_S:
+                    break
+            return own_s, pairing
+
+        own_s, pairing = fitted(self._searched_delay_s(number, common, simulator, most_s))
+        if pairing is not None and rejection(pairing, sky) is None:
+            return own_s
+        # A few stars are too little for the correlation: search for their trails at all times.
+        best = 0.0, own_s
+        for tried_s in np.linspace(-most_s, most_s, _OWN_TRIES).tolist():
+            self._searches.pop(number, None)
+            pairing = find(tried_s)
+            if pairing is not None and rejection(pairing, sky) is None:
+                best = max(best, (pairing.found_signal, tried_s))
+        self._searches.pop(number, None)
+        return fitted(best[1])[0]
 
     def _searched_delay_s(self, number: int, common: Exposure, simulator: Simulator, search_s: float) -> float:
         """Return the likely delay of an image beside a common exposure, s."""

@@ -55,6 +55,12 @@ class Pairing:
         """Indices of the trails that were found."""
         return [k for k, trail in enumerate(self.found) if trail is not None]
 
+    @property
+    def found_signal(self) -> float:
+        """The part of the predicted signal that was found: squared signal-to-noise ratios, 0 to 1."""
+        squares = self.trails.signal_to_noise**2
+        return float(squares[self.found_indices].sum() / max(squares.sum(), 1e-300))
+
 
 @dataclass(frozen=True, slots=True)
 class Pair:

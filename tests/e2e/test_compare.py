@@ -2,14 +2,23 @@
 
 import json
 import shutil
+from collections.abc import Callable
+from datetime import UTC, datetime
+from math import floor
 from pathlib import Path
+from statistics import median
 
+import cv2
 import pytest
 from typer.testing import CliRunner, Result
 
 from glstar.cli import app
 from glstar.config import Config
+from glstar.sky.place.timescale import parse_utc
 from tests.support.comparisons import CAMERA
+from tests.support.exif import DATE_TIME_ORIGINAL, EXPOSURE_TIME, SUB_SEC_TIME_ORIGINAL, jpeg_with_exif
+
+FLIGHT = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
 
 
 def run(*arguments: str | Path) -> Result:
@@ -124,3 +133,82 @@ def test_stars_of_truth_of_schema_1_are_identified(taken: Path, tmp_path: Path) 
     ]
 
     assert [star | {"catalogue": ""} for star in found[0]] == found[1]
+
+
+# By how much the clock of the camera below is ahead, s.
+AHEAD_S = 0.31
+
+
+@pytest.fixture(scope="module")
+def stamped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, float], tuple[Path, dict[str, float]]]:
+    """Return a function that writes frames as JPEG files whose EXIF has whole seconds of a camera's clock.
+
+    It takes the rule, "floor", "round" or "zeros" (sub-seconds of 00), and the zone that the clock shows, s; it returns
+    the folder and the true start of each exposure, UTC seconds since 1970.
+    """
+    directory = tmp_path_factory.mktemp("stamped")
+    (directory / "camera.toml").write_text(CAMERA, encoding="utf-8")
+    drawn = run(
+        *("export", FLIGHT, "-o", directory / "frames", "-c", directory / "camera.toml", "--start", "17.137"),
+        *("--every", "6.37", "--frames", "6"),
+    )
+    assert drawn.exit_code == 0, drawn.output
+    lines = [json.loads(line) for line in (directory / "frames" / "truth.jsonl").read_text("utf-8").splitlines()]
+
+    def write(rule: str, zone_s: float = 0.0) -> tuple[Path, dict[str, float]]:
+        folder, starts_s = directory / f"{rule}{zone_s:g}", dict[str, float]()
+        folder.mkdir()
+        for line in lines:
+            start_s = parse_utc(line["utc_start"])
+            written_s = (round if rule == "round" else floor)(start_s + AHEAD_S) + zone_s
+            exif = {DATE_TIME_ORIGINAL: f"{datetime.fromtimestamp(written_s, UTC):%Y:%m:%d %H:%M:%S}"}
+            exif |= {SUB_SEC_TIME_ORIGINAL: "00"} if rule == "zeros" else {}
+            name = f"{Path(line['file']).stem}.jpg"
+            pixels = cv2.imread(str(directory / "frames" / line["file"]), cv2.IMREAD_UNCHANGED)
+            (folder / name).write_bytes(jpeg_with_exif(pixels, exif | {EXPOSURE_TIME: [(4, 10)]}))
+            starts_s[name] = start_s
+        return folder, starts_s
+
+    return write
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rule", "fit"), [("floor", ["--fit-time-offset"]), ("round", ["--fit-time-offset", "--fit-mount"]), ("zeros", [])]
+)
+def test_times_in_whole_seconds_are_fitted_within_them(
+    stamped: Callable[..., tuple[Path, dict[str, float]]], taken: Path, tmp_path: Path, rule: str, fit: list[str]
+) -> None:
+    folder, starts_s = stamped(rule)
+
+    result = run(
+        *("compare", FLIGHT, folder, "-c", taken / "camera.toml", "-o", tmp_path / "out", "--stars", "12", *fit)
+    )
+
+    assert result.exit_code == 0, result.output
+    facts = json.loads((tmp_path / "out" / "compare.json").read_text(encoding="utf-8"))
+    assert facts["left_out"]["count"] == 0, facts["left_out_images"]
+    off_s = [abs(image["start_utc_s"] - starts_s[image["file"]]) for image in facts["images"]]
+    assert median(off_s) < 0.003
+    assert max(off_s) < 0.05  # one is of a slow turn: 0.02 deg
+    steps, zone = facts["notes"]
+    assert steps in result.stderr
+    assert "6 of 6 images are in steps of 1 s" in steps
+    assert "6 of 6 images have no zone and were taken as UTC" in zone
+    assert "--time-offset 32400" in zone
+    if fit:
+        fitted = facts["alignment"]
+        assert 0.2 < fitted["time_offset_std_s"] < 0.5
+        assert abs(fitted["time_offset_change_s"] - AHEAD_S) < 1.6 * fitted["time_offset_std_s"]
+        assert "may cut off or round" in fitted["notes"][0]
+
+
+def test_images_of_a_clock_in_local_time_are_refused_with_the_zone(
+    stamped: Callable[..., tuple[Path, dict[str, float]]], taken: Path, tmp_path: Path
+) -> None:
+    folder, _ = stamped("floor", 34200.0)
+
+    result = run("compare", FLIGHT, folder, "-c", taken / "camera.toml", "-o", tmp_path / "out")
+
+    assert result.exit_code == 1
+    assert "add --time-offset 34200, with which it lies in the flight" in result.output
