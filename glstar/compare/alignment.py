@@ -426,7 +426,8 @@ def _grain_notes(equations: Sequence[_NormalEquations]) -> list[str]:
         return []
     return [
         f"{len(grains_s)} of {len(equations)} images have times in steps of {max(grains_s):g} s; the uncertainty"
-        " includes that the camera may cut off or round them: times with fractions of a second determine the clock better"
+        " includes that the camera may cut off or round them: times with fractions of a second determine the clock"
+        " better"
     ]
 
 

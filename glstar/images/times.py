@@ -154,7 +154,7 @@ def time_of(path: Path) -> ImageTime | None:
 def with_common_grains(times: Sequence[ImageTime]) -> list[ImageTime]:
     """Return times with the finest unit that any time of the same source has.
 
-    Programs leave out decimals that are 0, so a single time looks coarser than it is.
+    Programs leave out decimals that are 0, so a single time seems coarser than it is.
     """
     finest = dict[str, float]()
     for time in times:
@@ -187,7 +187,7 @@ def _time_in_name(name: str) -> ImageTime | None:
             return ImageTime(_utc_of_date(found), "name", grain_s=grain_s, is_zoneless=found["zone"] is None)
     for found in _COUNT_IN_NAME.finditer(name):
         digits = found[1]
-        counts_per_s = _COUNTS_PER_S.get(len(digits), 1.0)
+        counts_per_s = 1.0 if "." in digits else _COUNTS_PER_S.get(len(digits), 1.0)
         utc_s = float(digits) / counts_per_s
         if _YEAR_1990_S <= utc_s < _YEAR_2100_S:
             return ImageTime(utc_s, "name", grain_s=_decimal_grain_s(digits) / counts_per_s)

@@ -19,6 +19,8 @@ from glstar.images.times import (
     read_truth,
     time_of,
     utc_from_name,
+    with_common_grains,
+    zone_hint,
 )
 from glstar.sky.place.timescale import format_utc, parse_utc
 from tests.support.exif import (
@@ -75,6 +77,8 @@ def test_the_start_of_an_exposure_is_derived_from_its_middle_or_end(reference: T
         ("night_20190729T204726Z.tif", 0.0),
         ("1564433246.png", 0.0),
         ("1564433246.5.png", 0.5),
+        ("1564433246.25.png", 0.25),
+        ("1564433246.25000.png", 0.25),
         ("frame_1564433246500.png", 0.5),
         ("1564433246250000.png", 0.25),
         ("1564433246250000000.png", 0.25),
@@ -163,6 +167,53 @@ def test_fractional_seconds_take_precedence_when_name_and_exif_agree(tmp_path: P
     assert by_exif is not None
     assert by_name is not None
     assert (by_exif.utc_s, by_name.utc_s) == (ESA_UTC_S + 0.75, ESA_UTC_S + 0.5)
+
+
+@pytest.mark.parametrize(
+    ("sub_seconds", "grain_s"),
+    [(None, 1.0), ("00", 1.0), ("000", 1.0), ("5", 0.1), ("75", 0.01), ("750", 1e-3), ("x", 1.0)],
+)
+def test_exif_has_the_unit_of_its_sub_seconds(tmp_path: Path, sub_seconds: str | None, grain_s: float) -> None:
+    exif = {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"} | ({SUB_SEC_TIME_ORIGINAL: sub_seconds} if sub_seconds else {})
+    for zone in ({}, {OFFSET_TIME_ORIGINAL: "+00:00"}):
+        found = time_of(photo(tmp_path / "a.jpg", exif | zone))
+        assert found is not None
+        assert found.grain_s == pytest.approx(grain_s)
+        assert found.is_zoneless == (not zone)
+
+
+@pytest.mark.parametrize(
+    ("name", "grain_s", "is_zoneless"),
+    [
+        ("20190729_204726.png", 1.0, True),
+        ("20190729_204726_123.png", 1e-3, True),
+        ("2019-07-29T20:47:26.5Z.png", 0.1, False),
+        ("2019-07-30T06:17:26+09:30.png", 1.0, False),
+        ("1564433246.png", 1.0, False),
+        ("1564433246.25.png", 0.01, False),
+        ("1564433246500.png", 1e-3, False),
+    ],
+)
+def test_names_have_the_unit_of_their_last_digit(tmp_path: Path, name: str, grain_s: float, is_zoneless: bool) -> None:
+    (tmp_path / name).write_bytes(b"")
+    found = time_of(tmp_path / name)
+    assert found is not None
+    assert (found.grain_s, found.is_zoneless) == (pytest.approx(grain_s), is_zoneless)
+
+
+def test_a_source_has_the_finest_unit_of_its_times(tmp_path: Path) -> None:
+    table = tmp_path / "images.csv"
+    table.write_text("file,utc\na.png,2019-07-29T20:47:26Z\nb.png,2019-07-29T20:47:26.5Z\n", encoding="utf-8")
+    times, _ = read_table(table)
+    named = ImageTime(ESA_UTC_S, "name", grain_s=1.0)
+    assert [time.grain_s for time in (times["a.png"], times["b.png"])] == [1.0, 0.1]
+    assert [time.grain_s for time in with_common_grains([*times.values(), named])] == [0.1, 0.1, 1.0]
+
+
+@pytest.mark.parametrize(("zone_s", "said"), [(34200.0, "+09:30"), (-12600.0, "-03:30"), (0.0, "+00:00")])
+def test_the_hint_for_local_time_names_zone_and_option(zone_s: float, said: str) -> None:
+    assert said in zone_hint(zone_s)
+    assert f"--time-offset {zone_s:.0f}" in zone_hint(zone_s)
 
 
 @pytest.mark.parametrize("date", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2019:13:45 99:99:99", ""])
