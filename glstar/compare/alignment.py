@@ -38,6 +38,8 @@ _MAX_ITERATIONS = 8
 # The fit has converged when each step is below this fraction of the standard error, or below these (rad, s).
 _CONVERGED_FRACTION = 0.05
 _CONVERGED = np.array([1e-6, 1e-6, 1e-6, 2e-5, 2e-5])
+# Iterations of the time of a single image, and delays that are tried if a cross-correlation does not find it.
+_OWN_ITERATIONS, _OWN_TRIES = 4, 31
 # The times of single images have converged below this step, s.
 _CONVERGED_OWN_S = 1e-3
 # The smallest standard deviation of the time of an image, s: 0 has no inverse.
@@ -350,17 +352,38 @@ def _image_equations(pairing: Pairing, focal_px: float, *, fit_readout: bool) ->
     return _NormalEquations(normal / spread, right / spread, count, float(np.sqrt(np.mean(speed_px**2))) / focal_px)
 
 
-def fit_own_delay_s(pairing: Pairing, focal_px: float, own_s: float, grain_s: float, turn_std_rad: float) -> float:
-    """Return the delay of one image whose time has a unit, s, that fits its trails best.
+def fit_own_delay(
+    find: Callable[[float], Pairing | None], start_s: float, focal_px: float, grain_s: float, turn_std_rad: float
+) -> tuple[float, Pairing | None]:
+    """Return the delay of one image whose time has a unit, s, that fits its trails best, and these trails.
 
-    `pairing`: its trails at the delay `own_s`; `turn_std_rad`: standard deviation of its attitude error.
+    `find`: finds its trails at a delay; `turn_std_rad`: standard deviation of its attitude error.
     """
-    image = _image_equations(pairing, focal_px, fit_readout=False)
     free = [*range(3), _TIME]
     precision = np.diag([*[turn_std_rad**-2] * 3, 1 / (grain_s**2 * (_WITHIN_GRAIN + _RULE))])
-    right = image.right[free] + own_s * image.normal[free, _TIME]
-    motion = np.linalg.solve(image.normal[np.ix_(free, free)] + precision, right)
-    return float(np.clip(motion[-1], -MOST_GRAINS * grain_s, MOST_GRAINS * grain_s))
+    own_s = start_s
+    for _ in range(_OWN_ITERATIONS):
+        pairing, before_s = find(own_s), own_s
+        if pairing is None or not pairing.found_indices:
+            break
+        image = _image_equations(pairing, focal_px, fit_readout=False)
+        right = image.right[free] + own_s * image.normal[free, _TIME]
+        motion = np.linalg.solve(image.normal[np.ix_(free, free)] + precision, right)
+        own_s = float(np.clip(motion[-1], -MOST_GRAINS * grain_s, MOST_GRAINS * grain_s))
+        if abs(own_s - before_s) < _CONVERGED_OWN_S:
+            break
+    return own_s, pairing
+
+
+def best_own_delay_s(find: Callable[[float], Pairing | None], grain_s: float) -> float | None:
+    """Return the delay of one image, of many within the unit of its time, at which most of its light is found.
+
+    `find`: finds its trails at a delay; None if it is no evidence.  Returns None if there is none at any delay.
+    """
+    most_s = MOST_GRAINS * grain_s
+    found = [(find(tried_s), tried_s) for tried_s in np.linspace(-most_s, most_s, _OWN_TRIES).tolist()]
+    evidence = [(pairing.found_signal, tried_s) for pairing, tried_s in found if pairing is not None]
+    return max(evidence)[1] if evidence else None
 
 
 def _is_turning(equations: Sequence[_NormalEquations]) -> bool:

@@ -14,7 +14,14 @@ from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor.sensor import Sensor
-from glstar.compare.alignment import MIDDLE_GRAINS, MOST_GRAINS, Alignment, fit_alignment, fit_own_delay_s
+from glstar.compare.alignment import (
+    MIDDLE_GRAINS,
+    MOST_GRAINS,
+    Alignment,
+    best_own_delay_s,
+    fit_alignment,
+    fit_own_delay,
+)
 from glstar.compare.coarsealignment import likely_delay_s, likely_readout, likely_start
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, chance, rejection
 from glstar.compare.detection import SubtractedImage, subtract_background
@@ -22,7 +29,8 @@ from glstar.compare.pairs import Pairing, measure, pair_trails
 from glstar.compare.prediction import Trails, predicted_trails
 from glstar.errors import ConfigError, ImagesError
 from glstar.export.frame import frame_seed
-from glstar.images import ImageTime, RealImage, TimeReference, exposure_of, read_grey, with_common_grains, zone_hint
+from glstar.images import RealImage, TimeReference, exposure_of, read_grey
+from glstar.images.times import LEAST_SEARCHED_S, local_zone_s, time_notes, with_common_grains, zone_note
 from glstar.render.effects import scaled_keys
 from glstar.render.scene.scene import Renderer
 from glstar.render.simulator import Simulator
@@ -35,16 +43,8 @@ _CACHE_BYTES = 600 * 2**20
 _BYTES_PER_PX = 9
 # Largest number of images in a fit, evenly chosen: its error falls with the square root, its time grows in proportion.
 _MAX_FITTED = 48
-# Times in smaller steps are not searched for, s: the trails are within the search for the camera's direction.
-_LEAST_SEARCHED_S = 0.02
-# Times that are tried within the unit of an image's time, if a cross-correlation does not find it.
-_OWN_TRIES = 31
-# Iterations of the time of a single image, and the step below which it is found, s.
-_OWN_ITERATIONS, _OWN_STEP_S = 4, 1e-3
 # The smallest standard deviation of the attitude error, rad, that a delay of a single image may explain: 0.02 deg.
 _LEAST_TURN_RAD = 3.5e-4
-# Zones of cameras, s: quarters of an hour, from -12 to 14 h.
-_ZONES_S = 900.0 * np.arange(-48, 57)
 # A mount with a larger standard error is not determined, deg.
 _MAX_MOUNT_STD_DEG = 1.0
 _BY_HAND = "set clock or mount by hand first"
@@ -107,6 +107,7 @@ class FlightComparison:
         self._given_readout_s = exposure.readout_s
         self._stack = exposure
         times = with_common_grains([image.time for image in images])
+        zone_s = local_zone_s(float(simulator.flight.position.longitude_rad[0]))
         for image in (replace(image, time=time) for image, time in zip(images, times, strict=True)):
             # Star paths are sampled at equal time steps, as for sub-exposures.
             even = replace(exposure, trail="sprites")
@@ -118,11 +119,13 @@ class FlightComparison:
             if reason is None:
                 self._exposures.append((image, shutter))
             else:
-                hint = self._zone_hint(image, shutter)
+                attitude = simulator.flight.attitude
+                latest_s = attitude.last_s - shutter.span_s
+                hint = zone_note(image.time, shutter.start_utc_s, (attitude.first_s, latest_s), zone_s)
                 self._rejected.append(RejectedImage(image.path.name, reason[1] + hint, reason[0]))
         self._folder = images[0].path.parent if images else Path()
         self._time_sources = _count_sources(images)
-        self._notes = self._notes_on(times)
+        self._notes = time_notes(times, zone_s)
 
     def run(self, alignment: Alignment | None = None, *, on_step: OnStep | None = None) -> Comparison:
         """Compare all images.
@@ -150,7 +153,7 @@ class FlightComparison:
             elif (reason := rejection(pairing, sky) or chance(pairing)) is not None:
                 grain_s = image.time.grain_s
                 steps = f"; its time is in steps of {grain_s:g} s, and all within were tried"
-                collected.reject(image.path.name, reason[0], reason[1] + steps * (grain_s >= _LEAST_SEARCHED_S))
+                collected.reject(image.path.name, reason[0], reason[1] + steps * (grain_s >= LEAST_SEARCHED_S))
             else:
                 trails = pairing.trails
                 compared = ComparedImage(
@@ -173,38 +176,27 @@ class FlightComparison:
         """Return the delay of an image whose time is in whole seconds beside the common one, s; 0 if it is exact."""
         image, shutter = self._exposures[number]
         grain_s = image.time.grain_s
-        if grain_s < _LEAST_SEARCHED_S:
+        if grain_s < LEAST_SEARCHED_S:
             return 0.0
         common = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s).with_readout_s(readout_s)
-        simulator = replace(self._simulator_for(), mount=mount)
-        most_s, sky = MOST_GRAINS * grain_s, self._subtracted_image(image)
+        simulator, sky = replace(self._simulator_for(), mount=mount), self._subtracted_image(image)
+        searched_s = self._searched_delay_s(number, common, simulator, MOST_GRAINS * grain_s)
         turn_std_rad = max(_LEAST_TURN_RAD, 0.0 if alignment is None else alignment.attitude_std_rad)
 
         def find(own_s: float) -> Pairing | None:
             return self._find_trails(number, mount, delay_s + own_s, readout_s)
 
-        def fitted(own_s: float) -> tuple[float, Pairing | None]:
-            for _ in range(_OWN_ITERATIONS):
-                pairing, before_s = find(own_s), own_s
-                if pairing is None or not pairing.found_indices:
-                    break
-                own_s = fit_own_delay_s(pairing, self._focal_px, own_s, grain_s, turn_std_rad)
-                if abs(own_s - before_s) < _OWN_STEP_S:
-                    break
-            return own_s, pairing
+        def find_anywhere(own_s: float) -> Pairing | None:
+            self._searches.pop(number, None)
+            pairing = find(own_s)
+            return pairing if pairing is not None and rejection(pairing, sky) is None else None
 
-        own_s, pairing = fitted(self._searched_delay_s(number, common, simulator, most_s))
+        own_s, pairing = fit_own_delay(find, searched_s, self._focal_px, grain_s, turn_std_rad)
         if pairing is not None and rejection(pairing, sky) is None:
             return own_s
-        # A few stars are too little for the correlation: search for their trails at all times.
-        best = 0.0, own_s
-        for tried_s in np.linspace(-most_s, most_s, _OWN_TRIES).tolist():
-            self._searches.pop(number, None)
-            pairing = find(tried_s)
-            if pairing is not None and rejection(pairing, sky) is None:
-                best = max(best, (pairing.found_signal, tried_s))
-        self._searches.pop(number, None)
-        return fitted(best[1])[0]
+        # A few stars are too little for a cross-correlation.
+        tried_s = best_own_delay_s(find_anywhere, grain_s)
+        return own_s if tried_s is None else fit_own_delay(find, tried_s, self._focal_px, grain_s, turn_std_rad)[0]
 
     def _searched_delay_s(self, number: int, common: Exposure, simulator: Simulator, search_s: float) -> float:
         """Return the likely delay of an image beside a common exposure, s."""
@@ -229,7 +221,7 @@ class FlightComparison:
             return None
         simulator = self._simulator_for()
         grains_s = [self._exposures[number][0].time.grain_s for number in usable]
-        exact = [number for number, grain_s in zip(usable, grains_s, strict=True) if grain_s < _LEAST_SEARCHED_S]
+        exact = [number for number, grain_s in zip(usable, grains_s, strict=True) if grain_s < LEAST_SEARCHED_S]
         start = np.zeros(3), 0.0, self._given_readout_s
         if exact:
             start = self._start(exact, fit_time=fit_time, fit_readout=fit_readout)
@@ -267,7 +259,7 @@ class FlightComparison:
         """
         own_s = np.zeros(len(usable))
         for row, (number, grain_s) in enumerate(zip(usable, grains_s, strict=True)):
-            if grain_s >= _LEAST_SEARCHED_S:
+            if grain_s >= LEAST_SEARCHED_S:
                 _, shutter = self._exposures[number]
                 common = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s)
                 most_s = MOST_GRAINS * grain_s + search_s
@@ -380,40 +372,6 @@ class FlightComparison:
         camera = self._simulator.camera
         radius_px = max(camera.fx_px, camera.fy_px) * np.tan(self._search.angle_rad)
         return float(np.clip(radius_px, 4.0, 0.4 * min(camera.width_px, camera.height_px)))
-
-    def _notes_on(self, times: Sequence[ImageTime]) -> tuple[str, ...]:
-        """Return remarks on times in whole seconds, and on those without a zone."""
-        notes = []
-        coarse_s = [time.grain_s for time in times if time.grain_s >= _LEAST_SEARCHED_S]
-        if coarse_s:
-            notes.append(
-                f"the times of {len(coarse_s)} of {len(times)} images are in steps of {max(coarse_s):g} s, so each was"
-                " compared at the time within its step that fits its trails best"
-            )
-        zoneless = sum(time.is_zoneless for time in times)
-        if zoneless:
-            notes.append(
-                f"the times of {zoneless} of {len(times)} images have no zone and were taken as UTC;"
-                f" {zone_hint(self._local_zone_s())}"
-            )
-        return tuple(notes)
-
-    def _local_zone_s(self) -> float:
-        """Return the zone of the flight by its longitude, whole hours, s."""
-        longitude_rad = float(self._simulator.flight.position.longitude_rad[0])
-        return 3600.0 * round(float(np.rad2deg(np.remainder(longitude_rad + np.pi, 2 * np.pi) - np.pi)) / 15)
-
-    def _zone_hint(self, image: RealImage, shutter: Exposure) -> str:
-        """Return a remark on the zone with which an image without a zone lies in the flight; empty if there is none."""
-        if not image.time.is_zoneless:
-            return ""
-        starts_s = shutter.start_utc_s - _ZONES_S
-        attitude = self._simulator.flight.attitude
-        inside = _ZONES_S[(starts_s >= attitude.first_s) & (starts_s + shutter.span_s <= attitude.last_s)]
-        if not len(inside):
-            return ""
-        zone_s = float(min(inside, key=lambda zone_s: abs(zone_s - self._local_zone_s())))
-        return f"; its time has no zone and was taken as UTC: {zone_hint(zone_s)}, with which it lies in the flight"
 
     def _uncovered(self, shutter: Exposure) -> tuple[str, str] | None:
         """Return why the flight does not cover an exposure (kind, reason); None if it does."""

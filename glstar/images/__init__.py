@@ -6,7 +6,7 @@ their pixels.
 
 from glstar.images.decoding import FittedImage, Grey, fit, read_grey
 from glstar.images.folder import RealImage, RealImages, choose_images, find_images, triggered_images
-from glstar.images.times import ImageTime, TimeReference, exposure_of, with_common_grains, zone_hint
+from glstar.images.times import ImageTime, TimeReference, exposure_of
 
 __all__ = [
     "FittedImage",
@@ -21,6 +21,4 @@ __all__ = [
     "fit",
     "read_grey",
     "triggered_images",
-    "with_common_grains",
-    "zone_hint",
 ]

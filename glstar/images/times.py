@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone
 from enum import StrEnum
-from math import isfinite
+from math import degrees, isfinite, remainder
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +58,12 @@ _COUNTS_PER_S = {19: 1e9, 16: 1e6, 13: 1e3}
 # Decimals of a time of day, or of a number.
 _DECIMALS = re.compile(r"\d[.,](\d+)")
 
+# Images whose times have a unit from this one on are searched for within it, s.
+LEAST_SEARCHED_S = 0.02
 # Zones are whole quarters of an hour; a GPS time that is farther than this from one belongs to an older fix.
 _QUARTER_S = 900
+# From -12 to 14 h.
+_ZONES_S = [float(_QUARTER_S * quarters) for quarters in range(-48, 57)]
 _GPS_AGE_S = 120
 
 # exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
@@ -167,6 +171,42 @@ def zone_hint(zone_s: float) -> str:
     hours, minutes = divmod(round(abs(zone_s) / 60), 60)
     zone = f"{'-' if zone_s < 0 else '+'}{hours:02}:{minutes:02}"
     return f"if the camera shows local time, such as that of {zone}, add --time-offset {zone_s:g}"
+
+
+def local_zone_s(longitude_rad: float) -> float:
+    """Return the zone of a longitude of any turn, whole hours, s."""
+    return 3600.0 * round(remainder(degrees(longitude_rad), 360.0) / 15)
+
+
+def time_notes(times: Sequence[ImageTime], zone_s: float) -> tuple[str, ...]:
+    """Return remarks on times in whole seconds, and on those without a zone; `zone_s`: that of the flight, s."""
+    notes = []
+    coarse_s = [time.grain_s for time in times if time.grain_s >= LEAST_SEARCHED_S]
+    if coarse_s:
+        notes.append(
+            f"the times of {len(coarse_s)} of {len(times)} images are in steps of {max(coarse_s):g} s, so each was"
+            " compared at the time within its step that fits its trails best"
+        )
+    zoneless = sum(time.is_zoneless for time in times)
+    if zoneless:
+        notes.append(
+            f"the times of {zoneless} of {len(times)} images have no zone and were taken as UTC; {zone_hint(zone_s)}"
+        )
+    return tuple(notes)
+
+
+def zone_note(time: ImageTime, start_utc_s: float, within_s: tuple[float, float], zone_s: float) -> str:
+    """Return a remark on the zone that brings an exposure into a flight; empty if the time has a zone, or none does.
+
+    `start_utc_s`: the start of the exposure, UTC seconds since 1970; `within_s`: the first and the last possible start
+    in the flight; `zone_s`: the likely zone, s.
+    """
+    first_s, last_s = within_s
+    fitting_s = [each_s for each_s in _ZONES_S if first_s <= start_utc_s - each_s <= last_s]
+    if not time.is_zoneless or not fitting_s:
+        return ""
+    hint = zone_hint(min(fitting_s, key=lambda each_s: abs(each_s - zone_s)))
+    return f"; its time has no zone and was taken as UTC: {hint}, with which it lies in the flight"
 
 
 def utc_from_name(name: str) -> float | None:
