@@ -1,6 +1,6 @@
 """Calibration files of cameras.
 
-Six dialects of YAML are read.  The dialect of a file is recognized by its keys:
+Six dialects of YAML are read, by the rules of `glstar.camera.camerakeys`:
 
 =========================  ==========================================================  ============================
 dialect                    camera matrix                                               image size
@@ -13,46 +13,63 @@ VINS-Fusion (camodocal)    ``projection_parameters: {fx, fy, cx, cy}``          
 ORB-SLAM2, ORB-SLAM3       ``Camera.fx``, ``Camera1.fx`` ...                           ``Camera.width, Camera.height``
 =========================  ==========================================================  ============================
 
-JSON is a subset of YAML and is read too.  All dialects put pixel (0, 0) at the CENTRE of the top-left pixel, as glstar
-does, so that no position is shifted.  The lens models are OpenCV's (`glstar.camera.distortion`): plumb_bob (radtan),
-rational_polynomial and fisheye (equidistant).  If a file does not name its model, the number of coefficients decides:
-4 or 5 mean plumb_bob, and 8, 12 or 14 mean rational.  A fisheye must be named.
+JSON is a subset of YAML and is read too, and so is OpenCV's XML.  All dialects put pixel (0, 0) at the CENTRE of the
+top-left pixel, as glstar does, so that no position is shifted.  The lens models are OpenCV's
+(`glstar.camera.distortion`): plumb_bob (radtan), rational_polynomial and fisheye (equidistant).  If a file does not
+name its model, the number of coefficients decides: 4 or 5 mean plumb_bob, and 8, 12 or 14 mean rational.  A fisheye
+must be named, by any key.
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import replace
-from math import isfinite
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
 from os import PathLike
-from reprlib import Repr
-from typing import NoReturn
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import yaml
 
 from glstar.arrays import Float
-from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
+from glstar.camera.camerakeys import (
+    INTRINSIC_KEYS,
+    MATRIX_KEYS,
+    Keys,
+    camera_of,
+    entries_of,
+    kind_of,
+    label,
+    model_of,
+    normalized,
+)
+from glstar.camera.distortion import COEFFICIENTS, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.system.userinput import read_text
 
-Keys = Mapping[object, object]
-
-# Limits a value quoted in a message to one short line, however large or deep it is.
-_REPR = Repr()
-_REPR.maxlist = _REPR.maxdict = _REPR.maxtuple = 9
-_REPR.maxlevel = 1
-_REPR.maxstring = _REPR.maxother = 60
+DIALECTS = (
+    "OpenCV and ROS camera_info files (camera_matrix), Kalibr camchains (cam0), and files of EuRoC, VINS-Fusion and"
+    " ORB-SLAM"
+)
+# Documents of one file that are compared: "ros2 topic echo" writes one per message.
+_MOST_DOCUMENTS = 10
 
 
 class _Loader(yaml.SafeLoader):
     """Loads plain values: no objects and no merge keys, which can grow without bound.  OpenCV's tags are ignored."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Reject ``<<: *alias``; calibration files do not need it."""
-        for key, _ in node.value:
+        """Reject ``<<: *alias``, which calibration files do not need, and a key with two values."""
+        values: dict[str, object] = {}
+        for key, value in node.value:
             if key.tag == "tag:yaml.org,2002:merge":
                 raise yaml.constructor.ConstructorError(None, None, "merge keys (<<) are not read", key.start_mark)
+            if not isinstance(key.value, str):
+                continue
+            content = value.value if isinstance(value, yaml.ScalarNode) else value
+            if values.setdefault(key.value, content) != content:
+                problem = f"the key {label(key.value)} occurs twice, with two values"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
 
 
 def _opencv_value(loader: yaml.SafeLoader, _tag: str, node: yaml.Node) -> object:
@@ -67,30 +84,65 @@ def _opencv_value(loader: yaml.SafeLoader, _tag: str, node: yaml.Node) -> object
 _Loader.add_multi_constructor("tag:yaml.org,2002:opencv-", _opencv_value)
 
 
-def top_level_keys(text: str) -> Keys:
-    """Return the top-level keys and values of a calibration file."""
+def documents_of(text: str) -> Iterator[Keys]:
+    """Yield the keys and values of the documents of a calibration file; the first one is checked."""
     if text.lstrip().startswith(("<?xml", "<opencv_storage")):
-        raise CalibrationError("is XML; glstar reads the YAML that OpenCV writes into a file named .yml")
+        yield _keys_of_xml(text)
+        return
     # OpenCV 4 starts with "%YAML:1.0", which is not valid YAML; an empty line keeps the line numbers of messages right.
     text = re.sub(r"\A\s*%YAML:.*", "", text)
+    documents = (document for document in yaml.load_all(text, _Loader) if document is not None)
     try:
         # "ros2 topic echo" ends each message with "---": the first document is the camera.
-        keys = next((document for document in yaml.load_all(text, _Loader) if document is not None), None)
+        keys = next(documents, None)
     except yaml.YAMLError as error:
         raise CalibrationError(f"is not YAML: {_yaml_message(error)}") from None
     except (ValueError, TypeError, RecursionError) as error:
         raise CalibrationError(f"is not YAML that describes a camera: {_unquoted(str(error))}") from None
     if keys is None:
         raise CalibrationError("is empty")
+    if isinstance(keys, str) and re.match(r"\d+ [A-Z_]+ \d+ \d+ [-\d.]", keys):
+        raise CalibrationError(
+            "is a list of cameras by COLMAP; write the camera as camera_matrix, distortion_model and"
+            " distortion_coefficients with image_width and image_height, and subtract 0.5 from its cx and cy"
+        )
     if not isinstance(keys, Mapping):
         raise CalibrationError(f"holds no keys and values, but {kind_of(keys)}; glstar reads {DIALECTS}")
-    return keys
+    yield keys
+    try:
+        yield from (other for other in documents if isinstance(other, Mapping))
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError):
+        return  # the last message of a stream may be cut off
 
 
-DIALECTS = (
-    "OpenCV and ROS camera_info files (camera_matrix), Kalibr camchains (cam0), and files of EuRoC, VINS-Fusion and"
-    " ORB-SLAM"
-)
+def _keys_of_xml(text: str) -> Keys:
+    """Return the keys and values of a file that OpenCV writes into a file named .xml."""
+    if "<!DOCTYPE" in text:
+        raise CalibrationError("is XML with a document type, which OpenCV does not write")
+    try:
+        root = ET.fromstring(text.lstrip())  # noqa: S314 - no document type, thus no entities
+    except (ET.ParseError, ValueError) as error:
+        raise CalibrationError(f"is XML that cannot be read: {error}") from None
+    if root.tag != "opencv_storage":
+        raise CalibrationError(f"is XML of another program than OpenCV ({label(root.tag)}); glstar reads {DIALECTS}")
+    if not len(root):
+        raise CalibrationError("is empty")
+    return {node.tag: _xml_value(node) for node in root}
+
+
+def _xml_value(node: ET.Element) -> object:
+    """Return a number, a text, a list or a mapping; a matrix is a mapping with rows, cols and data."""
+    children = list(node)
+    if children and all(child.tag == "_" for child in children):
+        return [_xml_value(child) for child in children]
+    if children:
+        return {child.tag: _xml_value(child) for child in children}
+    words = (node.text or "").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return " ".join(words).strip('"')
+    return numbers if node.tag == "data" or len(numbers) > 1 else numbers[0] if numbers else None
 
 
 def _yaml_message(error: yaml.YAMLError) -> str:
@@ -109,131 +161,44 @@ def _unquoted(message: str) -> str:
     return " ".join(re.sub(r"'[^<'][^']+'", "'...'", message).split())[:200]
 
 
-def kind_of(value: object) -> str:
-    """Return the kind of a value without its content, because the wrong file may be private."""
-    return "a list" if isinstance(value, list) else "text" if isinstance(value, str) else "one value"
+# Size limit of a calibration file, bytes: OpenCV's file with the corners of a hundred chessboards is smaller.
+_LARGEST_BYTES = 2 * 2**20
 
+# Plausible magnitude of the coefficients of a plumb_bob or fisheye lens; larger ones mean that the calibration failed.
+_LARGEST_COEFFICIENT = 10.0
 
-def normalized(key: object) -> str:
-    """Return a key in lower case without underscores, hyphens and spaces."""
-    return label(key).lower().replace("_", "").replace("-", "").replace(" ", "")
-
-
-def abbreviated(value: object) -> str:
-    """Return a value for a message: one short line, strings in quotes."""
-    return _REPR.repr(value)
-
-
-def label(value: object) -> str:
-    """Return a value for a message: one short line, strings without quotes."""
-    return abbreviated(value).strip("'\"")
-
-
-def read_matrix(key: str, value: object) -> Float:
-    """Return a 3 x 3 matrix written as in OpenCV or ROS files, as three rows, or as nine numbers."""
-    if isinstance(value, Mapping) and (value.get("rows"), value.get("cols")) != (3, 3):
-        raise CalibrationError(
-            f"{key} is {abbreviated(value.get('rows'))} x {abbreviated(value.get('cols'))};"
-            " a camera matrix has rows: 3, cols: 3"
-        )
-    numbers = read_numbers(key, value)
-    if len(numbers) != 9:
-        raise CalibrationError(f"{key} holds {len(numbers)} numbers; a camera matrix has 9, row by row")
-    return np.array(numbers).reshape(3, 3)
-
-
-def read_numbers(key: str, value: object) -> list[float]:
-    """Return the numbers of a matrix, a list or a list of lists, in row order."""
-    if isinstance(value, Mapping):
-        if "data" not in value:
-            raise CalibrationError(f"{key} has no data: [...]")
-        return read_numbers(f"{key}.data", value["data"])
-    if not isinstance(value, list):
-        _not_a_number(key, value, "a list of numbers")
-    return [read_number(key, item) for row in value for item in (row if isinstance(row, list) else [row])]
-
-
-def read_number(key: str, value: object) -> float:
-    """Return one finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        _not_a_number(key, value, "a number")
-    try:
-        # PyYAML reads 1e-5 and OpenCV's .Nan as strings, because YAML 1.1 requires 1.0e-5 and .nan.
-        number = float("nan" if value == ".Nan" else value)
-    except (ValueError, OverflowError):
-        _not_a_number(key, value, "a number")
-    if not isfinite(number):
-        raise CalibrationError(f"{key} holds {number}; it must be a finite number")
-    return number
-
-
-def read_integer(key: str, number: float) -> int:
-    """Return the width or height of an image, px."""
-    if number != int(number) or number < 1:
-        raise CalibrationError(f"{key} is {number:g}; the size of an image is an integer of 1 or more, px")
-    return int(number)
-
-
-def _not_a_number(key: str, value: object, wanted: str) -> NoReturn:
-    raise CalibrationError(f"{key} must be {wanted}, not {abbreviated(value)}")
-
-
-# Common names of the same key, normalized: lower case, without underscores, hyphens and spaces.
-_MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx")
-_WIDTH = ("imagewidth", "width", "imgwidth")
-_HEIGHT = ("imageheight", "height", "imgheight")
-_SIZE = ("imagesize", "resolution", "imgsize")
-
-# Names of lens models in OpenCV, ROS and Kalibr files.  None: the number of coefficients decides, as in OpenCV's files.
-_MODELS: Mapping[str, LensModel | None] = {
-    "": None,
-    "none": None,
-    "plumbbob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "radialtangential": "plumb_bob",
-    "pinhole": "plumb_bob",
-    "rationalpolynomial": "rational",
-    "rational": "rational",
-    "thinprism": "rational",
-    "equidistant": "fisheye",
-    "fisheye": "fisheye",
-    "kannalabrandt": "fisheye",
-    "kannalabrandt4": "fisheye",
-    "kannalabrandt8": "fisheye",
+_ROS_NAMES: Mapping[LensModel, str] = {
+    "plumb_bob": "plumb_bob",
+    "rational": "rational_polynomial",
+    "fisheye": "equidistant",
 }
 
 
-def _key_of_another_file(keys: Keys) -> str:
-    """Return the first key of a file that is not a camera file, unless it may be private text."""
-    first = str(next(iter(keys), ""))
-    return f"its first key is {first}" if re.fullmatch(r"[A-Za-z][\w.-]{0,39}", first) else "its keys are other ones"
-
-
-def camera_from_keys(keys: Keys, name: str | None) -> Camera:
-    """Return the only camera of a file, or the one with the given name."""
+def _camera_of_document(keys: Keys, name: str | None) -> tuple[Camera, tuple[str, ...]]:
+    """Return the only camera of a file, or the one with the given name; and what was passed over or assumed."""
     chain = [key for key in keys if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
-    orb_slam = sorted({match[1] for key in keys if (match := re.fullmatch(r"(Camera\d?)\.fx", str(key)))})
+    orb_slam = sorted({match[1] for key in keys if (match := re.fullmatch(_ORB_SLAM, str(key)))})
     if chain:
         return _kalibr(keys, _chosen(chain, name))
     if orb_slam:
         return _orb_slam(keys, _chosen(orb_slam, name))
     if name is not None:
         raise CalibrationError(f"holds one camera, and none named {label(name)}")
-    return _camodocal(keys) if "projection_parameters" in keys else _opencv_or_ros(keys)
-
-
-def _opencv_or_ros(keys: Keys) -> Camera:
-    entries = {normalized(key): (str(key), value) for key, value in keys.items()}
-    matrix = next((entries[name] for name in _MATRIX if name in entries), None)
-    if matrix is None:
+    if "projection_parameters" in keys:
+        return _camodocal(keys)
+    entries = entries_of((str(key), value) for key, value in keys.items())
+    if not any(key in entries for key in MATRIX_KEYS) and not all(key in entries for key in INTRINSIC_KEYS):
         raise CalibrationError(
             f"has no camera matrix under any name that glstar knows; it reads {DIALECTS}, and here"
             f" {_key_of_another_file(keys)}"
         )
-    _refuse_binning(entries)
-    lens = _lens(entries)
-    width_px, height_px = _size(entries)
-    return replace(_camera(width_px, height_px, *matrix), lens=lens)
+    return camera_of(entries)
+
+
+def _key_of_another_file(keys: Keys) -> str:
+    """Return the first key of a file that is not a camera file, unless it may be private text."""
+    first = str(next(iter(keys), ""))
+    return f"its first key is {first}" if re.fullmatch(r"[A-Za-z][\w.-]{0,39}", first) else "its keys are other ones"
 
 
 def _chosen(names: list[str], name: str | None) -> str:
@@ -248,158 +213,83 @@ def _chosen(names: list[str], name: str | None) -> str:
     return name or names[0]
 
 
-def _orb_slam(keys: Keys, name: str) -> Camera:
+# A camera of ORB-SLAM; in its stereo files, Camera is rectified, and LEFT and RIGHT are the cameras themselves.
+_ORB_SLAM = r"(Camera\d?(?=\.fx)|LEFT(?=\.K)|RIGHT(?=\.K))\.(fx|K)"
+
+
+def _orb_slam(keys: Keys, name: str) -> tuple[Camera, tuple[str, ...]]:
     """Return a camera of ORB-SLAM2 or ORB-SLAM3, with keys such as ``Camera.fx`` and ``Camera1.k1``."""
+    own = {str(key): value for key, value in keys.items() if str(key).startswith(f"{name}.")}
+    if name != "Camera":
+        # Camera2 shares the size and the model of Camera, and no coefficient.
+        for key in ("width", "height", "type"):
+            if f"Camera.{key}" in keys and f"{name}.{key}" not in own:
+                own[f"Camera.{key}"] = keys[f"Camera.{key}"]
+    entries: dict[str, list[tuple[str, object]]] = {}
+    for key, value in own.items():
+        entries.setdefault(normalized(key.partition(".")[2]), []).append((key, value))
+    # Its key of the lens; elsewhere `type` may be the name of a product.
+    entries["cameramodel"] = entries.pop("type", [])
+    return camera_of(entries)
 
-    def entries(camera: str) -> dict[str, tuple[str, object]]:
-        of_camera = [str(key) for key in keys if str(key).partition(".")[0] == camera and "." in str(key)]
-        return {normalized(key.partition(".")[2]): (key, keys[key]) for key in of_camera}
 
-    shared = entries("Camera")
-    return _by_name(shared | entries(name), label(shared.get("type", ("", "PinHole"))[1]))
-
-
-def _camodocal(keys: Keys) -> Camera:
+def _camodocal(keys: Keys) -> tuple[Camera, tuple[str, ...]]:
     """Return a camera in the format of camodocal, which VINS-Fusion and its relatives use."""
-    model = label(keys.get("model_type", "PINHOLE"))
-    entries = {normalized(key): (str(key), value) for key, value in keys.items()}
-    for group in ("projection_parameters", "distortion_parameters"):
+    entries = entries_of((str(key), value) for key, value in keys.items() if key not in _CAMODOCAL_SECTIONS)
+    for group in _CAMODOCAL_SECTIONS:
         section = keys.get(group, {})
         if not isinstance(section, Mapping):
             raise CalibrationError(f"{group} holds no keys and values, but {kind_of(section)}")
-        entries |= {normalized(key): (f"{group}.{key}", value) for key, value in section.items()}
-    if _MODELS.get(normalized(model)) == "fisheye":
+        for key, value in section.items():
+            entries.setdefault(normalized(key), []).append((f"{group}.{key}", value))
+    if model_of(entries) == "fisheye":
         # r = theta + k2 theta^3 + k3 theta^5 + k4 theta^7 + k5 theta^9 is OpenCV's k1 to k4.
-        for ours, theirs in zip(("k1", "k2", "k3", "k4"), ("k2", "k3", "k4", "k5"), strict=True):
-            if theirs in entries:
-                entries[ours] = entries[theirs]
-        for ours, theirs in zip(("fx", "fy", "cx", "cy"), ("mu", "mv", "u0", "v0"), strict=True):
-            if theirs in entries:
-                entries[ours] = entries[theirs]
-    return _by_name(entries, model)
+        theirs = {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4", "mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
+        if "k1" in entries:
+            raise CalibrationError(f"has {entries['k1'][0][0]}; the coefficients of KANNALA_BRANDT are k2 to k5")
+        entries = {theirs.get(key, key): values for key, values in entries.items()}
+    return camera_of(entries)
 
 
-def _by_name(entries: Mapping[str, tuple[str, object]], model_name: str) -> Camera:
-    """Return a camera with one key per number: fx, fy, cx, cy, and k1, k2, p1, p2, k3 or k1 to k4."""
-    model = _MODELS.get(normalized(model_name))
-    if model is None:
-        raise CalibrationError(
-            f"has a camera of the model {abbreviated(model_name)}; glstar knows pinhole with radial-tangential"
-            " distortion and Kannala-Brandt (fisheye): calibrate with one of these"
-        )
-    missing = [name for name in ("fx", "fy", "cx", "cy") if name not in entries]
-    if missing:
-        raise CalibrationError(f"has no {', '.join(missing)}; a camera has fx, fy, cx and cy, px")
-    fx_px, fy_px, cx_px, cy_px = (read_number(*entries[name]) for name in ("fx", "fy", "cx", "cy"))
-    coefficients = [read_number(*entries[name]) if name in entries else 0.0 for name in COEFFICIENTS[model]]
-    lens = Lens(model, tuple(coefficients)) if model == "fisheye" or any(coefficients) else None
-    return Camera(*_size(entries), fx_px, fy_px, cx_px, cy_px, lens=lens)
+_CAMODOCAL_SECTIONS = ("projection_parameters", "distortion_parameters", "mirror_parameters")
 
 
-def _kalibr(keys: Keys, name: str) -> Camera:
+def _kalibr(keys: Keys, name: str) -> tuple[Camera, tuple[str, ...]]:
     entry = keys[name]
     if not isinstance(entry, Mapping):
         raise CalibrationError(f"{name} holds no keys and values, but {kind_of(entry)}")
-    model = entry.get("camera_model", "pinhole")
-    if model != "pinhole":
-        raise CalibrationError(
-            f"{name} has camera_model {abbreviated(model)}; glstar knows OpenCV's lens models:"
-            " calibrate with pinhole-radtan or pinhole-equi"
-        )
-    if "intrinsics" not in entry:
+    entries = entries_of(((str(key), value) for key, value in entry.items()), f"{name}.")
+    if not any(key in entries for key in MATRIX_KEYS) and not all(key in entries for key in INTRINSIC_KEYS):
         raise CalibrationError(f"{name} has no intrinsics: [fx, fy, cx, cy]")
-    entries = {normalized(key): (f"{name}.{key}", value) for key, value in entry.items()}
-    lens = _lens(entries)
-    numbers = read_numbers(f"{name}.intrinsics", entry["intrinsics"])
-    if len(numbers) != 4:
-        raise CalibrationError(f"{name}.intrinsics holds {len(numbers)} numbers; a pinhole has 4: [fx, fy, cx, cy]")
-    width_px, height_px = _size(entries)
-    fx_px, fy_px, cx_px, cy_px = numbers
-    return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens=lens)
+    return camera_of(entries)
 
 
-def _camera(width_px: int, height_px: int, key: str, value: object) -> Camera:
-    """Return the camera of a 3 x 3 matrix."""
-    if isinstance(value, list) and len(value) == 4 and not any(isinstance(row, list) for row in value):
-        # EuRoC's sensor.yaml has Kalibr's intrinsics.
-        fx_px, fy_px, cx_px, cy_px = read_numbers(key, value)
-        return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px)
-    K = read_matrix(key, value)
-    if K[1, 0] != 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
-        rows = "; ".join(" ".join(f"{number:g}" for number in row) for row in K)
-        raise CalibrationError(f"{key} is [{rows}]; a camera matrix is [fx skew cx; 0 fy cy; 0 0 1]")
-    fx_px, skew_px, cx_px = K[0].tolist()
-    _, fy_px, cy_px = K[1].tolist()
-    return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px, skew_px=skew_px)
+@dataclass(frozen=True, slots=True)
+class CameraFile:
+    """The camera of a file, and what was passed over or assumed."""
+
+    camera: Camera
+    notes: tuple[str, ...]
 
 
-def _size(entries: Mapping[str, tuple[str, object]]) -> tuple[int, int]:
-    """Return width and height, px."""
-    for name in _SIZE:
-        if name in entries:
-            key, value = entries[name]
-            numbers = read_numbers(key, value)
-            if len(numbers) != 2:
-                raise CalibrationError(f"{key} holds {len(numbers)} numbers; it takes [width, height], px")
-            return read_integer(key, numbers[0]), read_integer(key, numbers[1])
-    sides = []
-    for names in (_WIDTH, _HEIGHT):
-        side = next((entries[name] for name in names if name in entries), None)
-        if side is None:
-            raise CalibrationError(
-                "does not give the image size; add it, px:"
-                " image_width: and image_height: (in a Kalibr camchain, resolution: [width, height])"
-            )
-        sides.append(read_integer(side[0], read_number(*side)))
-    return sides[0], sides[1]
+def read_camera_file(path: str | PathLike[str], name: str | None = None) -> CameraFile:
+    """Return the camera of a file with notes for the user; see `camera_from_file`."""
+    try:
+        documents = documents_of(read_text(path, _LARGEST_BYTES))
+        camera, notes = _camera_of_document(next(documents), name)
+        others = [keys for keys in islice(documents, _MOST_DOCUMENTS) if _is_another_camera(keys, name, camera)]
+    except (CalibrationError, ValueError) as error:
+        raise CalibrationError(str(error), path=path) from None
+    if others:
+        raise CalibrationError("holds several documents (---) with different cameras; keep one of them", path=path)
+    return CameraFile(camera, notes)
 
 
-def _refuse_binning(entries: Mapping[str, tuple[str, object]]) -> None:
-    """Reject ROS camera_info of binned images: its camera matrix is for the images before binning."""
-    for name in ("binningx", "binningy"):
-        if name in entries and read_number(*entries[name]) > 1:
-            raise CalibrationError(
-                f"has {entries[name][0]} = {read_number(*entries[name]):g}; its matrix is for the image before binning:"
-                " give a calibration of the binned images, with binning 0"
-            )
-
-
-def _lens(entries: Mapping[str, tuple[str, object]]) -> Lens | None:
-    """Return the lens of a file; None for a pinhole."""
-    model_name = label(entries.get("distortionmodel", ("", ""))[1] or "").strip()
-    if "fisheyemodel" in entries and read_number(*entries["fisheyemodel"]) != 0:
-        model_name = "fisheye"
-    if normalized(model_name) not in _MODELS:
-        raise CalibrationError(
-            f"has a lens of the model {model_name}; glstar knows plumb_bob (radtan), rational_polynomial and fisheye"
-            " (equidistant): calibrate with one of these, or rectify the images"
-        )
-    model = _MODELS[normalized(model_name)]
-    coefficients = [
-        number
-        for name, (key, value) in entries.items()
-        if (name == "d" or name.startswith("dist")) and name != "distortionmodel" and value is not None
-        for number in read_numbers(key, value)
-    ]
-    # A fisheye distorts even if all coefficients are zero: r = f theta, where a pinhole has r = f tan(theta).
-    if model != "fisheye" and not any(coefficients):
-        return None
-    if model is None or (model == "plumb_bob" and len(coefficients) > len(COEFFICIENTS["plumb_bob"])):
-        model = "plumb_bob" if len(coefficients) <= len(COEFFICIENTS["plumb_bob"]) else "rational"
-    return Lens(model, tuple(coefficients))
-
-
-# Size limit of a calibration file, bytes: OpenCV's file with the corners of a hundred chessboards is smaller.
-_LARGEST_BYTES = 2 * 2**20
-
-# Plausible magnitude of the coefficients of a plumb_bob or fisheye lens; larger ones mean that the calibration failed.
-_LARGEST_COEFFICIENT = 10.0
-
-_ROS_NAMES: Mapping[LensModel, str] = {
-    "plumb_bob": "plumb_bob",
-    "rational": "rational_polynomial",
-    "fisheye": "equidistant",
-}
+def _is_another_camera(keys: Keys, name: str | None, camera: Camera) -> bool:
+    try:
+        return _camera_of_document(keys, name)[0] != camera
+    except CalibrationError:
+        return False
 
 
 def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Camera:
@@ -408,7 +298,8 @@ def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Came
     Parameters
     ----------
     path : path-like
-        YAML or JSON of OpenCV, ROS camera_info YAML, a Kalibr camchain, or a file of EuRoC, VINS-Fusion or ORB-SLAM.
+        YAML, JSON or XML of OpenCV, ROS camera_info YAML, a Kalibr camchain, or a file of EuRoC, VINS-Fusion or
+        ORB-SLAM.
     name : str, optional
         The camera to read from a file with several of them: ``cam1``, or ``Camera2`` of ORB-SLAM3.
 
@@ -422,12 +313,9 @@ def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Came
     ------
     CalibrationError
         If the file cannot be read, holds several cameras and none is named, lacks the named camera, the camera matrix
-        or the image size, or has an unknown lens model.
+        or the image size, has an unknown lens model or an unknown key that may carry the lens, or contradicts itself.
     """
-    try:
-        return camera_from_keys(top_level_keys(read_text(path, _LARGEST_BYTES)), name)
-    except (CalibrationError, ValueError) as error:
-        raise CalibrationError(str(error), path=path) from None
+    return read_camera_file(path, name).camera
 
 
 def camera_warnings(camera: Camera) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
-from glstar.camera.camerafile import label, read_integer, read_number, read_numbers
+from glstar.camera.camerakeys import label, read_integer, read_number, read_numbers
 from glstar.camera.model import Camera
 from glstar.camera.sensor.colourband import BANDS_WITH_COLOURS
 from glstar.errors import CalibrationError, ConfigError

@@ -13,7 +13,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings
+from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings, read_camera_file
 from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
 from glstar.cli.flightoptions import sensor_names
@@ -94,9 +94,12 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Show a camera file: the matrix, the lens and the fields of view."""
-    shown = camera_from_file(file, camera)
+    read = read_camera_file(file, camera)
+    shown = read.camera
     if as_json:
-        typer.echo(json.dumps(_facts(shown)))
+        typer.echo(json.dumps({**_facts(shown), "notes": read.notes}))
+    for note in read.notes:
+        typer.echo(f"note: {note}", err=True)
     for line in _description(shown) if not as_json else ():
         typer.echo(line)
     _warn(shown)
