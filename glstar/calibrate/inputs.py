@@ -15,6 +15,7 @@ from glstar.calibrate.identify.rollingshutter import RowTurns
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.model import Camera
+from glstar.camera.photofile import Exif
 from glstar.config import Config
 from glstar.config.camera import ExposureSection
 from glstar.errors import CalibrationError, ConfigError
@@ -24,7 +25,7 @@ from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.site import Site
-from glstar.sky.place.timescale import parse_utc
+from glstar.sky.place.timescale import format_utc, parse_utc
 from glstar.system.userinput import read_text
 
 # For images of unknown time: proper motion of most stars is below 1" in a few years.
@@ -52,6 +53,18 @@ class ImageReference:
     notes: tuple[Note, ...] = ()  # What the flight says that the calibration leaves out
     # Refraction of the config's air over that of standard air, for a zenith that only the photograph shows.
     refraction_scale: float = 0.0
+    # Whether time and place are those of EXIF only, and may be wrong.
+    is_by_exif: bool = False
+
+    def without_place(self) -> "ImageReference":
+        """Return the same stars of the whole sphere, for a photograph whose EXIF is wrong."""
+        nowhere = replace(
+            self.stars, zenith_eq=np.zeros(3), velocity_eq=np.zeros(3), refraction_scale=0.0, C_ned_eq=None
+        )
+        text = "the stars are not those over the time and place of its EXIF, which are not used: is its clock right?"
+        return ImageReference(
+            nowhere, None, self.catalogue, (Note(NoteKind.CAMERA, text),), self.stars.refraction_scale
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,17 +124,21 @@ def inputs_of(
     flight: str | Path | None = None,
     labels: str | Path | None = None,
     fit_readout: bool = False,
+    exif: Sequence[Exif] = (),
 ) -> list[PhotographInputs]:
     """Return what is known of each of some photographs.
 
-    The parameters are those of `glstar.calibrate.pipeline.calibrate_photographs`.  Raises CalibrationError if the
-    labels cannot be read, and ConfigError if the inputs contradict each other.
+    The parameters are those of `glstar.calibrate.pipeline.calibrate_photographs`, and `exif`, of each photograph:
+    without `utc` its time is that of its EXIF, and without `site_deg` its place.  Raises CalibrationError if the labels
+    cannot be read, and ConfigError if the inputs contradict each other.
     """
     settings = Config() if config is None else config
     exposures_s = _exposures(exposure_s, images)
     times_utc_s = _times(utc, images)
     known_labels = None if labels is None else read_labels(Path(labels))
-    references = _references(settings, times_utc_s, site_deg, attitude_deg, flight, fit_readout=fit_readout)
+    own = list(exif) if exif and not utc else [Exif()] * images
+    moments = [_Moment.of(*known) for known in zip(times_utc_s, own, exposures_s, strict=True)]
+    references = _references(settings, moments, site_deg, attitude_deg, flight, fit_readout=fit_readout)
     return [
         PhotographInputs(
             config=settings,
@@ -133,6 +150,31 @@ def inputs_of(
         )
         for reference, duration_s in zip(references, exposures_s, strict=True)
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """When and where a photograph was taken, as far as it is known."""
+
+    utc_s: float | None  # The middle of the exposure
+    site_deg: tuple[float, float] | None = None  # By EXIF
+    is_exif: bool = False
+    notes: tuple[Note, ...] = ()
+
+    @classmethod
+    def of(cls, utc_s: float | None, exif: Exif, exposure_s: float | None) -> "_Moment":
+        """Return the given time, or the time and place of EXIF whose time zone is known."""
+        if utc_s is not None or exif.utc_s is None:
+            return cls(utc_s)
+        if exif.zone is None:
+            text = "its EXIF has a time without a zone, which is not used; give --utc, and --lat and --lon"
+            return cls(None, notes=(Note(NoteKind.CAMERA, text),))
+        # The clock of a camera is read as the shutter opens.
+        middle_s = exif.utc_s + (exposure_s or exif.exposure_s or 0.0) / 2
+        text = f"time by EXIF, {exif.zone}: {format_utc(middle_s)}"
+        if exif.site_deg is not None:
+            text += f"; place by EXIF: {exif.site_deg[0]:.4f}, {exif.site_deg[1]:.4f} deg"
+        return cls(middle_s, exif.site_deg, is_exif=True, notes=(Note(NoteKind.CAMERA, text),))
 
 
 def _exposures(exposure_s: float | Sequence[float] | None, images: int) -> list[float | None]:
@@ -194,7 +236,7 @@ def _binned(camera: Camera, photograph: Photograph) -> Camera:
 
 def _references(
     config: Config,
-    times_utc_s: list[float | None],
+    moments: Sequence[_Moment],
     site_deg: Sequence[float] | None,
     attitude_deg: Sequence[float] | None,
     flight: str | Path | None,
@@ -205,17 +247,20 @@ def _references(
     catalogue = StarCatalogue.open(config.sky.catalogue).brighter_than(_ALL_STARS_VMAG)
     sky = Sky(catalogue, ASTROMETRY[config.sky.astrometry], config.sky.dut1_s, config.sky.refraction)
     air = {"pressure_hpa": config.air.pressure_hpa, "temperature_c": config.air.temperature_c}
-    if flight is not None and None in times_utc_s:
+    if flight is not None and any(moment.utc_s is None for moment in moments):
         raise ConfigError("--flight needs --utc, the time of the photograph")
     recorded = None if flight is None else config.open_flight(flight)
     references: list[ImageReference] = []
     # With a log, the times are those of the camera's clock.
     clock_offset_s = 0.0 if recorded is None else recorded.time_offset_s
-    for camera_utc_s in times_utc_s:
-        utc_s = None if camera_utc_s is None else camera_utc_s - clock_offset_s
+    without_inputs: ImageReference | None = None
+    for moment in moments:
+        utc_s = None if moment.utc_s is None else moment.utc_s - clock_offset_s
         C_body_ned: NDArray[np.float64] | None = None
         site: Site | None = None
-        notes: tuple[Note, ...] = ()
+        notes = moment.notes
+        if moment.site_deg is not None:
+            site = Site(float(np.deg2rad(moment.site_deg[0])), float(np.deg2rad(moment.site_deg[1])))
         if recorded is not None and utc_s is not None:
             C_body_ned = matrix_from_quaternion(recorded.attitude.at([utc_s]))[0]
             site = recorded.position.at(utc_s)
@@ -226,17 +271,20 @@ def _references(
             C_body_ned = matrix_from_euler(roll, pitch, yaw)
             if utc_s is None or site is None:
                 raise ConfigError("an attitude needs --utc, --lat and --lon: the sky turns by 15 deg an hour")
-        if utc_s is None and references:
-            references.append(references[0])  # this image has no inputs either
+        if utc_s is None and without_inputs is not None:
+            references.append(without_inputs if not notes else replace(without_inputs, notes=notes))
         elif utc_s is None or site is None:
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
             scale = sky.refraction_scale(replace(Site(0.0, 0.0), **air))
-            references.append(ImageReference(stars, None, catalogue, refraction_scale=scale))
+            references.append(ImageReference(stars, None, catalogue, notes, refraction_scale=scale))
+            without_inputs = references[-1] if utc_s is None else None
         else:
             stars = ReferenceStars.over(sky, utc_s, replace(site, **air))
             if recorded is not None:
-                stars, notes = _with_rows(stars, recorded.attitude, utc_s, config.exposure, fit_readout=fit_readout)
-            references.append(ImageReference(stars, C_body_ned, catalogue, notes))
+                stars, rolling = _with_rows(stars, recorded.attitude, utc_s, config.exposure, fit_readout=fit_readout)
+                notes = (*notes, *rolling)
+            is_by_exif = moment.is_exif and C_body_ned is None
+            references.append(ImageReference(stars, C_body_ned, catalogue, notes, is_by_exif=is_by_exif))
     return references
 
 

@@ -35,6 +35,7 @@ from glstar.calibrate.sensor.fit import Criterion
 from glstar.calibrate.sensor.report import draw_geometry, draw_report
 from glstar.camera.camerafile import camera_to_yaml
 from glstar.camera.model import Camera
+from glstar.camera.photofile import read_exif
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
 
@@ -185,7 +186,16 @@ class DetectedPhotograph:
 
     def identified(self, readout_s: float | None = None) -> IdentifiedPhotograph:
         """Return the photograph with identified stars, with another readout time if one is given."""
-        reference, rows = self.inputs.reference, self.inputs.reference.stars.rows
+        reference = self.inputs.reference
+        try:
+            return self._identified_among(reference, readout_s)
+        except CalibrationError:
+            if not reference.is_by_exif:
+                raise
+            return self._identified_among(reference.without_place(), readout_s)
+
+    def _identified_among(self, reference: ImageReference, readout_s: float | None) -> IdentifiedPhotograph:
+        rows = reference.stars.rows
         if readout_s is not None and rows is not None:
             reference = replace(reference, stars=replace(reference.stars, rows=rows.with_readout_s(readout_s)))
         detected, stars, given, camera = self.detected, reference.stars, self._given, self.camera
@@ -199,7 +209,8 @@ class DetectedPhotograph:
         else:
             method = "by attitude"
             matches = identify_near(detected, stars, given, focal_known=focal_known)
-        matches = replace(matches, notes=(*matches.notes, *self.attitude_notes(matches)))
+        as_read = tuple(Note(NoteKind.CAMERA, text) for text in self.image.notes)
+        matches = replace(matches, notes=(*matches.notes, *as_read, *self.attitude_notes(matches)))
         return IdentifiedPhotograph(self.image, self.exposure_s, detected, reference, method, matches)
 
     def attitude_notes(self, matches: Matches) -> tuple[Note, ...]:
@@ -247,8 +258,8 @@ def calibrate_photographs(
     Parameters
     ----------
     images : path or sequence of paths
-        Photographs by one camera: JPEG, PNG, TIFF, FITS, DNG or HEIC.  Several also measure the brightness of each
-        star.
+        Photographs by one camera: JPEG, PNG, TIFF, WebP, FITS, DNG and other raw files, or HEIC, as the sensor read
+        them.  Several also measure the brightness of each star.
     config : Config or path, optional
         Settings whose camera took the photographs, and whose mount, catalogue and air apply.  Default: glstar's own
         settings, without their camera.
@@ -257,9 +268,10 @@ def calibrate_photographs(
     exposure_s : float or sequence of float, optional
         Exposure, s, once or once per image.  Default: as the files state.
     utc : str or sequence of str, optional
-        Mid-exposure of each image, UTC, ISO 8601; with `flight`, by the camera's clock.
+        Mid-exposure of each image, UTC, ISO 8601; with `flight`, by the camera's clock.  Default: that of EXIF, if its
+        time zone is known.
     site_deg : sequence of two floats, optional
-        Latitude (north positive) and longitude (east positive), deg.
+        Latitude (north positive) and longitude (east positive), deg.  Default: that of EXIF, with its time.
     attitude_deg : sequence of three floats, optional
         Yaw, pitch and roll of the aircraft, deg, right to some degrees.
     flight : path, optional
@@ -335,6 +347,7 @@ def calibrate_photographs(
         flight=flight,
         labels=labels,
         fit_readout=fit_readout,
+        exif=[read_exif(path) for path in paths],
     )
     steps = _STEPS * len(paths) + (len(paths) > 1)
     step = (lambda done: on_step(done, steps)) if on_step is not None else _ignore

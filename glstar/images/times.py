@@ -13,20 +13,18 @@ states a zone.
 
 import csv
 import json
-import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import datetime
 from enum import StrEnum
 from math import degrees, isfinite, remainder
 from pathlib import Path
 from typing import Any
 
-import exifread
-
 from glstar.camera.exposure import Exposure
+from glstar.camera.photofile import read_exif, zone_of
 from glstar.errors import ConfigError, ImagesError
 from glstar.render.truth.frame import SCHEMAS_READ
 from glstar.sky.place.timescale import parse_utc
@@ -60,14 +58,8 @@ _DECIMALS = re.compile(r"\d[.,](\d+)")
 
 # Images whose times have a unit from this one on are searched for within it, s.
 LEAST_SEARCHED_S = 0.02
-# Zones are whole quarters of an hour; a GPS time that is farther than this from one belongs to an older fix.
-_QUARTER_S = 900
-# From -12 to 14 h.
-_ZONES_S = [float(_QUARTER_S * quarters) for quarters in range(-48, 57)]
-_GPS_AGE_S = 120
-
-# exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
-logging.getLogger("exifread").addHandler(logging.NullHandler())
+# Whole quarters of an hour from -12 to 14 h.
+_ZONES_S = [900.0 * quarters for quarters in range(-48, 57)]
 
 
 class TimeReference(StrEnum):
@@ -102,16 +94,6 @@ class ImageTime:
         a fraction of the time from the first opening to the last closing.
         """
         return 0.0 if self.is_start else _FRACTION_BEFORE[reference]
-
-
-@dataclass(frozen=True, slots=True)
-class ExifTime:
-    """The time of an image in its EXIF."""
-
-    utc_s: float | None = None  # UTC seconds since 1970; without a zone, the camera's clock is taken as UTC
-    zone: str | None = None  # A label of the zone; None if it is unknown
-    exposure_s: float | None = None  # Exposure time, s
-    grain_s: float = 1.0  # Unit of the time, s: 1 without sub-seconds, and with those that are all 0
 
 
 def exposure_of(
@@ -236,79 +218,9 @@ def _time_in_name(name: str) -> ImageTime | None:
 
 def _utc_of_date(found: re.Match[str]) -> float:
     digits = re.sub(r"\D", "", found["date"] + found["time"])
-    whole_s = datetime.strptime(digits, "%Y%m%d%H%M%S").replace(tzinfo=_zone(found["zone"] or "Z"))
+    whole_s = datetime.strptime(digits, "%Y%m%d%H%M%S").replace(tzinfo=zone_of(found["zone"] or "Z"))
     fraction = found["decimals"] or found["milliseconds"]
     return whole_s.timestamp() + (float(f"0.{fraction}") if fraction else 0.0)
-
-
-def _zone(text: str) -> timezone:
-    """Return the zone of ``Z``, ``+09:30`` or ``+0930``; raise ValueError for anything else."""
-    if text == "Z":
-        return UTC
-    found = re.fullmatch(r"([+-])(\d\d):?(\d\d)", text.strip())
-    if found is None:
-        raise ValueError(text)
-    offset = timedelta(hours=int(found[2]), minutes=int(found[3]))
-    return timezone(-offset if found[1] == "-" else offset)
-
-
-def read_exif(path: Path) -> ExifTime:
-    """Return the time and the exposure in the EXIF of a JPEG, TIFF, PNG or WebP file; None where missing or invalid."""
-    try:
-        with path.open("rb") as file:
-            tags: dict[str, Any] = exifread.process_file(file, details=False)
-    except Exception:  # damaged EXIF raises many kinds of errors
-        return ExifTime()
-    exposure_s = _exposure_s(tags)
-    with suppress(ValueError):
-        local = _exif_datetime(_text(tags, "EXIF DateTimeOriginal"))
-        digits = _text(tags, "EXIF SubSecTimeOriginal")
-        local += timedelta(seconds=_fraction_s(digits))
-        # Many cameras write zeros and have no sub-seconds.
-        grain_s = 10.0 ** -len(digits) if digits.strip("0").isdecimal() else 1.0
-        offset = _text(tags, "EXIF OffsetTimeOriginal")
-        if offset:
-            with suppress(ValueError):
-                utc_s = local.replace(tzinfo=_zone(offset)).timestamp()
-                return ExifTime(utc_s, f"zone {offset}", exposure_s, grain_s)
-        zone_s = _zone_by_gps_s(tags, local)
-        if zone_s is not None:
-            label = f"zone {zone_s / 3600:+g} h by its GPS time"
-            return ExifTime(local.timestamp() - zone_s, label, exposure_s, grain_s)
-        return ExifTime(local.timestamp(), None, exposure_s, grain_s)
-    return ExifTime(exposure_s=exposure_s)
-
-
-def _text(tags: dict[str, Any], name: str) -> str:
-    return str(tags.get(name, "")).strip(" \0")
-
-
-def _exif_datetime(text: str) -> datetime:
-    return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
-
-
-def _fraction_s(digits: str) -> float:
-    return float(f"0.{digits}") if digits.isdecimal() else 0.0
-
-
-def _exposure_s(tags: dict[str, Any]) -> float | None:
-    try:
-        exposure_s = float(tags["EXIF ExposureTime"].values[0])
-    except (KeyError, IndexError, TypeError, ValueError, ZeroDivisionError):
-        return None
-    return exposure_s if isfinite(exposure_s) and exposure_s > 0 else None
-
-
-def _zone_by_gps_s(tags: dict[str, Any], local: datetime) -> int | None:
-    """Return the camera's clock minus the GPS time, rounded to a zone, s; None if it is not one."""
-    try:
-        hour, minute, second = (float(value) for value in tags["GPS GPSTimeStamp"].values)
-        utc = datetime.strptime(_text(tags, "GPS GPSDate"), "%Y:%m:%d").replace(tzinfo=UTC)
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
-        return None
-    ahead_s = (local - utc).total_seconds() - (hour * 3600 + minute * 60 + second)
-    zone_s = round(ahead_s / _QUARTER_S) * _QUARTER_S
-    return zone_s if abs(ahead_s - zone_s) <= _GPS_AGE_S and abs(zone_s) <= 14 * 3600 else None
 
 
 def read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:

@@ -43,15 +43,15 @@ def test_a_dng_keeps_the_colours_of_its_mosaic(tmp_path: Path, pattern: str) -> 
     assert [found.name for found in images_in(tmp_path)] == ["one.dng"]
 
 
-def test_a_dng_is_upright_for_calibration_and_as_the_sensor_has_it_for_comparison(tmp_path: Path) -> None:
+def test_a_turned_dng_is_read_as_the_sensor_has_it(tmp_path: Path) -> None:
     raw, path = mosaic_of("rggb"), tmp_path / "turned.dng"
     raw[:20, :40] = 3000  # at the top left of the sensor
     path.write_bytes(dng(raw, orientation=6))  # to be turned to the right
 
-    upright = read_image(path, demosaiced=False).pixels_dn
+    image = read_image(path, demosaiced=False)
 
-    assert upright.shape == (96, 64)
-    np.testing.assert_array_equal(upright, np.rot90(raw, -1))
+    np.testing.assert_array_equal(image.pixels_dn, raw)
+    assert image.notes == ("EXIF turns the image for display (orientation 6); pixels are as the sensor read them",)
     assert read_grey(path).shape == (64, 96)
 
 
@@ -106,11 +106,13 @@ def test_ten_bits_of_a_heic_are_read(tmp_path: Path) -> None:
     assert (image.bit_depth, image.saturation_dn) == (10, 1023)
 
 
-def test_a_rotated_heic_is_upright(tmp_path: Path) -> None:
-    image = read_image(heic(tmp_path / "turned.heic", orientation=6))
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_turned_heic_is_read_as_the_sensor_has_it(tmp_path: Path, orientation: int) -> None:
+    image = read_image(heic(tmp_path / "turned.heic", orientation))
 
-    assert image.pixels_dn.shape == (96, 48)
-    assert image.pixels_dn[20, 24] > 150 > image.pixels_dn[90, 24]
+    assert image.pixels_dn.shape == (48, 96)
+    assert image.pixels_dn[24, 20] > 150 > image.pixels_dn[24, 90]
+    assert bool(image.notes) == (orientation > 1)
 
 
 def test_a_huge_photograph_is_refused_before_it_is_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,6 +150,7 @@ def test_damaged_files_are_one_clear_line(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(CalibrationError, match="cannot be decoded"):
             read_image(path)
-    assert decode_photo(b"\x89PNG\r\n\x1a\n") is None
+    with pytest.raises(ValueError, match="is a PNG that is cut off"):
+        decode_photo(b"\x89PNG\r\n\x1a\n")
     assert not has_image_signature(b"RIFF\0\0\0\0WAVEfmt ")
     assert has_image_signature(b"RIFF\0\0\0\0WEBPVP8 ")

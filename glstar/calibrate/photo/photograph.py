@@ -1,35 +1,27 @@
 """Photographs, read as one channel of digital numbers."""
 
-import logging
 import re
-from dataclasses import dataclass, replace
-from io import BytesIO
+from dataclasses import dataclass, field, replace
 from math import nan
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
 import cv2
-import exifread
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.photofile import PhotoPixels, as_digital_numbers, decode_photo, stated_shift_bits
+from glstar.camera.photofile import Exif, as_digital_numbers, decode_photo
 from glstar.camera.sensor.tonecurve import GAMMAS, light_before, recorded_by
 from glstar.errors import CalibrationError, ConfigError
-from glstar.system.imagefiles import encode_png, size_error
+from glstar.system.imagefiles import encode_png
 
 Channel = Literal["value", "red", "green", "blue", "mean"]
 
 _DEPTHS = (8, 10, 12, 14, 16)
 # OpenCV's order.
 _PLANE: dict[str, int] = {"blue": 0, "green": 1, "red": 2}
-# End of a complete file; OpenCV silently fills the missing part of a truncated one with grey.
-_ENDS: dict[bytes, bytes] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
-_END_WITHIN_BYTES = 64 * 1024
-# Messages of exifread on files without EXIF are suppressed.
-logging.getLogger("exifread").addHandler(logging.NullHandler())
-
+_HEADER_BYTES = 64 * 1024
 # First characters of a FITS file, and its exposure, s.
 _FITS_BEGIN = b"SIMPLE  ="
 _FITS_EXPOSURE = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
@@ -43,7 +35,7 @@ class Photograph:
     """A photograph of the sky."""
 
     path: Path
-    pixels_dn: NDArray[np.float64]  # (height, width) digital numbers, upright; row 0 is the top
+    pixels_dn: NDArray[np.float64]  # (height, width) digital numbers, as the sensor read them; row 0 is the top
     bit_depth: int  # Bits of a digital number: it saturates at 2**bit_depth - 1
     # {"value", "red", "green", "blue", "mean", "grey"}: the colour channel; ``"grey"`` for a monochrome image.
     channel: str
@@ -51,6 +43,8 @@ class Photograph:
     # The tone curve of the file, if `pixels_dn` are the light before it: see `linearised`.
     gamma: str | float = "linear"
     recorded_bits: int = 8  # Bits of the file, if it has a tone curve
+    notes: tuple[str, ...] = ()  # How the file was read, for the user
+    exif: Exif = field(default_factory=Exif)  # Its own time and place
 
     @property
     def output_keys(self) -> dict[str, str | float | bool]:
@@ -68,29 +62,25 @@ class Photograph:
 def read_image(
     path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None, demosaiced: bool = True
 ) -> Photograph:
-    """Return an image as one channel.
+    """Return an image as one channel, as the sensor read it.
 
-    The file is JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour, rotated by its EXIF;
-    DNG; HEIC; or FITS of one channel.  `channel` is that of a colour image: ``"value"`` is the V of HSV, the brightest
-    of the three (Teague & Chahl, section 2.5).  `bit_depth` is that of the converter if it is smaller than that of the
-    file: 12 for a raw image in 16 bits, whether its numbers are in the lowest bits or, left-aligned, in the highest.
-    Its default is 8, or for a 16-bit file the depth whose largest number occurs in the image, else 16.  A DNG states
-    it, and so does a grey PNG, TIFF or FITS file whose numbers are shifted up to the highest bits.  `demosaiced`:
-    whether a DNG's mosaic becomes a colour image.  Raises CalibrationError if the file cannot be read, is cut off, is
-    too large (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.
+    The file is of any format of `glstar.camera.photofile`.  `channel` is that of a colour image: ``"value"`` is the V
+    of HSV, the brightest of the three (Teague & Chahl, section 2.5).  `bit_depth` is that of the converter if it is
+    smaller than that of the file: 12 for a raw image in 16 bits, whether its numbers are in the lowest bits or,
+    left-aligned, in the highest.  Its default is 8, or for a 16-bit file the depth that its empty bits prove or whose
+    largest number occurs in the image, else 16.  A raw file states it, and so does a grey PNG, TIFF or FITS file whose
+    numbers are shifted up to the highest bits.  `demosaiced`: whether a raw mosaic becomes a colour image.  Raises
+    CalibrationError if the file cannot be read, is cut off, is too large
+    (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.
     """
     path = Path(path)
     try:
         content = path.read_bytes()
+        photo = decode_photo(content, demosaiced=demosaiced)
     except OSError as error:
         raise CalibrationError(f"cannot be read: {(error.strerror or str(error)).lower()}", path=path) from error
-    for begin, end in _ENDS.items():
-        if content.startswith(begin) and end not in content[-_END_WITHIN_BYTES:]:
-            raise CalibrationError("is cut off: the end of the image is missing; copy it again", path=path)
-    too_large = size_error(content)
-    if too_large is not None:
-        raise CalibrationError(too_large, path=path)
-    photo = _decoded(content, path, demosaiced=demosaiced)
+    except ValueError as error:
+        raise CalibrationError(str(error), path=path) from error
     pixels, white_dn = photo.pixels, photo.white_dn
     grey, name = _one_channel(pixels, channel)
     if min(grey.shape) < _LEAST_SIDE_PX:
@@ -103,30 +93,8 @@ def read_image(
     if grey.max() > 2**depth - 1:
         message = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
         raise CalibrationError(message, path=path)
-    return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(photo.exif or content))
-
-
-def _decoded(content: bytes, path: Path, *, demosaiced: bool) -> PhotoPixels:
-    try:
-        photo = decode_photo(content, demosaiced=demosaiced, upright=True)
-    except ValueError as error:
-        raise CalibrationError(str(error), path=path) from error
-    if photo is not None:
-        return photo
-    # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore the EXIF orientation.
-    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-    try:
-        pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
-    except cv2.error:
-        pixels = None
-    if pixels is None:
-        raise CalibrationError("is no image that can be read; JPEG, PNG, TIFF, DNG, HEIC and FITS can", path=path)
-    if pixels.dtype not in (np.uint8, np.uint16):
-        message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
-        raise CalibrationError(message, path=path)
-    shift = stated_shift_bits(content)
-    shifted_back = as_digital_numbers(np.asarray(pixels), shift)
-    return PhotoPixels(shifted_back, None if shifted_back is pixels else 2 ** (16 - shift) - 1)
+    exposure_s = _exposure_of_fits(content) if content.startswith(_FITS_BEGIN) else photo.exif.exposure_s
+    return Photograph(path, grey.astype(np.float64), depth, name, exposure_s, notes=photo.notes, exif=photo.exif)
 
 
 def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:
@@ -146,17 +114,10 @@ def _depth_of(pixels: NDArray[Any]) -> int:
     return next((depth for depth in _DEPTHS if int(pixels.max()) == 2**depth - 1), 16)
 
 
-def _exposure_s(content: bytes) -> float | None:
-    """Return the exposure that the camera wrote into its file, s, or None."""
-    if content.startswith(_FITS_BEGIN):
-        exposure = _FITS_EXPOSURE.search(content[:_END_WITHIN_BYTES])
-        return (float(exposure[1]) or None) if exposure else None
-    try:
-        tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
-        return float(tags["EXIF ExposureTime"].values[0]) or None
-    except Exception:
-        # The exposure is optional, and exifread raises various exceptions on a damaged file.
-        return None
+def _exposure_of_fits(content: bytes) -> float | None:
+    """Return the exposure that the header of a FITS file states, s, or None."""
+    exposure = _FITS_EXPOSURE.search(content[:_HEADER_BYTES])
+    return (float(exposure[1]) or None) if exposure else None
 
 
 # Bits of a photograph's light: fine enough for the steps of 8 recorded bits.

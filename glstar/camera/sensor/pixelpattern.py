@@ -20,6 +20,7 @@ _STUCK_E = (20.0, 2000.0)
 _CARD_BYTES = 80
 _FITS_BLOCK_BYTES = 2880
 # Types by the value of BITPIX.
+_FITS_SCALE = (("BSCALE", 1.0), ("BZERO", 0.0))
 _FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
 # Streams of random numbers of one camera.
 _DEFECTS, _DARK, _RESPONSE = range(3)
@@ -184,10 +185,10 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
 
 
 def read_fits(content: bytes) -> Float:
-    """Return the image of the first header unit of a FITS file, in physical values, (height, width).
+    """Return the image of the first header unit of a FITS file, in physical values, (height, width); row 0 is the top.
 
-    Raises ValueError if it is damaged, or no image of one channel.  FITS Standard 4.0, sections 3.3 (header), 4.4.2
-    (BSCALE, BZERO) and 5 (data, big-endian).
+    The first row of the file is the top unless ROWORDER is BOTTOM-UP.  Raises ValueError if it is damaged, or no image
+    of one channel.  FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
     """
     if not content.startswith(b"SIMPLE  ="):
         raise ValueError("it is no FITS file")
@@ -200,11 +201,17 @@ def read_fits(content: bytes) -> Float:
         if card[8:10] == "= ":
             cards[card[:8].strip()] = card[10:].split("/")[0].strip()
     dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
-    if dtype is None or cards.get("NAXIS") != "2":
+    axes = cards.get("NAXIS", "")
+    # A single plane may have a third axis.
+    if dtype is None or axes not in ("2", "3") or (axes == "3" and cards.get("NAXIS3") != "1"):
         raise ValueError("its first unit is not an image of one channel")
     shape = int(cards["NAXIS2"]), int(cards["NAXIS1"])
     begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
     if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
         raise ValueError("it is cut off")
     stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
-    return np.asarray(stored * float(cards.get("BSCALE", "1")) + float(cards.get("BZERO", "0")), dtype=np.float64)
+    if cards.get("ROWORDER", "").strip("' ").upper() == "BOTTOM-UP":
+        stored = stored[::-1]
+    # The standard allows FORTRAN's D for the exponent.
+    scale, zero = (float(cards.get(key, "").replace("D", "E") or default) for key, default in _FITS_SCALE)
+    return np.asarray(stored * scale + zero, dtype=np.float64)

@@ -206,12 +206,10 @@ def rectify(
     as_json: Json = False,
 ) -> None:
     """Write an image as a pinhole of the same focal length would have recorded it."""
-    import cv2  # noqa: PLC0415 - when it is needed
-
     from glstar.calibrate.photo.photograph import encoded_image  # noqa: PLC0415 - OpenCV again
+    from glstar.camera.photofile import decode_photo  # noqa: PLC0415
     from glstar.camera.rectify import rectify as rectified  # noqa: PLC0415
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV again
-    from glstar.system.imagefiles import size_error  # noqa: PLC0415
 
     if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
         raise typer.BadParameter(f"{output} must end with .png or .tiff", param_hint="--output")
@@ -222,14 +220,11 @@ def rectify(
         content = image.read_bytes()
     except OSError as error:
         raise CalibrationError(f"cannot be read: {error.strerror or error}", path=image) from error
-    too_large = size_error(content)
-    if too_large is not None:
-        raise CalibrationError(too_large, path=image)
-    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-    pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
-    if pixels is None:
-        raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=image)
-    undistorted, _ = rectified(np.asarray(pixels), behind)
+    try:
+        pixels = decode_photo(content, floats=True).pixels
+    except ValueError as error:
+        raise CalibrationError(str(error), path=image) from error
+    undistorted, _ = rectified(pixels, behind)
     encoded = encoded_image(output.suffix.lower(), undistorted)
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)

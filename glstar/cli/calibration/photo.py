@@ -47,6 +47,7 @@ def _identified(
         exposure_s=request.exposure_s,
         utc=request.utc,
         site_deg=None if request.site_rad is None else np.rad2deg(request.site_rad).tolist(),
+        exif=[image.exif],
     )
     exposure_s = 0.0 if options.geometry_only else inputs.exposure_s(image)
     camera = inputs.camera(image)
