@@ -64,8 +64,8 @@ _TIFF_INTEGERS = {1: "B", 3: "H", 4: "I", 13: "I"}
 _MOST_DIRECTORIES = 16
 _MOST_VALUES = 64
 # Photometric interpretations that need no conversion of colours: white or black is zero, RGB, a mosaic.
-_WHITE_IS_ZERO = 0
-_PLAIN_COLOURS = (_WHITE_IS_ZERO, 1, 2, _COLOUR_FILTERS)
+_WHITE_IS_ZERO, _RGB = 0, 2
+_PLAIN_COLOURS = (_WHITE_IS_ZERO, 1, _RGB, _COLOUR_FILTERS)
 _PACKED_BITS = (10, 12, 14)
 # Empty lowest bits that prove that 8 to 14 bits are in the highest of 16, if this many levels occur.
 _PROVEN_SHIFTS = (8, 6, 4, 2)
@@ -191,19 +191,21 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
     import tifffile  # noqa: PLC0415 - only when a TIFF is read
 
     try:
-        with tifffile.TiffFile(BytesIO(content)) as tiff:
-            page = _full_page(tiff)
-            bits = page.bitspersample
-            if bits in _PACKED_BITS:
-                return None, bits
-            if page.photometric not in _PLAIN_COLOURS:
-                return None, None
-            # Not OpenCV: it mixes up the channels of planar images.
-            pixels: NDArray[Any] = page.asarray()
-            axes, is_inverted, is_rgb = page.axes, page.photometric == _WHITE_IS_ZERO, page.photometric == 2
+        page = _full_page(tifffile.TiffFile(BytesIO(content)))
+    except Exception:  # damage: OpenCV is tried next
+        return None, None
+    _refuse_large(page.imagewidth, page.imagelength)
+    if page.bitspersample in _PACKED_BITS:
+        return None, page.bitspersample
+    if page.photometric not in _PLAIN_COLOURS:
+        return None, None
+    try:
+        # Not OpenCV: it mixes up the channels of planar images.
+        pixels: NDArray[Any] = page.asarray()
     except Exception:  # unsupported compression or damage: OpenCV is tried next
         return None, None
-    if axes == "SYX":
+    is_inverted, is_rgb = page.photometric == _WHITE_IS_ZERO, page.photometric == _RGB
+    if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
     if is_rgb and pixels.ndim == 3 and pixels.shape[2] >= 3:
         pixels = pixels[..., 2::-1]
@@ -211,9 +213,10 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
 
 
 def _full_page(tiff: Any) -> Any:
-    """Return the first page of a TIFF that is not a thumbnail, also of those below another."""
+    """Return the largest page of a TIFF that is not a thumbnail, also of those below another; the first of equals."""
     pages = [page for first in list(tiff.pages)[:_MOST_DIRECTORIES] for page in (first, *(first.pages or ()))]
-    return next((page for page in pages if not getattr(page, "is_reduced", False)), tiff.pages.first)
+    full = [page for page in pages if not page.is_reduced] or pages
+    return max(full, key=lambda page: page.imagewidth * page.imagelength)
 
 
 def _directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:

@@ -8,7 +8,7 @@ from collections import Counter
 
 import numpy as np
 
-from tests.support import camerafiles
+from tests.support import camerafiles, photofiles
 
 
 def main() -> int:
@@ -18,7 +18,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     wrong = 0
-    for name, support in (("camera files", camerafiles),):
+    for name, support in (("camera files", camerafiles), ("images", photofiles)):
         counts: Counter[str] = Counter()
         for number in range(options.count):
             verdict = support.verdict(support.random_case(np.random.default_rng([options.seed, number])))

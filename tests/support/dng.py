@@ -1,5 +1,6 @@
 """Raw photographs as cameras write them: uncompressed DNG of one mosaic."""
 
+from collections.abc import Sequence
 from io import BytesIO
 from typing import Any
 
@@ -11,8 +12,15 @@ _COLOURS = {"r": 0, "g": 1, "b": 2}
 _UNIT_MATRIX = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
 
 
-def dng(mosaic: np.ndarray, pattern: str = "rggb", *, white_dn: int = 4095, orientation: int = 1) -> bytes:
-    """Return a DNG (Adobe's specification 1.4) of a mosaic."""
+def dng(
+    mosaic: np.ndarray,
+    pattern: str = "rggb",
+    *,
+    white_dn: int = 4095,
+    orientation: int = 1,
+    extratags: Sequence[tuple[Any, ...]] = (),
+) -> bytes:
+    """Return a DNG (Adobe's specification 1.4) of a mosaic; `extratags`: further tags for tifffile."""
     tags: list[tuple[Any, ...]] = [
         (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
         (50707, "B", 4, (1, 1, 0, 0), True),  # DNGBackwardVersion
@@ -24,6 +32,7 @@ def dng(mosaic: np.ndarray, pattern: str = "rggb", *, white_dn: int = 4095, orie
         (50721, "2i", 9, _UNIT_MATRIX, True),  # ColorMatrix1
         (50778, "H", 1, 21, True),  # CalibrationIlluminant1: D65
         (274, "H", 1, orientation, True),  # Orientation
+        *extratags,
     ]
     target = BytesIO()
     tifffile.imwrite(target, mosaic.astype(np.uint16), photometric=_CFA, metadata=None, extratags=tags)
