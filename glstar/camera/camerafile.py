@@ -228,8 +228,8 @@ def _orb_slam(keys: Keys, name: str) -> tuple[Camera, tuple[str, ...]]:
     entries: dict[str, list[tuple[str, object]]] = {}
     for key, value in own.items():
         entries.setdefault(normalized(key.partition(".")[2]), []).append((key, value))
-    # Its key of the lens; elsewhere `type` may be the name of a product.
-    entries["cameramodel"] = entries.pop("type", [])
+    # Keys of the lens; elsewhere `type` and `model` may be the name of a product.
+    entries["cameramodel"] = [*entries.pop("type", ()), *entries.pop("model", ())]
     return camera_of(entries)
 
 

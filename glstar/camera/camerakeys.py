@@ -161,6 +161,12 @@ _MODELS: Mapping[str, LensModel | None] = {
     "kannalabrandt4": "fisheye",
     "kannalabrandt8": "fisheye",
 }
+# Lens models that glstar lacks, where a text may be a lens model or the name of a product.
+_LACKING = frozenset(
+    {"ds", "mei", "ucm", "unified", "fov", "atan", "ftheta", "ocam", "ocamcalib", "division", "radialdivision"}
+    | {"radial", "simpleradial", "polynomial", "spherical", "equirectangular", "equisolid", "stereographic"}
+    | {"orthographic", "cylindrical", "panoramic", "inversebrownconrady", "modifiedbrownconrady"}
+)
 # Text that says that the images have no distortion.
 _NO_DISTORTION = "none"
 # In a key or a text: a lens that is no plumb_bob.
@@ -340,7 +346,7 @@ def model_of(entries: Entries) -> LensModel | str | None:
         ):
             model: str | None = _NO_DISTORTION if text == _NO_DISTORTION else _known_model(key, value)
         elif name in _MAYBE_MODEL_KEYS and text is not None:
-            is_lens = _MODELS.get(text) is not None or _WIDE.search(text)
+            is_lens = _MODELS.get(text) is not None or text in _LACKING or _WIDE.search(text)
             model = _known_model(key, value) if is_lens else None
         elif "fisheye" in name and not isinstance(value, list | Mapping):
             model = "fisheye" if _is_true(value) else _MODELS.get(text or "")

@@ -58,6 +58,7 @@ _LEFT_ALIGNED = frozenset(2.0**shift for shift in range(1, 8))
 # Tags of TIFF directories.
 _SUBFILE, _BITS, _COMPRESSION, _PHOTOMETRIC, _SUB_IFDS, _DNG_VERSION = 254, 258, 259, 262, 330, 50706
 _COLOUR_FILTERS, _LINEAR_RAW = 32803, 34892
+_UNCOMPRESSED = 1
 # Compressions of Nikon, Sony, Samsung and Pentax.
 _RAW_COMPRESSIONS = frozenset((34713, 32767, 32770, 65535))
 _TIFF_INTEGERS = {1: "B", 3: "H", 4: "I", 13: "I"}
@@ -196,6 +197,12 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
         return None, None
     _refuse_large(page.imagewidth, page.imagelength)
     if page.bitspersample in _PACKED_BITS:
+        # Some programs state 12 bits and write two bytes for each; OpenCV would unpack them.
+        is_packed = sum(page.databytecounts) != 2 * page.imagewidth * page.imagelength * page.samplesperpixel
+        if page.compression == _UNCOMPRESSED and not is_packed:
+            raise ValueError(
+                f"states {page.bitspersample} bits a sample and holds 16; write it with BitsPerSample = 16"
+            )
         return None, page.bitspersample
     if page.photometric not in _PLAIN_COLOURS:
         return None, None
@@ -495,10 +502,16 @@ def _exif_block(file: BinaryIO) -> bytes | None:
         return b""
     if not _is_heif(start):
         return None
-    # ExifRead 3.5.1 fails on the boxes of libheif; the block itself begins with a signature.
+    # ExifRead 3.5.1 fails on the boxes of libheif.
     file.seek(0)
-    found = re.search(rb"Exif\0\0(?=II\*\0|MM\0\*)", content := file.read())
-    return content[found.end() :] if found else None
+    content = file.read()
+    with suppress(Exception):  # without the library, or of an AVIF, the block is found by its signature
+        import pillow_heif  # noqa: PLC0415 - an extra, only when a HEIC is read
+
+        block = pillow_heif.open_heif(BytesIO(content)).info.get("exif") or b""
+        return bytes(block).removeprefix(b"Exif\0\0")
+    found = re.search(rb"Exif\0\0(?=II\*\0|MM\0\*)", content)
+    return content[found.end() :] if found else b""
 
 
 def _tag(tags: dict[str, Any], name: str) -> Any:

@@ -175,7 +175,7 @@ def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[Note,
         from_axis = np.arccos(np.clip(matches.solution.C_camera_eq[2] @ reference.zenith_eq, -1, 1))
         declination_deg, error_deg = np.rad2deg([np.arcsin(reference.zenith_eq[2]), reference.zenith_error_rad])
         text = (
-            f"time and site are unknown; refraction shows the zenith {np.rad2deg(from_axis):.0f} ± {error_deg:.0f} deg"
+            f"time or site is unknown; refraction shows the zenith {np.rad2deg(from_axis):.0f} ± {error_deg:.0f} deg"
             f" from the optical axis, at declination {declination_deg:.0f} deg (the latitude of the site): camera and"
             " horizon are those of this zenith, whose error the standard errors leave out; give --utc, --lat and --lon"
         )
@@ -185,7 +185,7 @@ def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[Note,
     if reference.C_ned_eq is not None or error_px is None or error_px > _ZENITH_REFRACTION * focal_px:
         return ()
     text = (
-        "time and site are unknown, so refraction is not removed: the focal length is"
+        "time or site is unknown, so refraction is not removed: the focal length is"
         f" {_ZENITH_REFRACTION:.2%} too short if the camera pointed at the zenith, and more at lower altitudes; its"
         " standard error does not include this; give --utc, --lat and --lon"
     )

@@ -11,7 +11,7 @@ from glstar.errors import ConfigError
 
 Images = Annotated[
     list[Path] | None,
-    typer.Argument(help="Photographs of the stars by one camera: JPEG, PNG, TIFF or FITS.", show_default=False),
+    typer.Argument(help="Photographs of stars by one camera: JPEG, PNG, TIFF, FITS, raw or HEIC.", show_default=False),
 ]
 Darks = Annotated[
     Path | None,
@@ -36,12 +36,12 @@ ExposureTimes = Annotated[
 ]
 Times = Annotated[
     list[str] | None,
-    typer.Option(help="UTC at mid-exposure, ISO 8601; for several images once per image.", show_default="unknown"),
+    typer.Option(help="UTC at mid-exposure, ISO 8601; for several images once per image.", show_default="as EXIF says"),
 ]
 Latitude = Annotated[
-    float | None, typer.Option(help="Latitude, deg, north positive.", min=-90, max=90, show_default="unknown")
+    float | None, typer.Option(help="Latitude, deg, north positive.", min=-90, max=90, show_default="as EXIF says")
 ]
-Longitude = Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="unknown")]
+Longitude = Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="as EXIF says")]
 Yaw = Annotated[
     float | None, typer.Option(help="Yaw of the aircraft, deg, right to some degrees.", show_default="unknown")
 ]
