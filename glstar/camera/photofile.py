@@ -314,7 +314,7 @@ def _decoded_raw(content: bytes, kind: str, *, demosaiced: bool) -> PhotoPixels:
             white_dn = int(raw.white_level)
             colours = raw.raw_pattern
             pattern = "" if colours is None else "".join(raw.color_desc.decode()[int(c)] for c in np.ravel(colours))
-    except rawpy.LibRawError as error:
+    except (rawpy.LibRawError, IndexError) as error:
         instead = "" if kind == "DNG" else "; convert it to DNG or to a TIFF of 16 bits"
         raise ValueError(f"is a {kind} that cannot be decoded ({_text_of(error)}){instead}") from error
     if mosaic.ndim != 2 or mosaic.dtype != np.uint16:
@@ -352,7 +352,8 @@ def _decoded_heif(content: bytes) -> PhotoPixels:
         raise ValueError(f"is a HEIC image, which needs pillow-heif: {install_command('heic')}") from error
     with _damage_of_heic_explained():
         image = pillow_heif.open_heif(BytesIO(content), convert_hdr_to_8bit=False, bgr_mode=True)
-    _refuse_large(*image.size)
+        size_px = image.size
+    _refuse_large(*size_px)
     with _damage_of_heic_explained():
         pixels = np.asarray(image)
     bits = int(image.info.get("bit_depth", 8))
@@ -377,8 +378,9 @@ def _as_stored(pixels: NDArray[Any], content: bytes) -> NDArray[Any]:
 def _damage_of_heic_explained() -> Iterator[None]:
     try:
         yield
-    except (OSError, RuntimeError, EOFError, SyntaxError, ValueError) as error:
-        raise ValueError(f"is a HEIC image that cannot be decoded ({error})") from error
+    except (OSError, RuntimeError, EOFError, SyntaxError, ValueError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"is a HEIC image that cannot be decoded ({reason})") from error
 
 
 def _refuse_large(width_px: int, height_px: int) -> None:

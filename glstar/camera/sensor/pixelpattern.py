@@ -203,9 +203,11 @@ def read_fits(content: bytes) -> Float:
     dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
     axes = cards.get("NAXIS", "")
     # A single plane may have a third axis.
-    if dtype is None or axes not in ("2", "3") or (axes == "3" and cards.get("NAXIS3") != "1"):
+    sides = [cards.get(key, "") for key in ("NAXIS2", "NAXIS1")]
+    is_plane = axes == "2" or (axes == "3" and cards.get("NAXIS3") == "1")
+    if dtype is None or not is_plane or not all(side.isdecimal() for side in sides):
         raise ValueError("its first unit is not an image of one channel")
-    shape = int(cards["NAXIS2"]), int(cards["NAXIS1"])
+    shape = int(sides[0]), int(sides[1])
     begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
     if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
         raise ValueError("it is cut off")
