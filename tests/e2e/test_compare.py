@@ -10,6 +10,7 @@ from statistics import median
 
 import cv2
 import pytest
+from PIL import Image
 from typer.testing import CliRunner, Result
 
 from glstar.cli import app
@@ -17,6 +18,7 @@ from glstar.config import Config
 from glstar.sky.place.timescale import parse_utc
 from tests.support.comparisons import CAMERA
 from tests.support.exif import DATE_TIME_ORIGINAL, EXPOSURE_TIME, SUB_SEC_TIME_ORIGINAL, jpeg_with_exif
+from tests.support.photofiles import exif_block
 
 FLIGHT = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
 
@@ -60,6 +62,20 @@ def test_the_fitted_clock_offset_is_written_to_the_settings(taken: Path, tmp_pat
     assert facts["alignment"]["time_offset_std_s"] < 0.002
     assert facts["time_sources"] == "6 by truth.jsonl"
     assert facts["left_out_images"][0]["file"] == "notes.png"
+
+
+def test_turned_images_are_compared_as_the_sensor_read_them(taken: Path, tmp_path: Path) -> None:
+    flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
+    frames = tmp_path / "frames"
+    shutil.copytree(taken / "frames", frames, ignore=shutil.ignore_patterns("notes.png"))
+    for path in sorted(frames.glob("*.png"))[:2]:
+        Image.open(path).save(path, exif=exif_block(orientation=6))
+
+    result = run("compare", flight, frames, "-c", taken / "camera.toml", "-o", tmp_path / "compared", "--json")
+
+    assert result.exit_code == 0, result.output
+    assert len(json.loads(result.stdout)["images"]) == 6
+    assert "note: EXIF turns 2 of 6 images for display; pixels are as the sensor read them" in result.stderr
 
 
 def test_the_fitted_readout_time_is_written_to_the_settings(taken: Path, tmp_path: Path) -> None:

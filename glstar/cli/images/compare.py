@@ -162,6 +162,7 @@ def _with_flight(
     own_length: bool,
     fit: tuple[bool, bool, bool],
 ) -> "Comparison":
+    from glstar.camera.photofile import read_exif  # noqa: PLC0415 - only when images are read
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy, OpenCV
     from glstar.images import TimeReference, choose_images, triggered_images  # noqa: PLC0415 - OpenCV
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
@@ -174,6 +175,8 @@ def _with_flight(
     if not images:
         first = f"; {problems[0]}" if problems else ""
         raise ImagesError(paths[1], f"holds no image with a time{first}; write images.csv with the columns file, utc")
+    if turned := sum(read_exif(image.path).orientation > 1 for image in images):
+        echo_note(f"note: EXIF turns {turned} of {len(images)} images for display; pixels are as the sensor read them")
     wanted = settings.exposure.starting_at(flight.attitude.first_s)
     with GLRenderer.headless() as renderer:
         job = FlightComparison(
