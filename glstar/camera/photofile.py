@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.sensor.pixelpattern import read_fits
-from glstar.system.imagefiles import MAX_MEGAPIXELS, PNG_SIGNATURE, size_error
+from glstar.system.imagefiles import MAX_MEGAPIXELS, MOST_DIRECTORIES, PNG_SIGNATURE, size_error, tiff_directories
 from glstar.system.installation import install_command
 
 # exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
@@ -56,14 +56,11 @@ _LARGEST_DN = 65535
 # Stored numbers to a digital number of 15 to 9 bits that is in the highest of 16.
 _LEFT_ALIGNED = frozenset(2.0**shift for shift in range(1, 8))
 # Tags of TIFF directories.
-_SUBFILE, _BITS, _COMPRESSION, _PHOTOMETRIC, _SUB_IFDS, _DNG_VERSION = 254, 258, 259, 262, 330, 50706
+_COMPRESSION, _PHOTOMETRIC, _DNG_VERSION = 259, 262, 50706
 _COLOUR_FILTERS, _LINEAR_RAW = 32803, 34892
 _UNCOMPRESSED = 1
 # Compressions of Nikon, Sony, Samsung and Pentax.
 _RAW_COMPRESSIONS = frozenset((34713, 32767, 32770, 65535))
-_TIFF_INTEGERS = {1: "B", 3: "H", 4: "I", 13: "I"}
-_MOST_DIRECTORIES = 16
-_MOST_VALUES = 64
 # Photometric interpretations that need no conversion of colours: white or black is zero, RGB, a mosaic.
 _WHITE_IS_ZERO, _RGB = 0, 2
 _PLAIN_COLOURS = (_WHITE_IS_ZERO, 1, _RGB, _COLOUR_FILTERS)
@@ -221,35 +218,9 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
 
 def _full_page(tiff: Any) -> Any:
     """Return the largest page of a TIFF that is not a thumbnail, also of those below another; the first of equals."""
-    pages = [page for first in list(tiff.pages)[:_MOST_DIRECTORIES] for page in (first, *(first.pages or ()))]
+    pages = [page for first in list(tiff.pages)[:MOST_DIRECTORIES] for page in (first, *(first.pages or ()))]
     full = [page for page in pages if not page.is_reduced] or pages
     return max(full, key=lambda page: page.imagewidth * page.imagelength)
-
-
-def _directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:
-    """Return the directories of a TIFF, those below others included, as integers by tag."""
-    found: list[dict[int, tuple[int, ...]]] = []
-    order = "<" if content.startswith(b"II") else ">"
-    offsets = []
-    with suppress(struct.error):  # damaged: the reader of the pixels reports it
-        offsets = list(struct.unpack_from(f"{order}I", content, 4))
-    while offsets and len(found) < _MOST_DIRECTORIES:
-        at = offsets.pop(0)
-        if not at:
-            continue
-        with suppress(struct.error):
-            (entries,) = struct.unpack_from(f"{order}H", content, at)
-            directory: dict[int, tuple[int, ...]] = {}
-            for entry in range(at + 2, at + 2 + 12 * entries, 12):
-                tag, kind, count, value = struct.unpack_from(f"{order}HHII", content, entry)
-                if kind in _TIFF_INTEGERS and count <= _MOST_VALUES:
-                    layout = f"{order}{count}{_TIFF_INTEGERS[kind]}"
-                    inside = struct.calcsize(layout) <= 4
-                    directory[tag] = struct.unpack_from(layout, content, entry + 8 if inside else value)
-            found.append(directory)
-            offsets += directory.get(_SUB_IFDS, ())
-            offsets += struct.unpack_from(f"{order}I", content, at + 2 + 12 * entries)
-    return found
 
 
 def _kind_of_raw(content: bytes) -> str:
@@ -258,7 +229,7 @@ def _kind_of_raw(content: bytes) -> str:
         return "raw file of a camera"
     if not content.startswith(_TIFF):
         return ""
-    directories = _directories(content)
+    directories = tiff_directories(content)
     if any(_DNG_VERSION in directory for directory in directories[:1]):
         return "DNG"
     # Canon marks its files; others have a thumbnail first, and the mosaic in a directory below it.
@@ -437,7 +408,7 @@ def _shift_of_png(content: bytes) -> int:
 
 
 def _shift_of_tiff(content: bytes) -> int:
-    largest = next(iter(_directories(content)), {}).get(MAX_SAMPLE_VALUE, (0,))[0]
+    largest = next(iter(tiff_directories(content)), {}).get(MAX_SAMPLE_VALUE, (0,))[0]
     # A run of ones that ends at the highest of 16 bits.
     shift = (largest & -largest).bit_length() - 1
     return shift if largest and largest == (0xFFFF >> shift) << shift else 0

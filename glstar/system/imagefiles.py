@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,8 +28,12 @@ _BMP = b"BM"
 # TIFF tags of the size, their possible types (SHORT, LONG, LONG8), and the most directory entries that are read.
 _TIFF_WIDTH = 256
 _TIFF_HEIGHT = 257
-_TIFF_INTEGERS = {3: "H", 4: "I", 16: "Q"}
+_TIFF_INTEGERS = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q"}
 _MOST_TIFF_ENTRIES = 4096
+# TIFF tag of directories below another, and the most directories and values of a tag that are read.
+_TIFF_SUB_IFDS = 330
+MOST_DIRECTORIES = 16
+_MOST_TIFF_VALUES = 64
 # JPEG markers that start a frame header (SOF0 to SOF15); C4, C8 and CC in their range mean something else.
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # JPEG markers without a length: TEM, RST0 to RST7, SOI.
@@ -109,6 +114,32 @@ def _tiff_size(content: bytes) -> tuple[int, int] | None:
         if tag in (_TIFF_WIDTH, _TIFF_HEIGHT) and kind in _TIFF_INTEGERS:
             (sides[tag],) = struct.unpack_from(order + _TIFF_INTEGERS[kind], content, entry + value_at)
     return (sides[_TIFF_WIDTH], sides[_TIFF_HEIGHT]) if len(sides) == 2 else None
+
+
+def tiff_directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:
+    """Return the directories of a TIFF, those below others included, as integers by tag."""
+    found: list[dict[int, tuple[int, ...]]] = []
+    order = "<" if content.startswith(b"II") else ">"
+    offsets = []
+    with suppress(struct.error):  # damaged: the reader of the pixels reports it
+        offsets = list(struct.unpack_from(f"{order}I", content, 4))
+    while offsets and len(found) < MOST_DIRECTORIES:
+        at = offsets.pop(0)
+        if not at:
+            continue
+        with suppress(struct.error):
+            (entries,) = struct.unpack_from(f"{order}H", content, at)
+            directory: dict[int, tuple[int, ...]] = {}
+            for entry in range(at + 2, at + 2 + 12 * entries, 12):
+                tag, kind, count, value = struct.unpack_from(f"{order}HHII", content, entry)
+                if kind in _TIFF_INTEGERS and count <= _MOST_TIFF_VALUES:
+                    layout = f"{order}{count}{_TIFF_INTEGERS[kind]}"
+                    inside = struct.calcsize(layout) <= 4
+                    directory[tag] = struct.unpack_from(layout, content, entry + 8 if inside else value)
+            found.append(directory)
+            offsets += directory.get(_TIFF_SUB_IFDS, ())
+            offsets += struct.unpack_from(f"{order}I", content, at + 2 + 12 * entries)
+    return found
 
 
 def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = None) -> bytes:

@@ -608,7 +608,7 @@ def test_the_bit_depth_is_derived_from_the_largest_value(tmp_path, largest: int,
         read_image(tmp_path / "raw.png", bit_depth=8)
 
 
-def test_exif_gives_the_orientation_and_the_exposure(tmp_path) -> None:
+def test_exif_gives_the_exposure_and_turns_no_pixels(tmp_path) -> None:
     pixels = np.zeros((40, 80), dtype=np.uint8)
     pixels[:, :20] = 200
     _, encoded = cv2.imencode(".jpg", pixels)
@@ -633,8 +633,8 @@ def test_exif_gives_the_orientation_and_the_exposure(tmp_path) -> None:
 
     image = read_image(tmp_path / "held.jpg")
 
-    assert image.pixels_dn.shape == (80, 40)
-    assert image.pixels_dn[:15].mean() > 190  # the left side is now at the top
+    assert image.pixels_dn.shape == (40, 80)
+    assert image.pixels_dn[:, :15].mean() > 190
     assert image.exposure_s == 0.25
 
 
