@@ -10,6 +10,7 @@ from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor.pointspread import TRUNCATION_DN
 from glstar.camera.sensor.sensor import ElectronModel, Sensor
+from glstar.errors import RenderError
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.scene import Scene
 from glstar.render.scene.starcomponents import gaussian_scenes
@@ -248,3 +249,43 @@ def test_a_faint_star_whose_wings_are_cut_keeps_its_flux(renderer):
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.25, trail="analytic"))
     assert 1 < scene.sensor.peak_dn(12.5, 0.25) < 5
     assert light(renderer, scene).sum() == pytest.approx(flux_dn(scene), rel=3e-3, abs=0)
+
+
+def pixels_of(sigma_px, x_y, shape):
+    """Return a Gaussian of flux 1, integrated over the pixels exactly."""
+    axes = []
+    for side, at in zip(shape, x_y[::-1], strict=True):
+        edges = erf((np.arange(side + 1) - 0.5 - at) / (np.sqrt(2) * sigma_px)) / 2
+        axes.append(np.diff(edges))
+    return np.outer(*axes)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_wide_wings_of_a_narrow_star_behind_a_lens_are_drawn(renderer, moves):
+    # A fit once wrote such stars: narrow ones are drawn at many times the resolution, where wings fill 300 px.
+    lens = replace(camera(161, 121, 400.0), lens=Lens("plumb_bob", (1e-7,)))
+    sensor, x_y = sensor_with(0.2, psf_wing_fraction=0.3, psf_wing_sigma_px=6.0), (80.2, 60.4)
+    turn = {"turn": lambda u: (0.004 * u, 0 * u), "n": 400} if moves else {"n": 4}
+    scene = stars_at([x_y], [3.0], sensor=sensor, lens=lens, **turn)
+    drawn = light(renderer, scene)
+    path_px = scene.positions(scene.stars.direction_eq, (np.arange(300) + 0.5) / 300)[:, 0]
+    expected = np.mean(
+        [0.7 * pixels_of(0.2, one, drawn.shape) + 0.3 * pixels_of(6.0, one, drawn.shape) for one in path_px], axis=0
+    )
+    wrong = drawn / flux_dn(scene) - expected
+    assert drawn.sum() == pytest.approx(flux_dn(scene), rel=2e-3, abs=0)
+    assert np.abs(wrong).max() < 0.06 * expected.max()
+    wings = np.hypot(*(np.indices(drawn.shape)[::-1] - np.array(x_y)[:, np.newaxis, np.newaxis])) > 5
+    assert np.abs(wrong[wings]).max() < 1e-4 * expected.max()
+
+
+def test_wings_too_wide_to_be_drawn_are_refused_by_the_name_of_their_key(context, renderer):
+    if context.info["GL_POINT_SIZE_RANGE"][1] > 300:
+        pytest.skip("this driver draws sprites of more than 300 px")
+    lens = replace(camera(161, 121, 400.0), lens=Lens("plumb_bob", (1e-7,)))
+    sensor = sensor_with(0.2, psf_wing_fraction=0.3, psf_wing_sigma_px=40.0)
+    scene = stars_at([(80.2, 60.4)], [3.0], sensor=sensor, lens=lens, n=4)
+    with pytest.raises(RenderError, match=r"sensor.psf_wing_sigma_px = 40 requires sprites of \d+ px .*it may be 14.2"):
+        renderer.render(scene, seed=0)
+    allowed = replace(scene, sensor=sensor_with(0.2, psf_wing_fraction=0.3, psf_wing_sigma_px=14.2))
+    assert renderer.render(allowed, seed=0).pixels.max() > 1000

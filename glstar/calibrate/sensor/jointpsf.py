@@ -1,5 +1,6 @@
 """One point spread function fitted to many stars of a photograph together, saturated ones with their wings."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -147,8 +148,11 @@ _STEP_PX = 0.02
 _LARGEST_STEP_PX = 0.4
 # A further parameter must lower the squared residuals, over their mean, by this much.
 _BETTER = 12.0
-# ... and growth, tilt, colour and ellipticity must exceed their standard errors by this factor.
+# ... and must exceed its standard error by this factor, away from the ends of its range.
 _CLEAR = 3.0
+_AT_END = 2e-3
+# Bright and faint stars are fitted separately if each half has this number of stars for each parameter.
+_STARS_PER_PARAMETER = 2
 # Light this far off the first fit does not count in the last one, standard deviations.
 _OUTLIER = 4.0
 # Moffat exponent from which on a star is a Gaussian, and range of the fit.
@@ -174,6 +178,7 @@ class JointPsf:
     standard_error: dict[str, float]  # By key of ``[sensor]``
     stars: int  # Number of stars it was fitted to
     misfit: float  # Root mean square of the residuals over their expected noise
+    refused: tuple[str, ...] = ()  # Parameters that lower the residuals, and that the stars do not determine
 
 
 def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, StarStamps]:
@@ -181,13 +186,13 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
 
     `stamps`: of isolated stars, most of them not saturated; `start_sigma_px`: approximate width, px.  Returns a
     Gaussian; with a Moffat exponent, wings, growth, tilt, colour and ellipticity each only where they lower the
-    residuals clearly.  Weighted least squares on all pixels of all stars with the renderer's own sums of Gaussians,
-    integrated over pixels and along the sidereal trails; flux and sky of each star are solved for each shape (variable
-    projection, Golub & Pereyra 1973), positions in turns with the shape.
+    residuals clearly and exceed their standard errors.  Weighted least squares on all pixels of all stars with the
+    renderer's own sums of Gaussians, integrated over pixels and along the sidereal trails; flux and sky of each star
+    are solved for each shape (variable projection, Golub & Pereyra 1973), positions in turns with the shape.
     """
     names: tuple[str, ...] = ("sigma",)
     fitted, stamps, cost = _fitted(stamps, names, _Shape(start_sigma_px))
-    untried = list(_GROUPS)
+    untried, refused = list(_GROUPS), []
     while untried:
         # Of the shapes with a further group of parameters, the one that explains most.
         trials = []
@@ -198,14 +203,30 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
         untried.remove(group)
         unit = trial_cost / max(_free_pixels(stamps) - 5 * len(stamps), 1)
         # Pixels of one star share its own peculiarities: they are fewer than they seem.
-        if cost - trial_cost > _BETTER * unit * len(group) and _is_clear(moved, (*names, *group), group, trial):
+        if cost - trial_cost <= _BETTER * unit * len(group):
+            continue
+        unclear = _unclear(moved, (*names, *group), trial, _covariance(moved, (*names, *group), trial))
+        if group in unclear:
+            refused.append(unclear[group])
+        else:
             names, fitted, stamps, cost = (*names, *group), trial, moved, trial_cost
     # Stars below the limit of detection are outliers of the pixels around the others.
-    fitted, stamps, cost = _fitted(_without_outliers(stamps, fitted), names, fitted)
+    stamps = _without_outliers(stamps, fitted)
+    while True:
+        fitted, stamps, cost = _fitted(stamps, names, fitted)
+        covariance = _covariance(stamps, names, fitted) + _between_halves(stamps, names, fitted)
+        unclear = _unclear(stamps, names, fitted, covariance)
+        if not unclear:
+            break
+        # The group that was added last depends on the others.
+        group = max(unclear, key=lambda one: names.index(one[0]))
+        refused.append(unclear[group])
+        names, fitted = tuple(name for name in names if name not in group), fitted.without(group)
     fitted = _without_position_bias(stamps, names, fitted)
-    errors = _errors(stamps, names, fitted)
+    errors = _errors(names, fitted, covariance)
     pixels = max(_free_pixels(stamps) - 4 * len(stamps), 1)
-    return JointPsf(fitted.psf, fitted.sigma_px, errors, len(stamps), float(np.sqrt(cost / pixels))), stamps
+    misfit = float(np.sqrt(cost / pixels))
+    return JointPsf(fitted.psf, fitted.sigma_px, errors, len(stamps), misfit, tuple(refused)), stamps
 
 
 def measure_fluxes(stamps: StarStamps, joint: JointPsf) -> tuple[Float, Float, StarStamps]:
@@ -267,6 +288,11 @@ class _Shape:
         given: dict[str, Any] = {name: _STARTS[name] for name in group if name in _STARTS}
         return replace(self, **given)
 
+    def without(self, group: tuple[str, ...]) -> "_Shape":
+        """Return the shape without a group of parameters."""
+        plain = _Shape(self.sigma_px)
+        return replace(self, **{name: getattr(plain, name) for name in group})
+
     def vector(self, names: tuple[str, ...]) -> Float:
         values = {"sigma": np.log(self.sigma_px), "beta": 1 / self.beta}
         return np.array([values.get(name, getattr(self, name, 0.0)) for name in names], dtype=np.float64)
@@ -321,30 +347,92 @@ def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[
     return shape, stamps, float(np.sum(residual**2))
 
 
-def _is_clear(stamps: StarStamps, names: tuple[str, ...], group: tuple[str, ...], shape: _Shape) -> bool:
-    """Return whether a group's parameters differ from 0 beyond chance; wings are judged by the residuals alone."""
-    errors = _errors(stamps, names, shape)
-    if group == ("growth",):
-        return shape.growth > _CLEAR * errors["psf_growth"]
-    if group == ("tilt_x", "tilt_y"):
-        return shape.psf.psf_tilt > _CLEAR * errors["psf_tilt"]
-    if group == ("colour",):
-        return abs(shape.colour) > _CLEAR * errors["psf_colour_growth"]
-    if group == ("e1", "e2"):
-        return float(np.hypot(shape.e1, shape.e2)) > _CLEAR * errors["psf_ellipticity"]
-    return True
+def _unclear(
+    stamps: StarStamps, names: tuple[str, ...], shape: _Shape, covariance: Float
+) -> dict[tuple[str, ...], str]:
+    """Return the groups of parameters that the stars do not determine, each with the reason for the user.
+
+    `covariance` (k, k): of the parameters.  A group is determined if its size exceeds its standard error clearly, and
+    no parameter is at an end of its range, where the range and not the stars decides.
+    """
+    low, high = _limits(stamps, names)
+    at_end = np.minimum(shape.vector(names) - low, high - shape.vector(names)) < _AT_END * (high - low)
+    errors, unclear = _errors(names, shape, covariance), {}
+    for group in (group for group in _GROUPS if group[0] in names):
+        key, size = _SIZES[group]
+        value = size(shape)
+        ends = [name for name in group if at_end[names.index(name)]]
+        error = errors[key]
+        if group == ("beta",):
+            # The inverse is fitted: 0 is a Gaussian.
+            value, error = 1 / shape.beta - 1 / _GAUSSIAN_BETA, error / shape.beta**2
+        if value <= _CLEAR * error:
+            unclear[group] = f"{key} {size(shape):.2g} ± {errors[key]:.2g} is not clear of 0"
+            if group == ("beta",):
+                unclear[group] = f"{key} {shape.beta:.2g} ± {errors[key]:.2g} is not clear of a Gaussian"
+        elif ends:
+            unclear[group] = f"{key} {size(shape):.2g} ends at a limit of its fit, which the stars do not reach"
+    return unclear
 
 
-def _errors(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> dict[str, float]:
-    """Return standard errors: sandwich estimator whose independent units are stars, with fixed positions."""
+# The size of each group of parameters, and the key of its standard error.
+_SIZES: dict[tuple[str, ...], tuple[str, Callable[[_Shape], float]]] = {
+    ("beta",): ("psf_beta", lambda shape: shape.beta),
+    ("wing", "ln_wing_px"): ("psf_wing_fraction", lambda shape: shape.wing),
+    ("growth",): ("psf_growth", lambda shape: shape.growth),
+    ("tilt_x", "tilt_y"): ("psf_tilt", lambda shape: shape.psf.psf_tilt),
+    ("colour",): ("psf_colour_growth", lambda shape: abs(shape.colour)),
+    ("e1", "e2"): ("psf_ellipticity", lambda shape: float(np.hypot(shape.e1, shape.e2))),
+}
+
+
+def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Float:
+    """Return the covariance of the parameters by leaving out each star in turn, (k, k).
+
+    The jackknife of the linearised fit, with flux, sky and position of each star free (Efron & Stein 1981, *Ann. Stat.*
+    9, 586).  A few bright stars decide a fit: with their own residuals, which the fit has made small, the sandwich
+    estimator states a tenth of the error.
+    """
     flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
     weight = _weights(stamps, shape, flux)
-    residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1)
-    J = _slopes(stamps, names, shape, weight)
-    inverse = np.linalg.pinv(np.einsum("npk,npl->kl", J, J))
-    scores = np.einsum("npk,np->nk", J, residual)
-    spread = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * len(stamps) / max(len(stamps) - len(names), 1))
-    by_name = dict(zip(names, spread.tolist(), strict=True))
+    residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1, 1)
+    by_position = _position_slopes(stamps, shape, weight)
+    transposed = np.swapaxes(by_position, 1, 2)
+    normal = transposed @ by_position + 1e-9 * np.eye(2)
+
+    def free(values: Float) -> Float:
+        return np.asarray(values - by_position @ np.linalg.solve(normal, transposed @ values))
+
+    J, r = free(_slopes(stamps, names, shape, weight)), free(residual)
+    information = np.swapaxes(J, 1, 2) @ J
+    score = (np.swapaxes(J, 1, 2) @ r)[..., 0]
+    without = information.sum(axis=0) - information
+    step = np.einsum("nkl,nl->nk", np.linalg.pinv(without, hermitian=True), score)
+    step -= step.mean(axis=0)
+    return np.asarray(step.T @ step * (len(stamps) - 1) / len(stamps))
+
+
+def _between_halves(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Float:
+    """Return what the shapes of bright and of faint stars add to the covariance, (k, k).
+
+    Cut-off skies, tone curves and blends change bright and faint stars differently, and all stars of one brightness
+    alike, which no jackknife shows.  A difference within its own standard error adds nothing.
+    """
+    zero = np.zeros((len(names), len(names)))
+    if len(stamps) < 2 * _STARS_PER_PARAMETER * len(names):
+        return zero
+    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
+    order = np.argsort(-flux, kind="stable")
+    halves = [stamps.some(np.sort(half)) for half in np.array_split(order, 2)]
+    fits = [_fitted(half, names, shape) for half in halves]
+    half_difference = (fits[0][0].vector(names) - fits[1][0].vector(names)) / 2
+    by_chance = sum((np.diag(_covariance(moved, names, one)) for one, moved, _ in fits), np.zeros(len(names))) / 4
+    return np.diag(np.maximum(half_difference**2 - by_chance, 0.0))
+
+
+def _errors(names: tuple[str, ...], shape: _Shape, covariance: Float) -> dict[str, float]:
+    """Return the standard errors of the keys of ``[sensor]``; `covariance` (k, k): of the parameters."""
+    by_name = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     errors = {"psf_sigma_px": by_name["sigma"] * shape.sigma_px}
     if "beta" in by_name:
         errors["psf_beta"] = by_name["beta"] * shape.beta**2
@@ -452,16 +540,22 @@ def _moved(stamps: StarStamps, shape: _Shape, weight: Float) -> StarStamps:
     """Return the stamps with better positions: Gauss-Newton steps by numerical derivatives."""
     for _ in range(_POSITION_ROUNDS):
         residual, _ = _residuals(stamps, shape, weight)
-        slopes = []
-        for axis in (0, 1):
-            shifted = stamps.xy_px.copy()
-            shifted[:, axis] += _STEP_PX
-            slopes.append((_residuals(replace(stamps, xy_px=shifted), shape, weight)[0] - residual) / _STEP_PX)
-        J = np.stack(slopes, axis=-1).reshape(len(stamps), -1, 2)
+        J = _position_slopes(stamps, shape, weight)
         normal = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(2)
         step = -np.linalg.solve(normal, np.swapaxes(J, 1, 2) @ residual.reshape(len(stamps), -1, 1))[..., 0]
         stamps = replace(stamps, xy_px=stamps.xy_px + np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX))
     return stamps
+
+
+def _position_slopes(stamps: StarStamps, shape: _Shape, weight: Float) -> Float:
+    """Return the derivatives of the weighted residuals by the positions of the stars, (n, m^2, 2)."""
+    residual, _ = _residuals(stamps, shape, weight)
+    slopes = []
+    for axis in (0, 1):
+        shifted = stamps.xy_px.copy()
+        shifted[:, axis] += _STEP_PX
+        slopes.append((_residuals(replace(stamps, xy_px=shifted), shape, weight)[0] - residual) / _STEP_PX)
+    return np.stack(slopes, axis=-1).reshape(len(stamps), -1, 2)
 
 
 def _free_pixels(stamps: StarStamps) -> int:

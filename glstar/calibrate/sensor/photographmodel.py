@@ -213,6 +213,7 @@ def measure_photograph(calibration: Calibration) -> PhotographModel:
     limit = max(_UNEVEN_NOISE * calibration.sensor.sky_std_dn, _UNEVEN_ERRORS * sky.error_dn)
     has_map = uneven_dn > limit
     sensor, errors, refused = _sensor(calibration, sky, noise, joint, terms, has_map=has_map)
+    refused = (*joint.refused, *refused)
     if not has_map:
         refused = (*refused, f"the sky is even: its level differs by {uneven_dn:.2g} DN (limit {limit:.2g})")
     if sensor.electrons is None and len(hot):

@@ -184,6 +184,17 @@ class PointSpread:
             1 + self.psf_growth + self.psf_tilt + max(of_colour),
         )
 
+    def widest(self, sigma_px: float) -> tuple[str, float, float]:
+        """Return the key of ``[sensor]`` that makes stars widest, its value, and the width of that Gaussian, px."""
+        core, _ = _circular(self, sigma_px)
+        core_px = self.scale_range[1] * max(one.sigma_px for one in core)
+        widths = [("psf_sigma_px", sigma_px, core_px)]
+        if self.psf_wing_fraction:
+            widths.append(("psf_wing_sigma_px", self.psf_wing_sigma_px, self.psf_wing_sigma_px))
+        if self.psf_halo_fraction:
+            widths.append(("psf_halo_radius_px", self.psf_halo_radius_px, self.psf_halo_radius_px))
+        return max(widths, key=lambda one: one[2])
+
     @property
     def keys(self) -> dict[str, float | str]:
         """The keys of ``[sensor]`` that differ from a plain Gaussian."""

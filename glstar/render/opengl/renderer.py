@@ -8,6 +8,7 @@ from typing import Self
 import moderngl
 
 from glstar.camera.sensor.colourband import Channel
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS, Effect, light_keys
 from glstar.render.motion.trailmodels import AnalyticSegments, SubExposures
@@ -293,7 +294,7 @@ class GLRenderer:
         """Sum the flux of a scene; with a mosaic, of each colour in its pixels."""
         if scene.camera.lens is None:
             clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
-            self._expose(self._drawable(gaussian_scenes(scene), scene), targets, clock)
+            self._expose(self._drawable(gaussian_scenes(scene), scene, scene.sensor), targets, clock)
         elif scene.sensor.colour.mosaic == "none":
             self._expose_behind_lens(scene, targets)
         else:
@@ -310,15 +311,18 @@ class GLRenderer:
             scene.exposure, undistorted.camera, guard_band_px, distortion_pass.resampling_px2(scene.sensor)
         )
         target = distortion_pass.target_for(undistorted, guard_band_px)
-        gaussians = self._drawable(distortion_pass.undistorted_gaussians(scene), undistorted)
+        gaussians = self._drawable(distortion_pass.undistorted_gaussians(scene), undistorted, scene.sensor)
         self._expose(gaussians, target, clock)
         whole, channel = mosaic or (scene, None)
         distortion_pass.resample(whole, targets.light, channel=channel)
 
-    def _drawable(self, gaussians: Sequence[Scene], whole: Scene) -> list[Scene]:
-        """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws."""
+    def _drawable(self, gaussians: Sequence[Scene], whole: Scene, sensor: Sensor) -> list[Scene]:
+        """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws.
+
+        `sensor`: as the user gave it, which an error names.
+        """
         core_px = whole.sensor.core.psf_sigma_px
-        return [with_drawable_sprites(gaussian, core_px, self._point_size_px) for gaussian in gaussians]
+        return [with_drawable_sprites(gaussian, core_px, self._point_size_px, sensor) for gaussian in gaussians]
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete

@@ -17,6 +17,7 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor.colourband import Channel
 from glstar.camera.sensor.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.errors import RenderError
+from glstar.render.opengl.passes.subexposure import sprite_px
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.targets import SignalTarget
 from glstar.render.opengl.textures import LensOpenings
@@ -120,6 +121,8 @@ _INTERPOLATION_PX2 = 0.40
 _MIN_SIGMA_PX = 1.5
 _MOSTLY_PIXEL_PX = 0.5
 _MIN_WITH_PIXEL_PX = 1.3
+# The same where wide wings would need larger sprites than a driver draws: up to 2 % of the peak of a narrow core.
+_LEAST_SIGMA_PX = 0.9
 # Side of the part of a pixel by whose variance stars are drawn wider, px, wide point spread functions and those that a
 # widened Gaussian does not describe (Sensor.needs_erf): several samples per pixel make up the rest.  With parts of half
 # a pixel, errors are 0.3 % of the peak at a sigma of 0.3 px, 4 % at 0.2 px and 12 % at 0.15 px: narrow stars take less.
@@ -182,6 +185,7 @@ class DistortionPass:
     def __init__(self, context: moderngl.Context, camera: Camera) -> None:
         camera.require_drawable()
         self.camera = camera
+        self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._patches, self._bounds_px = distortion_patches(camera)
         self.openings = LensOpenings(context, camera)
         self._programs: dict[tuple[int, int, bool], moderngl.Program] = {}
@@ -196,15 +200,28 @@ class DistortionPass:
     def oversampling(self, sensor: Sensor) -> float:
         """Return the number of pixels of the undistorted signal per pixel of the image, on the axis.
 
-        It is the largest magnification of the lens, or more for stars narrower than 1.5 px.  Stars below 0.5 px are
-        mostly pixel: the part of a pixel that they are drawn wider by counts as their width.
+        It is the largest magnification of the lens, or more for stars narrower than 1.5 px.
         """
-        sigma_px = sensor.core.psf_sigma_px
-        least_px = _MIN_SIGMA_PX
-        if sigma_px < _MOSTLY_PIXEL_PX and _pixel_px2(sensor):
-            sigma_px = hypot(sigma_px, sqrt(_pixel_px2(sensor)) * _drawn_pixel_px(sensor))
-            least_px = _MIN_WITH_PIXEL_PX
-        return max(self.camera.max_magnification, least_px / sigma_px)
+        return self._sampling(sensor)[0]
+
+    def _sampling(self, sensor: Sensor) -> tuple[float, float]:
+        """Return the oversampling, and the side of the part of a pixel by whose variance stars are drawn wider, px.
+
+        Stars below 0.5 px are mostly pixel: that part counts as their width.  Where the sprites of the wings would be
+        larger than the driver draws, the oversampling is less, and at last that part is larger.
+        """
+        core_px, pixel_px2 = sensor.core.psf_sigma_px, _pixel_px2(sensor)
+        widest_px = hypot(sensor.point_spread.widest(sensor.psf_sigma_px)[2], sqrt(pixel_px2))
+        usual_px = _drawn_pixel_px(sensor)
+        for drawn_pixel_px in (usual_px, *(side_px for side_px in (0.5, 1.0) if side_px > usual_px)):
+            sigma_px, least_px = core_px, _MIN_SIGMA_PX
+            if core_px < _MOSTLY_PIXEL_PX and pixel_px2:
+                sigma_px, least_px = hypot(core_px, sqrt(pixel_px2) * drawn_pixel_px), _MIN_WITH_PIXEL_PX
+            needed, least = (max(self.camera.max_magnification, px / sigma_px) for px in (least_px, _LEAST_SIGMA_PX))
+            largest = self._point_size_px / sprite_px(widest_px, sigma_px)
+            if largest >= least:
+                break
+        return min(needed, max(least, largest)), drawn_pixel_px
 
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene as a pinhole sees it, with a field and a resolution sufficient for resampling.
@@ -231,8 +248,7 @@ class DistortionPass:
 
     def _pinhole_scene(self, scene: Scene, whole: Sensor) -> Scene:
         """Return a scene as a pinhole sees it; `whole` is the sensor with the whole point spread function."""
-        oversampling = self.oversampling(whole)
-        drawn_pixel_px = _drawn_pixel_px(whole)
+        oversampling, drawn_pixel_px = self._sampling(whole)
         left, top, right, bottom = self._bounds_px
         camera = Camera(
             width_px=ceil((right - left) * oversampling) + 2 * _SPLINE_SUPPORT_PX,
@@ -263,8 +279,8 @@ class DistortionPass:
 
         It is that of the interpolation, and of the samples of a pixel on the axis.
         """
-        sampled_px2 = _pixel_px2(sensor) * (1 - _drawn_pixel_px(sensor) ** 2)
-        return _INTERPOLATION_PX2 + sampled_px2 * self.oversampling(sensor) ** 2
+        oversampling, drawn_pixel_px = self._sampling(sensor)
+        return _INTERPOLATION_PX2 + _pixel_px2(sensor) * (1 - drawn_pixel_px**2) * oversampling**2
 
     def target_for(self, undistorted: Scene, guard_band_px: int) -> SignalTarget:
         """Return the target for an undistorted signal: owned here, and valid until another size is requested."""
@@ -307,7 +323,7 @@ class DistortionPass:
         light.viewport = (0, 0, *light.size)
 
     def _set_uniforms(self, sensor: Sensor, viewport_px: tuple[int, int], guard_band_px: int) -> None:
-        oversampling = self.oversampling(sensor)
+        oversampling, drawn_pixel_px = self._sampling(sensor)
         left, top, _, _ = self._bounds_px
         for program in {group.program for group in self._groups}:
             set_uniforms(
@@ -320,13 +336,13 @@ class DistortionPass:
                 oversampling=oversampling,
                 guard_band_px=guard_band_px,
                 pixel_px2=_pixel_px2(sensor),
-                drawn_pixel_px=_drawn_pixel_px(sensor) * oversampling,
+                drawn_pixel_px=drawn_pixel_px * oversampling,
             )
 
     def _group_for(self, sensor: Sensor, *, has_mosaic: bool) -> None:
         """Group the patches by the number of samples that their pixels take."""
-        drawn_pixel_px = _drawn_pixel_px(sensor)
-        key = (self.oversampling(sensor), sensor.pixel, drawn_pixel_px, has_mosaic)
+        oversampling, drawn_pixel_px = self._sampling(sensor)
+        key = (oversampling, sensor.pixel, drawn_pixel_px, has_mosaic)
         if self._grouped_for == key:
             return
         self._drop_groups()
@@ -387,6 +403,6 @@ def _pixel_px2(sensor: Sensor) -> float:
 
 
 def _drawn_pixel_px(sensor: Sensor) -> float:
-    """Return the side of the part of a pixel by whose variance stars are drawn wider, px."""
+    """Return the usual side of the part of a pixel by whose variance stars are drawn wider, px."""
     core = sensor.core
     return _DRAWN_PIXEL_OF_NARROW_PX if core.psf_sigma_px < _NARROW_PX else _DRAWN_PIXEL_PX[core.needs_erf]

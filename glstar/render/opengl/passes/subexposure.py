@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 
 from glstar.camera.sensor.pointspread import PLAIN
+from glstar.camera.sensor.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.motion.trailmodels import SAMPLE_SPACING_SIGMA, SubExposures
 from glstar.render.opengl import textures
@@ -119,24 +120,32 @@ class SubExposurePass:
         self._owned.close()
 
 
-def with_drawable_sprites(scene: Scene, core_sigma_px: float, point_size_px: float) -> Scene:
+def sprite_px(sigma_px: float, core_sigma_px: float) -> float:
+    """Return the side of the smallest sprites of moving stars of some width, px; `core_sigma_px`: the narrowest."""
+    return 2 * PLAIN.min_sigma * sigma_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * core_sigma_px
+
+
+def with_drawable_sprites(scene: Scene, core_sigma_px: float, point_size_px: float, whole: Sensor) -> Scene:
     """Return a scene of plain Gaussians whose sprites are not larger than a driver draws.
 
     If necessary its truncation radii are smaller, 3.5 sigma or more.  The width of the narrowest Gaussian of the whole
-    point spread function decides the distance of sub-exposures.  Raises RenderError if such sprites are too large.
+    point spread function decides the distance of sub-exposures.  Raises RenderError if such sprites are too large; it
+    names the key of `whole`, the sensor as the user gave it.
     """
     sensor, draw_list = scene.sensor, scene.draw_list
     moves = isinstance(scene.trails, SubExposures) and len(scene.trails) > 1
-    extent_px = SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * core_sigma_px if moves else 0.0
-    sprite_px = 2 * float(draw_list.truncation_radius_px.max(initial=0.0)) + extent_px
-    if sprite_px <= point_size_px:
+    extent_px = sprite_px(0.0, core_sigma_px) if moves else 0.0
+    largest_px = 2 * float(draw_list.truncation_radius_px.max(initial=0.0)) + extent_px
+    if largest_px <= point_size_px:
         return scene
     fitting_px = (point_size_px - extent_px) / 2
-    if fitting_px < PLAIN.min_sigma * sensor.effective_sigma_px:
+    least_px = PLAIN.min_sigma * sensor.effective_sigma_px
+    if fitting_px < least_px:
+        key, value_px, _ = whole.point_spread.widest(whole.psf_sigma_px)
         raise RenderError(
-            f"psf_sigma_px = {sensor.psf_sigma_px:g} requires sprites of {sprite_px:.0f} px"
-            f" and this driver draws at most {point_size_px:.0f} px;"
-            f" sigma may be {sensor.psf_sigma_px * point_size_px / sprite_px:.1f} px"
+            f"sensor.{key} = {value_px:g} requires sprites of {2 * least_px + extent_px:.0f} px"
+            f" and this driver draws at most {point_size_px:.0f} px; it may be"
+            f" {np.floor(10 * value_px * fitting_px / least_px) / 10:g} px"
         )
     radii_px = np.minimum(draw_list.truncation_radius_px, fitting_px)
     return replace(scene, draw_list=replace(draw_list, truncation_radius_px=radii_px))
