@@ -13,7 +13,6 @@ from scipy.special import erf
 
 from glstar.arrays import Float, Index, Mask
 from glstar.camera.sensor.pointspread import PointSpread
-from glstar.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,21 +266,18 @@ class _Shape:
             return self.fixed
         ellipticity = min(float(np.hypot(self.e1, self.e2)), _MOST_ELLIPTICAL)
         tilt = float(np.hypot(self.tilt_x, self.tilt_y))
-        try:
-            return PointSpread(
-                psf="moffat" if self.beta < _GAUSSIAN_BETA else "gaussian",
-                psf_beta=float(np.clip(self.beta, *_BETA)) if self.beta < _GAUSSIAN_BETA else 3.0,
-                psf_wing_fraction=float(np.clip(self.wing, 0, _LARGEST_WING)),
-                psf_wing_sigma_px=float(np.exp(self.ln_wing_px)) if self.wing > 0 else 4.0,
-                psf_growth=float(np.clip(self.growth, 0, _LARGEST_GROWTH)),
-                psf_ellipticity=ellipticity if ellipticity > 1e-4 else 0.0,
-                psf_angle_rad=float(np.arctan2(self.e2, self.e1) / 2) if ellipticity > 1e-4 else 0.0,
-                psf_tilt=tilt,
-                psf_tilt_angle_rad=float(np.arctan2(self.tilt_y, self.tilt_x)) if tilt > 0 else 0.0,
-                psf_colour_growth=float(np.clip(self.colour, -_LARGEST_COLOUR_GROWTH, _LARGEST_COLOUR_GROWTH)),
-            )
-        except ConfigError as error:  # pragma: no cover - the ranges above exclude it
-            raise ValueError(str(error)) from error
+        return PointSpread(
+            psf="moffat" if self.beta < _GAUSSIAN_BETA else "gaussian",
+            psf_beta=float(np.clip(self.beta, *_BETA)) if self.beta < _GAUSSIAN_BETA else 3.0,
+            psf_wing_fraction=float(np.clip(self.wing, 0, _LARGEST_WING)),
+            psf_wing_sigma_px=float(np.exp(self.ln_wing_px)) if self.wing > 0 else 4.0,
+            psf_growth=float(np.clip(self.growth, 0, _LARGEST_GROWTH)),
+            psf_ellipticity=ellipticity if ellipticity > 1e-4 else 0.0,
+            psf_angle_rad=float(np.arctan2(self.e2, self.e1) / 2) if ellipticity > 1e-4 else 0.0,
+            psf_tilt=tilt,
+            psf_tilt_angle_rad=float(np.arctan2(self.tilt_y, self.tilt_x)) if tilt > 0 else 0.0,
+            psf_colour_growth=float(np.clip(self.colour, -_LARGEST_COLOUR_GROWTH, _LARGEST_COLOUR_GROWTH)),
+        )
 
     def started(self, group: tuple[str, ...]) -> "_Shape":
         """Return the shape with the starting values of a group of parameters."""
@@ -356,22 +352,18 @@ def _unclear(
     no parameter is at an end of its range, where the range and not the stars decides.
     """
     low, high = _limits(stamps, names)
-    at_end = np.minimum(shape.vector(names) - low, high - shape.vector(names)) < _AT_END * (high - low)
-    errors, unclear = _errors(names, shape, covariance), {}
+    vector, errors, unclear = shape.vector(names), _errors(names, shape, covariance), {}
+    at_end = np.minimum(vector - low, high - vector) < _AT_END * (high - low)
     for group in (group for group in _GROUPS if group[0] in names):
         key, size = _SIZES[group]
-        value = size(shape)
-        ends = [name for name in group if at_end[names.index(name)]]
-        error = errors[key]
-        if group == ("beta",):
-            # The inverse is fitted: 0 is a Gaussian.
-            value, error = 1 / shape.beta - 1 / _GAUSSIAN_BETA, error / shape.beta**2
+        value, error, null = size(shape), errors[key], "0"
+        stated = f"{key} {value:.2g} ± {error:.2g}"
+        if key == "psf_beta":  # The inverse is fitted
+            value, error, null = 1 / value - 1 / _GAUSSIAN_BETA, error / value**2, "a Gaussian"
         if value <= _CLEAR * error:
-            unclear[group] = f"{key} {size(shape):.2g} ± {errors[key]:.2g} is not clear of 0"
-            if group == ("beta",):
-                unclear[group] = f"{key} {shape.beta:.2g} ± {errors[key]:.2g} is not clear of a Gaussian"
-        elif ends:
-            unclear[group] = f"{key} {size(shape):.2g} ends at a limit of its fit, which the stars do not reach"
+            unclear[group] = f"{stated} is not clear of {null}"
+        elif any(at_end[names.index(name)] for name in group):
+            unclear[group] = f"{stated} ends at a limit of its fit, which the stars do not reach"
     return unclear
 
 
@@ -415,7 +407,7 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
 def _between_halves(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Float:
     """Return what the shapes of bright and of faint stars add to the covariance, (k, k).
 
-    Cut-off skies, tone curves and blends change bright and faint stars differently, and all stars of one brightness
+    A cut-off background, tone curves and blends change bright and faint stars differently, and all stars of one brightness
     alike, which no jackknife shows.  A difference within its own standard error adds nothing.
     """
     zero = np.zeros((len(names), len(names)))
