@@ -407,16 +407,14 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
 def _between_halves(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Float:
     """Return what the shapes of bright and of faint stars add to the covariance, (k, k).
 
-    A cut-off background, tone curves and blends change bright and faint stars differently, and all stars of one brightness
+    A cut-off background, tone curves and blends change bright and faint stars differently, and those of one brightness
     alike, which no jackknife shows.  A difference within its own standard error adds nothing.
     """
-    zero = np.zeros((len(names), len(names)))
     if len(stamps) < 2 * _STARS_PER_PARAMETER * len(names):
-        return zero
+        return np.zeros((len(names), len(names)))
     flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
     order = np.argsort(-flux, kind="stable")
-    halves = [stamps.some(np.sort(half)) for half in np.array_split(order, 2)]
-    fits = [_fitted(half, names, shape) for half in halves]
+    fits = [_fitted(stamps.some(np.sort(half)), names, shape) for half in np.array_split(order, 2)]
     half_difference = (fits[0][0].vector(names) - fits[1][0].vector(names)) / 2
     by_chance = sum((np.diag(_covariance(moved, names, one)) for one, moved, _ in fits), np.zeros(len(names))) / 4
     return np.diag(np.maximum(half_difference**2 - by_chance, 0.0))
