@@ -9,7 +9,7 @@ import numpy as np
 
 from glstar import __version__
 from glstar.calibrate.geometry.lensfit import SharedLensFit, centroid_noise_px
-from glstar.calibrate.identify.platesolution import Matches, ReferenceStars
+from glstar.calibrate.identify.platesolution import ZENITH_REFRACTION, Matches, ReferenceStars
 from glstar.calibrate.notes import Note, NoteKind
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
@@ -25,11 +25,6 @@ _STAR_COLUMNS = (
 )  # fmt: skip
 # Centroids have errors of at most sigma / 5: residuals above this fraction of sigma indicate a wrong camera model.
 _MISPLACED_SIGMA = 0.5
-
-
-# Refraction brings stars together as a lens of this much less focal length at the zenith: 58.3 arcsec of refraction for
-# each radian of zenith distance there, as a fraction.
-_ZENITH_REFRACTION = 2.8e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,17 +172,18 @@ def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[Note,
         text = (
             f"time or site is unknown; refraction shows the zenith {np.rad2deg(from_axis):.0f} ± {error_deg:.0f} deg"
             f" from the optical axis, at declination {declination_deg:.0f} deg (the latitude of the site): camera and"
-            " horizon are those of this zenith, whose error the standard errors leave out; give --utc, --lat and --lon"
+            " horizon are those of this zenith, whose error is in the standard errors; give --utc, --lat and --lon"
         )
         return (Note(NoteKind.CAMERA, text),)
     error_px = matches.standard_error.get("fx_px")
-    focal_px = matches.solution.camera.fx_px
-    if reference.C_ned_eq is not None or error_px is None or error_px > _ZENITH_REFRACTION * focal_px:
+    unknown_px = reference.refraction_error(matches.solution.C_camera_eq[2])[0] * matches.solution.camera.fx_px
+    # A larger scatter of the stars hides it.
+    if not unknown_px or error_px is None or error_px > 2 * unknown_px:
         return ()
     text = (
         "time or site is unknown, so refraction is not removed: the focal length is"
-        f" {_ZENITH_REFRACTION:.2%} too short if the camera pointed at the zenith, and more at lower altitudes; its"
-        " standard error does not include this; give --utc, --lat and --lon"
+        f" {ZENITH_REFRACTION:.2%} too short if the camera pointed at the zenith, and more at lower altitudes; the"
+        " standard errors include this down to 30 deg above the horizon; give --utc, --lat and --lon"
     )
     return (Note(NoteKind.CAMERA, text),)
 

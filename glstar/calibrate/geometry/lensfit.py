@@ -175,12 +175,13 @@ def fit_camera(
         pairs, solution = again, _solution_of(best, solution)
     stars = stars_of(solution, pairs)
     pinhole_rms_px = min((trial.rms_px for trial, model in best.trials if model is None), default=np.inf)
+    fitted = matches_of(reference, matches, solution, pairs, stars, best.sd)
     return CameraFit(
-        matches_of(reference, matches, solution, pairs, stars, best.sd),
+        fitted,
         tuple(trial for trial, _ in best.trials),
         best.chosen,
         pinhole_rms_px,
-        best.sd,
+        fitted.standard_error,
         stars.corner_fraction(solution.camera),
     )
 
@@ -227,7 +228,7 @@ def matches_of(
     """Return matches with a fitted camera, its predictions and residuals.
 
     `matches`: those that the fit started from; `solution`: the fitted one; `stars`: the stars of the pairs; `sd`:
-    standard errors of the camera's parameters.
+    standard errors of the camera's parameters by the scatter of the stars; that of unknown refraction is added.
     """
     predicted, predicted_xy = solution.stars_on_image(reference)
     residual = stars.residual_px(solution.camera, solution.C_camera_eq)
@@ -242,8 +243,16 @@ def matches_of(
         predicted=predicted,
         predicted_xy_px=predicted_xy,
         expected_by_chance=pairs.expected_by_chance,
-        standard_error=sd,
+        standard_error=with_refraction(sd, reference, solution),
     )
+
+
+def with_refraction(sd: dict[str, float], reference: ReferenceStars, solution: PlateSolution) -> dict[str, float]:
+    """Return standard errors of a camera's parameters with those of a refraction that time and site do not state."""
+    of_focal, of_point = reference.refraction_error(solution.C_camera_eq[2])
+    more = {"fx_px": of_focal, "cx_px": of_point, "cy_px": of_point}
+    f_px = solution.camera.fx_px
+    return {name: float(np.hypot(error, f_px * more.get(name, 0.0))) for name, error in sd.items()}
 
 
 def match_again(
@@ -362,8 +371,13 @@ def fit_shared_lens(
     )
     _require_all_explained(names, detected, reference, single, matches, best)
     fits = [fit_candidate(best.candidate, part, s) for part, s in zip(stars, solutions, strict=True)]
-    alone = tuple(None if fit is None else SingleImageFit(*fit) for fit in fits)
-    return SharedLensFit(matches, best.chosen, best.sd, alone)
+    alone = tuple(
+        None if fit is None else SingleImageFit(fit[0], with_refraction(fit[1], r, s))
+        for fit, r, s in zip(fits, reference, solutions, strict=True)
+    )
+    # The refraction of the images may be alike.
+    shared_error = {name: max(part.standard_error[name] for part in matches) for name in best.sd}
+    return SharedLensFit(matches, best.chosen, shared_error, alone)
 
 
 def _fit_jointly(

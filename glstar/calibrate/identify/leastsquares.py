@@ -254,17 +254,44 @@ def fit_parameters(free: FreeParameters, start: CameraPoses, model: LensModel | 
         return None
 
 
+# The image is divided into this number of parts along each side, whose residuals may be correlated.
+_PARTS = 4
+
+
 def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str, float]:
-    """Return the standard errors of ``fx_px``, and of ``cx_px``, ``cy_px`` and the coefficients if they were free."""
+    """Return the standard errors of ``fx_px``, and of ``cx_px``, ``cy_px`` and the coefficients if they were free.
+
+    The larger of two estimates: from the scatter of stars, and from the scatter of parts of the images, because a lens
+    that is not quite of the model shifts all stars of a part.
+    """
     camera, f = fit.state.camera, free.focal_column
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
-    covariance = np.linalg.pinv(fit.information) * max(2 * fit.cost / degrees, 1e-12)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inverse = np.linalg.pinv(fit.information)
+    by_star = np.diag(inverse) * max(2 * fit.cost / degrees, 1e-12)
+    by_part = inverse @ _scatter_of_parts(fit, free) @ inverse * len(fit.residual) / degrees
+    sd = np.sqrt(np.maximum(by_star, np.diag(by_part)))
     errors = {"fx_px": float(sd[f] * camera.fx_px)}
     if free.principal_point:
         errors |= {"cx_px": float(sd[f + 1] * camera.width_px), "cy_px": float(sd[f + 2] * camera.width_px)}
     names = () if camera.lens is None else COEFFICIENTS[camera.lens.model]
     return errors | {names[k]: float(sd[free.lens_column + i]) for i, k in enumerate(free.coefficients)}
+
+
+def _scatter_of_parts(fit: Minimum[CameraPoses], free: FreeParameters) -> Float:
+    """Return the sum of the squared scores of the parts of all images, (k, k); Liang & Zeger 1986, *Biometrika* 73."""
+    size_px = np.array([fit.state.camera.width_px, fit.state.camera.height_px])
+    parts = []
+    for image, stars in enumerate(free.stars):
+        column, row = np.clip((_PARTS * stars.xy_px / size_px).astype(np.intp), 0, _PARTS - 1).T
+        parts.append((image * _PARTS + row) * _PARTS + column)
+    _, part = np.unique(np.concatenate(parts), return_inverse=True)
+    positions = 2 * len(part)
+    score = fit.slopes[:positions] * (fit.residual / fit.root)[:positions, np.newaxis]
+    count = int(part.max()) + 1
+    of_part = np.stack(
+        [np.bincount(np.repeat(part, 2), weights=column, minlength=count) for column in score.T], axis=-1
+    )
+    return np.asarray(of_part.T @ of_part * count / max(count - 1, 1))
 
 
 def is_one_to_one(camera: Camera) -> bool:

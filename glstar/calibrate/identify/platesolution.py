@@ -23,6 +23,12 @@ from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S, Sky
 from glstar.sky.place.horizon import diurnal_aberration_rad
 from glstar.sky.place.site import Site
 
+# Refraction at the zenith of standard air: 58.3 arcsec for each radian of zenith distance, as a fraction.
+ZENITH_REFRACTION = 2.8e-4
+# What refraction does to the focal length and to the principal point, along x and along y, over its effect on the focal
+# length at the zenith: root mean squares over the sky 30 deg or more above the horizon.
+_UNKNOWN_REFRACTION = (1.55, 1.97)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceStars:
@@ -57,6 +63,24 @@ class ReferenceStars:
         `utc_s`: UTC seconds since 1970, for proper motion; an error of a few years is negligible.
         """
         return ReferenceStars(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
+
+    def refraction_error(self, axis_eq: Float) -> tuple[float, float]:
+        """Return the standard errors that unknown refraction gives a camera: 0 if site and time are known.
+
+        `axis_eq` (3,): its optical axis.  Returns those of the focal length, and of the principal point along x and
+        along y, each over the focal length.  At the zenith distance z refraction is S tan z.  It brings stars together
+        by S along the horizon and by S / cos^2 z towards the zenith, which a camera takes as a focal length shorter by
+        S (1 + 1 / cos^2 z) / 2; the next derivative moves its principal point by S tan z / cos^2 z.
+        """
+        if self.C_ned_eq is not None:
+            return 0.0, 0.0
+        if self.zenith_error_rad is None:
+            of_focal, of_point = _UNKNOWN_REFRACTION
+            return of_focal * ZENITH_REFRACTION, of_point * ZENITH_REFRACTION
+        cosine = max(float(axis_eq @ self.zenith_eq), 0.2)
+        tangent, secant2 = np.sqrt(1 / cosine**2 - 1), 1 / cosine**2
+        error = ZENITH_REFRACTION * self.refraction_scale * self.zenith_error_rad
+        return float(error * tangent * secant2), float(error * secant2 * (secant2 + 2 * tangent**2 + tangent))
 
     def to_camera(self, C_camera_eq: Float) -> Float:
         """Return the apparent directions in the camera frame.
