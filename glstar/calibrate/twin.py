@@ -12,7 +12,7 @@ from glstar.arrays import Float, Index
 from glstar.calibrate.identify.platesolution import ReferenceStars, sidereal_trails
 from glstar.calibrate.photo.photograph import Photograph, encoded_image, linearised, recorded_again
 from glstar.calibrate.photo.psf import fit_stars
-from glstar.calibrate.photo.sky import NoiseAgainstLevel, SkyMap, measure_noise
+from glstar.calibrate.photo.sky import SkyMap
 from glstar.calibrate.sensor.calibration import Calibration
 from glstar.calibrate.sensor.photographmodel import PhotographModel
 from glstar.camera.exposure import Exposure
@@ -37,6 +37,14 @@ _BRIGHTEST = 10
 _PROFILE_PX = 10
 # Half the side of the square around a star whose median is its sky, px.
 _SKY_PX = 12
+# A pixel above this fraction of the largest number is clipped.
+_CLIPPED = 0.98
+# The noise is compared at this number of levels of the sky, without differences of neighbours beyond this multiple of
+# their standard deviation, and where this number of neighbours differ at all.
+_NOISE_LEVELS = 12
+_NOISE_SIGMA = 4.0
+_LEAST_DIFFERENCES = 30
+_CLIPS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +52,8 @@ class TwinFigures:
     """How a twin differs from its photograph."""
 
     sky_ks: float  # Kolmogorov-Smirnov distance of the pixels of the sky
-    noise_error: float | None  # Root mean square of the relative difference of the noise over the levels of the sky
+    # Root mean square of the relative difference of the noise over the levels of the sky; None if there is too little.
+    noise_error: float | None
     neighbour_correlation: float  # Of the noise of neighbouring pixels
     twin_neighbour_correlation: float
     peak_error: float  # Mean absolute relative error of the brightest pixel of each star
@@ -54,7 +63,8 @@ class TwinFigures:
     width_ratio: float  # Median width of the twin's stars over that of the photograph's
     # Largest difference of the mean radial profiles of the ten brightest stars, over the profile's peak.
     profile_error: float
-    stars: int  # Number of stars whose peaks, and whose widths, were compared
+    # Number of stars whose peaks, and whose widths, were compared: those that the photograph does not clip.
+    stars: int
     width_stars: int
 
     def to_json(self) -> dict[str, Any]:
@@ -70,7 +80,7 @@ class Twin:
     figures: TwinFigures
     peaks_dn: Float  # (2, n) peaks of stars in photograph and twin
     profiles_dn: Float  # (2, k) mean radial profiles of the ten brightest stars, at 0, 1, 2 ... px
-    noise: NoiseAgainstLevel | None  # Of the twin
+    noise_dn: Float  # (3, n) levels of the sky, and the noise of photograph and twin there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,22 +206,22 @@ def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[An
     twin, other, plain = (_light_dn(calibration.image, image) for image in (pixels, again, of_catalogue))
     both = (real, twin)
     sky = model.sky
-    of_twin = SkyMap(sky.texels_dn, sky.level_dn, twin - sky.level_dn, sky.is_sky, sky.error_dn)
-    noise = measure_noise(of_twin)
+    noise_dn = neighbour_noise_dn(sky, both)
     matches = calibration.matches
     at = np.rint(matches.predicted_xy_px[np.isin(matches.predicted, matches.star)]).astype(int)
     peaks = np.array([_peaks_dn(image, at) for image in (*both, other, plain)])
-    good = peaks[0] > _PEAK_SNR * calibration.sensor.background_std_dn(calibration.sensor.reference_exposure_s)
+    bright_dn = _PEAK_SNR * calibration.sensor.background_std_dn(calibration.sensor.reference_exposure_s)
+    # What a clipped star would have had is unknown, and two clipped peaks are equal.
+    good = (peaks[0] > bright_dn) & [not _is_clipped(calibration, (real,), star) for star in at]
     order = np.flatnonzero(good)[np.argsort(-peaks[0][good], kind="stable")]
-    whole = order[[_unsaturated(calibration, both, star) for star in at[order]]]
+    whole = order[[not _is_clipped(calibration, both, star) for star in at[order]]]
     widths, counts = zip(*(_width(calibration, image, at[whole][:_WIDTHS]) for image in both), strict=True)
-    # Saturated stars have equal peaks: the catalogue has the order of their brightness.
-    profiles = np.array([_profile(image, at[good][:_BRIGHTEST]) for image in both])
+    profiles = np.array([_profile(image, at[order][:_BRIGHTEST]) for image in both])
     figures = TwinFigures(
         sky_ks=_distance(*(image[sky.is_sky] for image in both)),
-        noise_error=_noise_error(model.noise, noise),
+        noise_error=float(np.sqrt(np.mean((noise_dn[2] / noise_dn[1] - 1) ** 2))) if noise_dn.size else None,
         neighbour_correlation=_correlation(sky.residual_dn, sky.is_sky),
-        twin_neighbour_correlation=_correlation(of_twin.residual_dn, sky.is_sky),
+        twin_neighbour_correlation=_correlation(twin - sky.level_dn, sky.is_sky),
         peak_error=_relative_error(peaks[1][good], peaks[0][good]),
         catalogue_peak_error=_relative_error(peaks[3][good], peaks[0][good]),
         peak_noise=_relative_error(peaks[2][good], peaks[1][good]),
@@ -220,7 +230,7 @@ def compare_twin(model: PhotographModel, pixels: NDArray[Any], again: NDArray[An
         stars=int(good.sum()),
         width_stars=min(counts),
     )
-    return Twin(pixels, figures, peaks[:2, good], profiles, noise)
+    return Twin(pixels, figures, peaks[:2, good], profiles, noise_dn)
 
 
 def _relative_error(values: Float, true: Float) -> float:
@@ -243,11 +253,35 @@ def _distance(one: Float, other: Float) -> float:
     return float(np.abs(below[0] - below[1]).max())
 
 
-def _noise_error(one: NoiseAgainstLevel | None, other: NoiseAgainstLevel | None) -> float | None:
-    if one is None or other is None:
-        return None
-    twin = np.interp(one.level_dn, other.level_dn, np.sqrt(other.variance_dn2))
-    return float(np.sqrt(np.mean((twin / np.sqrt(one.variance_dn2) - 1) ** 2)))
+def neighbour_noise_dn(sky: SkyMap, images: tuple[Float, ...]) -> Float:
+    """Return levels of the sky, and the standard deviations of k images of it there, (1 + k, n), DN.
+
+    By the differences of neighbours, which neither the slope of a sky nor an error of its map changes; the rounding is
+    in them.  All images are compared at the same pixels.
+    """
+    levels, differences = [], []
+    for axis in (0, 1):
+        one, other = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
+        good = sky.is_sky[one] & sky.is_sky[other]
+        levels.append(sky.level_dn[one][good])
+        differences.append([(image[one] - image[other])[good] for image in images])
+    level, difference = np.concatenate(levels), np.concatenate(differences, axis=1)
+    rows = [
+        [level[part].mean(), *(_clipped_rms(one[part]) / np.sqrt(2) for one in difference)]
+        for part in np.array_split(np.argsort(level, kind="stable"), _NOISE_LEVELS)
+        if all(np.count_nonzero(one[part]) >= _LEAST_DIFFERENCES for one in difference)
+    ]
+    return np.array(rows).T
+
+
+def _clipped_rms(difference: Float) -> float:
+    """Return the root mean square of differences without outliers; single steps of whole numbers are none."""
+    size = np.abs(difference)
+    step, limit = float(np.median(size[size > 0])), np.inf
+    for _ in range(_CLIPS):
+        rms = float(np.sqrt(np.mean(size[size <= limit] ** 2)))
+        limit = max(_NOISE_SIGMA * rms, 1.01 * step)
+    return rms
 
 
 def _correlation(residual: Float, is_sky: NDArray[np.bool_]) -> float:
@@ -274,10 +308,10 @@ def _peaks_dn(image: Float, xy_px: Index) -> Float:
     return np.array(peaks_dn)
 
 
-def _unsaturated(calibration: Calibration, both: tuple[Float, Float], star: Index) -> bool:
-    """Return whether no pixel of a star is saturated in either image."""
-    (x, y), limit = star.tolist(), 0.98 * calibration.image.saturation_dn
-    return all(image[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4].max() < limit for image in both)
+def _is_clipped(calibration: Calibration, images: tuple[Float, ...], star: Index) -> bool:
+    """Return whether a pixel of a star is clipped in any of some images."""
+    (x, y), limit = star.tolist(), _CLIPPED * calibration.image.saturation_dn
+    return any(image[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4].max() >= limit for image in images)
 
 
 def _width(calibration: Calibration, image: Float, xy_px: Index) -> tuple[float, int]:
@@ -319,7 +353,7 @@ def draw_twin(model: PhotographModel, twin: Twin) -> bytes:
     """Return a photograph beside its twin as a PNG.
 
     It shows both images, a detail in the shadows, and measured beside simulated: the pixels of the sky, their noise
-    against the level, the mean profile of the ten brightest stars, and the peaks of all.
+    against the level, the mean profile of the ten brightest stars, and the peaks of all, without clipped ones.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415 - a second to load
@@ -341,7 +375,7 @@ def draw_twin(model: PhotographModel, twin: Twin) -> bytes:
         axes.set_yticks([])
         _draw_detail(axes, model, image)
     _draw_sky(figure.add_subplot(grid[1, 0]), model, both)
-    _draw_noise(figure.add_subplot(grid[1, 1]), model, twin)
+    _draw_noise(figure.add_subplot(grid[1, 1]), twin)
     _draw_profiles(figure.add_subplot(grid[1, 2]), twin)
     _draw_peaks(figure.add_subplot(grid[1, 3]), twin)
     figures = twin.figures
@@ -385,10 +419,11 @@ def _draw_sky(axes: Any, model: PhotographModel, both: tuple[Float, Float]) -> N
     axes.legend(fontsize=7)
 
 
-def _draw_noise(axes: Any, model: PhotographModel, twin: Twin) -> None:
-    for noise, colour, name in ((model.noise, _MEASURED, "photograph"), (twin.noise, _SIMULATED, "twin")):
-        if noise is not None:
-            axes.plot(noise.level_dn, np.sqrt(noise.variance_dn2), "o-", ms=3, lw=1, color=colour, label=name)
+def _draw_noise(axes: Any, twin: Twin) -> None:
+    if twin.noise_dn.size:
+        level_dn, *both = twin.noise_dn
+        for std_dn, colour, name in zip(both, (_MEASURED, _SIMULATED), ("photograph", "twin"), strict=True):
+            axes.plot(level_dn, std_dn, "o-", ms=3, lw=1, color=colour, label=name)
     axes.set_title("noise of the sky against its level", fontsize=10)
     axes.set_xlabel("level, DN")
     axes.set_ylabel("standard deviation, DN")

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import theilslopes
 
 from glstar.calibrate.geometry.camera import refraction_notes
+from glstar.calibrate.geometry.lensfit import with_refraction
 from glstar.calibrate.identify.hints import Label, identify_by_labels, identify_near
 from glstar.calibrate.identify.lost import identify_lost
 from glstar.calibrate.identify.matching import mutual_nearest, refine
@@ -723,13 +724,13 @@ def test_real_photographs_with_half_of_the_sky_hidden_are_recognised(
 @pytest.mark.parametrize(("error_px", "noted"), [(0.01, True), (5.0, False), (None, False)])
 def test_a_precise_focal_length_without_time_and_site_is_noted_as_too_short(error_px, noted):
     """Refraction at the zenith is 58.3 arcsec a radian of zenith distance: a focal length 0.028 % shorter."""
-    camera = SimpleNamespace(fx_px=1000.0)
-    matches = SimpleNamespace(
-        standard_error={} if error_px is None else {"fx_px": error_px}, solution=SimpleNamespace(camera=camera)
-    )
+    solution = SimpleNamespace(camera=SimpleNamespace(fx_px=1000.0), C_camera_eq=np.eye(3))
+    reference = ReferenceStars.anywhere(photo().sky, photo().exposure.mid_utc_s)
+    errors = {} if error_px is None else with_refraction({"fx_px": error_px}, reference, solution)
+    matches = SimpleNamespace(standard_error=errors, solution=solution)
 
-    without = refraction_notes(SimpleNamespace(C_ned_eq=None, zenith_error_rad=None), matches)
+    without = refraction_notes(reference, matches)
 
     assert len(without) == noted
     assert all("0.03% too short" in note.text and "--utc" in note.text for note in without)
-    assert refraction_notes(SimpleNamespace(C_ned_eq=np.eye(3), zenith_error_rad=None), matches) == ()
+    assert refraction_notes(replace(reference, C_ned_eq=np.eye(3)), matches) == ()

@@ -11,11 +11,11 @@ import pytest
 from glstar.calibrate.identify.hints import identify_near
 from glstar.calibrate.identify.platesolution import PlateSolution
 from glstar.calibrate.photo.detection import detect_stars
-from glstar.calibrate.photo.sky import before_clipping
+from glstar.calibrate.photo.sky import SkyMap, before_clipping
 from glstar.calibrate.sensor.brightness import fit_brightness_terms
 from glstar.calibrate.sensor.calibration import calibrate
 from glstar.calibrate.sensor.photographmodel import PhotographModel, measure_photograph
-from glstar.calibrate.twin import render_twin
+from glstar.calibrate.twin import compare_twin, neighbour_noise_dn, render_twin
 from glstar.camera.vignetting import Vignetting
 from glstar.config import Config
 from glstar.errors import CalibrationError
@@ -222,3 +222,41 @@ def test_the_power_of_the_response_is_measured_from_fluxes(exponent):
     slope = fit_brightness_terms(flux, 0.01 * flux, vmag, bv, r, np.ones(80, bool)).magnitude_slope
     assert slope.standard_error < 0.01
     assert 1 + slope.value == pytest.approx(exponent, rel=0, abs=3 * slope.standard_error)
+
+
+@pytest.mark.parametrize("dark_dn", [40.0, 0.0])
+def test_the_noise_of_a_twin_is_compared_by_neighbours_at_equal_level(dark_dn):
+    # A map with errors, hot pixels, and a sky that whole numbers cut off at 0.
+    rng = np.random.default_rng(1)
+    across = np.linspace(0, 1, 400)[np.newaxis] * np.ones((300, 1))
+    level = dark_dn + 12 * across**2
+    sky = SkyMap(level, level + 3 * np.cos(9 * across), np.zeros_like(level), np.ones(level.shape, bool), 0.1)
+
+    def image(std_dn):
+        return np.floor(np.clip(level + std_dn * rng.normal(size=level.shape), 0, 255) + 0.5)
+
+    one = image(0.4 + 0.1 * across)
+    one[rng.integers(0, 300, 40), rng.integers(0, 400, 40)] = 250
+    found = neighbour_noise_dn(sky, (one, image(0.4 + 0.1 * across), image(2 * (0.4 + 0.1 * across))))
+    assert found.shape[1] >= 8
+    np.testing.assert_allclose(found[2] / found[1], 1, rtol=0, atol=0.1)
+    ends = found[3] / found[1]
+    # Rounding adds 0.29 DN to both.
+    bright = found[0] > dark_dn + 3
+    expected = np.hypot(2 * (0.4 + 0.07), 0.29) / np.hypot(0.4 + 0.07, 0.29)
+    np.testing.assert_allclose(ends[bright], expected, rtol=0, atol=0.2)
+
+
+def test_clipped_stars_are_left_out_of_the_figures_of_a_twin():
+    model = full(1)
+    image = model.calibration.image
+    at = np.rint(model.calibration.detected.xy_px[model.calibration.matches.detection]).astype(int)
+    clipped = image.pixels_dn.copy()
+    x, y = next((x, y) for x, y in at.tolist() if clipped[y - 4 : y + 5, x - 4 : x + 5].max() < 200)
+    clipped[y - 1 : y + 2, x - 1 : x + 2] = 255
+    pixels = image.pixels_dn.astype(np.uint8)
+    plain = compare_twin(model, pixels, pixels, pixels).figures
+    of_clipped = replace(model, calibration=replace(model.calibration, image=replace(image, pixels_dn=clipped)))
+    figures = compare_twin(of_clipped, pixels, pixels, pixels).figures
+    assert plain.peak_error == figures.peak_error == plain.profile_error == figures.profile_error == 0
+    assert figures.stars < plain.stars
