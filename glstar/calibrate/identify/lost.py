@@ -1,9 +1,10 @@
 """Lost in space: identification of stars by their pattern, from a rough field of view."""
 
 import hashlib
+import itertools
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import Any
 
 import numpy as np
 from platformdirs import user_cache_path
+from scipy.ndimage import uniform_filter
 
-from glstar.arrays import Float
+from glstar.arrays import Float, Index, Mask
 from glstar.calibrate.identify.matching import refine, refine_outwards
 from glstar.calibrate.identify.platesolution import (
     CENTRAL_RADIUS_RAD,
@@ -35,6 +37,14 @@ _FOV_TOLERANCE = 0.15
 # Numbers of the brightest detections whose pattern is searched for, in turn.
 _BRIGHTEST = (200, 60, 25, 12)
 _TIMEOUT_MS = 10_000
+# The solver accepts a pattern at these probabilities of chance, in turn: few stars need the second one, and
+# `require_significant` judges what is made of either.
+_PATTERN_CHANCE = (1e-5, 1e-2)
+# Parts of an image along its longer side, detections of a crowded part over those of the emptiest ones, besides one, and
+# the fraction of detections in clear parts above which a second search is in vain.
+_PARTS = 16
+_CROWDED = 2.0
+_HARDLY_DIFFERENT = 0.8
 # Number of catalogue stars in the narrowest field of view that form patterns; more stars only take time.
 _STARS_A_VIEW = 40
 _LEAST_VMAG = 4.5
@@ -61,14 +71,16 @@ def identify_lost(
         )
         raise CalibrationError(message, stars_used=len(detected), stars_needed=MIN_STARS)
     refused: CalibrationError | None = None
-    for tried in (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera)):
-        for solution in _recognised(detected, reference, catalogue, tried):
-            try:
-                return require_significant(
-                    detected, (refine if tried is camera else refine_outwards)(detected, reference, solution)
-                )
-            except CalibrationError as error:
-                refused = refused or error
+    is_clear_part = _clear_parts(detected, camera)
+    for is_clear in (None,) if is_clear_part is None else (None, is_clear_part):
+        some = detected if is_clear is None else detected.without(~is_clear(detected.xy_px))
+        for tried in (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera)):
+            for solution in _recognised(some, reference, catalogue, tried):
+                try:
+                    refined = (refine if tried is camera else refine_outwards)(some, reference, solution)
+                    return _judged(detected, some, refined, is_clear)
+                except CalibrationError as error:
+                    refused = refused or error
     if refused is not None:
         raise refused
     raise CalibrationError(
@@ -77,6 +89,46 @@ def identify_lost(
         " is the image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,
         stars_needed=MIN_STARS,
+    )
+
+
+def _judged(
+    detected: DetectedStars,
+    some: DetectedStars,
+    refined: Matches | None,
+    is_clear: Callable[[Float], Mask] | None,
+) -> Matches:
+    """Return the matches of some detections as those of all, if chance cannot explain them."""
+    if is_clear is None or refined is None:
+        return require_significant(some, refined)
+    # Stars behind leaves cannot be expected among them.
+    seen = replace(refined, predicted=refined.predicted[is_clear(refined.predicted_xy_px)])
+    judged = require_significant(some, seen)
+    index = np.flatnonzero(is_clear(detected.xy_px))
+    return replace(refined, detection=index[refined.detection], notes=judged.notes)
+
+
+def _clear_parts(detected: DetectedStars, camera: Camera) -> Callable[[Float], Mask] | None:
+    """Return which positions (n, 2), px, lie outside the crowded parts of an image; None if there are none.
+
+    Leaves and roofs have more detections for their area than stars have: a part is crowded if it and its neighbours
+    have far more than those of the emptiest third.  It returns (n,) bool.
+    """
+    size_px = np.array([camera.width_px, camera.height_px])
+    side_px = max(size_px) / _PARTS
+    parts = np.ceil(size_px / side_px).astype(np.intp)
+
+    def part(xy_px: Float) -> tuple[Index, Index]:
+        column, row = np.clip((xy_px / side_px).astype(np.intp), 0, parts - 1).T
+        return row, column
+
+    counts = np.zeros(parts[::-1])
+    np.add.at(counts, part(detected.xy_px), 1)
+    around = uniform_filter(counts, 3, mode="nearest")
+    usual = float(np.sort(around, axis=None)[: max(around.size // 3, 1)].mean())
+    clear = around <= _CROWDED * usual + 1
+    return (
+        None if clear[part(detected.xy_px)].mean() > _HARDLY_DIFFERENT else lambda xy_px: np.asarray(clear[part(xy_px)])
     )
 
 
@@ -104,12 +156,14 @@ def _recognised(
     fov_rad = float(2 * np.arctan(half[0] / camera.fx_px))
     columns, rows = np.round(2 * half).astype(int).tolist()
     patterns = pattern_database(catalogue, fov_rad)
-    for count in (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest))):
+    counts = (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest)))
+    for chance, count in itertools.product(_PATTERN_CHANCE, counts):
         solution = patterns.solve_from_centroids(
             brightest[:count],
             fov_estimate_rad=fov_rad,
             image_shape=(rows, columns),
             fov_max_error_rad=_FOV_TOLERANCE * fov_rad,
+            match_threshold=chance,
             solve_timeout_ms=_TIMEOUT_MS,
         )
         if not solution:

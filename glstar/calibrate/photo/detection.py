@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from glstar.arrays import Float, Mask, robust_std
+from glstar.arrays import Float, Index, Mask, robust_std
 from glstar.calibrate.photo.photograph import Photograph
 from glstar.calibrate.photo.psf import FittedStars, drawn_out_px, fit_stars
 
@@ -176,6 +176,8 @@ class _Detection:
     # Smallest signal-to-noise ratio of a peak in the smoothed image.
     peak_snr: float = 5.0
     most_stars: int = 1000
+    # Parts along the longer side of an image with more peaks than that.
+    parts: int = 16
     # The width of the PSF is first measured on this number of the brightest peaks, starting from this sigma, px.
     first_stars: int = 60
     first_sigma_px: float = 1.3
@@ -282,9 +284,12 @@ def detect_stars(image: Photograph) -> DetectedStars:
     peak_dn = np.where(saturated, image.saturation_dn - _at(background.level_dn, peaks), fixed.peak_dn)
     patch_px2 = cv2.boxFilter((~usable).astype(np.float32), -1, (31, 31), normalize=False)
     order = good[np.lexsort((-peak_dn[good], -np.where(saturated, _at(patch_px2, peaks), 0.0)[good]))]
+    bright = np.flatnonzero(~saturated & ~hot & (fixed.peak_dn > _DETECTION.shape_snr * noise_dn))
+    bright = bright[np.argsort(-fixed.peak_dn[bright])]
     # Fragments of a long trail are not stars, but their elongation measures its length.
-    elongated = np.flatnonzero(~saturated & ~hot & (fixed.peak_dn > _DETECTION.shape_snr * noise_dn))
-    elongated = elongated[np.argsort(-fixed.peak_dn[elongated])]
+    lengths_px = [
+        drawn_out_px(above, usable, peaks[some], sigma_px) for some in (bright[np.isin(bright, good)], bright)
+    ]
     starless = _starless(pixels.shape, peaks, fixed.peak_dn, noise_dn, sigma_px)
     return DetectedStars(
         xy_px=xy_px[order],
@@ -295,7 +300,8 @@ def detect_stars(image: Photograph) -> DetectedStars:
         psf_sigma_px=sigma_px,
         background=background,
         sky=sky_level(pixels, background, starless & usable),
-        drawn_out_px=drawn_out_px(above, usable, peaks[elongated], sigma_px),
+        # Branches, roofs and lamps are elongated too: the stars themselves decide where there are enough of them.
+        drawn_out_px=next((length_px for length_px in lengths_px if length_px is not None), 0.0),
         saturated_fraction=float(1 - usable.mean()),
         hot_pixels=int((hot & ~at_the_edge).sum()),
         at_the_edge=int(at_the_edge.sum()),
@@ -360,10 +366,27 @@ def _peaks(above: Float, background: Background, usable: Mask, sigma_px: float) 
     radius = max(1, round(1.5 * sigma_px))
     highest = cv2.dilate(significance, np.ones((2 * radius + 1, 2 * radius + 1), dtype=np.uint8))
     rows, columns = np.nonzero((significance == highest) & (significance > _DETECTION.peak_snr))
-    height = significance[rows, columns]
-    order = np.argsort(-height)[: _DETECTION.most_stars]
-    xy = np.column_stack([columns, rows]).astype(np.float64)[order]
-    return _one_each(xy, ~usable)
+    xy = np.column_stack([columns, rows]).astype(np.float64)
+    xy = xy[np.argsort(-significance[rows, columns])]
+    return _one_each(xy[_most_peaks(xy, max(significance.shape))], ~usable)
+
+
+def _most_peaks(xy: Float, longer_side_px: int) -> Index:
+    """Return which of many peaks are used, (k,), given the highest first: not all of them in leaves or in a town.
+
+    The first half is the highest; the second half is the highest of all parts of the image, in turn.
+    """
+    if len(xy) <= _DETECTION.most_stars:
+        return np.arange(len(xy))
+    first = _DETECTION.most_stars // 2
+    part = (xy * _DETECTION.parts / longer_side_px).astype(np.intp) @ [1, _DETECTION.parts + 1]
+    by_part = np.argsort(part, kind="stable")
+    _, start, count = np.unique(part[by_part], return_index=True, return_counts=True)
+    rank = np.empty(len(xy), np.intp)
+    rank[by_part] = np.arange(len(xy)) - np.repeat(start, count)
+    rest = np.arange(first, len(xy))
+    rest = rest[np.argsort(rank[rest], kind="stable")][: _DETECTION.most_stars - first]
+    return np.sort(np.concatenate([np.arange(first), rest]))
 
 
 def _one_each(xy: Float, saturated: Mask) -> Float:

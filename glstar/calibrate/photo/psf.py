@@ -354,22 +354,31 @@ _SHAPE_ROUNDS = 15
 _NARROWEST_SHAPE_PX2 = 0.02
 # Smallest ratio of the two widths of a trailed star; optical aberrations hardly change the median star.
 _ROUND_RATIO = 1.25
+# Elongations differ by less than this from the median, over it, in at least this fraction of trailed stars.
+_ALIKE = 0.7
+_MOST_ALIKE = 0.5
 # Variance along a trail in a Gaussian window, over the square of its length: 1/12 for a short trail, and slightly more
 # for a long one.
 _VARIANCE_FRACTION = 1 / 11
 
 
-def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float:
+def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float | None:
     """Return the median length of the trails of the brightest stars without unusable pixels, px; 0 if they are round.
 
-    The parameters are those of `star_shapes`.
+    The parameters are those of `star_shapes`.  Trails are those of stars if most of them are alike; it is None for
+    fewer than six stars.
     """
     xx, yy, xy = star_shapes(above_dn, usable, xy_px, sigma_px)
     if len(xx) < _LEAST_SHAPES:
-        return 0.0
+        return None
     # All stars move alike; aberrations of a lens are radial or tangential, and cancel in the median.
     small, large = np.linalg.eigvalsh([[np.median(xx), np.median(xy)], [np.median(xy), np.median(yy)]])
-    return float(np.sqrt((large - small) / _VARIANCE_FRACTION)) if large > _ROUND_RATIO**2 * small else 0.0
+    if large <= _ROUND_RATIO**2 * small:
+        return 0.0
+    shape = np.column_stack([xx - yy, 2 * xy])
+    typical = np.median(shape, axis=0)
+    alike = np.linalg.norm(shape - typical, axis=1) < _ALIKE * np.linalg.norm(typical)
+    return float(np.sqrt((large - small) / _VARIANCE_FRACTION)) if alike.mean() >= _MOST_ALIKE else 0.0
 
 
 def star_shapes(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> tuple[Float, Float, Float]:
