@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from glstar.calibrate.geometry.lensfit import fit_lens
 from glstar.calibrate.identify.lost import identify_lost
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars, detect_stars
+from glstar.calibrate.photo.photograph import Photograph
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
@@ -22,6 +24,7 @@ from tests.support.plainphotos import (
     equidistant,
     focal_px,
     hazy,
+    narrow,
     pinhole_camera,
 )
 from tests.support.starphotos import ALL_STARS
@@ -156,3 +159,38 @@ def test_sidereal_trails_follow_the_lens_distortion(lens: Lens, projection, mirr
 
 def test_a_camera_without_a_lens_keeps_its_field_of_view() -> None:
     assert Camera(800, 600, 400.0, 400.0, 399.5, 299.5).horizontal_field_rad == pytest.approx(np.pi / 2)
+
+
+BESIDE_A_TREE = {"fov_deg": 10.0, "limit_vmag": 7.0, "peak_snr": 14.0, "uncatalogued": 1, "tree": 0.3}
+FEW_STARS = {"fov_deg": 6.0, "limit_vmag": 8.5, "peak_snr": 5.0, "uncatalogued": 5}
+
+
+@pytest.mark.parametrize(("seed", "given", "least"), [(14, BESIDE_A_TREE, 9), (10, FEW_STARS, 5)])
+def test_few_stars_beside_a_tree_and_in_a_narrow_view_are_recognised(seed, given, least) -> None:
+    photo = narrow(seed, **given)
+    camera = pinhole_camera(photo, 1.04 * given["fov_deg"])
+    matches = identify_lost(detect_stars(photo.image), REFERENCE, ALL_STARS, camera)
+    assert len(matches) >= least
+    assert photo.off_px(matches).max() < 2
+
+
+@pytest.mark.parametrize("given", [BESIDE_A_TREE, FEW_STARS])
+def test_random_stars_beside_a_tree_and_in_a_narrow_view_are_refused(given) -> None:
+    photo = narrow(3, **given, is_decoy=True)
+    with pytest.raises(CalibrationError):
+        identify_lost(detect_stars(photo.image), REFERENCE, ALL_STARS, pinhole_camera(photo, given["fov_deg"]))
+
+
+def test_round_stars_above_a_bright_edge_are_no_trails() -> None:
+    rng = np.random.default_rng(1)
+    pixels = 30 + rng.normal(0, 2, (480, 640))
+    rows, columns = np.indices(pixels.shape)
+    for x, y in rng.uniform(40, 300, (8, 2)):
+        pixels += 60 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 1.3**2))
+    # A fence: all its parts are elongated alike, and it has more peaks than there are stars.
+    for x in range(40, 620, 40):
+        pixels += 150 * np.exp(-((columns - x) ** 2) / (2 * 12.0**2) - (rows - 420) ** 2 / (2 * 1.2**2))
+    image = Photograph(Path("fence.png"), np.floor(np.clip(pixels, 0, 255) + 0.5), 8, "grey", 1.0)
+    found = detect_stars(image)
+    assert found.drawn_out_px == 0
+    assert found.quality_note == ""

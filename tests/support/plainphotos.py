@@ -248,6 +248,49 @@ def imperfect(
     return PlainPhoto(Photograph(Path("imperfect.png"), mosaic, 8, "grey", 0.5), projection, C_camera_eq)
 
 
+def narrow(
+    seed: int,
+    *,
+    fov_deg: float,
+    limit_vmag: float,
+    peak_snr: float,
+    uncatalogued: int,
+    tree: float = 0.0,
+    is_decoy: bool = False,
+) -> PlainPhoto:
+    """Return a narrow view of few catalogued stars among fainter ones, with bright leaves below.
+
+    `limit_vmag`: magnitude of stars whose peak is `peak_snr` times the noise; `uncatalogued`: fainter stars for each
+    catalogued one; `tree`: fraction of the image that leaves cover; `is_decoy`: whether all stars are at random
+    positions, so that no part of the sky is on the image.
+    """  # fmt: skip
+    rng = np.random.default_rng(seed)
+    shape = height, width = 960, 1280
+    f_px = width / 2 / np.tan(np.deg2rad(fov_deg / 2))
+    projection = barrel(f_px, width / 2 + rng.normal(0, 3), height / 2 + rng.normal(0, 3), 0.0, 0.0, 0.0, 0.0)
+    C_camera_eq = Rotation.random(random_state=rng).as_matrix()
+    xy, vmag = _drawn_stars(projection, C_camera_eq, shape)
+    faint = rng.poisson(len(vmag) * uncatalogued)
+    xy = np.concatenate([xy, rng.uniform(0, 1, (faint, 2)) * [width, height]])
+    # Numbers grow by half a decade per magnitude.
+    vmag = np.append(vmag, 6.8 + np.log10(1 + rng.uniform(0, 1, faint) * (10 ** (0.5 * 1.7) - 1)) / 0.5)
+    if is_decoy:
+        xy = rng.uniform(0, 1, xy.shape) * [width, height]
+    noise_dn, sky_dn = 3.0, 30.0
+    pixels = _star_light(shape, xy, peak_snr * noise_dn * 10 ** (-0.4 * (vmag - limit_vmag)), 1.2) + sky_dn
+    if tree:
+        waves = []
+        for side_px, weight in ((8, 0.3), (24, 0.5), (160, 1.0)):
+            coarse = rng.normal(size=(height // side_px + 3, width // side_px + 3))
+            waves.append(weight * cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC))
+        edge = 0.25 * sum(waves) + np.linspace(-1, 1, height)[:, np.newaxis]
+        texture = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 2.0)
+        leaves = np.clip(0.4 * sky_dn + 25 * np.abs(texture / texture.std()) ** 1.5, 0, 255)
+        pixels = np.where(edge > np.quantile(edge, 1 - tree), leaves, pixels)
+    pixels = np.floor(np.clip(pixels + rng.normal(0, noise_dn, shape), 0, 255) + 0.5)
+    return PlainPhoto(Photograph(Path("narrow.png"), pixels, 8, "grey", 1.0), projection, C_camera_eq)
+
+
 def focal_px(photo: PlainPhoto) -> float:
     """Return the true focal length on the axis, px."""
     step = 1e-4

@@ -40,8 +40,8 @@ _TIMEOUT_MS = 10_000
 # The solver accepts a pattern at these probabilities of chance, in turn: few stars need the second one, and
 # `require_significant` judges what is made of either.
 _PATTERN_CHANCE = (1e-5, 1e-2)
-# Parts of an image along its longer side, detections of a crowded part over those of the emptiest ones, besides one, and
-# the fraction of detections in clear parts above which a second search is in vain.
+# Parts of an image along its longer side; detections of a crowded part over those of the emptiest ones, besides one;
+# and the fraction of detections in clear parts above which a second search is in vain.
 _PARTS = 16
 _CROWDED = 2.0
 _HARDLY_DIFFERENT = 0.8
