@@ -352,7 +352,8 @@ def _unclear(
     no parameter is at an end of its range, where the range and not the stars decides.
     """
     low, high = _limits(stamps, names)
-    vector, errors, unclear = shape.vector(names), _errors(names, shape, covariance), {}
+    vector, errors = shape.vector(names), _errors(names, shape, covariance)
+    unclear: dict[tuple[str, ...], str] = {}
     at_end = np.minimum(vector - low, high - vector) < _AT_END * (high - low)
     for group in (group for group in _GROUPS if group[0] in names):
         key, size = _SIZES[group]
