@@ -439,8 +439,9 @@ def _errors(names: tuple[str, ...], shape: _Shape, covariance: Float) -> dict[st
         errors["psf_colour_growth"] = by_name["colour"]
     if "e1" in by_name:
         errors["psf_ellipticity"] = float(np.hypot(by_name["e1"], by_name["e2"]) / np.sqrt(2))
-        size = max(float(np.hypot(shape.e1, shape.e2)), 1e-3)
-        errors["psf_angle_deg"] = float(np.rad2deg(errors["psf_ellipticity"] / (2 * size)))
+        errors["psf_angle_deg"] = float(
+            np.rad2deg(errors["psf_ellipticity"] / max(2 * np.hypot(shape.e1, shape.e2), 2e-3))
+        )
     return errors
 
 
