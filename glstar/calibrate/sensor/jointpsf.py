@@ -440,7 +440,7 @@ def _errors(names: tuple[str, ...], shape: _Shape, covariance: Float) -> dict[st
     if "e1" in by_name:
         errors["psf_ellipticity"] = float(np.hypot(by_name["e1"], by_name["e2"]) / np.sqrt(2))
         errors["psf_angle_deg"] = float(
-            np.rad2deg(errors["psf_ellipticity"] / max(2 * np.hypot(shape.e1, shape.e2), 2e-3))
+            np.rad2deg(errors["psf_ellipticity"] / max(2 * shape.psf.psf_ellipticity, 2e-3))
         )
     return errors
 
