@@ -223,8 +223,7 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
         names, fitted = tuple(name for name in names if name not in group), fitted.without(group)
     fitted = _without_position_bias(stamps, names, fitted)
     errors = _errors(names, fitted, covariance)
-    pixels = max(_free_pixels(stamps) - 4 * len(stamps), 1)
-    misfit = float(np.sqrt(cost / pixels))
+    misfit = float(np.sqrt(cost / max(_free_pixels(stamps) - 4 * len(stamps), 1)))
     return JointPsf(fitted.psf, fitted.sigma_px, errors, len(stamps), misfit, tuple(refused)), stamps
 
 
@@ -388,7 +387,6 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
     """
     flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
     weight = _weights(stamps, shape, flux)
-    residual = _residuals(stamps, shape, weight)[0].reshape(len(stamps), -1, 1)
     by_position = _position_slopes(stamps, shape, weight)
     transposed = np.swapaxes(by_position, 1, 2)
     normal = transposed @ by_position + 1e-9 * np.eye(2)
@@ -396,13 +394,13 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
     def free(values: Float) -> Float:
         return np.asarray(values - by_position @ np.linalg.solve(normal, transposed @ values))
 
-    J, r = free(_slopes(stamps, names, shape, weight)), free(residual)
+    J = free(_slopes(stamps, names, shape, weight))
+    r = free(_residuals(stamps, shape, weight)[0].reshape(len(stamps), -1, 1))
     information = np.swapaxes(J, 1, 2) @ J
     score = (np.swapaxes(J, 1, 2) @ r)[..., 0]
     without = information.sum(axis=0) - information
     step = np.einsum("nkl,nl->nk", np.linalg.pinv(without, hermitian=True), score)
-    step -= step.mean(axis=0)
-    return np.asarray(step.T @ step * (len(stamps) - 1) / len(stamps))
+    return np.asarray(np.cov(step.T, bias=True).reshape(len(names), -1) * (len(stamps) - 1))
 
 
 def _between_halves(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Float:
