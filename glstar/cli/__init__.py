@@ -16,7 +16,7 @@ from rich.markup import escape
 from typer.core import TyperGroup
 
 from glstar import __version__
-from glstar.cli.verbosity import Quiet, Verbose, reporting
+from glstar.cli.reporting import Quiet, Verbose, reporting
 from glstar.errors import GlstarError
 from glstar.system.process import EXIT_INTERRUPTED
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_mode, sensor_presets
-from glstar.cli.verbosity import echo_note
+from glstar.cli.reporting import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flight import SYNTHETIC
 from glstar.config.section import is_file_name

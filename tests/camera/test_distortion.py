@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
-from glstar.camera.rectify import rectify
 from glstar.errors import CalibrationError
+from glstar.images.decoding import rectify
 
 LENSES = [
     Lens("plumb_bob", (-0.28, 0.07, 0.0, 0.0)),

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import glstar
 from glstar.cli import app
 from glstar.cli.flights import windowoptions
-from glstar.cli.verbosity import Verbosity, verbosity
+from glstar.cli.reporting import Verbosity, verbosity
 from glstar.system import installation
 from glstar.system.resources import asset
 

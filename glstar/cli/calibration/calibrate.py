@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from glstar.cli.flightoptions import ConfigFile
-from glstar.cli.verbosity import with_verbosity
+from glstar.cli.reporting import with_verbosity
 from glstar.errors import ConfigError
 
 Images = Annotated[

@@ -17,8 +17,7 @@ from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_wa
 from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
 from glstar.cli.flightoptions import sensor_names
-from glstar.cli.progress import progress_bar
-from glstar.cli.verbosity import with_verbosity
+from glstar.cli.reporting import progress_bar, with_verbosity
 from glstar.errors import CalibrationError
 from glstar.system.files import write_atomically
 
@@ -97,7 +96,7 @@ def show(
     read = read_camera_file(file, camera)
     shown = read.camera
     if as_json:
-        typer.echo(json.dumps({**_facts(shown), "notes": read.notes}))
+        typer.echo(json.dumps(_facts(shown) | ({"notes": read.notes} if read.notes else {})))
     for note in read.notes:
         typer.echo(f"note: {note}", err=True)
     for line in _description(shown) if not as_json else ():
@@ -208,8 +207,8 @@ def rectify(
     """Write an image as a pinhole of the same focal length would have recorded it."""
     from glstar.calibrate.photo.photograph import encoded_image  # noqa: PLC0415 - OpenCV again
     from glstar.camera.photofile import decode_photo  # noqa: PLC0415
-    from glstar.camera.rectify import rectify as rectified  # noqa: PLC0415
     from glstar.export.directory import explain_disk_errors  # noqa: PLC0415 - OpenCV again
+    from glstar.images.decoding import rectify as rectified  # noqa: PLC0415
 
     if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
         raise typer.BadParameter(f"{output} must end with .png or .tiff", param_hint="--output")

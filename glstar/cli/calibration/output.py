@@ -18,8 +18,7 @@ from glstar.calibrate.sensor.photographmodel import measure_photograph
 from glstar.calibrate.sensor.photontransfer import PhotonTransfer, measure_darks
 from glstar.calibrate.sensor.report import prepare_to_draw
 from glstar.calibrate.twin import TwinResult, make_twin, model_files
-from glstar.cli.progress import progress_bar
-from glstar.cli.verbosity import echo_note
+from glstar.cli.reporting import echo_note, progress_bar
 from glstar.config import Config
 from glstar.errors import CalibrationError
 from glstar.export.directory import explain_disk_errors

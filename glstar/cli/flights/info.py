@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
-from glstar.cli.verbosity import echo_note, with_verbosity
+from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import ExportError, LogFormatError
 from glstar.flight import ClockQuality, Flight

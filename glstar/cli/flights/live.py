@@ -16,7 +16,7 @@ from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.flights import windowoptions
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
 from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
-from glstar.cli.verbosity import echo_note, with_verbosity
+from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports

@@ -8,7 +8,7 @@ from threading import Event, Thread
 from typing import IO, TYPE_CHECKING, Self
 
 from glstar.camera.exposure import Exposure
-from glstar.cli.verbosity import echo_note
+from glstar.cli.reporting import echo_note
 from glstar.config import Config
 from glstar.errors import AnswersError, ExportError
 from glstar.export.publish.stream import STREAM, AnswerReceiver

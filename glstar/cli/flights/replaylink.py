@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
-from glstar.cli.verbosity import echo_note, with_verbosity
+from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
 from glstar.system.process import EXIT_INTERRUPTED
 

@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.verbosity import echo_note
+from glstar.cli.reporting import echo_note
 from glstar.errors import ConfigError
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.sky.observed.satellites import Satellites, visible_vmag

@@ -7,8 +7,7 @@ import numpy as np
 import typer
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
-from glstar.cli.progress import progress_bar
-from glstar.cli.verbosity import echo_note, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
 from glstar.errors import ConfigError, ImagesError
 
 if TYPE_CHECKING:

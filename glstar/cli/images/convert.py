@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from glstar.cli.progress import progress_bar
-from glstar.cli.verbosity import with_verbosity
+from glstar.cli.reporting import progress_bar, with_verbosity
 from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import refuse_links
 

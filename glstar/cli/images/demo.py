@@ -9,8 +9,7 @@ import typer
 from numpy.typing import NDArray
 
 from glstar.cli.flightoptions import log_of
-from glstar.cli.progress import progress_bar
-from glstar.cli.verbosity import with_verbosity
+from glstar.cli.reporting import progress_bar, with_verbosity
 from glstar.config import Config
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.system.imagefiles import encode_png

@@ -15,8 +15,7 @@ import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
 from glstar.cli.images import exportoptions as options
-from glstar.cli.progress import progress_bar
-from glstar.cli.verbosity import echo_detail, echo_note, with_verbosity
+from glstar.cli.reporting import echo_detail, echo_note, progress_bar, with_verbosity
 from glstar.flight import DATA_GAP
 from glstar.render.truth.conditions import conditions_report
 from glstar.sky.observed.stars import sun_altitude_rad

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import typer
 
 from glstar.cli.flightoptions import with_fields_as_options
-from glstar.cli.verbosity import echo_note
+from glstar.cli.reporting import echo_note
 from glstar.errors import ExportError
 from glstar.export.publish.stream import STREAM
 from glstar.system.files import write_atomically

@@ -1,5 +1,7 @@
-"""How much the commands report on standard error: ``--quiet`` and ``--verbose``."""
+"""What the commands report on standard error: notes, details and progress, by ``--quiet`` and ``--verbose``."""
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -28,6 +30,8 @@ class Verbosity(IntEnum):
 
 
 _CURRENT = ContextVar("verbosity", default=Verbosity.NORMAL)
+# Time between two lines of progress, s: a log of an hour's export has some hundred lines.
+_LINE_EVERY_S = 30.0
 
 
 def verbosity() -> Verbosity:
@@ -79,3 +83,53 @@ def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
     parameters = [parameter.replace(kind=Parameter.KEYWORD_ONLY) for parameter in own.parameters.values()]
     reported.__signature__ = own.replace(parameters=parameters + flags)  # type: ignore[attr-defined]
     return reported
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
+    """Show progress, rate and remaining time on standard error, after a label, if that is a terminal.
+
+    A verbose command writes progress to other files too, as lines; a quiet one writes none.  Yields a function to call
+    with the number of finished items and of all items.
+    """
+    # Loaded by the commands that show progress only.
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+
+    in_terminal = sys.stderr.isatty()
+    if verbosity() is Verbosity.VERBOSE and not in_terminal:
+        yield _lines(label)
+        return
+    shown = in_terminal and verbosity() > Verbosity.QUIET
+    columns = (
+        TextColumn(label),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    console = Console(file=sys.stderr)
+    with Progress(*columns, console=console, disable=not shown, transient=True) as progress:
+        number = progress.add_task(label, total=None, rate="")
+
+        def on_item(done: int, of: int) -> None:
+            speed = progress.tasks[0].speed
+            progress.update(number, completed=done, total=of, rate="" if speed is None else f"{speed:.1f}/s")
+
+        yield on_item
+
+
+def _lines(label: str) -> Callable[[int, int], None]:
+    """Return a function that writes progress as lines: the first, the last, and one at intervals."""
+    began_s = time.monotonic()
+    next_s = began_s
+
+    def on_item(done: int, of: int) -> None:
+        nonlocal next_s
+        now_s = time.monotonic()
+        if now_s < next_s and done < of:
+            return
+        next_s = now_s + _LINE_EVERY_S
+        typer.echo(f"{label}: {done} of {of} after {now_s - began_s:.1f} s", err=True)
+
+    return on_item
