@@ -87,6 +87,17 @@ class FrameTruth:
             return f"its utc is {late_s:+.1f} s from the middle of frame {self.frame} by the camera's clock"
         return None
 
+    def distance_from_trail(self, star: int, xy_px: Float) -> float:
+        """Return the distance of a point, (2,) px, from the line through start, middle and end of a trail, px."""
+        points = np.stack([self.xy_px[instant][star] for instant in ("start", "middle", "end")])
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            return np.inf
+        step = np.diff(points, axis=0, append=points[-1:])
+        along = np.einsum("ij,ij->i", xy_px - points, step) / np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+        nearest = points + np.clip(along, 0.0, 1.0)[:, np.newaxis] * step
+        return float(np.linalg.norm(xy_px - nearest, axis=1).min())
+
     def attitude(self, instant: str) -> Float | None:
         """Return the rotation from ICRS to the camera at ``start``, ``middle`` or ``end`` of the exposure, (3, 3).
 
@@ -263,6 +274,7 @@ class StarScore:
 
     identified: int  # Stars with an identifier
     correct: int  # Stars with a correct identifier and position
+    elsewhere: int  # Identified stars that are not on the trail of their star: their identifier is wrong
     detectable: int  # Detectable stars of the truth
     found: int  # Detectable stars that were identified correctly
     centroid_rms_px: float | None  # RMS position error of the correct stars, px
@@ -299,7 +311,7 @@ def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> Fra
         (attitude is None or attitude.boresight_rad <= limits.boresight_rad)
         and (attitude is None or abs(attitude.roll_rad) <= limits.roll_rad)
         and (position is None or position.distance_km <= limits.position_km)
-        and (stars is None or stars.identified - stars.correct <= limits.wrong_ids * stars.identified)
+        and (stars is None or stars.elsewhere <= limits.wrong_ids * stars.identified)
     )
     return FrameScore(
         truth=truth,
@@ -328,11 +340,13 @@ def _star_score(truth: FrameTruth, observed: ObservedStars, star_px: float) -> S
     true_px = truth.xy_px[observed.at]
     squared_px2 = []
     identified = set()
+    on_trail = 0
     for xy, number in zip(observed.xy_px, observed.star_id.tolist(), strict=True):
         k = index.get(number)
         if k is None:
             continue
         distance_px = float(np.hypot(*(xy - true_px[k])))
+        on_trail += distance_px <= star_px or truth.distance_from_trail(k, xy) <= star_px
         if distance_px <= star_px:
             squared_px2.append(distance_px**2)
             identified.add(k)
@@ -340,6 +354,7 @@ def _star_score(truth: FrameTruth, observed: ObservedStars, star_px: float) -> S
     return StarScore(
         identified=int((observed.star_id >= 0).sum()),
         correct=len(squared_px2),
+        elsewhere=int((observed.star_id >= 0).sum()) - on_trail,
         detectable=detectable.size,
         found=len(identified & set(detectable.tolist())),
         centroid_rms_px=float(np.sqrt(np.mean(squared_px2))) if squared_px2 else None,

@@ -272,6 +272,7 @@ def test_what_is_imported_is_declared() -> None:
         *(
             "distributed",
             "fsspec",
+            "gymnasium",
             "lz4",
             "mcap",
             "openpyxl",

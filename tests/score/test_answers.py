@@ -155,6 +155,18 @@ def test_identifiers_are_judged_beside_a_right_position(frames: Path, tmp_path: 
     assert wrong.frames[0].outcome is Outcome.FALSE
 
 
+def test_a_star_on_its_trail_is_the_right_one_although_its_place_is_not_the_asked_one(
+    frames: Path, tmp_path: Path
+) -> None:
+    rows = [json.loads(text) for text in (frames / "truth.jsonl").read_text().splitlines()]
+    rows[0]["stars"][0] |= {"start": [10.0, 5.0], "x_px": 30.0, "y_px": 5.0, "end": [30.0, 25.0]}
+    (tmp_path / "truth.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    for xy, outcome in (((20.0, 7.9), Outcome.SOLVED), ((20.0, 8.1), Outcome.FALSE), ((27.1, 15.0), Outcome.SOLVED)):
+        found = scored(tmp_path, tmp_path, {"frame": 0, "stars": [[*xy, 1]], "stars_at": "start"})
+        assert (found.frames[0].stars.correct, found.frames[0].outcome) == (0, outcome)
+
+
 def test_a_star_is_detectable_by_the_snr_of_the_truth(frames: Path, tmp_path: Path) -> None:
     rows = [json.loads(text) for text in (frames / "truth.jsonl").read_text().splitlines()]
     rows[0]["stars"][1]["snr"] = 10.5  # of the same flux and the same trail as its neighbours with 9

@@ -123,9 +123,15 @@ def test_answers_are_compared_with_the_truth_of_their_own_time(make_viewer, answ
     [answer] = beliefs(viewer)
 
     assert answer.name == "answer 2"
-    error, (right, down, roll) = answer.error, (TURN_DEG[1], -TURN_DEG[0], TURN_DEG[2])
+    # The turn as one of the optical axis and one about it.
+    turn = Rotation.from_rotvec(TURN_DEG, degrees=True)
+    right, down, ahead = turn.apply([0, 0, 1])
+    across_deg = degrees(np.arccos(ahead)) / np.hypot(right, down)
+    _, _, z, w = turn.as_quat()
+    expected = [across_deg * right, across_deg * down, degrees(2 * np.arctan2(z, w))]
+    error = answer.error
     found = np.rad2deg([error.right_rad, error.down_rad, error.roll_rad])
-    np.testing.assert_allclose(found, [right, down, roll], rtol=0, atol=SAME_DEG)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=SAME_DEG)
     # The radius of curvature in the meridian at 34.68 deg.
     a_km, e2, phi = 6378.137, 0.00669437999014, radians(34.68)
     meridian_km = a_km * (1 - e2) / (1 - e2 * np.sin(phi) ** 2) ** 1.5

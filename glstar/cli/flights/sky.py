@@ -126,7 +126,7 @@ def sky(
     else:
         listing = _of_stars(of_date, utc_s, site, vmag, everything=everything)
     title = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}"
-    _print(listing.with_notes(stars.note, dut1, utc_s), _format_of(format_, as_json=as_json), title)
+    _print(listing.with_notes(stars.note, dut1, utc_s), _format_of(format_, as_json=as_json), title, stars.note)
 
 
 class _Listing(NamedTuple):
@@ -228,7 +228,7 @@ def _decimal(row: _Row, decimals: Mapping[str, int]) -> Iterator[str]:
     return ("" if row[key] is None else f"{row[key]:.{count}f}" for key, count in decimals.items())
 
 
-def _print(listing: _Listing, format_: _Format, title: str) -> None:
+def _print(listing: _Listing, format_: _Format, title: str, of_catalogue: str) -> None:
     if format_ is _Format.json:
         notes = {"notes": list(listing.notes)} if listing.notes else {}
         json.dump([row | notes for row in listing.rows], sys.stdout, ensure_ascii=False, indent=1)
@@ -243,8 +243,9 @@ def _print(listing: _Listing, format_: _Format, title: str) -> None:
             table.add_row(*cells)
         # A pipe has no width: use one that is wide enough for all columns.
         Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
-    if format_ is not _Format.table:
-        for note in listing.notes:
+    of_table = format_ is _Format.table
+    for note in listing.notes:
+        if not of_table or note == of_catalogue:
             echo_note(f"note: {note}")
     if not listing.rows:
         typer.echo(f"glstar: {listing.why_none}", err=True)
