@@ -28,6 +28,10 @@ MAX_SHADER_LINES = 500
 MAX_ALL_MODULES = 350
 
 
+# What a statement may stand in.
+_HOLDERS = (ast.stmt, ast.excepthandler, ast.match_case)
+
+
 @cache
 def tree_of(source: Path) -> ast.Module:
     """Return the syntax tree of a file."""
@@ -35,10 +39,13 @@ def tree_of(source: Path) -> ast.Module:
 
 
 def documented(tree: ast.Module) -> Iterator[ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef]:
-    """Yield the module, its classes and its functions."""
-    for node in ast.walk(tree):
+    """Yield the module, its classes and its functions: only statements are searched, which hold them all."""
+    nodes: list[ast.AST] = [tree]
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield node
+        nodes += [child for child in ast.iter_child_nodes(node) if isinstance(child, _HOLDERS)]
 
 
 def lines_of(node: ast.stmt) -> set[int]:
