@@ -5,7 +5,7 @@ clock, and UTC then lies between that row and the one before it.  Offset and rat
 readings agree; others are cut.  Where the offset steps for longer than a glitch, another boot begins.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import nan
@@ -133,9 +133,30 @@ def clock_boots(clock_s: Float, utc_s: Float) -> tuple[Boot, ...]:
     usual_s = float(np.median(np.abs(steps_s))) if steps_s.size else 0.0
     if steps_s.size < 2 or np.count_nonzero(steps_s < 0) > _MAX_STEPS_BACK or usual_s > _SLOW_ROWS_S:
         return (Boot(1),)
-    cells = np.flatnonzero(np.isfinite(clock_s) & np.isfinite(utc_s))
-    remaining, hold_s = np.ones(cells.size, dtype=bool), _usual_hold_s(clock_s, utc_s)
-    found: list[tuple[Integer, Float]] = []
+    back_s, hold_s = max(_BACK_S, 1.5 * usual_s), _usual_hold_s(clock_s, utc_s)
+    timed = np.flatnonzero(np.isfinite(clock_s))
+    # A line across a step back would fit both of its sides, with a rate that neither has.
+    starts = timed[1:][np.diff(clock_s[timed]) < -back_s]
+    found = [
+        part
+        for cells in np.split(timed, np.searchsorted(timed, starts))
+        for part in _lines(clock_s, utc_s, cells[np.isfinite(utc_s[cells])], usual_s, hold_s)
+    ]
+    at = np.concatenate([np.empty(0, dtype=np.int64), *(part for part, _ in found)])
+    agreed_s = np.concatenate([np.empty(0), *(part for _, part in found)])
+    order = np.argsort(at)
+    readings_of_utc = (at[order], clock_s[at[order]], agreed_s[order])
+    return find_boots([(rows, clock_s)], readings_of_utc, back_s=back_s, checked=True)
+
+
+def _lines(
+    clock_s: Float, utc_s: Float, cells: Integer, usual_s: float, hold_s: float
+) -> Iterator[tuple[Integer, Float]]:
+    """Yield the rows of the readings of each clock among (k,) cells, and their UTC by that clock, s.
+
+    `usual_s`: interval of rows; `hold_s`: how long UTC stands still between two fixes, s.
+    """
+    remaining = np.ones(cells.size, dtype=bool)
     for _ in range(_MAX_CLOCKS):
         if np.count_nonzero(remaining) < _FEWEST_READINGS:
             break
@@ -144,13 +165,8 @@ def clock_boots(clock_s: Float, utc_s: Float) -> tuple[Boot, ...]:
         if readings.rows.size < _FEWEST_READINGS:
             break
         # Without the scatter of readings within a row, which is no step.
-        found.append((readings.rows, readings.clock_s + offset_s))
+        yield readings.rows, readings.clock_s + offset_s
         remaining &= ~agree
-    at = np.concatenate([np.empty(0, dtype=np.int64), *(part for part, _ in found)])
-    agreed_s = np.concatenate([np.empty(0), *(part for _, part in found)])
-    order = np.argsort(at)
-    readings_of_utc = (at[order], clock_s[at[order]], agreed_s[order])
-    return find_boots([(rows, clock_s)], readings_of_utc, back_s=max(_BACK_S, 1.5 * usual_s), checked=True)
 
 
 def fitted_clock(clock_s: Float, utc_s: Float) -> ClockFit:
