@@ -233,13 +233,14 @@ def _readings(clock_s: Float, utc_s: Float, cells: Integer) -> _Readings:
     only_s = np.full(utc_s.size, nan)
     only_s[cells] = utc_s[cells]
     rows = np.flatnonzero(first_of_each_time(only_s))
-    timed = np.isfinite(clock_s)
+    repeated = rows.size < 0.9 * cells.size
+    # Of values that are repeated, an empty cell before the first is missing: it may have held the same.
+    timed = np.isfinite(clock_s) & np.isfinite(utc_s) if repeated else np.isfinite(clock_s)
     all_s, place = clock_s[timed], np.cumsum(timed)[rows] - 1
     step_s = float(np.median(np.abs(np.diff(all_s)))) if all_s.size > 1 else 0.0
     before_s = all_s[np.maximum(place - 1, 0)]
     # After a step back of the clock, and in the first row, the row before says nothing.
     before_s = np.where((place > 0) & (before_s < clock_s[rows]), before_s, clock_s[rows] - step_s)
-    repeated = rows.size < 0.9 * cells.size
     return _Readings(rows, clock_s[rows], before_s, utc_s[rows], bool(repeated or has_whole_seconds(utc_s[rows])))
 
 
