@@ -22,7 +22,7 @@ messages for that of the link, so that a constant delay of the solver would stay
 from collections import deque
 from dataclasses import dataclass
 from ipaddress import ip_address
-from math import hypot, isfinite, nan, pi
+from math import hypot, inf, isfinite, nan, pi
 from typing import Any, Literal
 
 import numpy as np
@@ -33,6 +33,7 @@ from glstar.link.packets import EXTERNAL_POSITION_ESTIMATE, GPS_TYPES, MessageId
 from glstar.link.receiver import Receiver
 from glstar.sky.place.site import Site, north_east_of, surface_offset_km
 from glstar.sky.place.timescale import GPS_EPOCH_S, TAI_MINUS_GPS_S, WEEK_S, format_utc, tai_minus_utc_s
+from glstar.telemetry.mavlink.packets import Sender
 
 # System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
 _SYSTEM, _COMPONENT = 255, 191
@@ -63,6 +64,18 @@ _STREAM_OF = {
 }
 
 
+class _Packer:
+    """Packs messages as those of a ground station, each with the next sequence number."""
+
+    def __init__(self) -> None:
+        self._link = dialect().MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
+
+    def __call__(self, message: Any) -> bytes:
+        packed = bytes(message.pack(self._link))
+        self._link.seq = (self._link.seq + 1) % 256
+        return packed
+
+
 class Requests:
     """Requests messages from one autopilot until they are received.
 
@@ -73,7 +86,7 @@ class Requests:
         self.rate_hz = rate_hz
         self.wants_gimbal = wants_gimbal
         self._mavlink = dialect()
-        self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
+        self._packed = _Packer()
         self._heartbeat_s: float | None = None
         # The receiver and its autopilot's boot to which the requests belong.
         self._served: tuple[Receiver, int] | None = None
@@ -166,11 +179,6 @@ class Requests:
             mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
         )
 
-    def _packed(self, message: Any) -> bytes:
-        packed = bytes(message.pack(self._link))
-        self._link.seq = (self._link.seq + 1) % 256
-        return packed
-
 
 # How a fix is sent.
 InjectedMessage = Literal["external_position", "gps_input", "global_position_sensor"]
@@ -258,9 +266,10 @@ class Injector:
         self._doubted: tuple[PositionFix, int] | None = None
         # When the first fix was sent, by `time.monotonic`, s: the zero of the times of transmission, which never wrap.
         self._first_s: float | None = None
-        self._asked: list[float] = []  # When the parameter was asked for, by `time.monotonic`, s
+        # The autopilot that is asked for its parameter, how often, and when last, by `time.monotonic`, s.
+        self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
         self._mavlink = dialect()
-        self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
+        self._packed = _Packer()
 
     def add(self, fix: PositionFix) -> None:
         """Send a fix as soon as the autopilot and UTC are known; may be called from any thread."""
@@ -271,13 +280,10 @@ class Injector:
         utc_minus_host_s = receiver.clock.utc_minus_host_s
         if receiver.chosen is None or utc_minus_host_s is None:
             return []
-        if self._is_gps_input and not receiver.parameters and len(self._asked) <= _PARAMETER_TRIES:
-            if self._asked and now_s - self._asked[-1] < _PARAMETER_S:
-                return []
-            self._asked.append(now_s)
-            if len(self._asked) <= _PARAMETER_TRIES:
-                return [self._packed(self._parameter_request(receiver.chosen, name)) for name in GPS_TYPES]
-            self.messages.append(f"the autopilot does not state {GPS_TYPES[0]}: it may ignore the positions")
+        if self._is_gps_input and not receiver.parameters:
+            questions = self._questions(receiver.chosen, now_s)
+            if questions is not None:
+                return questions
         packets = []
         while self._fixes:
             fix = self._fixes.popleft()
@@ -285,7 +291,8 @@ class Injector:
             why = self._refusal(fix, receiver, now_s, utc_s)
             if why is not None:
                 self.refused += 1
-                self.messages.append(f"the position of {format_utc(fix.utc_s)[11:21]} is not sent: {why}")
+                at = format_utc(fix.utc_s)[11:21] if isfinite(fix.utc_s) else fix.utc_s
+                self.messages.append(f"the position of {at} is not sent: {why}")
                 continue
             self._first_s = now_s if self._first_s is None else self._first_s
             packets.append(self._packed(self._make(fix, receiver, now_s, utc_s)))
@@ -293,13 +300,20 @@ class Injector:
         self.sent += len(packets)
         return packets
 
-    def _packed(self, message: Any) -> bytes:
-        packed = bytes(message.pack(self._link))
-        self._link.seq = (self._link.seq + 1) % 256
-        return packed
-
-    def _parameter_request(self, target: tuple[int, int], name: str) -> Any:
-        return self._mavlink.MAVLink_param_request_read_message(*target, name.encode(), -1)
+    def _questions(self, target: Sender, now_s: float) -> list[bytes] | None:
+        """Return what asks an autopilot for `GPS_TYPES`, if it is time; None once it has not answered often enough."""
+        asked, times, last_s = self._asked
+        times = times if asked == target else 0
+        if times > _PARAMETER_TRIES:
+            return None
+        if times and now_s - last_s < _PARAMETER_S:
+            return []
+        self._asked = target, times + 1, now_s
+        if times == _PARAMETER_TRIES:
+            self.messages.append(f"the autopilot does not state {GPS_TYPES[0]}: it may ignore the positions")
+            return None
+        request = self._mavlink.MAVLink_param_request_read_message
+        return [self._packed(request(*target, name.encode(), -1)) for name in GPS_TYPES]
 
     def _refusal(self, fix: PositionFix, receiver: Receiver, now_s: float, utc_s: float) -> str | None:
         """Return why a fix must not be sent; None if it may."""

@@ -132,7 +132,7 @@ class AnswerFile:
     """The answers of a file."""
 
     path: Path
-    answers: tuple[Answer, ...]  # One for each frame at most, in the order of their lines
+    answers: tuple[Answer, ...]  # In the order of their lines; see `FirstAnswers` for several of one frame
     faults: tuple[str, ...]  # What is wrong with each of the other lines
 
 
@@ -173,25 +173,21 @@ def read_answers(path: Path) -> AnswerFile:
     """
     text = _content(path)
     is_json = text.lstrip()[:1] in {"{", "["}
-    answers: dict[Hashable, Answer] = {}
+    answers: list[Answer] = []
     faults: list[str] = []
-    first = FirstAnswers()
     for line, row in _json_rows(text) if is_json else _csv_rows(path, text):
         try:
             answer = _answer(path, line, _json_row(path, line, row) if is_json else _csv_row(path, line, row))
         except AnswersError as error:
-            faults.append(_of(path, str(error)))
+            faults.append(_without_path(path, str(error)))
             continue
-        fault = first.objection(answer, answer.of)
         if answer.of is None:
-            fault = f"line {line} {_NO_FRAME}: give frame or file"
-        if fault is None:
-            answers[answer.of] = answer
+            faults.append(f"line {line} {_NO_FRAME}: give frame or file")
         else:
-            faults.append(fault)
+            answers.append(answer)
     if not answers:
         raise AnswersError(path, faults[0] if faults else "holds no answers: write one line for each frame")
-    return AnswerFile(path, tuple(answers.values()), tuple(faults))
+    return AnswerFile(path, tuple(answers), tuple(faults))
 
 
 def parse_answer(source: Path, line: int, text: str) -> Answer:
@@ -199,7 +195,7 @@ def parse_answer(source: Path, line: int, text: str) -> Answer:
     return _answer(source, line, _json_row(source, line, text))
 
 
-def _of(path: Path, message: str) -> str:
+def _without_path(path: Path, message: str) -> str:
     """Return the message of an AnswersError without the path in front of it."""
     return message.removeprefix(f"{path}: ")
 
@@ -208,7 +204,7 @@ def _content(path: Path) -> str:
     try:
         return read_text(path, _MOST_BYTES)
     except ValueError as error:
-        raise AnswersError(path, _of(path, str(error))) from error
+        raise AnswersError(path, _without_path(path, str(error))) from error
 
 
 def _json_rows(text: str) -> Iterator[tuple[int, Any]]:

@@ -190,15 +190,35 @@ def test_a_position_that_the_aircraft_cannot_have_reached_is_not_sent() -> None:
     assert injector.refused == 7
 
 
-@pytest.mark.parametrize("fix", [(2.5, 0.1), (0.1, 3.2), (float("nan"), 0.1), (0.1, float("inf"))])
-def test_what_is_no_place_on_earth_is_not_sent(fix: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    "fix",
+    [
+        (2.5, 0.1, UTC_S + 9.25),
+        (0.1, 3.2, UTC_S + 9.25),
+        (float("nan"), 0.1, UTC_S + 9.25),
+        (0.1, float("inf"), UTC_S + 9.25),
+        (0.1, 0.2, float("nan")),
+        (0.1, 0.2, float("inf")),
+    ],
+)
+def test_what_is_no_place_on_earth_is_not_sent(fix: tuple[float, float, float]) -> None:
     injector = Injector(HERE)
-    injector.add(PositionFix(*fix, UTC_S + 9.25))
+    injector.add(PositionFix(*fix))
     injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 1e30))
     injector.add(PositionFix(0.1, 0.2, UTC_S + 9.25, 1e3))
 
     assert len(sent(injector, 10.0)) == 1
     assert injector.refused == 2
+
+
+def test_each_autopilot_that_is_listened_to_is_asked_for_its_parameter() -> None:
+    injector = Injector(HERE, message="gps_input")
+    heard = hearing(velocity_m_per_s=(1.0, 0.0))
+    assert [len(sent(injector, 8.0 + step, heard)) for step in range(5)] == [2, 2, 2, 2, 0]
+
+    other = hearing()
+    other.chosen = (8, 1)
+    assert {one.target_system for one in sent(injector, 13.0, other)} == {8}
 
 
 @pytest.mark.parametrize("message", ["external_position", "global_position_sensor", "gps_input"])

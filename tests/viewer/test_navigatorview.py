@@ -208,6 +208,22 @@ def test_an_answer_for_no_frame_of_the_export_is_refused(answered, tmp_path):
         placed_answers(path, directory)
 
 
+def test_the_first_answer_to_a_frame_is_shown_unless_another_replaces_it(answered, tmp_path):
+    _, directory, _ = answered
+    path = tmp_path / "twice.jsonl"
+    rows = [
+        {"frame": 0, "latitude_deg": 1, "longitude_deg": 2},
+        {"file": "frame_000000.png", "latitude_deg": 3, "longitude_deg": 2},
+        {"frame": 1, "latitude_deg": 5, "longitude_deg": 2},
+        {"file": "frame_000001.png", "latitude_deg": 7, "longitude_deg": 2, "replaces": True},
+    ]
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    shown = placed_answers(path, directory)
+
+    assert [round(np.rad2deg(answer.position_rad[0])) for answer in shown] == [1, 7]
+
+
 def test_the_directory_of_a_navigator_has_no_truth_to_compare_with(answered, tmp_path):
     path = answered[2]
     seen = tmp_path / "seen"

@@ -190,20 +190,29 @@ def placed_answers(answers: Path, export: Path) -> "list[PlacedAnswer]":
 
     if not (export / "truth.jsonl").is_file() and (export / NAV).is_file():
         raise ExportError(export, "is for a navigator and has no truth.jsonl; name the directory of --blind")
-    times_s: dict[int | str | None, dict[str, float]] = {}
+    # The number of each frame, and its times: by number and by file.
+    frames: dict[int | str | None, tuple[int, dict[str, float]]] = {}
     for line in read_truth(export):
         start_s, middle_s = parse_utc(line["utc_start"]), parse_utc(line["utc_mid"])
         instants_s = {"start": start_s, "middle": middle_s, "end": 2 * middle_s - start_s}
-        times_s[line["frame"]] = times_s[line["file"]] = instants_s
-    placed = []
-    given = read_answers(answers)
-    for fault in given.faults:
-        echo_note(f"{answers}: {fault}; not shown")
+        frames[line["frame"]] = frames[line["file"]] = line["frame"], instants_s
+    given, first = read_answers(answers), FirstAnswers()
+    faults, counted = list(given.faults), dict[int, Answer]()
     for answer in given.answers:
-        if answer.of not in times_s:
+        if answer.of not in frames:
             raise AnswersError(answers, f"line {answer.line} answers frame {answer.of}, which {export} does not have")
-        if answer.solved:
-            placed.append(_placed(answer, str(answer.of), times_s[answer.of][answer.instant]))
+        number, _ = frames[answer.of]
+        if objection := first.objection(answer, number):
+            faults.append(objection)
+        else:
+            counted[number] = answer
+    for fault in faults:
+        echo_note(f"{answers}: {fault}; not shown")
+    placed = [
+        _placed(answer, str(answer.of), frames[number][1][answer.instant])
+        for number, answer in counted.items()
+        if answer.solved
+    ]
     return sorted(placed, key=lambda answer: answer.utc_s)
 
 

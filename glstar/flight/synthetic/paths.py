@@ -27,6 +27,7 @@ _CLIMB_TIME_S = 1.0
 _MOST_CLIMB_RAD = np.deg2rad(15.0)
 # Nearest that a path comes to a pole, where the local map ends, rad.
 _NEAREST_POLE_RAD = np.deg2rad(0.1)
+_AT_POLE = "the flight crosses a pole, where its local map ends; fly farther from it, or shorter"
 # Relative error of the integration of a line over the ellipsoid: micrometres in 1000 km.
 _LINE_ERROR = 1e-12
 # A leg is never finished that takes longer than this many times its length at the slowest speed, plus this time, s.
@@ -79,7 +80,7 @@ class LocalMap:
         north_per_rad, east_per_rad = self._per_rad()
         latitude_rad = self.origin.latitude_rad + north_m / north_per_rad
         if np.abs(latitude_rad).max() > np.pi / 2 - _NEAREST_POLE_RAD:
-            raise ConfigError("the flight crosses a pole, where its local map ends; fly farther from it, or shorter")
+            raise ConfigError(_AT_POLE)
         return latitude_rad, self.origin.longitude_rad + east_m / east_per_rad
 
     def _per_rad(self) -> tuple[float, float]:
@@ -228,7 +229,7 @@ def straight(
         rates, (0.0, t_s[-1]), first, "DOP853", t_s, events=to_pole_rad, rtol=_LINE_ERROR, atol=_LINE_ERROR / 1e3
     )
     if flown.status == 1:
-        raise ConfigError("the flight crosses a pole, where its local map ends; fly farther from it, or shorter")
+        raise ConfigError(_AT_POLE)
     latitude, longitude, course = flown.y
     north_m, east_m = local.metres(latitude, longitude)
     return FlownPath(
