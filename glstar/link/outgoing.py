@@ -266,7 +266,7 @@ class Injector:
         self._doubted: tuple[PositionFix, int] | None = None
         # When the first fix was sent, by `time.monotonic`, s: the zero of the times of transmission, which never wrap.
         self._first_s: float | None = None
-        # The autopilot that is asked for its parameter, how often, and when last, by `time.monotonic`, s.
+        # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
         self._mavlink = dialect()
         self._packed = _Packer()

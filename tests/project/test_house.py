@@ -28,7 +28,7 @@ MAX_SHADER_LINES = 500
 MAX_ALL_MODULES = 350
 
 
-# What a statement may stand in.
+# Nodes that contain statements.
 _HOLDERS = (ast.stmt, ast.excepthandler, ast.match_case)
 
 
