@@ -137,6 +137,8 @@ def inputs_of(
     times_utc_s = _times(utc, images)
     known_labels = None if labels is None else read_labels(Path(labels))
     own = list(exif) if exif and not utc else [Exif()] * images
+    if site_deg is not None or flight is not None:
+        own = [replace(known, site_deg=None) for known in own]
     moments = [_Moment.of(*known) for known in zip(times_utc_s, own, exposures_s, strict=True)]
     references = _references(settings, moments, site_deg, attitude_deg, flight, fit_readout=fit_readout)
     return [
@@ -157,7 +159,7 @@ class _Moment:
     """When and where a photograph was taken, as far as it is known."""
 
     utc_s: float | None  # The middle of the exposure
-    site_deg: tuple[float, float] | None = None  # By EXIF
+    site_deg: tuple[float, float] | None = None  # By EXIF, if nothing else states the place
     is_exif: bool = False
     notes: tuple[Note, ...] = ()
 

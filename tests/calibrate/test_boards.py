@@ -183,6 +183,10 @@ def test_an_image_is_rectified_on_the_command_line(chessboards, tmp_path: Path) 
         cv2.imread(str(tmp_path / name), cv2.IMREAD_GRAYSCALE).astype(int) for name in ("straight.png", "light.png")
     )
     assert np.abs(of_light - of_integers).max() <= 1
+    cv2.imwrite(str(of_floats), 16 * cv2.imread(str(of_floats), cv2.IMREAD_UNCHANGED))
+    too_bright = run("camera", "rectify", of_floats, "-c", tmp_path / "c.yaml", "-o", tmp_path / "light.png")
+    assert too_bright.exit_code == 1
+    assert "which a PNG cannot; write a .tiff" in too_bright.output
     missing = run("camera", "rectify", tmp_path / "no.png", "-c", tmp_path / "c.yaml", "-o", tmp_path / "s.png")
     assert missing.exit_code == 1
     assert "there is no such file" in missing.output

@@ -28,6 +28,13 @@ def test_pixels_bits_and_exposure_of_a_fits_file_are_read(tmp_path):
     assert [path.name for path in images_in(tmp_path)] == ["one.fits"]
 
 
+@pytest.mark.parametrize(("stated", "exposure_s"), [(b"2.5D-1", 0.25), (b"1.2.3", None)])
+def test_exposures_of_strange_fits_files_are_read_or_unknown(tmp_path, stated, exposure_s):
+    path = written(tmp_path / "one.fits", np.ones((48, 64), np.uint16), 0.25)
+    path.write_bytes(path.read_bytes().replace(b"0.25".rjust(20), stated.rjust(20)))
+    assert read_image(path).exposure_s == exposure_s
+
+
 @pytest.mark.parametrize("value", [-1.0, 0.5])
 def test_numbers_that_no_camera_writes_are_refused(tmp_path, value):
     path = written(tmp_path / "flat.fits", np.full((48, 64), value, np.float32))

@@ -131,10 +131,14 @@ def test_what_is_given_is_preferred_to_exif_and_one_image_without_time_does_not_
     exif = Exif(utc_s=parse_utc(UTC), zone="zone +00:00", exposure_s=0.5, site_deg=(10.0, 20.0))
     first, second = inputs_of(2, fov_deg=40.0, exif=[exif, Exif()])
     given, _ = inputs_of(2, fov_deg=40.0, utc=[UTC, UTC], site_deg=PLACE, exif=[exif, exif])
+    [elsewhere] = inputs_of(1, fov_deg=40.0, site_deg=PLACE, exif=[exif])
 
     assert first.reference.stars.C_ned_eq is not None
     assert second.reference.stars.C_ned_eq is None
     assert given.reference.notes == ()
+    assert [str(note) for note in elsewhere.reference.notes] == [
+        "time by EXIF, zone +00:00: 2024-03-10T11:00:05.250000Z"
+    ]
     # The zenith is at the latitude of the site.
     assert np.rad2deg(np.arcsin(first.reference.stars.zenith_eq[2])) == pytest.approx(10.0, abs=0.2)
     assert np.rad2deg(np.arcsin(given.reference.stars.zenith_eq[2])) == pytest.approx(PLACE[0], abs=0.2)

@@ -98,8 +98,6 @@ class CameraFit:
     trials: tuple[LensTrial, ...]  # All lenses tried, the simplest first
     chosen: LensTrial
     pinhole_rms_px: float  # Residual of the best pinhole, px; infinite if no pinhole projects all stars
-    # Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
-    sd: dict[str, float]
     # Distance of the outermost star from the principal point, over that of the farthest corner, or over the radius of
     # the image circle if that is smaller.
     corner_fraction: float
@@ -108,6 +106,11 @@ class CameraFit:
     def camera(self) -> Camera:
         """The camera."""
         return self.matches.solution.camera
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free."""
+        return self.matches.standard_error
 
     @property
     def summary(self) -> str:
@@ -175,13 +178,11 @@ def fit_camera(
         pairs, solution = again, _solution_of(best, solution)
     stars = stars_of(solution, pairs)
     pinhole_rms_px = min((trial.rms_px for trial, model in best.trials if model is None), default=np.inf)
-    fitted = matches_of(reference, matches, solution, pairs, stars, best.sd)
     return CameraFit(
-        fitted,
+        matches_of(reference, matches, solution, pairs, stars, best.sd),
         tuple(trial for trial, _ in best.trials),
         best.chosen,
         pinhole_rms_px,
-        fitted.standard_error,
         stars.corner_fraction(solution.camera),
     )
 

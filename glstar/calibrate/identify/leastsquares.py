@@ -268,8 +268,8 @@ def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
     inverse = np.linalg.pinv(fit.information)
     by_star = np.diag(inverse) * max(2 * fit.cost / degrees, 1e-12)
-    by_part = inverse @ _scatter_of_parts(fit, free) @ inverse * len(fit.residual) / degrees
-    sd = np.sqrt(np.maximum(by_star, np.diag(by_part)))
+    by_part = np.sum((_scores_of_parts(fit, free) @ inverse) ** 2, axis=0) * len(fit.residual) / degrees
+    sd = np.sqrt(np.maximum(by_star, by_part))
     errors = {"fx_px": float(sd[f] * camera.fx_px)}
     if free.principal_point:
         errors |= {"cx_px": float(sd[f + 1] * camera.width_px), "cy_px": float(sd[f + 2] * camera.width_px)}
@@ -277,8 +277,11 @@ def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str
     return errors | {names[k]: float(sd[free.lens_column + i]) for i, k in enumerate(free.coefficients)}
 
 
-def _scatter_of_parts(fit: Minimum[CameraPoses], free: FreeParameters) -> Float:
-    """Return the sum of the squared scores of the parts of all images, (k, k); Liang & Zeger 1986, *Biometrika* 73."""
+def _scores_of_parts(fit: Minimum[CameraPoses], free: FreeParameters) -> Float:
+    """Return the scores of the parts of all images, (parts, k), larger by what the sum of few squares lacks.
+
+    Liang & Zeger 1986, *Biometrika* 73.
+    """
     size_px = np.array([fit.state.camera.width_px, fit.state.camera.height_px])
     parts = []
     for image, stars in enumerate(free.stars):
@@ -288,10 +291,9 @@ def _scatter_of_parts(fit: Minimum[CameraPoses], free: FreeParameters) -> Float:
     positions = 2 * len(part)
     score = fit.slopes[:positions] * (fit.residual / fit.root)[:positions, np.newaxis]
     count = int(part.max()) + 1
-    of_part = np.stack(
-        [np.bincount(np.repeat(part, 2), weights=column, minlength=count) for column in score.T], axis=-1
-    )
-    return np.asarray(of_part.T @ of_part * count / max(count - 1, 1))
+    of_part = np.zeros((count, score.shape[1]))
+    np.add.at(of_part, np.repeat(part, 2), score)
+    return np.asarray(of_part * np.sqrt(count / max(count - 1, 1)))
 
 
 def is_one_to_one(camera: Camera) -> bool:

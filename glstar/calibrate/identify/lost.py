@@ -127,9 +127,11 @@ def _clear_parts(detected: DetectedStars, camera: Camera) -> Callable[[Float], M
     around = uniform_filter(counts, 3, mode="nearest")
     usual = float(np.sort(around, axis=None)[: max(around.size // 3, 1)].mean())
     clear = around <= _CROWDED * usual + 1
-    return (
-        None if clear[part(detected.xy_px)].mean() > _HARDLY_DIFFERENT else lambda xy_px: np.asarray(clear[part(xy_px)])
-    )
+
+    def is_clear(xy_px: Float) -> Mask:
+        return np.asarray(clear[part(xy_px)])
+
+    return None if is_clear(detected.xy_px).mean() > _HARDLY_DIFFERENT else is_clear
 
 
 def _recognised(

@@ -287,9 +287,9 @@ def detect_stars(image: Photograph) -> DetectedStars:
     bright = np.flatnonzero(~saturated & ~hot & (fixed.peak_dn > _DETECTION.shape_snr * noise_dn))
     bright = bright[np.argsort(-fixed.peak_dn[bright])]
     # Fragments of a long trail are not stars, but their elongation measures its length.
-    lengths_px = [
+    lengths_px = (
         drawn_out_px(above, usable, peaks[some], sigma_px) for some in (bright[np.isin(bright, good)], bright)
-    ]
+    )
     starless = _starless(pixels.shape, peaks, fixed.peak_dn, noise_dn, sigma_px)
     return DetectedStars(
         xy_px=xy_px[order],

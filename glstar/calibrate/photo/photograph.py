@@ -1,6 +1,7 @@
 """Photographs, read as one channel of digital numbers."""
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import nan
 from os import PathLike
@@ -24,7 +25,7 @@ _PLANE: dict[str, int] = {"blue": 0, "green": 1, "red": 2}
 _HEADER_BYTES = 64 * 1024
 # First characters of a FITS file, and its exposure, s.
 _FITS_BEGIN = b"SIMPLE  ="
-_FITS_EXPOSURE = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eE][-+]?[0-9]+)?)")
+_FITS_EXPOSURE = re.compile(rb"(?:EXPTIME |EXPOSURE)= +([0-9.]+(?:[eEdD][-+]?[0-9]+)?)")
 
 # Smallest side of an image of stars.
 _LEAST_SIDE_PX = 32
@@ -117,7 +118,10 @@ def _depth_of(pixels: NDArray[Any]) -> int:
 def _exposure_of_fits(content: bytes) -> float | None:
     """Return the exposure that the header of a FITS file states, s, or None."""
     exposure = _FITS_EXPOSURE.search(content[:_HEADER_BYTES])
-    return (float(exposure[1]) or None) if exposure else None
+    with suppress(ValueError):  # 1.2.3
+        # The standard allows FORTRAN's D for the exponent.
+        return (float(exposure[1].upper().replace(b"D", b"E")) or None) if exposure else None
+    return None
 
 
 # Bits of a photograph's light: fine enough for the steps of 8 recorded bits.

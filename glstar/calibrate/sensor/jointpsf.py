@@ -230,8 +230,7 @@ def fit_joint_psf(stamps: StarStamps, start_sigma_px: float) -> tuple[JointPsf, 
 def measure_fluxes(stamps: StarStamps, joint: JointPsf) -> tuple[Float, Float, StarStamps]:
     """Return fluxes with a known point spread function (n,), their standard errors (n,), and moved stamps."""
     shape = _Shape(joint.sigma_px, fixed=joint.psf)
-    weight = _weights(stamps, shape, np.zeros(len(stamps)))
-    flux = _residuals(stamps, shape, weight)[1]
+    flux = _faint_fluxes(stamps, shape)
     for _ in range(3):
         weight = _weights(stamps, shape, flux)
         stamps = _moved(stamps, shape, weight)
@@ -330,7 +329,7 @@ def _fitted(stamps: StarStamps, names: tuple[str, ...], start: _Shape) -> tuple[
     """Return the best shape, the stamps with the best positions, and the weighted sum of squares."""
     low, high = _limits(stamps, names)
     shape = start
-    weight = _weights(stamps, shape, _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1])
+    weight = _weights(stamps, shape, _faint_fluxes(stamps, shape))
     for _ in range(_ROUNDS):
         stamps = _moved(stamps, shape, weight)
         begin = np.clip(shape.vector(names), low + 1e-6, high - 1e-6)
@@ -354,7 +353,7 @@ def _unclear(
     vector, errors = shape.vector(names), _errors(names, shape, covariance)
     unclear: dict[tuple[str, ...], str] = {}
     at_end = np.minimum(vector - low, high - vector) < _AT_END * (high - low)
-    for group in (group for group in _GROUPS if group[0] in names):
+    for group in filter(lambda one: one[0] in names, _GROUPS):
         key, size = _SIZES[group]
         value, error, null = size(shape), errors[key], "0"
         stated = f"{key} {value:.2g} ± {error:.2g}"
@@ -385,9 +384,8 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
     9, 586).  A few bright stars decide a fit: with their own residuals, which the fit has made small, the sandwich
     estimator states a tenth of the error.
     """
-    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
-    weight = _weights(stamps, shape, flux)
-    by_position = _position_slopes(stamps, shape, weight)
+    weight = _weights(stamps, shape, _faint_fluxes(stamps, shape))
+    residual, by_position = _position_slopes(stamps, shape, weight)
     transposed = np.swapaxes(by_position, 1, 2)
     normal = transposed @ by_position + 1e-9 * np.eye(2)
 
@@ -395,7 +393,7 @@ def _covariance(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -> Fl
         return np.asarray(values - by_position @ np.linalg.solve(normal, transposed @ values))
 
     J = free(_slopes(stamps, names, shape, weight))
-    r = free(_residuals(stamps, shape, weight)[0].reshape(len(stamps), -1, 1))
+    r = free(residual)
     information = np.swapaxes(J, 1, 2) @ J
     score = (np.swapaxes(J, 1, 2) @ r)[..., 0]
     without = information.sum(axis=0) - information
@@ -411,8 +409,7 @@ def _between_halves(stamps: StarStamps, names: tuple[str, ...], shape: _Shape) -
     """
     if len(stamps) < 2 * _STARS_PER_PARAMETER * len(names):
         return np.zeros((len(names), len(names)))
-    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
-    order = np.argsort(-flux, kind="stable")
+    order = np.argsort(-_faint_fluxes(stamps, shape), kind="stable")
     fits = [_fitted(stamps.some(np.sort(half)), names, shape) for half in np.array_split(order, 2)]
     half_difference = (fits[0][0].vector(names) - fits[1][0].vector(names)) / 2
     by_chance = sum((np.diag(_covariance(moved, names, one)) for one, moved, _ in fits), np.zeros(len(names))) / 4
@@ -451,10 +448,14 @@ def _weights(stamps: StarStamps, shape: _Shape, flux: Float) -> Float:
     return np.asarray(1 / (stamps.variance_dn2 + stamps.dn_per_e * model + (_MODEL_ERROR * model) ** 2))
 
 
+def _faint_fluxes(stamps: StarStamps, shape: _Shape) -> Float:
+    """Return the fluxes of stars, (n,), with the weights of stars too faint for noise of their own."""
+    return _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
+
+
 def _without_outliers(stamps: StarStamps, shape: _Shape) -> StarStamps:
     """Return the stamps without the light that a shape does not explain, found by a filter as wide as a star."""
-    flux = _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1]
-    residual = _residuals(stamps, shape, _weights(stamps, shape, flux))[0]
+    residual = _residuals(stamps, shape, _weights(stamps, shape, _faint_fluxes(stamps, shape)))[0]
     sigma_px = float(np.clip(shape.sigma_px, 0.7, 3.0))
     noise = 1 / (2 * np.sqrt(np.pi) * sigma_px)
     near = np.ones((2 * round(1.5 * sigma_px) + 1,) * 2, np.uint8)
@@ -472,7 +473,7 @@ def _without_position_bias(stamps: StarStamps, names: tuple[str, ...], shape: _S
     parameters are off by -(J' W J)^-1 J' W tr(C m'') / 2 (Box 1971, *J. R. Stat. Soc. B* 33, 171), m'' being the second
     derivatives of a star's light by its position.
     """
-    weight = _weights(stamps, shape, _residuals(stamps, shape, _weights(stamps, shape, np.zeros(len(stamps))))[1])
+    weight = _weights(stamps, shape, _faint_fluxes(stamps, shape))
     flux = _residuals(stamps, shape, weight)[1][:, np.newaxis, np.newaxis]
     here = stamps.profiles(shape.psf, shape.sigma_px)
     step_px = 5 * _STEP_PX
@@ -529,23 +530,22 @@ def _residuals(stamps: StarStamps, shape: _Shape, weight: Float) -> tuple[Float,
 def _moved(stamps: StarStamps, shape: _Shape, weight: Float) -> StarStamps:
     """Return the stamps with better positions: Gauss-Newton steps by numerical derivatives."""
     for _ in range(_POSITION_ROUNDS):
-        residual, _ = _residuals(stamps, shape, weight)
-        J = _position_slopes(stamps, shape, weight)
+        residual, J = _position_slopes(stamps, shape, weight)
         normal = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(2)
-        step = -np.linalg.solve(normal, np.swapaxes(J, 1, 2) @ residual.reshape(len(stamps), -1, 1))[..., 0]
+        step = -np.linalg.solve(normal, np.swapaxes(J, 1, 2) @ residual)[..., 0]
         stamps = replace(stamps, xy_px=stamps.xy_px + np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX))
     return stamps
 
 
-def _position_slopes(stamps: StarStamps, shape: _Shape, weight: Float) -> Float:
-    """Return the derivatives of the weighted residuals by the positions of the stars, (n, m^2, 2)."""
+def _position_slopes(stamps: StarStamps, shape: _Shape, weight: Float) -> tuple[Float, Float]:
+    """Return the weighted residuals (n, m^2, 1), and their derivatives by the positions of the stars (n, m^2, 2)."""
     residual, _ = _residuals(stamps, shape, weight)
     slopes = []
     for axis in (0, 1):
         shifted = stamps.xy_px.copy()
         shifted[:, axis] += _STEP_PX
         slopes.append((_residuals(replace(stamps, xy_px=shifted), shape, weight)[0] - residual) / _STEP_PX)
-    return np.stack(slopes, axis=-1).reshape(len(stamps), -1, 2)
+    return residual.reshape(len(stamps), -1, 1), np.stack(slopes, axis=-1).reshape(len(stamps), -1, 2)
 
 
 def _free_pixels(stamps: StarStamps) -> int:

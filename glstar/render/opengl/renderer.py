@@ -294,7 +294,7 @@ class GLRenderer:
         """Sum the flux of a scene; with a mosaic, of each colour in its pixels."""
         if scene.camera.lens is None:
             clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
-            self._expose(self._drawable(gaussian_scenes(scene), scene, scene.sensor), targets, clock)
+            self._expose(self._drawable(gaussian_scenes(scene), scene.sensor), targets, clock)
         elif scene.sensor.colour.mosaic == "none":
             self._expose_behind_lens(scene, targets)
         else:
@@ -311,17 +311,18 @@ class GLRenderer:
             scene.exposure, undistorted.camera, guard_band_px, distortion_pass.resampling_px2(scene.sensor)
         )
         target = distortion_pass.target_for(undistorted, guard_band_px)
-        gaussians = self._drawable(distortion_pass.undistorted_gaussians(scene), undistorted, scene.sensor)
-        self._expose(gaussians, target, clock)
+        gaussians = distortion_pass.undistorted_gaussians(scene)
+        oversampling = distortion_pass.oversampling(scene.sensor)
+        self._expose(self._drawable(gaussians, scene.sensor, oversampling), target, clock)
         whole, channel = mosaic or (scene, None)
         distortion_pass.resample(whole, targets.light, channel=channel)
 
-    def _drawable(self, gaussians: Sequence[Scene], whole: Scene, sensor: Sensor) -> list[Scene]:
+    def _drawable(self, gaussians: Sequence[Scene], sensor: Sensor, oversampling: float = 1.0) -> list[Scene]:
         """Return scenes of plain Gaussians, which add up to one, with sprites that the driver draws.
 
-        `sensor`: as the user gave it, which an error names.
+        `sensor`: as the user gave it; `oversampling`: pixels of these scenes per pixel of its image.
         """
-        core_px = whole.sensor.core.psf_sigma_px
+        core_px = oversampling * sensor.core.psf_sigma_px
         return [with_drawable_sprites(gaussian, core_px, self._point_size_px, sensor) for gaussian in gaussians]
 
     def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
