@@ -280,6 +280,8 @@ def read_camera_file(path: str | PathLike[str], name: str | None = None) -> Came
         others = [keys for keys in islice(documents, _MOST_DOCUMENTS) if _is_another_camera(keys, name, camera)]
     except (CalibrationError, ValueError) as error:
         raise CalibrationError(str(error), path=path) from None
+    except RecursionError:  # XML, or YAML with an alias of a value inside that value
+        raise CalibrationError("is nested too deeply", path=path) from None
     if others:
         raise CalibrationError("holds several documents (---) with different cameras; keep one of them", path=path)
     return CameraFile(camera, notes)

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta, timezone
 from io import BytesIO
+from itertools import islice
 from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,8 +21,14 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.sensor.pixelpattern import read_fits
-from glstar.system.imagefiles import MAX_MEGAPIXELS, MOST_DIRECTORIES, PNG_SIGNATURE, size_error, tiff_directories
+from glstar.system.imagefiles import (
+    MAX_MEGAPIXELS,
+    MOST_DIRECTORIES,
+    PNG_SIGNATURE,
+    read_fits,
+    size_error,
+    tiff_directories,
+)
 from glstar.system.installation import install_command
 
 # exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
@@ -201,7 +208,8 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
                 f"states {page.bitspersample} bits a sample and holds 16; write it with BitsPerSample = 16"
             )
         return None, page.bitspersample
-    if page.photometric not in _PLAIN_COLOURS:
+    # OpenCV makes 0 and 255 of single bits.
+    if page.photometric not in _PLAIN_COLOURS or page.bitspersample == 1:
         return None, None
     try:
         # Not OpenCV: it mixes up the channels of planar images.
@@ -218,7 +226,7 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
 
 def _full_page(tiff: Any) -> Any:
     """Return the largest page of a TIFF that is not a thumbnail, also of those below another; the first of equals."""
-    pages = [page for first in list(tiff.pages)[:MOST_DIRECTORIES] for page in (first, *(first.pages or ()))]
+    pages = [page for first in islice(tiff.pages, MOST_DIRECTORIES) for page in (first, *(first.pages or ()))]
     full = [page for page in pages if not page.is_reduced] or pages
     return max(full, key=lambda page: page.imagewidth * page.imagelength)
 

@@ -18,6 +18,8 @@ Grey = NDArray[np.unsignedinteger[Any]]
 _SIGNATURE_BYTES = 16
 # Largest side of an image that OpenCV's remap accepts, px.
 _MOST_PX = 32767
+# Types that it interpolates.
+_REMAPPED = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 # Rows whose positions are computed together; limits memory.
 _BLOCK_ROWS = 256
 
@@ -102,17 +104,20 @@ def fit(pixels: Grey, width_px: int, height_px: int) -> FittedImage:
 def rectify(image: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], Camera]:
     """Return an image as a pinhole would have recorded it, and the pinhole: of the same size and camera matrix.
 
-    `image` is (height, width) or (height, width, channels) of uint8, uint16, float32 or float64; row 0 is the top.  The
-    result is zero where the lens has no image; without a lens it is the image itself.  Values are interpolated
-    (bicubic): the level of the sky is preserved, and the flux of a star changes with the local magnification of the
-    lens; centroids are preserved.  Raises CalibrationError if the size of the image is not that of the camera.  Teague
-    & Chahl, section 2.3.
+    `image` is (height, width) or (height, width, channels) of uint8, uint16, int16, float32 or float64; row 0 is the
+    top.  The result is zero where the lens has no image; without a lens it is the image itself.  Values are
+    interpolated (bicubic): the level of the sky is preserved, and the flux of a star changes with the local
+    magnification of the lens; centroids are preserved.  Raises CalibrationError if the size of the image is not that of
+    the camera, or its numbers are of another type.  Teague & Chahl, section 2.3.
     """
     if image.shape[:2] != (camera.height_px, camera.width_px):
         raise CalibrationError(
             f"the image is {image.shape[1]} x {image.shape[0]} px and the camera {camera.width_px} x"
             f" {camera.height_px}; rectify images as the camera records them, neither binned nor rotated"
         )
+    if image.dtype not in _REMAPPED:
+        names = ", ".join(np.dtype(each).name for each in _REMAPPED)
+        raise CalibrationError(f"the image holds {image.dtype}; rectify images of {names}")
     pinhole = camera.pinhole
     if camera.lens is None:
         return image, pinhole

@@ -1,4 +1,4 @@
-"""Image files: their size by the header, PNG encoding, and copies to the clipboard of the desktop.
+"""Image files: their size by the header, TIFF directories, FITS, PNG encoding, and copies to the desktop's clipboard.
 
 A PNG of 100 KB can decode to gigabytes, so the size is checked before an image is decoded.  The same greyscale pixels
 give the same bytes of PNG on every processor.  GLFW and imgui copy text only.
@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
 # Largest image that is decoded, megapixels: more than any current sensor (150), and calibration of it takes 16 GB.
@@ -34,6 +35,11 @@ _MOST_TIFF_ENTRIES = 4096
 _TIFF_SUB_IFDS = 330
 MOST_DIRECTORIES = 16
 _MOST_TIFF_VALUES = 64
+_CARD_BYTES = 80
+_FITS_BLOCK_BYTES = 2880
+# Keys of the scale of the numbers in a FITS file, with their defaults, and types by the value of BITPIX.
+_FITS_SCALE = (("BSCALE", 1.0), ("BZERO", 0.0))
+_FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
 # JPEG markers that start a frame header (SOF0 to SOF15); C4, C8 and CC in their range mean something else.
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # JPEG markers without a length: TEM, RST0 to RST7, SOI.
@@ -140,6 +146,41 @@ def tiff_directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:
             offsets += directory.get(_TIFF_SUB_IFDS, ())
             offsets += struct.unpack_from(f"{order}I", content, at + 2 + 12 * entries)
     return found
+
+
+def read_fits(content: bytes) -> NDArray[np.float64]:
+    """Return the image of the first header unit of a FITS file, in physical values, (height, width); row 0 is the top.
+
+    The first row of the file is the top unless ROWORDER is BOTTOM-UP.  Raises ValueError if it is damaged, or no image
+    of one channel.  FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
+    """
+    if not content.startswith(b"SIMPLE  ="):
+        raise ValueError("it is no FITS file")
+    cards: dict[str, str] = {}
+    end = 0
+    for end in range(_CARD_BYTES, len(content), _CARD_BYTES):
+        card = content[end - _CARD_BYTES : end].decode("ascii", "replace")
+        if card.startswith("END "):
+            break
+        if card[8:10] == "= ":
+            cards[card[:8].strip()] = card[10:].split("/")[0].strip()
+    dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
+    axes = cards.get("NAXIS", "")
+    # A single plane may have a third axis.
+    sides = [cards.get(key, "") for key in ("NAXIS2", "NAXIS1")]
+    is_plane = axes == "2" or (axes == "3" and cards.get("NAXIS3") == "1")
+    if dtype is None or not is_plane or not all(side.isdecimal() for side in sides):
+        raise ValueError("its first unit is not an image of one channel")
+    shape = int(sides[0]), int(sides[1])
+    begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
+    if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
+        raise ValueError("it is cut off")
+    stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
+    if cards.get("ROWORDER", "").strip("' ").upper() == "BOTTOM-UP":
+        stored = stored[::-1]
+    # The standard allows FORTRAN's D for the exponent.
+    scale, zero = (float(cards.get(key, "").replace("D", "E") or default) for key, default in _FITS_SCALE)
+    return np.asarray(stored * scale + zero, dtype=np.float64)
 
 
 def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = None) -> bytes:

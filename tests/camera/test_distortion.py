@@ -216,3 +216,12 @@ def test_rectifying_an_image_of_a_pinhole_changes_nothing() -> None:
 def test_an_image_of_another_size_is_not_rectified() -> None:
     with pytest.raises(CalibrationError, match="the image is 507 x 380 px and the camera 1014 x 760"):
         rectify(np.zeros((380, 507), np.uint8), camera_with(LENSES[0]))
+
+
+@pytest.mark.parametrize("dtype", [np.uint32, np.int8, np.float16])
+@pytest.mark.parametrize("lens", [None, LENSES[0]])
+def test_numbers_that_cannot_be_rectified_are_refused(dtype: type, lens: Lens | None) -> None:
+    camera = camera_with(lens)
+
+    with pytest.raises(CalibrationError, match=f"holds {np.dtype(dtype).name}; rectify images of uint8, uint16"):
+        rectify(np.zeros((camera.height_px, camera.width_px), dtype), camera)

@@ -52,6 +52,7 @@ def test_all_readers_take_the_pixels_as_the_sensor_read_them(tmp_path: Path, ori
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "r.png"), cv2.IMREAD_UNCHANGED), pixels)
     turned = f"EXIF turns the image for display (orientation {orientation}); pixels are as the sensor read them"
     assert image.notes == ((turned,) if orientation > 1 else ())
+    assert (f"note: {turned}" in rectified.stderr) == (orientation > 1)
 
 
 def test_bits_in_the_highest_of_sixteen_are_recognised_where_the_data_prove_it(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import tifffile
 
 from glstar.camera.sensor.pixelpattern import PixelPattern, read_map
 from glstar.errors import ConfigError
+from tests.support.photofiles import packed_tiff
 
 SIZE_PX = (1000, 500)
 PATTERN = PixelPattern(camera_seed=3, hot_pixels_per_mpx=2000.0, stuck_fraction=0.4, dead_pixels_per_mpx=100.0)
@@ -78,6 +79,39 @@ def test_maps_of_every_format_are_read(tmp_path: Path) -> None:
 
     for file in tmp_path.iterdir():
         np.testing.assert_array_equal(read_map(str(file)), pixels)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_map_of_packed_samples_has_the_digital_numbers_of_the_sensor(tmp_path: Path, seed: int) -> None:
+    case = packed_tiff(np.random.default_rng(seed))
+    (tmp_path / "dark.tiff").write_bytes(case.content)
+
+    np.testing.assert_array_equal(read_map(str(tmp_path / "dark.tiff")), case.grey)
+
+
+@pytest.mark.parametrize("photometric", ["minisblack", "miniswhite"])
+def test_a_map_of_single_bits_is_read(tmp_path: Path, photometric: str) -> None:
+    is_dead = np.zeros((64, 96), np.bool_)
+    is_dead[3, 4] = True
+    stored = is_dead if photometric == "minisblack" else ~is_dead
+    tifffile.imwrite(tmp_path / "dead.tiff", stored, photometric=photometric)
+
+    np.testing.assert_array_equal(read_map(str(tmp_path / "dead.tiff")) != 0, is_dead)
+
+
+def test_a_map_of_floating_point_keeps_its_numbers(tmp_path: Path) -> None:
+    pixels = np.linspace(-1.5, 70000.25, 12, dtype=np.float32).reshape(3, 4)
+    cv2.imwrite(str(tmp_path / "hot.tiff"), pixels)
+
+    np.testing.assert_array_equal(read_map(str(tmp_path / "hot.tiff")), pixels)
+
+
+@pytest.mark.parametrize("name", ["dark.npy", "dark.png", "dark.tiff", "dark.fits"])
+def test_an_empty_map_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+
+    with pytest.raises(ConfigError, match=f"cannot be used: .*{name}: "):
+        PixelPattern(dark_frame=str(tmp_path / name)).require_size(*SIZE_PX)
 
 
 def test_a_flat_field_gives_the_response_of_each_pixel_without_its_vignetting(tmp_path: Path) -> None:

@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float, Float32
+from glstar.camera.photofile import decode_photo
 from glstar.errors import ConfigError
+from glstar.system.imagefiles import read_fits
 
 # Dark current of hot pixels over that of the others: from, to; falling with the square in between.
 _HOT_FACTOR = (10.0, 1000.0)
 # Offsets of stuck pixels, e: from, to; their logarithm is uniform.
 _STUCK_E = (20.0, 2000.0)
-_CARD_BYTES = 80
-_FITS_BLOCK_BYTES = 2880
-# Types by the value of BITPIX.
-_FITS_SCALE = (("BSCALE", 1.0), ("BZERO", 0.0))
-_FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
 # Streams of random numbers of one camera.
 _DEFECTS, _DARK, _RESPONSE = range(3)
 
@@ -157,8 +154,8 @@ def resampled(pixels: Float32, width_px: int, height_px: int) -> Float32:
 def read_map(file: str) -> Float32:
     """Return a map of pixels from a PNG, TIFF, FITS or NPY of one channel, (height, width) float32, read only.
 
-    Row 0 is the top, in FITS too.  Raises OSError if the file cannot be read, and ValueError if it is not an image of
-    one channel.
+    Row 0 is the top, in FITS too.  Numbers of a PNG or TIFF are those of `glstar.camera.photofile`, as of photographs.
+    Raises OSError if the file cannot be read, and ValueError if it is not an image of one channel.
     """
     return _read_map(file, Path(file).stat().st_mtime_ns)
 
@@ -168,52 +165,18 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
     suffix = Path(file).suffix.lower()
     pixels: Any
     if suffix == ".npy":
-        pixels = np.load(file, allow_pickle=False)
+        try:
+            pixels = np.load(file, allow_pickle=False)
+        except EOFError as error:
+            raise ValueError("it is cut off") from error
     elif suffix in {".fits", ".fit", ".fts"}:
         pixels = read_fits(Path(file).read_bytes())
     else:
-        import cv2  # noqa: PLC0415 - cv2, only when a map is used
-
-        pixels = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if pixels is None or np.ndim(pixels) != 2 or not np.issubdtype(np.asarray(pixels).dtype, np.number):
+        pixels = decode_photo(Path(file).read_bytes(), demosaiced=False, floats=True).pixels
+    if np.ndim(pixels) != 2 or not np.issubdtype(np.asarray(pixels).dtype, np.number):
         raise ValueError("it is not an image of one channel in PNG, TIFF, FITS or NPY")
     values = np.ascontiguousarray(pixels, dtype=np.float32)
     if not np.isfinite(values).all():
         raise ValueError("it has pixels that are not finite")
     values.setflags(write=False)
     return values
-
-
-def read_fits(content: bytes) -> Float:
-    """Return the image of the first header unit of a FITS file, in physical values, (height, width); row 0 is the top.
-
-    The first row of the file is the top unless ROWORDER is BOTTOM-UP.  Raises ValueError if it is damaged, or no image
-    of one channel.  FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
-    """
-    if not content.startswith(b"SIMPLE  ="):
-        raise ValueError("it is no FITS file")
-    cards: dict[str, str] = {}
-    end = 0
-    for end in range(_CARD_BYTES, len(content), _CARD_BYTES):
-        card = content[end - _CARD_BYTES : end].decode("ascii", "replace")
-        if card.startswith("END "):
-            break
-        if card[8:10] == "= ":
-            cards[card[:8].strip()] = card[10:].split("/")[0].strip()
-    dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
-    axes = cards.get("NAXIS", "")
-    # A single plane may have a third axis.
-    sides = [cards.get(key, "") for key in ("NAXIS2", "NAXIS1")]
-    is_plane = axes == "2" or (axes == "3" and cards.get("NAXIS3") == "1")
-    if dtype is None or not is_plane or not all(side.isdecimal() for side in sides):
-        raise ValueError("its first unit is not an image of one channel")
-    shape = int(sides[0]), int(sides[1])
-    begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
-    if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
-        raise ValueError("it is cut off")
-    stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
-    if cards.get("ROWORDER", "").strip("' ").upper() == "BOTTOM-UP":
-        stored = stored[::-1]
-    # The standard allows FORTRAN's D for the exponent.
-    scale, zero = (float(cards.get(key, "").replace("D", "E") or default) for key, default in _FITS_SCALE)
-    return np.asarray(stored * scale + zero, dtype=np.float64)

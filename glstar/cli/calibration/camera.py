@@ -17,7 +17,7 @@ from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_wa
 from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
 from glstar.cli.flightoptions import sensor_names
-from glstar.cli.reporting import progress_bar, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
 from glstar.errors import CalibrationError
 from glstar.system.files import write_atomically
 
@@ -98,7 +98,7 @@ def show(
     if as_json:
         typer.echo(json.dumps(_facts(shown) | ({"notes": read.notes} if read.notes else {})))
     for note in read.notes:
-        typer.echo(f"note: {note}", err=True)
+        echo_note(f"note: {note}")
     for line in _description(shown) if not as_json else ():
         typer.echo(line)
     _warn(shown)
@@ -220,11 +220,21 @@ def rectify(
     except OSError as error:
         raise CalibrationError(f"cannot be read: {error.strerror or error}", path=image) from error
     try:
-        pixels = decode_photo(content, floats=True).pixels
+        photo = decode_photo(content, floats=True)
     except ValueError as error:
         raise CalibrationError(str(error), path=image) from error
+    pixels = photo.pixels
     undistorted, _ = rectified(pixels, behind)
-    encoded = encoded_image(output.suffix.lower(), undistorted)
+    suffix = output.suffix.lower()
+    # A PNG of other types has 8 bits.
+    if suffix == ".png" and pixels.dtype not in (np.uint8, np.uint16) and not 0 <= pixels.min() <= pixels.max() <= 255:
+        raise CalibrationError(
+            f"holds {pixels.dtype} from {pixels.min():g} to {pixels.max():g}, which a PNG cannot; write a .tiff",
+            path=image,
+        )
+    for note in photo.notes:
+        echo_note(f"note: {note}")
+    encoded = encoded_image(suffix, undistorted)
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(output, encoded)
