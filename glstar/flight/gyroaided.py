@@ -321,25 +321,16 @@ def _scatter(difference: Float) -> float:
 
 def _mean_rates(t_s: Float, q_body_ned: Float, gyro_t_s: Float, rate: Float) -> tuple[Float, Float]:
     """Return mean rates (k, 3), rad/s, by attitudes and by gyros over the same intervals of at least `_COMPARED_S`."""
-    nothing = np.empty((0, 3))
     t_s, first = np.unique(t_s, return_index=True)
-    gyro_t_s, first_gyro = np.unique(gyro_t_s, return_index=True)
-    if t_s.size < 2 or gyro_t_s.size < 2:
-        return nothing, nothing
-    q, rate = q_body_ned[first], rate[first_gyro]
-    step_s = np.diff(t_s)
-    turn = turn_between(q[:-1], q[1:])
-    integral = np.vstack(
-        [np.zeros(3), np.cumsum((rate[:-1] + rate[1:]) / 2 * np.diff(gyro_t_s)[:, np.newaxis], axis=0)]
-    )
-    at = np.stack([np.interp(t_s, gyro_t_s, column) for column in integral.T], axis=-1)
-    nearest = np.abs(gyro_t_s[np.clip(np.searchsorted(gyro_t_s, t_s), 0, gyro_t_s.size - 1)] - t_s)
-    near_s = DATA_GAP_INTERVALS * np.median(np.diff(gyro_t_s))
-    usable = (step_s < DATA_GAP_INTERVALS * np.median(step_s)) & (nearest[:-1] < near_s) & (nearest[1:] < near_s)
-    usable &= (t_s[:-1] >= gyro_t_s[0]) & (t_s[1:] <= gyro_t_s[-1])
+    gyro = GyroTrack.from_readings(gyro_t_s, rate)
+    if t_s.size < 2 or gyro is None:
+        return np.empty((0, 3)), np.empty((0, 3))
+    step_s, integrated = np.diff(t_s), gyro.at(t_s)
+    usable = (step_s < DATA_GAP_INTERVALS * np.median(step_s)) & gyro.covers(t_s)
     if not usable.any():
-        return nothing, nothing
-    step_s, turn, measured = step_s[usable], turn[usable], np.diff(at, axis=0)[usable]
+        return np.empty((0, 3)), np.empty((0, 3))
+    step_s, q = step_s[usable], q_body_ned[first]
+    turned, measured = (turn_between(every[:-1], every[1:])[usable] for every in (q, integrated))
     starts = np.arange(0, step_s.size, max(1, int(np.ceil(_COMPARED_S / np.median(step_s)))))
     length_s = np.add.reduceat(step_s, starts)[:, np.newaxis]
-    return np.add.reduceat(turn, starts) / length_s, np.add.reduceat(measured, starts) / length_s
+    return np.add.reduceat(turned, starts) / length_s, np.add.reduceat(measured, starts) / length_s

@@ -205,7 +205,7 @@ def open_source(
             return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
         archive, member = archive_and_member(name)
         head = _head(archive)
-        if member and not head.startswith(b"PK"):
+        if member and not (formats.is_packed(head) and head.startswith(b"PK")):
             raise LogFormatError(name, "only a zip archive has members")
         if formats.is_packed(head):
             options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}

@@ -12,7 +12,7 @@ from glstar.errors import LogFormatError, TelemetryError
 from glstar.flight import AttitudeTrack, CameraTriggers, Flight, FlightEvents, GimbalAttitude, PositionTrack
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
-from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
+from glstar.telemetry.source import REBOOT, Boot, ClockSamples, Samples, TelemetrySource
 
 # Boots separated by more than this are different flights, s; one export of both would skip days of frames.
 _SAME_FLIGHT_S = 86400.0
@@ -72,7 +72,8 @@ class RecordedLog:
         name = source.name
         boots = {number: Recording.of(name, samples, number) for number, samples in sorted(batches.items())}
         if source.one_clock and boots:
-            clock = Recording.of(name, [batch for samples in batches.values() for batch in samples]).clock
+            every = [batch for samples in batches.values() for batch in samples if isinstance(batch, ClockSamples)]
+            clock = Recording.of(name, every).clock
             boots = {number: replace(boot, clock=clock) for number, boot in boots.items()}
         usable = {number: boot for number, boot in boots.items() if np.unique(boot.attitude.clock_s).size > 1}
         if not usable:

@@ -294,4 +294,6 @@ def _command(name: str, flags: Mapping[str, object]) -> str:
 
 def _file_bytes(name: str) -> int:
     path = Path(archive_and_member(name)[0])
-    return path.stat().st_size if path.is_file() else 0
+    # The directory of a ROS 2 bag is as large as its files.
+    files = path.iterdir() if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())

@@ -6,11 +6,12 @@ cannot be used, of a receiver without a fix or damaged, are passed over and coun
 
 import re
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import reduce
-from math import nan
+from functools import lru_cache, reduce
+from math import nan, remainder
 from operator import xor
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -36,10 +37,12 @@ BETWEEN_FLIGHTS_S = 4 * 3600.0
 _YEAR_1990_S = 631152000.0
 # XML: its beginning as bytes and as text, and the encoding that it declares.
 _XML = re.compile(rb"^(\xef\xbb\xbf)?\s*<|^(\xff\xfe)?<\x00|^(\xfe\xff)?\x00<")
-_ROOT = re.compile(r"<(?:[\w.-]+:)?([A-Za-z]\w*)")
-_COMMENTS = re.compile(r"<!--.*?-->", re.S)
+# The root after comments and declarations; possessive, so that damaged comments are not searched again and again.
+_ROOT = re.compile(r"(?:<!--.*?-->|<[?!](?!--)|[^<]++)*+<(?:[\w.-]+:)?([A-Za-z]\w*)", re.S)
 _ENCODING = re.compile(rb"""^[^>]{0,80}encoding=["']([\w.-]+)["']""")
 _NMEA = re.compile(rb"\$[A-Z]{2}(RMC|GGA|ZDA),")
+# What zipfile raises if an archive is damaged or encrypted.
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 # Heights of KML that are above ground, or meaningless.
 _ABOVE_GROUND = {"relativeToGround", "relativeToSeaFloor", "clampToGround", "clampToSeaFloor"}
 
@@ -76,7 +79,7 @@ def read_track(path: str) -> GivenTrack:
     try:
         kind, parse, text = _format(path, read_bytes(path, _LARGEST_BYTES))
         fixes = np.array(sorted(parse(text, passed), key=lambda fix: fix[0]), dtype=np.float64).reshape(-1, 4)
-    except (ValueError, KeyError, IndexError, ET.ParseError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, IndexError, ET.ParseError, *_ZIP_ERRORS) as error:
         if isinstance(error, LogFormatError):
             raise
         raise LogFormatError(path, f"cannot be read as a track: {error}") from error
@@ -128,14 +131,12 @@ def _valid(fixes: Float, passed: Counter[str]) -> Float:
 
 def _format(path: str, content: bytes) -> tuple[str, _Parse, str]:
     """Return the name of a format, the function that yields its fixes, and the text."""
-    if content.startswith(b"PK\x03\x04"):
-        content = _kmz(path)
-        kind, parse, text = _format(path, content)
-        return "KMZ" if kind == "KML" else kind, parse, text
+    is_zip = content.startswith(b"PK\x03\x04")
+    content = _kmz(path) if is_zip else content
     text = _text(content)
     if _XML.match(content[:64]):
-        root = _ROOT.search(_COMMENTS.sub("", text))
-        kinds: dict[str, tuple[str, _Parse]] = {"gpx": ("GPX", _gpx), "kml": ("KML", _kml)}
+        root = _ROOT.match(text)
+        kinds: dict[str, tuple[str, _Parse]] = {"gpx": ("GPX", _gpx), "kml": ("KMZ" if is_zip else "KML", _kml)}
         if root is not None and root[1] in kinds:
             return (*kinds[root[1]], text)
     head = content.lstrip(b"\xef\xbb\xbf \r\n\t")
@@ -163,7 +164,11 @@ def _kmz(path: str) -> bytes:
         names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
         if not names:
             raise LogFormatError(path, "is a zip archive without a track")
-        return archive.read(names[0])
+        with archive.open(names[0]) as member:
+            content = member.read(_LARGEST_BYTES + 1)
+    if len(content) > _LARGEST_BYTES:
+        raise LogFormatError(path, f"unpacks to more than {_LARGEST_BYTES >> 20} MiB")
+    return content
 
 
 def _elements(text: str, passed: Counter[str]) -> Iterator[tuple[str, ET.Element]]:
@@ -348,7 +353,7 @@ def _nmea_dated(sentences: list[list[str]], passed: Counter[str]) -> list[tuple[
     """
     undated: list[tuple[float, list[str]]] = []
     dated: list[tuple[float, list[str]]] = []
-    latest: tuple[float, float] | None = None
+    latest_s: float | None = None
     for fields in sentences:
         if len(fields) < {"RMC": 10, "GGA": 12, "ZDA": 5}.get(fields[0][2:], 1 << 30):
             continue
@@ -360,21 +365,24 @@ def _nmea_dated(sentences: list[list[str]], passed: Counter[str]) -> list[tuple[
         if midnight_s is None:
             undated.append((clock_s, fields))
             continue
-        dates = [date for date in (latest, (midnight_s, clock_s)) if date is not None]
-        dated += [(_nearest_utc_s(dates, other_s), other) for other_s, other in undated]
-        undated, latest = [], (midnight_s, clock_s)
+        utc_s = midnight_s + clock_s
+        beside_s = [utc_s] if latest_s is None else [latest_s, utc_s]
+        dated += [(_nearest_utc_s(beside_s, other_s), other) for other_s, other in undated]
+        undated, latest_s = [], utc_s
         if fields[0][2:] == "RMC":
-            dated.append((midnight_s + clock_s, fields))
-    if latest is None:
+            dated.append((utc_s, fields))
+    if latest_s is None:
         passed["sentences without a date"] += len(undated)
         return []
-    return dated + [(_nearest_utc_s([latest], other_s), other) for other_s, other in undated]
+    return dated + [(_nearest_utc_s([latest_s], other_s), other) for other_s, other in undated]
 
 
-def _nearest_utc_s(dates: list[tuple[float, float]], clock_s: float) -> float:
-    """Return the UTC of a time of day, s, beside sentences with dates: midnight and time of day, s."""
-    times_s = [midnight_s + clock_s - _DAY_S * round((clock_s - at_s) / _DAY_S) for midnight_s, at_s in dates]
-    return min(zip(times_s, dates, strict=True), key=lambda time: abs(time[0] - sum(time[1])))[0]
+def _nearest_utc_s(beside_s: list[float], clock_s: float) -> float:
+    """Return the UTC of a time of day, s, that is nearest to one of the times of sentences with dates beside it, s."""
+    since_s, beside = min(
+        ((remainder(clock_s - utc_s, _DAY_S), utc_s) for utc_s in beside_s), key=lambda one: abs(one[0])
+    )
+    return beside + since_s
 
 
 def _nmea_date(fields: list[str]) -> float | None:
@@ -385,7 +393,13 @@ def _nmea_date(fields: list[str]) -> float | None:
         day, month, year = fields[9][:2], fields[9][2:4], _century(fields[9][4:6]) + fields[9][4:6]
     else:
         return None
-    return _utc_s(f"{year}-{month:0>2}-{day:0>2}T00:00") if year else None
+    return _midnight_s(f"{year}-{month:0>2}-{day:0>2}") if year else None
+
+
+@lru_cache(maxsize=8)
+def _midnight_s(date: str) -> float:
+    """Return the midnight of an ISO 8601 date, s since 1970; a track has the same one in all sentences of a day."""
+    return _utc_s(f"{date}T00:00")
 
 
 def _time_of_day_s(text: str) -> float:

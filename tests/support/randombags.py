@@ -237,7 +237,7 @@ def _add_clocks(bag: _SortedBag, random: Random, space: str, late_ns: int, said:
     decoys = ("lidar/trigger_time", "camera/sync", "pps/count", "sensors/clock")
     decoy, fault = str(random.choice(decoys)), str(random.choice(["none", "boot", "1970", "frozen", "jumps"]))
     said.append(f"TimeReference {fcu}, {decoy} {fault}")
-    for number, t_s in enumerate(np.arange(0, DURATION_S, 0.5)):
+    for t_s in np.arange(0, DURATION_S, 0.5):
         utc_ns = UTC_NS + round(t_s * 1e9)
         bag.time(f"/{space}{fcu}", utc_ns + late_ns, utc_ns)
         for fraction in np.arange(0, 0.5, 0.05) if fault != "none" else ():
@@ -249,7 +249,6 @@ def _add_clocks(bag: _SortedBag, random: Random, space: str, late_ns: int, said:
                 "jumps": then_ns + int(random.uniform(-3e11, 3e11)),
             }[fault]
             bag.time(f"/{space}{decoy}", then_ns + late_ns, read_ns, origin=str(random.choice(["", "sensor"])))
-        del number
 
 
 def _planned(bag: _SortedBag, random: Random, flight: Motion, space: str, late_ns: int, said: list[str]) -> None:

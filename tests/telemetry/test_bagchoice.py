@@ -5,12 +5,15 @@ import io
 import sqlite3
 import struct
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
+from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 from scipy.spatial.transform import Rotation
 
 from glstar.errors import LogFormatError
@@ -185,6 +188,24 @@ def test_distant_positions_in_one_name_space_are_refused(tmp_path: Path) -> None
         open_flight(path)
 
 
+@pytest.mark.parametrize(("kind", "topic"), [(ODOMETRY, "/ins"), (GEO, "/ins/fix")])
+def test_the_position_below_the_attitude_or_in_it_is_that_of_the_aircraft(
+    tmp_path: Path, kind: str, topic: str
+) -> None:
+    with Bag(tmp_path / "bag", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            stamp_ns = START_NS + round(TIMES_S[k] * 1e9)
+            bag.oriented(kind, topic, stamp_ns, ENU_FLU[k], place=(-34.93, 138.6, 150.0))
+            if kind == ODOMETRY:
+                bag.placed("/ins/fix", stamp_ns, (-34.93, 138.6, 150.0))
+            bag.placed("/phone_fix", stamp_ns, (-33.0, 140.0, 500.0))
+
+    flight = open_flight(tmp_path / "bag")
+
+    require_agreement(flight)
+    assert flight.position_source == "/ins/fix"
+
+
 def test_stamps_of_another_clock_are_replaced_by_reception(tmp_path: Path) -> None:
     boot_ns = 30_000_000_000
 
@@ -306,11 +327,12 @@ def stored(path: Path) -> bytes:
 
 
 def mcap_of(
-    path: Path, profile: str = "ros2", *, chunk_size: int = 4096, extra: Callable[[Writer], None] | None = None
-) -> bytes:
+    path: Path, profile: str = "ros2", *, chunk_size: int = 4096, extra: Callable[[Writer], None] | None = None,
+    compression: CompressionType = CompressionType.ZSTD,
+) -> bytes:  # fmt: skip
     """Return the messages of a bag as MCAP of the mcap library, beside what `extra` writes."""
     out, schemas, channels = io.BytesIO(), {}, {}
-    writer = Writer(out, chunk_size=chunk_size)
+    writer = Writer(out, chunk_size=chunk_size, compression=compression)
     writer.start(profile=profile)
     if extra is not None:
         extra(writer)
@@ -375,6 +397,65 @@ def test_a_recording_that_was_cut_is_read_to_its_last_whole_record(tmp_path: Pat
     assert 30 < flight.attitude.utc_s.size < 100
     assert abs(flight.attitude.first_s - START_NS * 1e-9) < 1e-6
     assert any("the recording breaks off at byte" in note for note in flight.notes)
+
+
+def test_files_of_a_bag_without_a_message_do_not_refuse_the_others(tmp_path: Path) -> None:
+    folder = tmp_path / "night"
+    folder.mkdir()
+    for number, content in enumerate((b"", stored(written(tmp_path / "bag", "mcap")), b"")):
+        (folder / f"night_{number}.mcap").write_bytes(content)
+
+    flight = open_flight(folder)
+
+    require_agreement(flight)
+    assert [note for note in flight.notes if "breaks off in night_2.mcap" in note]
+
+
+def test_what_could_not_be_read_is_a_part_of_all_files_of_a_bag(tmp_path: Path) -> None:
+    folder = tmp_path / "night"
+    folder.mkdir()
+    whole = mcap_of(
+        written(tmp_path / "bag", "mcap"), extra=lambda writer: writer.add_attachment(0, 0, "a", "b", bytes(200_000))
+    )
+    (folder / "night_0.mcap").write_bytes(whole)
+    (folder / "night_1.mcap").write_bytes(whole[:190_000])
+
+    with open_source(folder) as source:
+        report, _ = survey(source)
+
+    assert report.file_bytes == len(whole) + 190_000
+    (unread,) = (note for note in report.notes if "could not be read" in note)
+    assert "0.2 MB of the file, 47%" in unread
+
+
+def test_damage_within_a_chunk_is_noted_and_the_next_chunk_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    content = bytearray(mcap_of(written(tmp_path / "bag", "mcap"), chunk_size=4096, compression=CompressionType.NONE))
+    # The length of the first message: in the first chunk, after its schemas and channels.
+    at = content.index(START_NS.to_bytes(8, "little"), content.index(b"/fix")) - 15
+    assert content[at] == Opcode.MESSAGE
+    content[at + 1 : at + 9] = (1 << 40).to_bytes(8, "little")
+    path.write_bytes(content)
+
+    flight = open_flight(path)
+
+    assert 50 < flight.attitude.utc_s.size < 100
+    assert "a chunk of the recording is damaged, and its last messages are lost" in flight.notes
+
+
+def test_a_damaged_compressed_message_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "flight.db3"
+    path.write_bytes(next(written(tmp_path / "bag", "db3").glob("*.db3")).read_bytes())
+    with closing(sqlite3.connect(path)) as database, database:
+        rows = database.execute("SELECT id, data FROM messages ORDER BY timestamp").fetchall()
+        for number, (row, data) in enumerate(rows):
+            packed = zstandard.compress(data)[: 10 if number == 70 else None]
+            database.execute("UPDATE messages SET data = ? WHERE id = ?", (packed, row))
+
+    flight = open_flight(path)
+
+    assert flight.attitude.utc_s.size == 99
+    assert "1 messages of /imu/data cannot be decoded and are left out" in flight.notes
 
 
 def test_every_cut_of_a_recording_is_read_or_refused(tmp_path: Path) -> None:

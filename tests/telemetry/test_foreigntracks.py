@@ -1,6 +1,8 @@
 """Tracks of strangers: fixes that are none, damaged elements, and unusual but valid files."""
 
+import io
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -296,3 +298,34 @@ def test_positions_of_a_log_that_no_aircraft_reaches_are_left_out(tmp_path: Path
 
     assert abs(np.rad2deg(flight.position.at(FIRST_S + 2.5).latitude_rad) + 34.93) < 1e-9
     assert any(note.startswith("10 of 100 positions are too far from the others") for note in flight.notes)
+
+
+def zipped(name: str, content: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def encrypted(archive: bytes) -> bytes:
+    """Return an archive of one member whose flags say that it is encrypted."""
+    flagged = bytearray(archive)
+    for signature, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        flagged[archive.index(signature) + flags] |= 1
+    return bytes(flagged)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("nested.kmz", zipped("doc.kml", zipped("doc.kml", b"<kml/>")), "is no track that glstar knows"),
+        ("secret.kmz", encrypted(zipped("doc.kml", b"<kml/>")), "cannot be read as a track: .* is encrypted"),
+        # Took eight minutes when each comment was searched to the end of the file.
+        ("comments.gpx", b"<?xml version='1.0'?>" + b"<!--" * 100_000, "is no track that glstar knows"),
+    ],
+)
+def test_archives_and_comments_without_end_are_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+
+    with pytest.raises(LogFormatError, match=message):
+        read_track(str(tmp_path / name))

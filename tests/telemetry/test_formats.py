@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import pytest
@@ -9,6 +10,7 @@ import typer
 
 from glstar.cli import app
 from glstar.config.flight import FlightSection
+from glstar.errors import LogFormatError
 from glstar.system.resources import asset
 from glstar.telemetry import LOG_FORMATS, LOG_SUFFIXES, open_flight
 from glstar.telemetry.tracks import TRACK_FORMATS
@@ -55,3 +57,11 @@ def test_every_list_of_track_formats_is_the_same(texts: set[str]) -> None:
 
     assert len(lists) == 4
     assert all(TRACK_FORMATS in text for text in lists)
+
+
+@pytest.mark.parametrize("head", [b"PK\x03\x04....[Content_Types].xml", b"\x1f\x8b", b"\xa3\x95\x80"])
+def test_only_a_zip_archive_has_members(tmp_path: Path, head: bytes) -> None:
+    (tmp_path / "flight").write_bytes(head)
+
+    with pytest.raises(LogFormatError, match=r"flight::member: only a zip archive has members$"):
+        open_flight(f"{tmp_path / 'flight'}::member")

@@ -13,7 +13,7 @@ from glstar.flight import Flight
 from glstar.rotation import matrix_from_quaternion
 from glstar.sky.place.site import Site
 from glstar.telemetry import RateSamples, open_flight, open_source
-from tests.support.bags import ENU_FLU, NED_FRD, START_NS, TIMES_S, Bag, written
+from tests.support.bags import ENU_FLU, NED_FRD, ODOMETRY, START_NS, TIMES_S, Bag, written
 
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60))
 
@@ -98,12 +98,7 @@ def test_stamps_of_a_simulator_are_converted_by_time_reference(tmp_path: Path) -
             bag.imu(k, 5_000_000_000, ENU_FLU)
             bag.fix(k, 5_000_000_000)
             stamp_ns = 5_000_000_000 + round(TIMES_S[k] * 1e9)
-            utc_ns = stamp_ns + offset_ns
-            bag.write(
-                "/time_reference", "sensor_msgs/msg/TimeReference", stamp_ns, header=bag.header(stamp_ns, ""),
-                time_ref=bag.make("builtin_interfaces/msg/Time", sec=utc_ns // 10**9, nanosec=utc_ns % 10**9),
-                source="gps",
-            )  # fmt: skip
+            bag.time("/time_reference", stamp_ns, stamp_ns + offset_ns)
 
     flight = open_flight(tmp_path / "flight")
 
@@ -127,21 +122,8 @@ def test_topics_can_be_chosen(tmp_path: Path) -> None:
         for k in range(TIMES_S.size):
             bag.imu(k, START_NS, ENU_FLU)
             bag.fix(k, START_NS)
-            pose = bag.make(
-                "geometry_msgs/msg/Pose",
-                position=bag.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
-                orientation=bag.quaternion(0.0, 0.0, 0.0, 1.0),
-            )
             stamp_ns = START_NS + round(TIMES_S[k] * 1e9)
-            bag.write(
-                "/odom", "nav_msgs/msg/Odometry", stamp_ns, header=bag.header(stamp_ns, "odom"), child_frame_id="base",
-                pose=bag.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-                twist=bag.make(
-                    "geometry_msgs/msg/TwistWithCovariance",
-                    twist=bag.make("geometry_msgs/msg/Twist", linear=bag.vector(0, 0, 0), angular=bag.vector(0, 0, 0)),
-                    covariance=np.zeros(36),
-                ),
-            )  # fmt: skip
+            bag.oriented(ODOMETRY, "/odom", stamp_ns, Rotation.identity(), "odom", child_frame_id="base")
             bag.fix(k, START_NS, topic="/gps/other")
 
     flight = open_flight(tmp_path / "flight", attitude="/odom", columns="position=/gps/other")

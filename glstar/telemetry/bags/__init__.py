@@ -27,6 +27,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import takewhile
 from os import PathLike
 from typing import Any, Literal, Self, get_args, get_type_hints
 
@@ -445,7 +446,7 @@ def _distance_deg(first: source.PositionSamples, second: source.PositionSamples)
 def _shared_parts(first: str, second: str) -> int:
     """Return how many parts two topics have in common at their start."""
     pairs = zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False)
-    return next((number for number, (a, b) in enumerate(pairs) if a != b), 0)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 def is_bag(head: bytes) -> bool:

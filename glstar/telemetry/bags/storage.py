@@ -11,7 +11,7 @@ import sqlite3
 import struct
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import lru_cache
 from os import PathLike
@@ -28,8 +28,8 @@ MAGICS = (_MCAP, _SQLITE, b"#ROSBAG")
 _STORAGES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 # Opcodes of the records of a ROS 1 bag: https://wiki.ros.org/Bags/Format/2.0.
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
-# Opcode of a chunk of MCAP: https://mcap.dev/spec.
-_MCAP_CHUNK = 6
+# Records of MCAP, https://mcap.dev/spec: opcode and length of each; channel, number, times of a message.
+_RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CUT = "it ends within a record"
 
 
@@ -44,6 +44,17 @@ class Bag:
     notes: list[str] = field(default_factory=list)
     unread_bytes: int = 0
 
+    def topic(self, channel: "_Channel") -> Topic:
+        """Return the topic of a channel; the second kind of message on a topic is a topic of its own."""
+        name = channel.topic
+        if name in self.topics and self.topics[name].kind != channel.kind:
+            short = channel.kind.rpartition("/")[2]
+            if (name := f"{name} ({short})") not in self.topics:
+                self.notes.append(f"{channel.topic} has messages of two kinds: those of {short} are listed as {name!r}")
+        if name not in self.topics:
+            self.topics[name] = Topic(name, channel.kind)
+        return self.topics[name]
+
 
 class _Channel(NamedTuple):
     """A topic in a file, and how its messages are serialised."""
@@ -55,7 +66,11 @@ class _Channel(NamedTuple):
     is_ros1: bool = False
 
     def decode(self, raw: bytes) -> Any:
-        """Return a message."""
+        """Return a message, which rosbag2 may have compressed on its own; CDR begins with 0."""
+        if raw.startswith(_ZSTD):
+            import zstandard  # noqa: PLC0415 - a dependency of mcap
+
+            raw = bytes(zstandard.decompress(raw))
         return _decoder(self.kind, self.definition, is_idl=self.is_idl, is_ros1=self.is_ros1)(raw)
 
 
@@ -107,10 +122,11 @@ def read_bag(name: str) -> Bag:
     files = [path]
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.name.endswith(_STORAGES) and file.is_file())
-    for file in files:
-        _read_file(bag, file)
     if not files:
         raise LogFormatError(name, "is the directory of a ROS 2 bag without its .mcap or .db3 files")
+    damage = [error for file in files if (error := _read_file(bag, file)) is not None]
+    if damage and not bag.topics:
+        raise LogFormatError(name, f"cannot be read as a ROS bag: {_reason(damage[0])}") from damage[0]
     for topic in bag.topics.values():
         topic.sort()
         if topic.undecoded:
@@ -127,44 +143,33 @@ def is_bag_directory(path: str | PathLike[str]) -> bool:
     return (folder / "metadata.yaml").is_file() or any(name.endswith(_STORAGES) for name in recorded)
 
 
-def _read_file(bag: Bag, path: Path) -> None:
-    """Add the messages of a file; raises LogFormatError if there are none before the first damage."""
-    count = 0
+def _read_file(bag: Bag, path: Path) -> Exception | None:
+    """Add the messages of a file; return the damage at which it breaks off, None if it is whole."""
     with path.open("rb") as file:
         stream = _WholeReads(file)
         try:
             for channel, received_ns, raw in _messages(bag, stream, path):
-                count += 1
-                if channel.kind not in KINDS:
-                    continue
-                topic = _topic(bag, channel)
+                topic = bag.topic(channel)
                 try:
                     topic.add(channel.decode(raw), received_ns * 1e-9)
                 except Exception:
                     topic.undecoded += 1
         except Exception as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            if not count:
-                raise LogFormatError(bag.name, f"cannot be read as a ROS bag: {reason}") from error
-            bag.unread_bytes += stream.size - stream.position
-            where = (
-                f"at byte {stream.position} of {stream.size} of {path.name}" if stream.position else f"in {path.name}"
-            )
-            bag.notes.append(f"the recording breaks off {where}, and its last messages are lost: {reason}")
+            where = f"in {path.name}"
+            if stream.position:  # of a database it is not known
+                bag.unread_bytes += stream.size - stream.position
+                where = f"at byte {stream.position} of {stream.size} of {path.name}"
+            bag.notes.append(f"the recording breaks off {where}, and its last messages are lost: {_reason(error)}")
+            return error
+    return None
 
 
-def _topic(bag: Bag, channel: _Channel) -> Topic:
-    """Return the topic of a channel; the second kind of message on a topic is a topic of its own."""
-    name = channel.topic
-    if name in bag.topics and bag.topics[name].kind != channel.kind:
-        short = channel.kind.rpartition("/")[2]
-        if (name := f"{name} ({short})") not in bag.topics:
-            bag.notes.append(f"{channel.topic} has messages of two kinds: those of {short} are listed as {name!r}")
-    return bag.topics.setdefault(name, Topic(name, channel.kind))
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _messages(bag: Bag, stream: _WholeReads, path: Path) -> _Messages:
-    """Yield all messages of a file that is recognised by its first bytes."""
+    """Yield the messages of `KINDS` of a file that is recognised by its first bytes."""
     head = stream.read(min(stream.size, 16))
     stream.rewind()
     if head.startswith(_ROS1):
@@ -176,12 +181,13 @@ def _messages(bag: Bag, stream: _WholeReads, path: Path) -> _Messages:
     if head.startswith(_SQLITE):
         return _sqlite(bag, path)
     if head.startswith(_ZSTD):
-        return _compressed(bag, stream)
+        return _compressed(bag, path)
     raise ValueError("it begins like no bag that glstar knows, such as a bag of ROS 1 before version 2.0")
 
 
 def _mcap(bag: Bag, stream: _WholeReads) -> _Messages:
-    from mcap.stream_reader import StreamReader  # noqa: PLC0415 - see `read_bag`
+    from mcap.records import Chunk, Message  # noqa: PLC0415 - see `read_bag`
+    from mcap.stream_reader import StreamReader  # noqa: PLC0415 - the same
 
     schemas: dict[int, Any] = {}
     channels: dict[int, _Channel] = {}
@@ -189,48 +195,71 @@ def _mcap(bag: Bag, stream: _WholeReads) -> _Messages:
     try:
         for record in StreamReader(stream, emit_chunks=True, record_size_limit=None).records:  # type: ignore[arg-type]
             start = stream.position
-            yield from _mcap_record(bag, record, schemas, channels)
+            if isinstance(record, Chunk):
+                yield from _mcap_chunk(bag, record, schemas, channels)
+            elif not isinstance(record, Message):
+                _learn(bag, record, schemas, channels)
+            elif record.channel_id in channels:
+                yield channels[record.channel_id], record.log_time, record.data
     except EOFError:
         if chunk := _cut_chunk(stream, start):
-            yield from _mcap_record(bag, chunk, schemas, channels)
+            yield from _mcap_chunk(bag, chunk, schemas, channels)
         raise
 
 
-def _mcap_record(bag: Bag, record: Any, schemas: dict[int, Any], channels: dict[int, _Channel]) -> _Messages:
-    """Yield the messages of a record, and remember what it says about others."""
-    from mcap import records  # noqa: PLC0415 - see `read_bag`
-    from mcap.stream_reader import StreamReader  # noqa: PLC0415 - the same
+def _mcap_chunk(bag: Bag, chunk: Any, schemas: dict[int, Any], channels: dict[int, _Channel]) -> _Messages:
+    """Yield the messages of a chunk, without an object for each record, of which there are many."""
+    from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - see `read_bag`
+    from mcap.opcode import Opcode  # noqa: PLC0415 - the same
+    from mcap.records import Channel, Schema  # noqa: PLC0415 - the same
 
-    if isinstance(record, records.Header):
+    about: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+    content, start = _inflated(chunk.compression, chunk.data), 0
+    while start + _RECORD.size <= len(content):
+        opcode, length = _RECORD.unpack_from(content, start)
+        body, stop = start + _RECORD.size, start + _RECORD.size + length
+        if stop > len(content):
+            break
+        if opcode == Opcode.MESSAGE:
+            number, _, received_ns, _ = _MESSAGE_HEAD.unpack_from(content, body)
+            if number in channels:
+                yield channels[number], received_ns, content[body + _MESSAGE_HEAD.size : stop]
+        elif opcode in about:
+            record = about[opcode].read(ReadDataStream(io.BytesIO(content[body:stop])))
+            _learn(bag, record, schemas, channels)
+        start = stop
+    if start < len(content) == chunk.uncompressed_size:
+        bag.notes.append("a chunk of the recording is damaged, and its last messages are lost")
+
+
+def _learn(bag: Bag, record: Any, schemas: dict[int, Any], channels: dict[int, _Channel]) -> None:
+    """Remember what a record says about messages; `channels` are those with messages of `KINDS`."""
+    from mcap.records import Channel, Header, Schema  # noqa: PLC0415 - see `read_bag`
+
+    if isinstance(record, Header):
         bag.format = "ROS 1 bag (MCAP)" if record.profile == "ros1" else "ROS 2 bag (MCAP)"
-    elif isinstance(record, records.Schema):
+    elif isinstance(record, Schema):
         schemas[record.id] = record
-    elif isinstance(record, records.Channel):
-        channels[record.id] = channel = _mcap_channel(record, schemas.get(record.schema_id))
+    elif isinstance(record, Channel):
+        channel = _mcap_channel(record, schemas.get(record.schema_id))
         bag.kinds.add(channel.kind)
-    elif isinstance(record, records.Message) and record.channel_id in channels:
-        yield channels[record.channel_id], record.log_time, _unpacked(record.data)
-    elif isinstance(record, records.Chunk):
-        content: Any = _WholeReads(io.BytesIO(_inflated(record.compression, record.data)))
-        with suppress(EOFError):  # a chunk has no footer
-            for inner in StreamReader(content, skip_magic=True, record_size_limit=None).records:
-                yield from _mcap_record(bag, inner, schemas, channels)
+        if channel.kind in KINDS:
+            channels[record.id] = channel
 
 
 def _cut_chunk(stream: _WholeReads, start: int) -> Any:
     """Return what there is of the chunk at a position, whose end is missing; None if there is another record."""
-    from mcap.records import Chunk  # noqa: PLC0415 - see `read_bag`
+    from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - see `read_bag`
+    from mcap.opcode import Opcode  # noqa: PLC0415 - the same
+    from mcap.records import Chunk  # noqa: PLC0415 - the same
 
-    rest = stream.rest_from(start)
-    if len(rest) < 41 or rest[0] != _MCAP_CHUNK:
+    rest = io.BytesIO(stream.rest_from(start))
+    if rest.read(_RECORD.size)[:1] != bytes([Opcode.CHUNK]):
         return None
-    first_ns, last_ns, size, crc, letters = struct.unpack_from("<QQQII", rest, 9)
-    name = rest[41 : 41 + letters].decode("ascii", "replace")
-    data = rest[41 + letters + 8 :]
-    return Chunk(
-        compression=name, data=data, message_end_time=last_ns, message_start_time=first_ns, uncompressed_crc=crc,
-        uncompressed_size=size,
-    )  # fmt: skip
+    try:
+        return Chunk.read(ReadDataStream(rest))
+    except Exception:  # it ends before its messages
+        return None
 
 
 def _mcap_channel(record: Any, schema: Any) -> _Channel:
@@ -258,37 +287,30 @@ def _sqlite(bag: Bag, path: Path) -> _Messages:
         if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
             rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
             definitions = {kind: (text, encoding == "ros2idl") for kind, text, encoding in rows}
-        channels = {
-            number: _Channel(name, kind if serialised == "cdr" else "", *definitions.get(kind, ("", False)))
-            for number, name, kind, serialised in database.execute(
-                "SELECT id, name, type, serialization_format FROM topics"
-            )
-        }
-        bag.kinds.update(channel.kind for channel in channels.values())
-        for number, received_ns, raw in database.execute("SELECT topic_id, timestamp, data FROM messages"):
-            if number in channels:
-                yield channels[number], received_ns, _unpacked(raw)
+        channels: dict[int, _Channel] = {}
+        for number, name, kind, serialised in database.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            bag.kinds.add(kind if serialised == "cdr" else "")
+            if serialised == "cdr" and kind in KINDS:
+                channels[number] = _Channel(name, kind, *definitions.get(kind, ("", False)))
+        # Images and point clouds lie in pages of their own, which are not read.
+        marks = ", ".join("?" * len(channels))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks})"  # noqa: S608 - marks only
+        for number, received_ns, raw in database.execute(query, [*channels]):
+            yield channels[number], received_ns, raw
 
 
-def _compressed(bag: Bag, stream: Any) -> _Messages:
+def _compressed(bag: Bag, packed: Path) -> _Messages:
     """Yield the messages of a file in a ROS 2 bag that is compressed as a whole."""
     import zstandard  # noqa: PLC0415 - a dependency of mcap
 
     with tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True) as folder:
         path = Path(folder) / "storage"
-        with path.open("wb") as whole:
-            whole.write(zstandard.ZstdDecompressor().decompressobj().decompress(stream.rest_from(0)))
+        with packed.open("rb") as content, path.open("wb") as whole:
+            zstandard.ZstdDecompressor().copy_stream(content, whole)
         with path.open("rb") as file:
             yield from _messages(bag, _WholeReads(file), path)
-
-
-def _unpacked(raw: bytes) -> bytes:
-    """Return a message that rosbag2 may have compressed on its own; CDR begins with 0."""
-    if not raw.startswith(_ZSTD):
-        return raw
-    import zstandard  # noqa: PLC0415 - a dependency of mcap
-
-    return bytes(zstandard.decompress(raw))
 
 
 def _ros1(bag: Bag, stream: _WholeReads, channels: dict[bytes, _Channel] | None = None) -> _Messages:
@@ -309,9 +331,11 @@ def _ros1(bag: Bag, stream: _WholeReads, channels: dict[bytes, _Channel] | None 
             raise EOFError(_CUT)
         if operation == _CONNECTION:
             about = _fields(data)
-            kind, definition = about[b"type"].decode(), about[b"message_definition"].decode("utf-8", "replace")
-            channels[header[b"conn"]] = _Channel(header[b"topic"].decode(), _full_kind(kind), definition, is_ros1=True)
-            bag.kinds.add(_full_kind(kind))
+            kind, definition = _full_kind(about[b"type"].decode()), about[b"message_definition"]
+            bag.kinds.add(kind)
+            if kind in KINDS:
+                channel = _Channel(header[b"topic"].decode(), kind, definition.decode("utf-8", "replace"), is_ros1=True)
+                channels[header[b"conn"]] = channel
         elif operation == _MESSAGE and header[b"conn"] in channels:
             seconds, nanoseconds = struct.unpack("<II", header[b"time"])
             yield channels[header[b"conn"]], seconds * 10**9 + nanoseconds, data
@@ -335,11 +359,15 @@ def _inflated(compression: str, data: bytes) -> bytes:
 
 def _fields(header: bytes) -> dict[bytes, bytes]:
     """Return the fields of the header of a ROS 1 record, by name."""
-    stream = _WholeReads(io.BytesIO(header))
     fields: dict[bytes, bytes] = {}
-    while stream.position < stream.size:
-        name, _, value = stream.sized().partition(b"=")
+    start = 0
+    while start < len(header):
+        stop = start + 4 + struct.unpack_from("<I", header, start)[0]
+        if stop > len(header):
+            raise EOFError(_CUT)
+        name, _, value = header[start + 4 : stop].partition(b"=")
         fields[name] = value
+        start = stop
     return fields
 
 

@@ -65,7 +65,7 @@ _COLUMNS = {
     "position": slice(12, 15),  # latitude and longitude, deg; height, m
     "utc_s": slice(15, 16),
 }
-_WIDTH = 16
+_WIDTH = max(columns.stop for columns in _COLUMNS.values())
 
 
 @dataclass
@@ -90,18 +90,18 @@ class Topic:
         row[:2] = received_s, stamp_s or received_s
         if self.kind in ATTITUDES:
             q = ATTITUDES[self.kind](message)
-            row[2:6] = q.w, q.x, q.y, q.z
+            row[_COLUMNS["orientation"]] = q.w, q.x, q.y, q.z
             self.child_frame_id = self.child_frame_id or getattr(message, "child_frame_id", "")
         if self.kind == IMU:
             self._add_gyros(row, message)
         elif self.kind == FIX and message.status.status >= 0:
-            row[12:15] = message.latitude, message.longitude, message.altitude
+            row[_COLUMNS["position"]] = message.latitude, message.longitude, message.altitude
         elif self.kind == GEO:
             at = message.pose.position
-            row[12:15] = at.latitude, at.longitude, at.altitude
+            row[_COLUMNS["position"]] = at.latitude, at.longitude, at.altitude
         elif self.kind == TIME:
             self.origin = self.origin or message.source
-            row[15] = message.time_ref.sec + message.time_ref.nanosec * 1e-9
+            row[_COLUMNS["utc_s"]] = [message.time_ref.sec + message.time_ref.nanosec * 1e-9]
         self.frame_id = self.frame_id or header.frame_id
         self._cells.extend(row)
 
@@ -111,12 +111,12 @@ class Topic:
         self.unknown += max(variance) > _UNKNOWN_RAD2
         if variance[0] == -1:
             self.unmeasured += 1
-            row[2:6] = [np.nan] * 4
+            row[_COLUMNS["orientation"]] = [np.nan] * 4
         rate, acceleration = message.angular_velocity, message.linear_acceleration
         if message.angular_velocity_covariance[0] != -1:
-            row[6:9] = rate.x, rate.y, rate.z
+            row[_COLUMNS["rate_rad_per_s"]] = rate.x, rate.y, rate.z
         if message.linear_acceleration_covariance[0] != -1:
-            row[9:12] = acceleration.x, acceleration.y, acceleration.z
+            row[_COLUMNS["acceleration"]] = acceleration.x, acceleration.y, acceleration.z
 
     def __len__(self) -> int:
         return len(self._cells) // _WIDTH

@@ -142,7 +142,9 @@ class TableReader(source.TelemetrySource):
             by_column = zip(*cells[:complete], strict=True) if complete else repeat(())
             columns = dict(zip(self._header, by_column, strict=False))
             utc_s = _Columns(self.name, lines[:complete], columns).utc_s()
-            valid = valid_rows(utc_s) & (bool(parts) | ~in_first_second(utc_s))
+            valid = valid_rows(utc_s)
+            if not parts:
+                valid &= ~in_first_second(utc_s)
             if not valid.all():
                 kept = np.flatnonzero(valid).tolist()
                 columns = {name: tuple(column[row] for row in kept) for name, column in columns.items()}

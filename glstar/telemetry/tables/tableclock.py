@@ -12,7 +12,7 @@ from math import nan
 
 import numpy as np
 
-from glstar.arrays import Float, Integer, Mask
+from glstar.arrays import Float, Integer, Mask, robust_std
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
 from glstar.telemetry.boots import find_boots, within
 from glstar.telemetry.source import Boot, valid_times
@@ -93,7 +93,7 @@ class _Readings:
 
     def at_rate(self, rate: float, reference_s: float) -> "_Readings":
         clock_s, before_s = (times + rate * (times - reference_s) for times in (self.clock_s, self.before_s))
-        return _Readings(self.rows, clock_s, before_s, self.utc_s, self.are_held)
+        return replace(self, clock_s=clock_s, before_s=before_s)
 
 
 def has_whole_seconds(utc_s: Float) -> bool:
@@ -268,12 +268,11 @@ def _near(readings: _Readings, usual_s: float) -> Mask:
 
 def _most_common(low: Float, high: Float) -> tuple[float, int]:
     """Return where most of (n,) closed intervals overlap, its lower end, and how many do."""
-    ends = np.concatenate([low, high])
-    begins = np.concatenate([np.ones(low.size, dtype=np.int64), -np.ones(high.size, dtype=np.int64)])
-    order = np.lexsort((-begins, ends))
-    count = np.cumsum(begins[order])
+    low, high = np.sort(low), np.sort(high)
+    # At each lower end: the intervals that have begun, without those that have ended before.
+    count = np.searchsorted(low, low, side="right") - np.searchsorted(high, low)
     best = int(np.argmax(count))
-    return float(ends[order][best]), int(count[best])
+    return float(low[best]), int(count[best])
 
 
 def _line(clock_s: Float, utc_s: Float, chosen: Mask, usual_s: float, hold_s: float) -> tuple[float, Mask]:
@@ -321,7 +320,7 @@ def _refined_rate(readings: _Readings) -> float:
             return 0.0
     rate = _median_slope(readings.clock_s, low_s)
     residual_s = low_s - rate * readings.clock_s
-    scatter_s = 1.4826 * float(np.median(np.abs(residual_s - np.median(residual_s))))
+    scatter_s = robust_std(residual_s, float(np.median(residual_s)))
     is_drift = abs(rate) * span_s > max(3 * scatter_s, _SMALLEST_DRIFT_S)
     return rate if is_drift and abs(rate) <= _MAX_RATE else 0.0
 
