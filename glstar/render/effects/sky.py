@@ -21,7 +21,7 @@ from glstar.render.scene.clouds import cloud_sheet
 from glstar.render.scene.scene import Scene
 
 SKY_MAP_KEY = Key("sky_map", "", "the path of an image: PNG, TIFF, FITS or NPY")
-SKY_BRIGHTNESS = Key(
+SKY_BRIGHTNESS: Key = Key(
     "brightness", "flat", '"flat" or "natural"', Control("Sky brightness"), choices=("flat", "natural")
 )
 # Columns and rows for the smooth sky: at most 1.5 % off beyond 3 deg of the Moon.
