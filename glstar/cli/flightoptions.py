@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_mode, sensor_presets
+from glstar.camera.presets import camera_presets, is_sensor_mode, sensor_presets
 from glstar.cli.reporting import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flight import SYNTHETIC
@@ -148,23 +148,19 @@ def camera_settings(
 ) -> dict[str, object]:
     """Return the values of the config, by dotted key, that the options set; None for keys that they leave unchanged.
 
-    The mode of a sensor also sets its noise, its readout time and the vignetting of the lens.  `lens_mm`, `f_number`:
-    the lens before the sensor; `gain`: analogue gain of the sensor.
+    The mode of a sensor also replaces the noise of the config; what else it brings, the config knows.  `lens_mm`,
+    `f_number`: the lens before the sensor; `gain`: analogue gain of the sensor.
     """
-    lens: dict[str, object] = {
+    settings: dict[str, object] = {
         "camera.lens_mm": lens_mm,
         "camera.f_number": f_number,
         "sensor.analogue_gain": gain,
     }
-    if camera is None:
-        return lens
-    if is_sensor_mode(camera):
-        mode = sensor_mode(camera) if lens_mm is not None else None
-        # The config refuses a missing lens and an unknown mode.
-        readout_s = None if mode is None else mode.readout_s
-        keys = {"camera.preset": camera, "sensor.preset": camera, "lens.vignetting": "cos4"}
-        return {**keys, "exposure.readout_s": readout_s, **lens}
-    return {"camera.file" if is_file_name(camera) else "camera.preset": camera, **lens}
+    if camera is not None:
+        settings["camera.file" if is_file_name(camera) else "camera.preset"] = camera
+        if is_sensor_mode(camera):
+            settings["sensor.preset"] = camera
+    return settings
 
 
 Columns = Annotated[
@@ -237,6 +233,15 @@ class FlightFlags:
         """Return the given values by flag."""
         values = {flag: getattr(self, _name(flag)) for flag in ("--config", *FLIGHT_FLAGS.values())}
         return {flag: value for flag, value in values.items() if value is not None}
+
+    def by_key(self) -> dict[str, str]:
+        """Return the flags that set a value, by dotted key of the config."""
+        camera = "--camera"
+        flags = {"camera.file": camera, "camera.preset": camera, "sensor.preset": camera, "camera.lens_mm": "--lens-mm"}
+        flags |= {"camera.f_number": "--f-number", "sensor.analogue_gain": "--gain"}
+        given = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
+        keys = {key: flag for key, flag in flags.items() if given.get(key) is not None}
+        return keys | {f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in self.given()}
 
 
 def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:

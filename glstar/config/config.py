@@ -388,13 +388,19 @@ class Config:
             "camera": camera_numbers(self._camera) | reading.source_of(camera_keys),
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(exclude_none=True),
-            "sensor": self._sensor.given | reading.source_of(self._tables.get("sensor", {})),
+            "sensor": self._sensor.given
+            | reading.source_of(reading.with_sensor_of_camera(self._tables).get("sensor", {})),
             "sky": resolved_sky(self.sky),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
             **{name: dict(self._tables[name]) for name in (SYNTHETIC, "navigator") if self._tables.get(name)},
             **{name: dict(keys) for name, keys in self._effects.items()},
         }
+
+    @property
+    def given(self) -> reading.Tables:
+        """The values of the file and of flags, by section and key."""
+        return self._tables
 
     def to_toml(self) -> str:
         """Return the config as a self-contained TOML file, which loads to an equal config from any folder.
@@ -423,6 +429,7 @@ class Config:
         The message names the source file, if there is one.
         """
         folder = Path() if file is None else file.parent
+        given, tables = tables, reading.with_sensor_of_camera(tables)
         lens = reading.section_of(CameraSection, "camera", tables, faults)
         camera = reading.camera_of(lens, tables, folder, faults)
         mount = reading.section_of(MountSection, "mount", tables, faults)
@@ -459,7 +466,7 @@ class Config:
             _sensor=sensor,
             _star_brightness=star_brightness,
             _effects=effects,
-            _tables=tables,
+            _tables=given,
         )
 
 
@@ -478,35 +485,38 @@ def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySour
 def origins(config: Config, flags: Mapping[str, str]) -> dict[str, dict[str, Origin]]:
     """Return every value of a config with its origin, by section and key.
 
-    `flags`: flags of the command line, by dotted key.  An origin is a flag, the config file, a preset or file that it
-    names, or "default".
+    `flags`: flags of the command line, by dotted key.  An origin is a flag, the config file, a preset or file that
+    either names, or "default".
     """
     document = {} if config.file is None else reading.toml_of(config.file)
-    name = "" if config.file is None else config.file.name
     resolved = config.resolved()
     defaults = Config().resolved()
     electrons = Config().override(**{"sensor.noise": "electrons"}).resolved()["sensor"]
     defaults["sensor"] = electrons | {"noise": "paper"} | defaults["sensor"]
-    sources = {section: _source(document, section, values) for section, values in resolved.items()}
-    # The mode of a sensor has its readout time.
+    sources = {section: _source(section, config.given.get(section, {}), flags) for section in resolved}
+    # The mode of a sensor in [camera] has its noise, its readout time, and an ideal lens.
+    sources |= {section: sources[section] or sources["camera"] for section in ("sensor", "lens")}
     sources["exposure"] = sources["camera"] or sources["sensor"]
-    origins_of: dict[str, dict[str, Origin]] = {}
-    for section, values in resolved.items():
-        table, former = _table(document, section), defaults.get(section, {})
-        origins_of[section] = {}
-        for key, value in values.items():
-            origin = name if key in table else ""
-            if key not in table and (section == "camera" or value != former.get(key, value)):
-                origin = sources[section]
-            origins_of[section][key] = value, flags.get(f"{section}.{key}", origin or DEFAULT)
-    return origins_of
+
+    def origin_of(section: str, key: str, value: object) -> str:
+        if flag := flags.get(f"{section}.{key}"):
+            return flag
+        if config.file is not None and key in _table(document, section) and key in config.given.get(section, {}):
+            return config.file.name
+        is_default = value == defaults.get(section, {}).get(key, None if key in SOURCES else value)
+        return (sources[section] if section == "camera" or not is_default else "") or DEFAULT
+
+    return {
+        section: {key: (value, origin_of(section, key, value)) for key, value in values.items()}
+        for section, values in resolved.items()
+    }
 
 
-def _source(document: Mapping[str, Any], section: str, values: Mapping[str, Any]) -> str:
-    """Return the preset or the file that a section names in a document, or ""."""
-    table = _table(document, section)
+def _source(section: str, given: Mapping[str, Any], flags: Mapping[str, str]) -> str:
+    """Return the preset or the file that a section names, after the flag that names it if one does, or ""."""
     # The bundled camera is the default too, though it is a preset.
-    return next((f"{key} {values[key]}" for key in SOURCES if key in values and key in table), "")
+    key = next((key for key in SOURCES if key in given), "")
+    return f"{flags.get(f'{section}.{key}', key)} {given[key]}" if key else ""
 
 
 def _table(document: Mapping[str, Any], section: str) -> Mapping[str, Any]:

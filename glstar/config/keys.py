@@ -59,7 +59,7 @@ PATHS = (
 # Keys whose value may be a preset in a file: ``sensors.toml:NAME``.
 PRESETS = ("camera.preset", "sensor.preset")
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
-SOURCES = ("file", "camera", "preset")
+SOURCES = ("file", "camera", "preset", "lens_mm", "f_number")
 
 # A validation error: a dotted key and the message.
 Fault = tuple[str, str]

@@ -22,7 +22,7 @@ from glstar.config.camera import CameraSection, ExposureSection
 from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, SyntheticSection
 from glstar.config.keys import PATHS, PRESETS, SECTIONS, SOURCES, Fault, allowed, at_home, hint, key_text, shown
 from glstar.config.section import Section, is_file_name
-from glstar.config.sensor import SENSOR_MAPS, SensorSection, completed_sensor
+from glstar.config.sensor import SENSOR_MAPS, SensorSection, completed_sensor, foreign_keys
 from glstar.config.sky import HORIZONS, SkySection
 from glstar.errors import CalibrationError, ConfigError
 from glstar.render.effects import EFFECTS
@@ -39,7 +39,6 @@ from glstar.telemetry import is_map_file
 
 # The default camera: small enough that a frame takes about 30 ms without a GPU.
 BUNDLED_CAMERA = "picamhq-6mm-binned4"
-_LENS_OF_A_SENSOR = ("lens_mm", "f_number")
 _NUMBERS_OF_A_CAMERA = ("width_px", "height_px", "fx_px", "fy_px")
 
 # Size limit of a config, bytes: a larger file is probably a flight log given by mistake.
@@ -97,6 +96,22 @@ def _with_subsections(document: Mapping[str, Any]) -> dict[str, Any]:
     return sections
 
 
+def with_sensor_of_camera(tables: Tables) -> Tables:
+    """Return the tables with what the mode of a sensor in ``[camera]`` brings, where they do not say otherwise.
+
+    It is the sensor's noise, unless ``[sensor]`` names another, a file, or keys of the paper's noise, and with it the
+    vignetting of an ideal lens.  The readout time follows in `with_readout`.
+    """
+    name, sensor = tables.get("camera", {}).get("preset"), tables.get("sensor", {})
+    if not isinstance(name, str) or not is_sensor_mode(name):
+        return tables
+    if not {"file", "noise", "preset"} & sensor.keys() and not foreign_keys(sensor, "electrons"):
+        sensor = {**sensor, "preset": name}
+    if sensor.get("preset") != name:
+        return tables
+    return {**tables, "sensor": sensor, "lens": {"vignetting": "cos4", **tables.get("lens", {})}}
+
+
 def section_of(model: type[S], name: str, tables: Tables, faults: list[Fault]) -> S:
     """Return one section, checked; if it has errors, append them to `faults` and return the defaults."""
     try:
@@ -136,7 +151,7 @@ def synthetic_of(section: SyntheticSection, faults: list[Fault]) -> SyntheticSec
 def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:
     """Return the camera of the section; if it has errors, append them to `faults` and return the bundled camera."""
     keys = tables.get("camera", {})
-    numbers = [key for key in keys if key in CameraSection.model_fields and key not in (*SOURCES, *_LENS_OF_A_SENSOR)]
+    numbers = [key for key in keys if key in CameraSection.model_fields and key not in SOURCES]
     faults.extend(_lens_faults(section))
     sources = [*(key for key in ("file", "preset") if key in keys), *numbers[:1]]
     if len(sources) > 1:
@@ -296,7 +311,7 @@ def with_readout(section: ExposureSection, tables: Tables, *presets: str | None)
     return section
 
 
-def source_of(keys: Mapping[str, Any]) -> dict[str, str]:
+def source_of(keys: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys that name the source of the numbers."""
     return {key: keys[key] for key in SOURCES if key in keys}
 

@@ -57,6 +57,76 @@ def test_a_preset_is_the_origin_of_what_it_changes(tmp_path: Path) -> None:
     }
 
 
+def rows_of(*words: str) -> dict[str, list[str]]:
+    shown = RUNNER.invoke(app, ["config", "--changed", *words])
+    assert shown.exit_code == 0, shown.output
+    return {line.split()[0]: line.split()[1:] for line in shown.output.splitlines()[1:]}
+
+
+def test_the_flags_of_a_camera_are_the_origin_of_what_they_bring(night: Path) -> None:
+    words = ["--camera", "imx477:2028x1520", "--lens-mm", "6", "--f-number", "1.2", "--gain", "4"]
+    mode = ["--camera", "imx477:2028x1520"]
+
+    for rows in (rows_of(*words), rows_of("-c", str(night), *words)):
+        assert rows["camera.preset"] == ['"imx477:2028x1520"', "--camera"]
+        assert rows["camera.lens_mm"] == ["6.0", "--lens-mm"]
+        assert rows["camera.f_number"] == ["1.2", "--f-number"]
+        assert rows["sensor.analogue_gain"] == ["4.0", "--gain"]
+        assert rows["camera.width_px"] == ["2028", *mode]
+        assert rows["sensor.full_well_e"] == ["32720.0", *mode]
+        assert rows["exposure.readout_s"] == ["0.02305", *mode]
+        assert rows["lens.vignetting"] == ['"cos4"', *mode]
+
+
+def test_a_calibration_file_of_a_flag_is_the_origin_of_its_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "lens.toml"
+    path.write_text("[camera]\nwidth_px = 800\nheight_px = 600\nfx_px = 900.0\nfy_px = 900.0\n")
+
+    rows = rows_of("--camera", str(path))
+
+    assert rows["camera.width_px"] [:2] == ["800", "--camera"]
+    assert not any(key.startswith("sensor.") for key in rows)
+
+
+@pytest.mark.parametrize(
+    ("keys", "brings_the_sensor"),
+    [
+        ("", True),
+        ("[sensor]\npsf_sigma_px = 2.0\n", True),
+        ("[sensor]\nanalogue_gain = 8.0\n", True),
+        ('[sensor]\npreset = "imx477:2028x1520"\n', True),
+        ('[sensor]\nnoise = "paper"\n', False),
+        ("[sensor]\nsky_mean_dn = 20.0\n", False),
+        ('[sensor]\npreset = "generic"\n', False),
+    ],
+)
+def test_the_mode_of_a_sensor_in_a_file_means_what_the_flag_means(
+    tmp_path: Path, keys: str, brings_the_sensor: bool
+) -> None:
+    path = tmp_path / "hq.toml"
+    path.write_text('[camera]\npreset = "imx477:2028x1520"\nlens_mm = 6.0\nf_number = 1.2\n' + keys)
+    by_flag = Config().override(
+        **{"camera.preset": "imx477:2028x1520", "sensor.preset": "imx477:2028x1520"},
+        **{"camera.lens_mm": 6.0, "camera.f_number": 1.2},
+    )
+
+    config = Config.load(path)
+
+    assert config.exposure.readout_s == by_flag.exposure.readout_s
+    assert (config.sensor().electrons is not None) == (brings_the_sensor or "generic" in keys)
+    if brings_the_sensor and not keys:
+        assert config == by_flag
+    effects = config.sensor().effects
+    assert effects.get("lens.vignetting", "none") == ("cos4" if brings_the_sensor else "none")
+
+
+def test_the_vignetting_that_a_file_gives_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "hq.toml"
+    path.write_text('[camera]\npreset = "imx477:2028x1520"\nlens_mm = 6.0\n[lens]\nvignetting = "none"\n')
+
+    assert "lens.vignetting" not in Config.load(path).sensor().effects
+
+
 def test_without_a_file_all_is_default() -> None:
     assert {origin for values in origins(Config(), {}).values() for _, origin in values.values()} == {"default"}
 

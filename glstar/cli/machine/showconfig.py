@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.flightoptions import FlightFlags, with_flight_flags
-from glstar.config import FLIGHT_FLAGS
 from glstar.config.config import DEFAULT, origins
 from glstar.config.keys import toml_value
 from glstar.errors import ConfigError
@@ -37,10 +36,9 @@ def show_config(
         _write_template(template)
         return
     settings = flags.settings()
-    given = {f"flight.{key}": flag for key, flag in FLIGHT_FLAGS.items() if flag in flags.given()}
     found = {
         section: {key: one for key, one in values.items() if not changed or one[1] != DEFAULT}
-        for section, values in origins(settings, given).items()
+        for section, values in origins(settings, flags.by_key()).items()
     }
     found = {section: values for section, values in found.items() if values}
     if as_json:
