@@ -19,7 +19,7 @@ from glstar.config.section import is_file_name
 from glstar.errors import CatalogueError, ConfigError
 from glstar.flight import Interpolation
 from glstar.sky.catalogue.reading import StarCatalogue
-from glstar.system.resources import bundled_flight
+from glstar.system.resources import bundled_flight, flight_path
 
 LensMm = Annotated[
     float | None, typer.Option("--lens-mm", help="Focal length of the lens before --camera's sensor, mm.", min=0.01)
@@ -35,7 +35,7 @@ CAMERA_FLAGS = frozenset({"camera", "lens_mm", "f_number", "gain"})
 Flight = Annotated[
     Path | None,
     typer.Argument(
-        help="A flight log: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or a table; also in .gz or .zip.",
+        help="A flight log: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or a table; also in .gz or .zip; or demo.",
         show_default="the bundled flight",
     ),
 ]
@@ -175,8 +175,8 @@ Columns = Annotated[
 
 
 def log_of(flight: Path | None) -> Path:
-    """Return the given log, by default the bundled one."""
-    return bundled_flight() if flight is None else flight
+    """Return the given log, by default or by the name ``demo`` the bundled one."""
+    return bundled_flight() if flight is None else flight_path(flight)
 
 
 def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]:
@@ -186,7 +186,7 @@ def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]
     """
     described = settings.synthetic.description
     if described is None:
-        return list(flights or [log_of(None)])
+        return [log_of(flight) for flight in flights] if flights else [log_of(None)]
     if flights:
         raise ConfigError(
             f"describes a flight, and the command line names {next(iter(flights))}; leave one of them out",

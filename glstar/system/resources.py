@@ -1,7 +1,11 @@
 """Paths of the bundled shaders and data: inside the package in a wheel, beside it in a checkout."""
 
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
+
+# Name of the bundled flight, in place of the path of a log.
+DEMO = "demo"
 
 
 def _inside(folder: str, name: str) -> Path:
@@ -31,6 +35,12 @@ def asset(name: str) -> Path:
 def bundled_flight() -> Path:
     """Return the log of the bundled flight over Adelaide."""
     return asset("adelaide.BIN")
+
+
+def flight_path(name: str | PathLike[str]) -> Path:
+    """Return the path of a flight: of the bundled one if it is called ``demo``, and no file is."""
+    path = Path(name)
+    return bundled_flight() if str(path) == DEMO and not path.exists() else path
 
 
 def manual_pages() -> dict[str, Path]:

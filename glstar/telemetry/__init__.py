@@ -35,6 +35,7 @@ from pathlib import Path
 from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
 from glstar.sky.place.site import Site
+from glstar.system.resources import DEMO, flight_path
 from glstar.telemetry import formats, synthetic
 from glstar.telemetry.bags import is_bag_directory
 from glstar.telemetry.dataflash import DataFlashReader
@@ -197,6 +198,8 @@ def open_source(
         If `columns` is no column map.
     """
     name = os.fspath(path)
+    if name == DEMO:
+        name = os.fspath(flight_path(name))
     if is_flight_description(name):
         return _described(name, attitude=attitude, sysid=sysid, boot=boot, vehicle=vehicle)
     try:

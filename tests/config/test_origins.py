@@ -84,7 +84,7 @@ def test_a_calibration_file_of_a_flag_is_the_origin_of_its_numbers(tmp_path: Pat
 
     rows = rows_of("--camera", str(path))
 
-    assert rows["camera.width_px"] [:2] == ["800", "--camera"]
+    assert rows["camera.width_px"][:2] == ["800", "--camera"]
     assert not any(key.startswith("sensor.") for key in rows)
 
 

@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 
 import glstar
 from glstar.cli import COMMANDS, app
+from glstar.cli.images import demo as demo_command
 from glstar.config import Config
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.system.resources import asset
@@ -501,6 +502,34 @@ def test_the_trails_of_the_demo_are_visible_and_curved(demo: SimpleNamespace) ->
             sagittas_px.append(np.hypot(*(middle - (start + end) / 2)))
     assert np.max(lengths_px) > 50
     assert np.max(sagittas_px) > 3
+
+
+def test_each_frame_of_the_demo_shows_stars_and_the_brightest_is_named(demo: SimpleNamespace) -> None:
+    lines = [json.loads(line) for line in (demo.directory / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+    names = demo_command._names(lines)
+
+    for line in lines:
+        seen = [star for star in line["stars"] if star["snr"] > 12 and star["in_frame"] > 0.6]
+        assert len(seen) >= 20
+        assert demo_command._brightest(line)[0] == min(seen, key=lambda star: star["vmag"])
+    assert {"Sirius", "Rigil Kentaurus", "gamma Cen"} <= set(names.values())
+    assert not [name for name in names.values() if name.startswith("HR")]
+
+
+@pytest.mark.parametrize(
+    ("name", "spelled"), [("γ² Vel", "gamma2 Vel"), ("61 Cyg", "61 Cyg"), ("", ""), ("ω Car", "omega Car")]
+)
+def test_greek_letters_are_spelled_out(name: str, spelled: str) -> None:
+    assert demo_command._spelled_out(name) == spelled
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "at"), [([0, 0], [9, 9], (9, 9)), (None, [9, 9], (9, 9)), (None, None, (6, 6))]
+)
+def test_a_trail_is_named_at_an_end_in_the_frame_or_at_its_middle(start: object, end: object, at: object) -> None:
+    star = {"start": start, "end": end, "centroid_x_px": 6, "centroid_y_px": 6}
+
+    assert demo_command._brighter_end(star) == at
 
 
 def test_a_second_demo_changes_no_file(demo: SimpleNamespace) -> None:

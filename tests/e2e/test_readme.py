@@ -34,13 +34,13 @@ def test_the_environments_of_the_two_commands_are_ignored() -> None:
 
 
 def test_the_readme_lists_every_command() -> None:
-    listed = re.findall(r"^\| `glstar ([\w-]+)", README, re.MULTILINE)
+    listed = re.findall(r"\| `glstar ([\w-]+)[^|]*` \|", README)
 
     assert sorted(listed) == sorted(get_command(app).commands)
 
 
 def test_the_readme_is_short() -> None:
-    assert len(README.splitlines()) <= 150
+    assert len(README.splitlines()) <= 120
 
 
 @pytest.mark.parametrize("page", manualblocks.PAGES, ids=lambda page: page.stem)

@@ -65,3 +65,14 @@ def test_only_a_zip_archive_has_members(tmp_path: Path, head: bytes) -> None:
 
     with pytest.raises(LogFormatError, match=r"flight::member: only a zip archive has members$"):
         open_flight(f"{tmp_path / 'flight'}::member")
+
+
+def test_demo_is_the_bundled_flight_unless_a_file_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    bundled = open_flight("demo")
+
+    (tmp_path / "demo").write_bytes(b"nothing that glstar knows")
+
+    assert bundled.attitude.utc_s.size == open_flight(asset("adelaide.BIN")).attitude.utc_s.size
+    with pytest.raises(LogFormatError, match="demo: this is"):
+        open_flight("demo")

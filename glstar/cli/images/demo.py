@@ -1,6 +1,7 @@
 """``glstar demo``: six frames of the bundled flight, or twelve of a night, and a contact sheet of them."""
 
 import json
+import unicodedata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,9 +15,9 @@ from glstar.config import Config
 from glstar.sky.catalogue.reading import StarCatalogue, star_label
 from glstar.system.imagefiles import encode_png
 
-# One frame every 15 s: the launch, turns to both sides, and a roll.
-_START_S = 3.0
-_EVERY_S = 15.0
+# The six of equal intervals with the most trails: turns to both sides, and rolls.
+_START_S = 27.5
+_EVERY_S = 12.5
 _FRAMES = 6
 
 _SHEET = "contact-sheet.png"
@@ -25,6 +26,10 @@ _WIDTH_PX = 760
 _NAMED_STARS = 7
 # Minimum distance between named stars, px, so that their names do not overlap.
 _MIN_DISTANCE_PX = 40.0
+# Smallest part of a trail in the frame whose star is named.
+_NAMED_PART = 0.25
+# Stars below this ratio of signal to noise, as in the Moon's light, are not named.
+_FAINTEST_SNR = 5.0
 # Digital numbers shown as black and white on the contact sheet.
 _BLACK_DN, _WHITE_DN = 12.0, 60.0
 
@@ -102,13 +107,24 @@ def _contact_sheet(directory: Path, truth: list[dict[str, Any]]) -> bytes:
 
 
 def _names(truth: list[dict[str, Any]]) -> dict[int, str]:
-    """Return the label of each star: its name if that is ASCII, or its number."""
+    """Return the label of each star: its proper name, its Bayer or Flamsteed designation, or its number."""
     numbers = sorted({star["star_id"] for line in truth for star in _brightest(line)})
     stars = StarCatalogue.open("bsc5").by_id(numbers)
     return {
-        int(star_id): name if name.isascii() else star_label(stars.catalogue, star_id)
+        int(star_id): _spelled_out(name) or star_label(stars.catalogue, star_id)
         for star_id, name in zip(stars.star_id, stars.name, strict=True)
     }
+
+
+def _spelled_out(name: str) -> str:
+    """Return a name without Greek letters and superscripts, which the font lacks: ``"γ² Vel"`` is ``"gamma2 Vel"``."""
+    greek = "GREEK SMALL LETTER "
+    letters = [unicodedata.name(letter, "") for letter in name]
+    spelled = [
+        known.removeprefix(greek).lower() if known.startswith(greek) else letter
+        for known, letter in zip(letters, name, strict=True)
+    ]
+    return unicodedata.normalize("NFKC", "".join(spelled))
 
 
 def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
@@ -116,7 +132,8 @@ def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
     named: list[dict[str, Any]] = []
     for star in line["stars"]:
         distances_px = [_distance_px(_brighter_end(star), _brighter_end(other)) for other in named]
-        if star["in_frame"] == 1.0 and min(distances_px, default=np.inf) > _MIN_DISTANCE_PX:
+        is_seen = star["in_frame"] > _NAMED_PART and (star["snr"] or 0.0) > _FAINTEST_SNR
+        if is_seen and min(distances_px, default=np.inf) > _MIN_DISTANCE_PX:
             named.append(star)
         if len(named) == _NAMED_STARS:
             break
@@ -124,9 +141,10 @@ def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _brighter_end(star: dict[str, Any]) -> tuple[float, float]:
-    """Return the end of a trail where the star was slower and the trail is brighter."""
+    """Return the end of a trail in the frame where the star was slower and the trail is brighter, else its middle."""
+    middle = star["centroid_x_px"], star["centroid_y_px"]
     ends = [star[end] for end in ("start", "end") if star[end] is not None]
-    x, y = min(ends, key=lambda end: _distance_px(end, (star["centroid_x_px"], star["centroid_y_px"])))
+    x, y = min(ends, key=lambda end: _distance_px(end, middle), default=middle)
     return x, y
 
 
@@ -146,20 +164,37 @@ def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]
     size = _WIDTH_PX, round(pixels.shape[0] * scale)
     tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
     is_dark = not natural or line["sun_altitude_deg"] < _NAMES_BELOW_DEG
+    labels = _Labels(cv2, tile)
+    labels.draw(f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
     for body in line.get("bodies", []) if is_dark else []:
         if body["x_px"] is not None and body["vmag"] < _FAINTEST_BODY:
-            _draw_text(cv2, tile, body["name"], body["x_px"] * scale + 8, body["y_px"] * scale - 8)
+            labels.draw(body["name"], body["x_px"] * scale + 8, body["y_px"] * scale - 8)
     for star in _brightest(line) if is_dark else []:
         x, y = _brighter_end(star)
-        _draw_text(cv2, tile, names[star["star_id"]], x * scale + 8, y * scale - 8)
-    _draw_text(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
+        labels.draw(names[star["star_id"]], x * scale + 8, y * scale - 8)
     tile[:, -1] = tile[-1, :] = 90
     return tile
 
 
-def _draw_text(cv2: Any, tile: Grey, text: str, x: float, y: float) -> None:
-    """Draw bright text with a dark outline, moved inside the tile."""
-    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
-    at = int(np.clip(x, 4, tile.shape[1] - width - 4)), int(np.clip(y, height + 4, tile.shape[0] - 6))
-    cv2.putText(tile, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 0, 4, cv2.LINE_AA)
-    cv2.putText(tile, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 230, 1, cv2.LINE_AA)
+class _Labels:
+    """Text on a tile; a label that would overlap a former one is left out."""
+
+    def __init__(self, cv2: Any, tile: Grey) -> None:
+        self._cv2, self._tile = cv2, tile
+        self._boxes: list[tuple[int, int, int, int]] = []
+
+    def draw(self, text: str, x: float, y: float) -> None:
+        """Draw bright text with a dark outline, moved inside the tile; (x, y) is its lower left corner, px."""
+        cv2, tile = self._cv2, self._tile
+        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+        left = int(np.clip(x, 4, tile.shape[1] - width - 4))
+        bottom = int(np.clip(y, height + 4, tile.shape[0] - 6))
+        box = left, bottom - height, left + width, bottom
+        if any(
+            box[0] < right and box[2] > other and box[1] < below and box[3] > top
+            for other, top, right, below in self._boxes
+        ):
+            return
+        self._boxes.append(box)
+        cv2.putText(tile, text, (left, bottom), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 0, 4, cv2.LINE_AA)
+        cv2.putText(tile, text, (left, bottom), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 230, 1, cv2.LINE_AA)
