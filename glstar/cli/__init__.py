@@ -96,7 +96,7 @@ COMMANDS = {
         "Show what the camera on an aircraft sees now, from its telemetry link, in a window; or write it as frames.",
     ),
     "replay-link": _Command(
-        "flights.replaylink",
+        "flights.linkcommands",
         "replay_link",
         "Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.",
     ),
@@ -106,7 +106,7 @@ COMMANDS = {
         "Score a navigator's answers: attitude, position, identified stars and run time against the truth.",
     ),
     "answer": _Command(
-        "flights.answer",
+        "flights.linkcommands",
         "answer",
         "Send an answer of a navigator to glstar live, or those of the standard input, one JSON line each.",
     ),

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -27,10 +27,12 @@ from glstar.export.publish.outputs import FrameOutput
 from glstar.export.publish.stream import FrameStream
 from glstar.export.truth.lines import TruthFile
 from glstar.flight import Flight, Gap
-from glstar.link import Estimate, LatestAttitude, Link
+from glstar.link import CapturedImage, Estimate, LatestAttitude, Link
+from glstar.link.camera import Capture
 from glstar.render.scene.scene import Renderer
 from glstar.render.simulator import Simulator
 from glstar.render.truth.conditions import conditions_report
+from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import described_earth_orientation, format_utc
 from glstar.system.files import TEMPORARY, flush_directory, make_directory
@@ -41,6 +43,9 @@ _CONTEXT_S = 5.0
 _POLL_INTERVAL_S = 0.1
 # Time for site, UTC and attitude to arrive before missing ones are reported, s.
 _REPORT_DELAY_S = 3.0
+# Interval at which commands are looked for, s, and the longest time that the attitudes of an exposure may be late, s.
+_COMMAND_POLL_S = 0.005
+_LATE_ATTITUDE_S = 5.0
 # If the clock is set back by more than this, the sequence of exposures restarts at the current time, s.
 _CLOCK_RESET_S = 1.0
 # Exposures that answers may be for: an hour at ten frames a second, each twice.
@@ -65,13 +70,14 @@ class LiveReport:
 
 
 class LiveExport:
-    """Draws exposures that end at the latest attitude of a link, one per interval.
+    """Draws exposures that end at the latest attitude of a link, one per interval, or those that are commanded.
 
-    `link`: an open link; the caller closes it; if its sky is a simulator's truth, ``nav.jsonl`` has what the autopilot
-    estimates; `directory`: the output directory; nothing is written if None; `output`: receives each frame; the caller
-    closes it; `image_format` {"png", "png16", "tiff", "fits", "jpeg"}, optional: none for 8-bit PNG, or 16-bit PNG if
-    the sensor has more than 8 bits; `seed`: the seed from which the noise seed of every frame is derived; `command`:
-    the command line, for the manifest.  `exposures`: of the latest frames, by number and by the name of the image.
+    `link`: an open link; the caller closes it; if it has a camera, exposures begin as commanded; if its sky is a
+    simulator's truth, ``nav.jsonl`` has what the autopilot estimates; `directory`: the output directory; nothing is
+    written if None; `output`: receives each frame; the caller closes it; `image_format` {"png", "png16", "tiff",
+    "fits", "jpeg"}, optional: none for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits; `seed`: the seed
+    from which the noise seed of every frame is derived; `command`: the command line, for the manifest.  `exposures`: of
+    the latest frames, by number and by the name of the image.
     """
 
     def __init__(
@@ -97,6 +103,7 @@ class LiveExport:
         self._simulator: Simulator | None = None
         self._stars_utc_s = 0.0
         self.exposures: dict[int | str, Exposure] = {}
+        self._latest_exposure = config.exposure.starting_at(0.0)
         self._stopping = Event()
         self._number = 0
         self._drawn: list[int] = []
@@ -134,8 +141,9 @@ class LiveExport:
                     truth = self._open(directory, locked, force=force)
                     lines = writing.enter_context(truth.open_for_append())
                     writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
+                follow = self._follow if self._link.camera is None else self._obey
                 with suppress(KeyboardInterrupt):
-                    self._follow(renderer, until_s, writer, on_event, on_frame)
+                    follow(renderer, until_s, writer, on_event, on_frame)
             if directory is not None and truth is not None:
                 self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
                 self._write_manifest(directory, renderer)
@@ -181,7 +189,7 @@ class LiveExport:
                     on_event(lacking or "everything that a frame needs is known now")
                 continue
             self._skip_missed(due_s, latest)
-            frame = self._draw_latest(renderer, latest)
+            frame = self._draw(renderer, None, latest, {})
             if frame is None:
                 due_s = latest.utc_s + _POLL_INTERVAL_S
                 continue
@@ -189,22 +197,80 @@ class LiveExport:
             # Exposures that could not be drawn in time are left out, so that a frame always shows the current sky.
             due_s += every_s * (1 + max(floor((latest.utc_s - due_s) / every_s), 0))
             if isinstance(frame, EncodedFrame):
-                if writer is not None and self._directory is not None:
-                    if not self._drawn:
-                        self._write_manifest(self._directory, renderer)
-                    self._task().write(frame, partial(writer.stage, frame.number))
-                    deque(writer.add(frame.number, frame.truth), maxlen=0)
-                if not self._drawn:
-                    on_event(self._conditions())
-                self._drawn.append(frame.number)
+                self._keep(frame, renderer, writer, on_event)
                 on_frame(len(self._drawn))
 
-    def _conditions(self) -> str:
-        """Return the Sun, the Moon and the limiting magnitude of the exposure that was drawn last."""
+    def _obey(
+        self,
+        renderer: Renderer,
+        until_s: float,
+        writer: FrameWriter | None,
+        on_event: Callable[[str], None],
+        on_frame: Callable[[int], None],
+    ) -> None:
+        """Draw the exposures that are commanded, each as soon as its attitudes have arrived."""
+        camera = self._link.camera
+        assert camera is not None
+        span_s, last_event = self._config.exposure.span_s, 0
+        while (left_s := until_s - time.monotonic()) > 0 and not self._stopping.is_set() and self._link.failure is None:
+            for event in self._link.events(last_event):
+                last_event = event.number
+                on_event(event.message)
+            if writer is not None:
+                deque(writer.poll(), maxlen=0)
+            capture = camera.next()
+            if capture is None:
+                self._stopping.wait(min(_COMMAND_POLL_S, left_s))
+                continue
+            stop_s = capture.start_utc_s + span_s
+            latest = self._link.wait_for(stop_s, min(span_s + _LATE_ATTITUDE_S, left_s))
+            frame = None if latest is None else self._draw(renderer, capture.start_utc_s, latest, capture.about)
+            if not isinstance(frame, EncodedFrame):
+                why = f"it meets {frame.reason}" if isinstance(frame, SkippedFrame) else "its attitude did not arrive"
+                on_event(f"picture {capture.index} of {capture.command} was not taken: {why}")
+                camera.captured(CapturedImage(capture))
+                continue
+            self._keep(frame, renderer, writer, on_event)
+            if writer is not None:
+                deque(writer.drain(), maxlen=0)  # a picture is reported once its file has its name
+            camera.captured(self._captured(capture, frame.number))
+            on_frame(len(self._drawn))
+
+    def _captured(self, capture: Capture, number: int) -> CapturedImage:
+        """Return what the camera reports of a picture that was drawn."""
         assert self._simulator is not None
-        section = self._config.exposure
-        start_s = self._simulator.flight.attitude.last_s - section.span_s
-        return conditions_report(self._simulator.scene(section.starting_at(start_s)))
+        flight, mount = self._simulator.flight, self._simulator.mount
+        mid_s = capture.start_utc_s + self._config.exposure.span_s / 2
+        site = flight.position.at(mid_s)
+        C_camera_ned = mount.C_camera_body @ matrix_from_quaternion(flight.attitude.at(mid_s))
+        # Forward, right, down of the camera are z, x, y of its image.
+        w, x, y, z = quaternion_from_matrix(C_camera_ned[[2, 0, 1]].T).tolist()
+        return CapturedImage(
+            capture,
+            float(np.rad2deg(site.latitude_rad)),
+            float(np.rad2deg(site.longitude_rad)),
+            site.height_m,
+            (w, x, y, z),
+            self._task().image_path(number).absolute().as_uri(),
+        )
+
+    def _keep(
+        self,
+        frame: EncodedFrame,
+        renderer: Renderer,
+        writer: FrameWriter | None,
+        on_event: Callable[[str], None],
+    ) -> None:
+        """Write and count a frame."""
+        if writer is not None and self._directory is not None:
+            if not self._drawn:
+                self._write_manifest(self._directory, renderer)
+            self._task().write(frame, partial(writer.stage, frame.number))
+            deque(writer.add(frame.number, frame.truth), maxlen=0)
+        if not self._drawn:
+            assert self._simulator is not None
+            on_event(conditions_report(self._simulator.scene(self._latest_exposure)))
+        self._drawn.append(frame.number)
 
     def _skip_missed(self, due_s: float, latest: LatestAttitude) -> None:
         """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""
@@ -225,27 +291,36 @@ class LiveExport:
         self._skipped.append(skipped)
         return skipped
 
-    def _draw_latest(self, renderer: Renderer, latest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
-        """Return the frame that ends at the latest attitude; None if the flight is shorter than the exposure."""
+    def _draw(
+        self, renderer: Renderer, begins_s: float | None, latest: LatestAttitude, about: Mapping[str, Any]
+    ) -> EncodedFrame | SkippedFrame | None:
+        """Return a frame; None if the flight does not have its exposure.
+
+        `begins_s`: start of the exposure, UTC s; None if it ends at the latest attitude; `about`: further keys of its
+        truth.
+        """
         section = self._config.exposure
-        flight, estimate = self._link.flight_and_estimate(section.span_s + _CONTEXT_S)
+        back_s = section.span_s if begins_s is None else latest.utc_s - begins_s
+        flight, estimate = self._link.flight_and_estimate(back_s + _CONTEXT_S)
         if flight is None or (estimate is None and self._nav is not None and self._link.truth == "sim_state"):
             return None
         track = flight.attitude
-        start_s = track.last_s - section.span_s
-        if start_s < track.first_s:
+        start_s = track.last_s - section.span_s if begins_s is None else begins_s
+        stop_s = start_s + section.span_s
+        if start_s < track.first_s or stop_s > track.last_s:
             return None
-        gap = track.gap_within(start_s, track.last_s)
+        gap = track.gap_within(start_s, stop_s)
         if gap is None and estimate is not None:
             if start_s < estimate.attitude.first_s:
                 return None
-            gap = estimate.attitude.gap_within(start_s, track.last_s)
+            gap = estimate.attitude.gap_within(start_s, stop_s)
         if gap is not None:
             return self._skip(start_s, gap)
         self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
         number, self._number = self._number, self._number + 1
         self._simulator = self._simulator_of(flight)
-        planned = PlannedFrame(number, section.starting_at(start_s))
+        planned = PlannedFrame(number, section.starting_at(start_s), about)
+        self._latest_exposure = planned.exposure
 
         task = self._task(planned)
         image = task.image_path(number)

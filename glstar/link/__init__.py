@@ -21,11 +21,13 @@ module                holds
 ``gimbal``            the attitude of the gimbal that carries the camera
 ``receiver``          attitude, position and time of one autopilot, from packets
 ``outgoing``          all that glstar sends: heartbeats, requests, and position fixes if the caller gives an `Injector`
+``camera``            a MAVLink camera beside the vehicle, if the caller gives a `CameraComponent`
 ``supervisor``        `Link`, the thread that owns a link; `Received`, the copy from which it makes a flight
 ``vehicle``           `Vehicle`, the sender of ``glstar replay-link``
 ====================  ==================================================================================================
 """
 
+from glstar.link.camera import CAMERA_ID, CameraComponent, CameraFacts, CapturedImage
 from glstar.link.endpoint import Endpoint
 from glstar.link.history import Estimate
 from glstar.link.outgoing import InjectedMessage, Injector, PositionFix
@@ -36,6 +38,10 @@ from glstar.link.transport import Transport, open_transport, serial_ports
 from glstar.link.vehicle import Vehicle
 
 __all__ = [
+    "CAMERA_ID",
+    "CameraComponent",
+    "CameraFacts",
+    "CapturedImage",
     "Endpoint",
     "Estimate",
     "Framer",

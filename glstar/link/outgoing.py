@@ -64,13 +64,14 @@ _STREAM_OF = {
 }
 
 
-class _Packer:
-    """Packs messages as those of a ground station, each with the next sequence number."""
+class Packer:
+    """Packs messages of a system and component, by default a ground station's, each with the next sequence number."""
 
-    def __init__(self) -> None:
-        self._link = dialect().MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
+    def __init__(self, system: int = _SYSTEM, component: int = _COMPONENT) -> None:
+        self._link = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
 
     def __call__(self, message: Any) -> bytes:
+        """Return a message as a packet."""
         packed = bytes(message.pack(self._link))
         self._link.seq = (self._link.seq + 1) % 256
         return packed
@@ -86,7 +87,7 @@ class Requests:
         self.rate_hz = rate_hz
         self.wants_gimbal = wants_gimbal
         self._mavlink = dialect()
-        self._packed = _Packer()
+        self._packed = Packer()
         self._heartbeat_s: float | None = None
         # The receiver and its autopilot's boot to which the requests belong.
         self._served: tuple[Receiver, int] | None = None
@@ -269,7 +270,7 @@ class Injector:
         # To whom requests for the parameter were sent, how often, and when last, by `time.monotonic`, s.
         self._asked: tuple[Sender | None, int, float] = (None, 0, -inf)
         self._mavlink = dialect()
-        self._packed = _Packer()
+        self._packed = Packer()
 
     def add(self, fix: PositionFix) -> None:
         """Send a fix as soon as the autopilot and UTC are known; may be called from any thread."""

@@ -76,6 +76,8 @@ class Receiver:
         self._position_ack: int | None = None
         # Those of `GPS_TYPES` that the autopilot stated.
         self.parameters: dict[str, float] = {}
+        # Its height above home, m.
+        self.above_home_m = 0.0
         # Its estimated velocity, north, east and down, m/s, and the arrival by `time.monotonic`, s.
         self._velocity = (0.0, 0.0, 0.0)
         self._velocity_s = -inf
@@ -359,6 +361,7 @@ class Receiver:
 
     def _on_position(self, message: Any, arrival_s: float) -> None:
         self._rates[MessageId.GLOBAL_POSITION_INT].add(arrival_s)
+        self.above_home_m = message.relative_alt / 1000
         self._velocity, self._velocity_s = (message.vx / 100, message.vy / 100, message.vz / 100), arrival_s
         self._position_messages.add(MessageId.GLOBAL_POSITION_INT)
         boot_s = self._boot_s(message.time_boot_ms / 1000, arrival_s)

@@ -19,6 +19,7 @@ from typing import Literal, Self
 from glstar.errors import ConfigError, LinkError, TelemetryError
 from glstar.flight import Flight
 from glstar.flight.gimbal import Gimbal
+from glstar.link.camera import CameraComponent
 from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.history import Estimate, HistorySnapshot
@@ -122,6 +123,7 @@ class Link:
     `recorder`: takes every packet; it is closed with the link, or before by `recording`.
     `truth`: what the sky is drawn from.
     `injector`: position fixes that are sent to the autopilot; without it only heartbeats and requests are sent.
+    `camera`: a camera beside the vehicle, which others command; without it there is none on the link.
     `retry`: whether to try again if the link cannot be opened at first.
     `on_gimbal`: whether the camera is on a gimbal, whose attitude is requested; see `follow_gimbal`.
 
@@ -140,6 +142,7 @@ class Link:
         recorder: Recorder | None = None,
         truth: Truth = "estimator",
         injector: Injector | None = None,
+        camera: CameraComponent | None = None,
         retry: bool = False,
         on_gimbal: bool = False,
     ) -> None:
@@ -151,7 +154,8 @@ class Link:
         self.recording = LinkRecording(recorder, self._report)
         self._options = options
         self._retry = retry
-        self._injector = injector
+        self.camera = camera
+        self._components = [component for component in (camera, injector) if component is not None]
         with_simulator = truth == "sim_state"
         self._make_receiver = partial(Receiver, report=self._report, keep_s=keep_s, with_simulator=with_simulator)
         self._uses_computer_clock = utc_now
@@ -376,6 +380,8 @@ class Link:
                 with self._changed:
                     for packet in packets:
                         self._receiver.receive(packet, now_s)
+                        if self.camera is not None:
+                            self.camera.receive(packet, self._receiver, now_s)
                     self._bad_bytes = bad_before + framer.bad_bytes
                     self._changed.notify_all()
                 packet_s = now_s
@@ -400,11 +406,11 @@ class Link:
                 self._report(message)
             for request in self._requests.due(self._receiver, now_s):
                 transport.write(request)
-            if self._injector is not None:
-                for fix in self._injector.due(self._receiver, now_s):
-                    transport.write(fix)
-                while self._injector.messages:
-                    self._report(self._injector.messages.popleft())
+            for component in self._components:
+                for outgoing in component.due(self._receiver, now_s):
+                    transport.write(outgoing)
+                while component.messages:
+                    self._report(component.messages.popleft())
         return has_packets
 
     def _may_reopen(self) -> bool:

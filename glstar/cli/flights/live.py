@@ -14,12 +14,22 @@ import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.cli.flights import windowoptions
+from glstar.cli.flights.mavlinkcamera import CameraOptions, with_camera_options
 from glstar.cli.flights.navigatoranswers import InjectedAnswers, ShownAnswers
 from glstar.cli.images.exportoptions import FramePublishing, LatestFrame, WithTruth
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.link import Endpoint, InjectedMessage, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
+from glstar.link import (
+    Endpoint,
+    InjectedMessage,
+    Injector,
+    Link,
+    LinkStatus,
+    Recorder,
+    Truth,
+    serial_ports,
+)
 from glstar.link.history import SIMULATOR_NAMES
 from glstar.link.status import GIMBAL_LACK
 
@@ -176,6 +186,7 @@ class _Injection:
 
 # These options apply to logs only.
 @with_verbosity
+@with_camera_options
 @with_flight_flags(but={"attitude", "boot", "columns", "position", "vehicle"})
 def live(
     link: LinkName = None,
@@ -197,6 +208,7 @@ def live(
     inject_host: InjectHost = None,
     inject_max_km: InjectMaxKm = None,
     answers: Answers = None,
+    commanded: CameraOptions,
     format_: Format = None,
     seed: Seed = 0,
     force: Force = False,
@@ -224,10 +236,11 @@ def live(
     injection = _Injection.of(
         endpoint, inject, inject_host, answers, inject_as, inject_max_km, exports=frames is not None
     )
+    camera = commanded.component(settings, export, has_interval=every is not None)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
         injector = None if injection is None else injection.injector
-        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder}
+        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "camera": camera}
         opened = stack.enter_context(_open(endpoint, settings, truth=truth, injector=injector, **options))
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()

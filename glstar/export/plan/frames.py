@@ -32,6 +32,7 @@ class PlannedFrame:
 
     number: int  # Frame number, from 0; part of the file name
     exposure: Exposure
+    extra_truth: Mapping[str, Any] = field(default_factory=dict)  # Additional keys of its line of truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,12 +272,15 @@ class FlightFrames:
 
     def shot(self, number: int) -> Shot:
         """Return when and how the camera exposes a frame; see `Frames`."""
-        planned = self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
-        return Shot(self.simulator, planned.exposure)
+        return Shot(self.simulator, self._planned(number).exposure)
 
     def compose(self, number: int) -> ComposedFrame:
         """Return the scene of a frame; see `Frames`."""
-        return ComposedFrame(number, self.simulator.scene(self.shot(number).exposure))
+        planned = self._planned(number)
+        return ComposedFrame(number, self.simulator.scene(planned.exposure), planned.extra_truth)
+
+    def _planned(self, number: int) -> PlannedFrame:
+        return self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
 
 
 @dataclass(frozen=True, slots=True)

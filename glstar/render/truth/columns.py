@@ -43,6 +43,7 @@ _EXTINCTION = "`[sky] extinction`"
 _BAND = "`[sensor] band`"
 _BLOOMING = "`[sensor] blooming`"
 _SET = "in data sets"
+_COMMANDED = "`live --mavlink-camera`"
 _WIDTH = "`[sensor] psf_growth`, `psf_tilt` or `psf_colour_growth`"
 _START_XY = ("start_x_px", "start_y_px")
 _END_XY = ("end_x_px", "end_y_px")
@@ -150,6 +151,12 @@ _FRAME = (
     Column("flight", "string", "", "name of the flight", _SET),
     Column("sample", "int64", "", "number of the sample of the sweep", _SET),
     Column("settings", "object", "", "settings of the sample, by dotted key", _SET),
+    Column("image_index", "int64", "", "number of the picture, as in CAMERA_IMAGE_CAPTURED", _COMMANDED),
+    Column("command", "object", "", "the command that took it", _COMMANDED),
+    Column("command.name", "string", "", "such as `IMAGE_START_CAPTURE`", _COMMANDED),
+    Column("command.system", "int64", "", "MAVLink system that sent it", _COMMANDED),
+    Column("command.component", "int64", "", "MAVLink component that sent it", _COMMANDED),
+    Column("command.sequence", "int64", "", "the number that the sender gave the picture; 0 if none", _COMMANDED),
 )
 
 _STAR = (

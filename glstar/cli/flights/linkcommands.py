@@ -1,4 +1,4 @@
-"""``glstar answer``: a navigator's answers, sent to ``glstar live``."""
+"""What meets ``glstar live`` on a link: ``glstar replay-link`` plays a vehicle, ``glstar answer`` sends positions."""
 
 import json
 import sys
@@ -8,9 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
+from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.errors import AnswersError
-from glstar.export.publish.stream import send_answers
-from glstar.score.answers import parse_answer
+from glstar.system.process import EXIT_INTERRUPTED
 
 # Probability within one standard deviation of each of two components.
 _ONE_SIGMA = float(-np.expm1(-0.5))
@@ -43,6 +44,9 @@ def answer(
 
     Try: glstar answer zmq://127.0.0.1:5557 --frame 12 --lat -34.93 --lon 138.6 --sigma-km 2
     """
+    from glstar.export.publish.stream import send_answers  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.score.answers import parse_answer  # noqa: PLC0415 - the score, only when needed
+
     if frame is None and utc is None:
         if any(value is not None for value in (lat, lon, sigma_km)):
             raise typer.BadParameter(
@@ -80,3 +84,51 @@ def _line(of: dict[str, object], lat: float, lon: float, sigma_km: float | None,
         values |= {"ellipse_major_km": sigma_km, "ellipse_minor_km": sigma_km, "ellipse_azimuth_deg": 0.0}
         values["ellipse_confidence"] = _ONE_SIGMA
     return json.dumps(values)
+
+
+@with_verbosity
+@with_flight_flags(but={"time_offset", *CAMERA_FLAGS})
+def replay_link(
+    flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
+    link: Annotated[
+        str, typer.Argument(help="The link: udpout:127.0.0.1:14550, tcpin:127.0.0.1:5760, /dev/ttyUSB0,57600.")
+    ],
+    *,
+    flags: FlightFlags,
+    start: Annotated[float, typer.Option(help="Start, s from the first attitude of the flight.")] = 0.0,
+    speed: Annotated[float, typer.Option(help="Seconds of flight per second.")] = 1.0,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Rate of the attitude until another one is requested, Hz.", show_default="what the link can carry"
+        ),
+    ] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, as after a reboot.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+) -> None:
+    """Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.
+
+    Try: glstar replay-link flight.BIN udpout:127.0.0.1:14550
+    """
+    from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport  # noqa: PLC0415 - pymavlink
+
+    endpoint = Endpoint.parse(link)
+    played = flags.settings().open_flight(flight)
+    rate_hz = min(carried_rate_hz(endpoint), played.attitude.rate_hz) if rate is None else rate
+    with open_transport(endpoint) as transport:
+        vehicle = Vehicle(played, transport, start_s=start, speed=speed, rate_hz=rate_hz, loop=loop)
+        echo_note(
+            f"{played.name}, {played.attitude_source}, {played.attitude.last_s - played.attitude.first_s:.1f} s,"
+            f" to {endpoint.text} at {rate_hz:g} Hz; Ctrl-C stops"
+        )
+        try:
+            done = vehicle.run()
+        except KeyboardInterrupt:
+            typer.echo("glstar: stopped", err=True)
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+    if as_json:
+        facts = {"duration_s": round(done.duration_s, 3), "packets": done.packets, "dropped": done.dropped}
+        typer.echo(json.dumps(facts))
+        return
+    dropped = f", {done.dropped} more than the link could carry" if done.dropped else ""
+    typer.echo(f"{done.duration_s:.1f} s played, {done.packets} packets{dropped}")
