@@ -7,7 +7,7 @@
 #   made of a library and a handle and has no connect(); mavsdk.camera is an ImportError.  Systems come from
 #   Mavsdk.get_systems(), calls block, and the former package is called mavsdk-grpc.
 # Why it matters: ground stations, payload scripts and continuous integration of drones name mavsdk without a version.
-#   The class that they begin with is there, so that the error is a TypeError about handles, not a missing name.
+#   What they begin with is still there by name, so that only a run shows the change; the errors say how to go back.
 # Source: https://mavsdk.mavlink.io/main/en/python/migration.html
 set -eu
 folder=$(mktemp -d)
