@@ -193,10 +193,10 @@ def _sources(flight: Flight, recording: Recording, *, lacks_utc: bool, lacks_pos
 
 
 def _flags(recording: Recording, track: AttitudeTrack, *, lacks_utc: bool, lacks_position: bool) -> dict[str, object]:
-    """Return flags for the suggested command: examples of what the log lacks, and the advised interpolation."""
+    """Return flags for the suggested command: words in place of what the log lacks, and the advised interpolation."""
     return (
-        ({"--utc-start": "2024-03-10T11:00:00Z"} if lacks_utc else {})
-        | ({"--lat": -34.93, "--lon": 138.60} if lacks_position else {})
+        ({"--utc-start": "UTC"} if lacks_utc else {})
+        | ({"--lat": "LATITUDE", "--lon": "LONGITUDE"} if lacks_position else {})
         | _interpolation_advice(recording, track)
     )
 

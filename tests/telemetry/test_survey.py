@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+import glstar as gs
 from glstar.flight import AttitudeTrack
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.sky.observed.stars import sun_altitude_rad
@@ -84,8 +85,7 @@ def test_the_survey_of_a_log_without_time_and_position_lists_the_missing_flags()
     assert (found.utc_first, found.utc_last, found.utc_source) == (None, None, "its GPS never had a fix")
     assert (found.latitude_deg, found.position_source) == (None, "it has no GPS records")
     assert (found.sun_altitude_deg, found.light) == (None, None)
-    assert "--utc-start" in found.command
-    assert "--lat" in found.command
+    assert found.command.endswith("--utc-start UTC --lat LATITUDE --lon LONGITUDE")
 
 
 def test_values_from_the_user_are_reported_as_given() -> None:
@@ -155,3 +155,11 @@ def test_the_command_for_sparse_attitude_has_a_better_interpolation() -> None:
     assert plain.command.endswith("--interpolation spline")
     assert measured.command.endswith("--interpolation gyro")
     assert chosen.command.endswith("-o frames")
+
+
+def test_a_place_that_replaces_positions_of_the_log_is_noted() -> None:
+    site = Site(latitude_rad=np.deg2rad(-30.0), longitude_rad=np.deg2rad(130.0), height_m=250.0)
+
+    (note,) = gs.open_flight("demo", site=site).notes
+
+    assert note == "the given place, at a height of 250 m, replaces the positions of the log (POS)"
