@@ -4,7 +4,8 @@ import json
 import platform
 import shlex
 import sys
-from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
+from importlib import import_module
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, packages_distributions, version
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,21 +15,22 @@ import glstar
 
 # What a Linux system without OpenGL or X11 lacks.
 OPENGL_ON_LINUX = "Debian and Ubuntu: sudo apt-get install libgl1 libegl1"
-# Libraries whose versions matter in a report of a problem.
-_LIBRARIES = (
-    "moderngl",
-    "glcontext",
-    "numpy",
-    "glfw",
-    "imgui-bundle",
-    "opencv-contrib-python-headless",
-    "pyerfa",
-    "pymavlink",
-    "pydantic",
-    "typer",
-    "rich",
-    "tifffile",
-)
+# Libraries whose versions matter in a report of a problem, with the module of each and a function that must be in it.
+_OPENCV = "opencv-contrib-python-headless"
+_LIBRARIES = {
+    "moderngl": ("moderngl", "create_context"),
+    "glcontext": ("glcontext", "get_backend_by_name"),
+    "numpy": ("numpy", "einsum"),
+    "glfw": ("glfw", "init"),
+    "imgui-bundle": ("imgui_bundle.imgui", "begin"),
+    _OPENCV: ("cv2", "imencode"),
+    "pyerfa": ("erfa", "pnm06a"),
+    "pymavlink": ("pymavlink.dialects.v20.common", "MAVLink"),
+    "pydantic": ("pydantic", "BaseModel"),
+    "typer": ("typer", "Typer"),
+    "rich": ("rich.console", "Console"),
+    "tifffile": ("tifffile", "imwrite"),
+}
 # Packages of the window without a wheel for macOS before this version.
 _MACOS_14 = {"imgui-bundle"}
 
@@ -42,6 +44,34 @@ def library_versions() -> dict[str, str | None]:
         except PackageNotFoundError:
             versions[name] = None
     return versions
+
+
+def broken_libraries() -> list[str]:
+    """Return a message, with the remedy, about each library that is installed and does not run."""
+    messages = []
+    for name, found in library_versions().items():
+        module, function = _LIBRARIES[name]
+        error = None if found is None else _error_of(module, function)
+        if error is not None:
+            again = f"pip install --force-reinstall --no-deps {name}"
+            messages.append(f"{name} {found} is installed and does not run ({error}): {again}")
+    others = sorted(set(packages_distributions().get("cv2", ())) - {_OPENCV})
+    if others:
+        again = f"pip uninstall {' '.join(others)} && pip install --force-reinstall --no-deps {_OPENCV}"
+        messages.append(
+            f"{' and '.join(others)} writes to the folder of {_OPENCV} too, so that removing or upgrading one breaks"
+            f" the other; to keep only one: {again}"
+        )
+    return messages
+
+
+def _error_of(module: str, function: str) -> str | None:
+    """Return why a function of a module cannot be used; None if it can."""
+    try:
+        getattr(import_module(module), function)
+    except Exception as error:
+        return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return None
 
 
 def install_command(extra: str = "") -> str:

@@ -385,6 +385,25 @@ def test_doctor_reports_the_renderer_of_this_machine() -> None:
     assert software == any("in software" in sentence for sentence in facts["amiss"])
 
 
+def test_doctor_runs_the_libraries_that_it_lists(tmp_path: Path) -> None:
+    """As after the removal of another OpenCV: the folder of the module is there, and its library is not."""
+    (tmp_path / "cv2").mkdir()
+    (tmp_path / "cv2" / "__init__.py").touch()
+    other = tmp_path / "opencv_python-4.9.0.80.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: opencv-python\nVersion: 4.9.0.80\n")
+    (other / "top_level.txt").write_text("cv2\n")
+
+    result = run("doctor", "--json", PYTHONPATH=f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+
+    broken, twice = json.loads(result.stdout)["amiss"][-2:]
+    assert broken.startswith("opencv-contrib-python-headless ")
+    assert "does not run (AttributeError: module 'cv2' has no attribute 'imencode')" in broken
+    assert "--force-reinstall --no-deps opencv-contrib-python-headless" in broken
+    assert twice.startswith("opencv-python writes to the folder of opencv-contrib-python-headless too")
+    assert "pip uninstall opencv-python && pip install" in twice
+
+
 def test_doctor_reports_the_same_as_text() -> None:
     facts, result = json.loads(invoke("doctor", "--json").out), invoke("doctor")
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from glstar import __version__
 from glstar.errors import GlstarError
 from glstar.sky.catalogue.reading import NAMES, StarCatalogue
-from glstar.system.installation import library_versions, missing_library
+from glstar.system.installation import broken_libraries, library_versions, missing_library
 
 # Names of Mesa's software renderers.
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software")
@@ -26,7 +26,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
     """
     opengl, devices, amiss = _opengl()
     libraries = library_versions()
-    amiss += [missing_library(name) for name, found in libraries.items() if not found]
+    amiss += [missing_library(name) for name, found in libraries.items() if not found] + broken_libraries()
     facts = {
         "glstar": __version__,
         "python": platform.python_version(),
