@@ -47,6 +47,8 @@ _MAX_FITTED = 48
 _LEAST_TURN_RAD = 3.5e-4
 # A mount with a larger standard error is not determined, deg.
 _MAX_MOUNT_STD_DEG = 1.0
+# Makes the noise of simulated images another one than that of images which glstar exported with the same seed.
+_OTHER_NOISE = 1
 _BY_HAND = "set clock or mount by hand first"
 
 
@@ -339,7 +341,7 @@ class FlightComparison:
             return None
         sky = self._subtracted_image(image)
         scene = replace(self._simulator_for(), mount=mount).scene(shutter)
-        frame = self._renderer.render(scene, seed=frame_seed(self._seed, number), light=True)
+        frame = self._renderer.render(scene, seed=frame_seed(self._seed, number, _OTHER_NOISE), light=True)
         trails = predicted_trails(
             scene,
             frame,

@@ -187,9 +187,12 @@ def _shift_bits(scene: Scene) -> int:
     return CameraProcessing.of(scene.sensor).shift_bits(full_scale_dn)
 
 
-def frame_seed(seed: int, number: int) -> int:
-    """Return the noise seed of a frame, 0 to 2**32 - 1, from the seed of the export and the frame's number."""
-    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+def frame_seed(seed: int, number: int, *others: int) -> int:
+    """Return the noise seed of a frame, 0 to 2**32 - 1, from the seed of the export and the frame's number.
+
+    `others`: numbers that make it another one.
+    """
+    return int(np.random.SeedSequence([seed, number, *others]).generate_state(1)[0])
 
 
 # Minimum interval between the flushes of two groups, s, unless the group is large.  No process can create or rename

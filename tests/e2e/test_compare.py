@@ -64,6 +64,18 @@ def test_the_fitted_clock_offset_is_written_to_the_settings(taken: Path, tmp_pat
     assert facts["left_out_images"][0]["file"] == "notes.png"
 
 
+def test_simulated_images_have_another_noise_than_an_export_with_the_same_seed(taken: Path, tmp_path: Path) -> None:
+    result = run(
+        *("compare", FLIGHT, taken / "frames", "-c", taken / "camera.toml", "-o", tmp_path / "compared"),
+        *("--time-offset", "0.02", "--stars", "12", "--json"),
+    )
+
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)["summary"]
+    assert summary["brightest_pixel"]["magnitude_difference_std"] > 0.02  # mag; of equal noise 0
+    assert 0.005 < summary["centroid"]["median_px"] < 2 * summary["centroid"]["noise_px"]
+
+
 def test_turned_images_are_compared_as_the_sensor_read_them(taken: Path, tmp_path: Path) -> None:
     flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
     frames = tmp_path / "frames"
