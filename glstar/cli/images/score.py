@@ -11,9 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.score.frames import Limits
-from glstar.score.metrics import METRICS, Metric, Spread
-from glstar.score.scoring import DETECTABLE_SNR, Score, draw_score
-from glstar.score.summary import RUN_METRICS, Summary
+from glstar.score.metrics import METRICS, Metric, Spread, Summary
+from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Score, draw_score
 from glstar.system.files import write_atomically
 
 # Orbits that are printed one by one; score.json has all.
