@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import degrees
 from typing import Any
 
 import numpy as np
@@ -302,8 +303,15 @@ def _of_moon_up(key: str) -> Callable[[FrameScore], float | None]:
     return of
 
 
+def _rate_deg_per_s(score: FrameScore) -> float | None:
+    rate_rad_per_s = score.truth.rate_rad_per_s
+    return None if rate_rad_per_s is None else degrees(rate_rad_per_s)
+
+
 BINS = (
     Bin("exposure, s", lambda score: score.truth.duration_s, (0.05, 0.2, 0.5, 1.0, 2.0)),
+    Bin("rate, deg/s", _rate_deg_per_s, (1.0, 5.0, 20.0, 50.0, 100.0)),
+    Bin("field, deg", lambda score: degrees(score.truth.camera.horizontal_field_rad), (10.0, 20.0, 40.0, 60.0, 90.0)),
     Bin("trail length, px", lambda score: score.truth.trail_length_px, (1.0, 5.0, 20.0, 100.0)),
     Bin("detectable stars", lambda score: float(score.truth.is_detectable.sum()), (5.0, 10.0, 20.0, 50.0)),
     Bin("transmission of cloud", _condition("cloud_transmission"), (0.2, 0.4, 0.6, 0.8, 0.99), is_plotted=True),
