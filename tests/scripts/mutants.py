@@ -254,13 +254,17 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="seed of --random")
     parser.add_argument("--slowest-s", type=float, default=3 * SLOWEST_S, help="longest run for a random fault, s")
     wanted = parser.parse_args()
+
+    def is_chosen(fault: Fault) -> bool:
+        return not wanted.only or any(word in fault.name for word in wanted.only)
+
     if wanted.random is not None:
-        drawn = random_faults(wanted.random, wanted.seed)
+        drawn = [fault for fault in random_faults(wanted.random, wanted.seed) if is_chosen(fault)]
         if wanted.list:
             print(*(f"{fault.name}: {fault.means}" for fault in drawn), sep="\n")
             return 0
         return run_random(drawn, max(1, wanted.workers), wanted.slowest_s)
-    faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
+    faults = [fault for fault in kept_faults() if is_chosen(fault)]
     if not faults:
         parser.error(f"no fault is called {' or '.join(wanted.only)}; --list names them")
     if wanted.list:
