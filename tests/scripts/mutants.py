@@ -11,7 +11,7 @@ Works on copies of the checkout, one per worker, in a temporary directory.  Firs
 must pass.  A fault is caught if one of its tests fails.  The exit status is 1 if fewer than 95 % are caught, 2 if tests
 fail without a fault or a snippet does not occur exactly once.
 
-The tests of a random fault are those that import its file, and then those of its package.  The first that fails runs
+The tests of a random fault are those of the folder that mirrors its package.  The first that fails runs
 again without the fault: if it fails there too, or the tests take longer than --slowest-s, the fault is not judged.
 """
 

@@ -232,24 +232,21 @@ def _tests() -> dict[str, str]:
 
 
 def tests_of(file: str) -> tuple[str, ...]:
-    """Return the tests that belong to a file: those that import it first, then the folders that mirror its package.
+    """Return the tests that belong to a file: of the folders that mirror its package, those that import it first.
 
-    The commands have no folder: theirs are the tests that name the command.
+    The commands have no folder: theirs are the tests that import the file or name the command.
     """
     parts = Path(file).with_suffix("").parts
-    package = parts[1]
-    module = ".".join(parts if parts[-1] != "__init__" else parts[:-1])
-    imports = re.compile(
-        rf"\b{re.escape(module)}\b(?!\.)|from {re.escape(module.rpartition('.')[0])} import .*\b{parts[-1]}\b"
-    )
-    first = [name for name, text in _tests().items() if imports.search(text)]
+    package, room, name = parts[1], ".".join(parts[:-1]), parts[-1]
+    module = room if name == "__init__" else f"{room}.{name}"
+    imports = re.compile(rf"\b{re.escape(module)}\b(?!\.)|from {re.escape(room)} import .*\b{name}\b")
+    importers = [test for test, text in _tests().items() if imports.search(text)]
     if package == "cli":
-        names = re.compile(rf"[\"']{re.escape(parts[-1])}[\"']")
-        rest = [name for name, text in _tests().items() if names.search(text)]
-    else:
-        folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())))
-        rest = [name for name in _tests() if name.startswith(folders)]
-    return tuple(dict.fromkeys([*first, *rest]))
+        names = re.compile(rf"[\"']{re.escape(name)}[\"']")
+        return tuple(dict.fromkeys([*importers, *(test for test, text in _tests().items() if names.search(text))]))
+    folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())))
+    mirrored = [test for test in _tests() if test.startswith(folders)]
+    return tuple(sorted(mirrored, key=lambda test: test not in importers))
 
 
 def drawn_changes(count: int, seed: int, folder: Path = ROOT / "glstar") -> Iterator[tuple[Change, str, str]]:
