@@ -125,7 +125,7 @@ def test_every_random_change_is_valid_python_and_its_snippet_occurs_once() -> No
 
 
 def test_a_seed_draws_the_same_changes_of_every_kind() -> None:
-    first, again, other = (list(drawn_changes(60, seed, ROOT / "glstar" / "flight")) for seed in (3, 3, 4))
+    first, again, other = (list(drawn_changes(60, seed, ["glstar/flight"])) for seed in (3, 3, 4))
 
     assert first == again
     assert first != other

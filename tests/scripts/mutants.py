@@ -209,10 +209,10 @@ def run(faults: Sequence[Fault], workers: int) -> int:
     return report(outcomes)
 
 
-def random_faults(count: int, seed: int) -> list[Fault]:
-    """Return faults drawn at random from the sources."""
+def random_faults(count: int, seed: int, only: Sequence[str]) -> list[Fault]:
+    """Return faults drawn at random from the sources, or from the files whose path contains one of some words."""
     faults = []
-    for change, old, new in drawn_changes(count, seed):
+    for change, old, new in drawn_changes(count, seed, only):
         pairs = zip(old.splitlines(), new.splitlines(), strict=True)
         means = "; ".join(f"{before.strip()}  ->  {after.strip()}" for before, after in pairs if before != after)
         name = f"{change.kind} {change.file}:{change.line}"
@@ -247,24 +247,22 @@ def report(outcomes: Sequence[Outcome]) -> int:
 def main() -> int:
     """Read the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="faults whose names contain one of these words")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", help="faults whose names, or files, contain one of these words"
+    )
     parser.add_argument("--list", action="store_true", help="print the faults and their consequences")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="number of faults tested at a time")
     parser.add_argument("--random", type=int, metavar="N", help="draw N faults at random from the sources")
     parser.add_argument("--seed", type=int, default=0, help="seed of --random")
     parser.add_argument("--slowest-s", type=float, default=3 * SLOWEST_S, help="longest run for a random fault, s")
     wanted = parser.parse_args()
-
-    def is_chosen(fault: Fault) -> bool:
-        return not wanted.only or any(word in fault.name for word in wanted.only)
-
     if wanted.random is not None:
-        drawn = [fault for fault in random_faults(wanted.random, wanted.seed) if is_chosen(fault)]
+        drawn = random_faults(wanted.random, wanted.seed, wanted.only or ())
         if wanted.list:
             print(*(f"{fault.name}: {fault.means}" for fault in drawn), sep="\n")
             return 0
         return run_random(drawn, max(1, wanted.workers), wanted.slowest_s)
-    faults = [fault for fault in kept_faults() if is_chosen(fault)]
+    faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
     if not faults:
         parser.error(f"no fault is called {' or '.join(wanted.only)}; --list names them")
     if wanted.list:

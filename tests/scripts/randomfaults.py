@@ -9,7 +9,7 @@ import ast
 import random
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -231,6 +231,7 @@ def _tests() -> dict[str, str]:
     return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in files}
 
 
+@cache
 def tests_of(file: str) -> tuple[str, ...]:
     """Return the tests that belong to a file: of the folders that mirror its package, those that import it first.
 
@@ -240,22 +241,25 @@ def tests_of(file: str) -> tuple[str, ...]:
     package, room, name = parts[1], ".".join(parts[:-1]), parts[-1]
     module = room if name == "__init__" else f"{room}.{name}"
     imports = re.compile(rf"\b{re.escape(module)}\b(?!\.)|from {re.escape(room)} import .*\b{name}\b")
-    importers = [test for test, text in _tests().items() if imports.search(text)]
     if package == "cli":
-        names = re.compile(rf"[\"']{re.escape(name)}[\"']")
-        return tuple(dict.fromkeys([*importers, *(test for test, text in _tests().items() if names.search(text))]))
+        command = re.compile(rf"{imports.pattern}|[\"']{re.escape(name)}[\"']")
+        return tuple(test for test, text in _tests().items() if command.search(text))
     folders = tuple(f"tests/{folder}/" for folder in (package, *_ALSO.get(package, ())))
-    mirrored = [test for test in _tests() if test.startswith(folders)]
-    return tuple(sorted(mirrored, key=lambda test: test not in importers))
+    mirrored = {test: text for test, text in _tests().items() if test.startswith(folders)}
+    return tuple(sorted(mirrored, key=lambda test: imports.search(mirrored[test]) is None))
 
 
-def drawn_changes(count: int, seed: int, folder: Path = ROOT / "glstar") -> Iterator[tuple[Change, str, str]]:
-    """Yield changes drawn at random, each with the snippet that it changes and its replacement."""
+def drawn_changes(count: int, seed: int, only: Sequence[str] = ()) -> Iterator[tuple[Change, str, str]]:
+    """Yield changes drawn at random, each with the snippet that it changes and its replacement.
+
+    `only`: files whose path contains one of these words; empty: all files.
+    """
     by_kind: dict[str, list[tuple[Change, str]]] = defaultdict(list)
-    for path in sorted(folder.rglob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        for change in changes_of(path.relative_to(ROOT).as_posix(), text):
-            by_kind[change.kind].append((change, text))
+    for path in sorted((ROOT / "glstar").rglob("*.py")):
+        file, text = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
+        if not only or any(word in file for word in only):
+            for change in changes_of(file, text):
+                by_kind[change.kind].append((change, text))
     rng = random.Random(seed)
     drawn: set[Change] = set()
     while len(drawn) < count:
