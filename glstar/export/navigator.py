@@ -34,6 +34,12 @@ from glstar.sky.place.timescale import format_utc
 from glstar.system.files import publish, temporary_path, write_atomically
 
 NAV_SCHEMA = "glstar-nav-1"
+# On each line, so that a solver's author need not look them up.
+_CONVENTIONS = {
+    "quaternion": "[w, x, y, z]; q_body_ned turns components along (north, east, down) into (forward, right, down)",
+    "camera": "axes right, down, along the optical axis; C_camera_body turns body components into camera components",
+    "pixel": "(x, y), x to the right, y down; (0, 0) is the centre of the top left pixel",
+}
 _INSTANTS = ("start", "middle", "end")
 _UP_NED = np.array([0.0, 0.0, -1.0])
 
@@ -88,7 +94,8 @@ class Navigator:
         `exposure`: when the camera really exposed; `number`: the frame's number; `file`: its image.  Returns ``schema,
         frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s, readout_s,
         readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure), ``up_camera`` (at the same
-        instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is denied); the estimated attitude is
+        instants), ``C_camera_body``, ``camera``, ``position`` (null where GPS is denied) and ``conventions`` (what the
+        order of quaternions, the axes and pixel positions are, in words); the estimated attitude is
         that of the time on the frame's stamp, which the clock's error moves; ``q_body_ned``, ``rates_rad_per_s`` and
         ``up_camera`` are None where the estimate has a gap then; with a gimbal, all attitudes are those of its
         platform, and ``gimbal`` has ``q_gimbal_aircraft`` (from the aircraft to the platform, by the gimbal's joints)
@@ -121,6 +128,7 @@ class Navigator:
             "camera": camera_keys(self.camera),
             "position": self._position(float(true_s[1])),
             **gimbal,
+            "conventions": _CONVENTIONS,
         }
 
     def _turned(self, utc_s: Float) -> Float:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
-from math import hypot
+from math import asin, hypot, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,16 @@ class FrameTruth:
         """Median length of the detectable stars' trails from start to end, px; 0 without stars."""
         length = np.linalg.norm(self.xy_px["end"] - self.xy_px["start"], axis=1)[self.is_detectable]
         return float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
+
+    @property
+    def rate_rad_per_s(self) -> float | None:
+        """Mean rate of the camera's rotation over the exposure, rad/s; None with fewer than three stars."""
+        start, end = self.attitude("start"), self.attitude("end")
+        if start is None or end is None:
+            return None
+        # Of a rotation matrix R by the angle a, |R - 1| = 2 sqrt(2) sin(a / 2).
+        half_sine = float(np.linalg.norm(end - start)) / (2 * sqrt(2))
+        return 2 * asin(min(half_sine, 1.0)) / self.total_s
 
     def contradiction(self, answer: Answer) -> str | None:
         """Return how the file or the time of an answer contradicts this frame; None if neither does."""

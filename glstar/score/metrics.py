@@ -1,8 +1,10 @@
-"""Metrics of a score, and the quantities by which its frames are grouped."""
+"""Metrics of a score, their summary over frames, and the quantities by which frames are grouped."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import degrees
+from typing import Any
 
 import numpy as np
 
@@ -212,6 +214,60 @@ METRICS = (
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary:
+    """Summary of all frames or of the frames of a bin."""
+
+    frames: int
+    solved: int
+    refused: int
+    false: int
+    values: Mapping[str, Spread | float | None]  # By `Metric.name`; None where no frame has the quantity
+
+    def spread(self, name: str) -> Spread | None:
+        """Return the spread of an error."""
+        value = self.values[name]
+        assert value is None or isinstance(value, Spread)
+        return value
+
+    def number(self, name: str) -> float | None:
+        """Return a metric that has one value for all frames."""
+        value = self.values[name]
+        assert not isinstance(value, Spread)
+        return value
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """The summary as plain objects, angles in arcseconds."""
+        counts = {name: getattr(self, name) for name in ("frames", "solved", "refused", "false")}
+        return counts | {metric.json_key: as_json(metric.in_json(self.values[metric.name])) for metric in METRICS}
+
+
+def summarized(scores: Sequence[FrameScore]) -> Summary:
+    """Return the summary of frames."""
+    group = Group.of(scores)
+    return Summary(
+        frames=len(scores),
+        solved=len(group.solved),
+        refused=len(scores) - len(group.answered),
+        false=len(group.answered) - len(group.solved),
+        values={metric.name: metric.summarized(group) for metric in METRICS},
+    )
+
+
+def as_json(value: Any) -> Any:
+    """Return a spread or an error as plain objects, angles in arcseconds: ``roll_rad`` becomes ``roll_arcsec``."""
+    if not hasattr(value, "__dataclass_fields__"):
+        return value
+    parts = {name: getattr(value, name) for name in value.__dataclass_fields__}
+    return {
+        (f"{name.removesuffix('_rad')}_arcsec" if name.endswith("_rad") else name): (
+            float(part / ARCSEC_RAD) if name.endswith("_rad") else part
+        )
+        for name, part in parts.items()
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class Bin:
     """A quantity by which frames are grouped."""
@@ -247,8 +303,15 @@ def _of_moon_up(key: str) -> Callable[[FrameScore], float | None]:
     return of
 
 
+def _rate_deg_per_s(score: FrameScore) -> float | None:
+    rate_rad_per_s = score.truth.rate_rad_per_s
+    return None if rate_rad_per_s is None else degrees(rate_rad_per_s)
+
+
 BINS = (
     Bin("exposure, s", lambda score: score.truth.duration_s, (0.05, 0.2, 0.5, 1.0, 2.0)),
+    Bin("rate, deg/s", _rate_deg_per_s, (1.0, 5.0, 20.0, 50.0, 100.0)),
+    Bin("field, deg", lambda score: degrees(score.truth.camera.horizontal_field_rad), (10.0, 20.0, 40.0, 60.0, 90.0)),
     Bin("trail length, px", lambda score: score.truth.trail_length_px, (1.0, 5.0, 20.0, 100.0)),
     Bin("detectable stars", lambda score: float(score.truth.is_detectable.sum()), (5.0, 10.0, 20.0, 50.0)),
     Bin("transmission of cloud", _condition("cloud_transmission"), (0.2, 0.4, 0.6, 0.8, 0.99), is_plotted=True),

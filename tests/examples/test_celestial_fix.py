@@ -1,8 +1,14 @@
 """The example navigator solves random frames; `tests.scripts.celestial_fix_rate` does so for hundreds."""
 
+import json
+import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.scripts.celestial_fix_rate import summary_of, summary_of_accelerated
 
@@ -26,3 +32,27 @@ def test_frames_whose_rate_changes_are_refused(tmp_path: Path) -> None:
 
     assert (found["solved"], found["refused"], found["false"]) == (1, 2, 0)
     assert found["position_km"]["median"] < 1.852
+
+
+@pytest.mark.slow
+def test_the_workflow_draws_solves_and_keeps_its_limits(tmp_path: Path) -> None:
+    examples = Path(__file__).parent
+    shutil.copytree(examples / "gate", tmp_path / "repository")
+    shutil.copyfile(examples / "celestial_fix.py", tmp_path / "repository" / "solver.py")
+    (job,) = yaml.safe_load((examples / "gate" / "score.yml").read_text(encoding="utf-8"))["jobs"].values()
+    commands = [shlex.split(step["run"]) for step in job["steps"] if step.get("name") in {"Draw", "Solve", "Score"}]
+    assert len(commands) == 3
+
+    for command in commands:
+        program = ["-m", "glstar"] if command[0] == "glstar" else []
+        done = subprocess.run(
+            [sys.executable, *program, *command[1:]],
+            check=False,
+            cwd=tmp_path / "repository",
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    verdicts = json.loads((tmp_path / "repository" / "score" / "score.json").read_text())["gate"]["verdicts"]
+    assert [verdict["passed"] for verdict in verdicts] == [True] * 4

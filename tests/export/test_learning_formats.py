@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 import tifffile
 import webdataset
+import yaml
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 from typer.testing import CliRunner
 
 from glstar.cli import app
+from glstar.export.convert.labels import yolo_folders
 from glstar.export.truth.lines import read_truth
 
 # pycocotools calls NumPy in an old manner.
@@ -190,6 +192,43 @@ def test_yolo_boxes_are_those_of_coco(split: Path, tmp_path: Path) -> None:
             assert (tmp_path / "yolo" / "images" / name / f"{stem}.png").samefile(split / image["file_name"])
     text = (tmp_path / "yolo" / "data.yaml").read_text()
     assert {f"{key}: images/" in text for key in ("train", "val", "test")} == {True}
+
+
+@pytest.mark.parametrize(
+    ("splits", "keys", "notes"),
+    [
+        (("train", "test"), {"train": "train", "val": "test", "test": "test"}, ["val"]),
+        (("train",), {"train": "train", "val": "train"}, ["val"]),
+        (("validation", "test"), {"train": "test", "val": "validation", "test": "test"}, ["train"]),
+        (("test", "validation", "train"), {"train": "train", "val": "validation", "test": "test"}, []),
+        (("frames",), {"train": "frames", "val": "frames"}, ["val"]),
+    ],
+)
+def test_yolo_always_has_frames_to_train_and_to_validate_and_says_whose(
+    splits: tuple[str, ...], keys: dict[str, str], notes: list[str]
+) -> None:
+    folders = yolo_folders(splits)
+
+    assert {key: split for key, (split, _) in folders.items()} == keys
+    assert list(folders) == list(keys)
+    assert [key for key, (_, why) in folders.items() if why] == notes
+
+
+def test_a_set_without_validation_is_converted_with_the_frames_of_the_test_and_a_note(
+    split: Path, tmp_path: Path
+) -> None:
+    source = without_masks(split, tmp_path / "set")
+    for name in ("splits.json", "train.txt", "validation.txt", "test.txt"):
+        content = (source / name).read_bytes()
+        (source / name).unlink()
+        (source / name).write_bytes(b"" if name == "validation.txt" else content)
+    (source / "train.txt").write_text((split / "train.txt").read_text() + (split / "validation.txt").read_text())
+
+    printed = convert(source, tmp_path / "yolo", "--to", "yolo")
+
+    index = yaml.safe_load((tmp_path / "yolo" / "data.yaml").read_text())
+    assert (index["train"], index["val"], index["test"]) == ("images/train", "images/test", "images/test")
+    assert "val of data.yaml: there are no frames for validation: these are those of test" in printed
 
 
 def samples(paths: list[Path]) -> dict[str, dict[str, Any]]:

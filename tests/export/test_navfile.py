@@ -90,7 +90,7 @@ def test_a_record_has_the_listed_keys_and_no_seed_name_or_number_of_the_truth(bl
     for record, frame in zip(lines_of(blind_set / "seen" / "nav.jsonl"), truth, strict=True):
         assert record.keys() == {
             *("schema", "frame", "file", "utc", "duration_s", "readout_s", "readout", "q_body_ned"),
-            *("rates_rad_per_s", "up_camera", "C_camera_body", "camera", "position"),
+            *("rates_rad_per_s", "up_camera", "C_camera_body", "camera", "position", "conventions"),
         }
         assert record["position"] is None
         assert record["camera"] == frame["camera"]

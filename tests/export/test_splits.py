@@ -1,6 +1,7 @@
 """Splits of a data set by flight, and its data card."""
 
 import json
+import re
 import shutil
 from collections import defaultdict
 from pathlib import Path
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.errors import ConfigError
 from glstar.export.truth.lines import read_truth
-from glstar.export.truth.splits import FlightIdentity, SplitRule, splits_by_file
+from glstar.export.truth.splits import FlightIdentity, SplitRule, splits_by_file, write_splits
 
 RUNNER = CliRunner()
 SPLITS = ("train", "validation", "test")
@@ -131,6 +132,93 @@ def test_shares_are_met_by_many_flights_and_another_seed_divides_them_anew() -> 
     assert {SplitRule.parse("9,1").split_of(one) for one in identities} == {"train", "test"}
 
 
+@pytest.mark.parametrize(
+    ("frames", "shares", "expected"),
+    [
+        ([18, 18], "50,50", [18, 0, 18]),
+        ([18, 18], "50,50,0", [18, 18, 0]),
+        ([10] * 9, "1/1/1", [30, 30, 30]),
+        ([10] * 10, "80,10,10", [80, 10, 10]),
+        ([30, 20, 10], "50,50", [30, 0, 30]),
+        # Each split that has a share gets a flight, the longest to the largest share.
+        ([70, 20, 10], "80,10,10", [70, 20, 10]),
+        ([10] * 3, "98,1,1", [10, 10, 10]),
+        ([10] * 5, "1,0,0", [50, 0, 0]),
+    ],
+)
+def test_flights_dealt_out_by_their_frames_meet_the_shares(frames: list[int], shares: str, expected: list[int]) -> None:
+    flights = {FlightIdentity("log", str(k)).digest: count for k, count in enumerate(frames)}
+    rule = SplitRule.parse(shares, is_exact=True)
+
+    found = rule.dealt(flights)
+
+    assert [sum(flights[one] for one, split in found.items() if split == name) for name in SPLITS] == expected
+    assert rule.fault(list(found.values())) is None
+    # The order in which flights are read does not matter, and another seed deals equal flights out otherwise.
+    assert rule.dealt(dict(reversed(flights.items()))) == found
+    if frames == [10] * 9:
+        assert SplitRule.parse(shares, seed=1, is_exact=True).dealt(flights) != found
+
+
+@pytest.mark.parametrize(
+    ("splits", "shares", "message"),
+    [
+        (["train", "train"], "50,50,0", "validation would have none of the 2 flights, .*(about 6).*flight:exact"),
+        (["train"] * 9, "80,10,10", "validation and test would have none of the 9 flights, .*(about 39)"),
+        (["train"], "80,10,10", "none of the 1 flight; 3 splits need 3 flights: .*--split-shares 1,0,0"),
+    ],
+)
+def test_a_split_without_flights_is_a_fault(splits: list[str], shares: str, message: str) -> None:
+    fault = SplitRule.parse(shares).fault(splits)
+
+    assert fault is not None
+    assert re.search(message.replace("(", r"\(").replace(")", r"\)"), fault)
+    assert SplitRule.parse("1,0,0").fault(splits) is None
+
+
+HOVER = (
+    CAMERA
+    + """
+[exposure]
+duration_s = 0.1
+interval_s = 3.0
+[flight.synthetic]
+path = "hover"
+gusts = "light"
+[sweep]
+flight.synthetic.seed = [1, 2]
+"""
+)
+
+
+def test_two_flights_are_halved_exactly_or_refused_and_a_hover_in_other_gusts_is_noted(tmp_path: Path) -> None:
+    (tmp_path / "hover.toml").write_text(HOVER)
+    command = ["export", "--workers", "1", "-c", str(tmp_path / "hover.toml"), "-o", str(tmp_path / "set")]
+    command += ["--frames", "3", "--split-shares", "50,50,0"]
+
+    made = [RUNNER.invoke(app, [*command, "--split", "flight", "--split-seed", str(seed)]) for seed in range(4)]
+    refused = next(one for one in made if one.exit_code != 0)
+    halved = RUNNER.invoke(app, [*command, "--split", "flight:exact"])
+
+    assert "would have none of the 2 flights" in refused.output
+    assert halved.exit_code == 0, halved.output
+    assert "split by flight: train 3, validation 3, test 0" in halved.output
+    assert "100% of the frames of validation are within 2 deg of a frame of train" in " ".join(halved.output.split())
+    index = json.loads((tmp_path / "set" / "splits.json").read_text())
+    assert (index["by"], index["within_2_deg_of_train"]) == ("flight:exact", {"validation": 1.0})
+
+
+def test_a_refused_split_writes_and_removes_nothing(flown: Path) -> None:
+    names = ("splits.json", *(f"{split}.txt" for split in SPLITS))
+    before = {name: (flown / name).read_bytes() for name in names}
+
+    with pytest.raises(ConfigError, match=r"about \d+"):
+        write_splits(flown, SplitRule.parse("999998,1,1"))
+
+    assert {name: (flown / name).read_bytes() for name in names} == before
+    assert not list(flown.glob("*.partial"))
+
+
 @pytest.mark.parametrize("shares", ["80", "a,b,c", "-1,1,1", "0,0,0", "1,2,3,4", "nan,1,1"])
 def test_shares_that_are_none_are_refused_in_one_line(shares: str) -> None:
     with pytest.raises(ConfigError, match="80,10,10"):
@@ -140,7 +228,7 @@ def test_shares_that_are_none_are_refused_in_one_line(shares: str) -> None:
 def test_adding_frames_removes_lists_and_card_that_had_fewer(tmp_path: Path) -> None:
     (tmp_path / "sweep.toml").write_text(CAMERA + SWEEP.split("[sweep]", maxsplit=1)[0])
     command = ("-c", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "one"))
-    export(tmp_path, *command, "--frames", "1", "--split", "flight", "--card")
+    export(tmp_path, *command, "--frames", "1", "--split", "flight", "--split-shares", "1,0,0", "--card")
     names = {"splits.json", "DATACARD.md", "train.txt", "validation.txt", "test.txt"}
 
     assert names <= {path.name for path in (tmp_path / "one").iterdir()}

@@ -112,6 +112,12 @@ def test_times_that_do_not_increase_are_refused(times: list[float]) -> None:
         AttitudeTrack(np.array(times), yawing(0.1, np.arange(3.0)))
 
 
+def test_two_attitudes_are_a_track_that_turns_at_their_rate() -> None:
+    track = AttitudeTrack(np.arange(2.0), yawing(0.1, np.arange(2.0)))
+
+    np.testing.assert_allclose(track.at([0.0, 0.25, 1.0]), yawing(0.1, np.array([0.0, 0.25, 1.0])), rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("n", [0, 1])
 def test_one_attitude_is_no_track(n: int) -> None:
     with pytest.raises(TelemetryError, match=f"two samples or more, not {n}"):

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.scripts.mutants import ROOT, Fault, Outcome, Workers, kept_faults, report
+from tests.scripts.randomfaults import changes_of, drawn_changes, snippets, tests_of
 
 FAULTS = kept_faults()
 
@@ -66,3 +67,73 @@ def test_a_fault_is_injected_into_a_copy_and_taken_out_again(tmp_path: Path) -> 
     assert second.startswith("FAILED tests/render/test_shader_constants.py")
     assert workers.failures_when_whole(in_python.tests) == []
     assert (in_python.occurrences, in_a_shader.occurrences) == (1, 1)
+
+
+SAMPLE = '''"""A docstring of 3 < 4."""
+
+_LIMIT_PX = 2.5
+_CACHE_BYTES = 10
+
+@dataclass(frozen=True)
+class Thing:
+    """Holds 1 + 1."""
+
+    size: int | None = 3
+
+def f(a: int, b=-1) -> float:
+    """Return a - b."""
+    # 5 * 6
+    if a is not None and not b:
+        raise ValueError(f"{a + b} is {a - 1}")
+    logger.debug(a + 2)
+    for x, y in zip(a, b, strict=True):
+        assert x + y
+    return "text" + a if a <= 7 else a - (b)
+'''
+
+
+def test_random_changes_leave_out_messages_docstrings_annotations_and_speed() -> None:
+    changes = {(c.kind, SAMPLE[: c.begin].rpartition("\n")[2].strip(), c.new) for c in changes_of("x.py", SAMPLE)}
+
+    assert changes == {
+        ("constant", "_LIMIT_PX =", "2.75"),
+        ("constant", "size: int | None =", "4"),
+        ("sign", "def f(a: int, b=", ""),
+        ("constant", "def f(a: int, b=-", "2"),
+        ("comparison", "if a", "is"),
+        ("condition", "if a is not None", " or "),
+        ("condition", "if a is not None and", ""),
+        ("comparison", 'return "text" + a if a', "<"),
+        ("comparison", 'return "text" + a if a', ">="),
+        ("constant", 'return "text" + a if a <=', "8"),
+        ("operator", 'return "text" + a if a <= 7 else a', "+"),
+    }
+
+
+def test_every_random_change_is_valid_python_and_its_snippet_occurs_once() -> None:
+    for file in ("glstar/rotation.py", "glstar/score/gate.py", "glstar/sky/place/apparent.py"):
+        text = (ROOT / file).read_text(encoding="utf-8")
+        changes = changes_of(file, text)
+        assert len(changes) > 30
+        whole = ast.dump(ast.parse(text))
+        for change in changes[::7]:
+            changed = text[: change.begin] + change.new + text[change.end :]
+            assert ast.dump(ast.parse(changed)) != whole
+            old, new = snippets(text, change) or ("", "")
+            assert text.count(old) == 1
+            assert text.replace(old, new) == changed
+
+
+def test_a_seed_draws_the_same_changes_of_every_kind() -> None:
+    first, again, other = (list(drawn_changes(60, seed, ["glstar/flight"])) for seed in (3, 3, 4))
+
+    assert first == again
+    assert first != other
+    assert {change.kind for change, _, _ in first} == {"operator", "constant", "comparison", "sign", "condition"}
+
+
+def test_the_tests_of_a_file_begin_with_those_that_import_it() -> None:
+    assert tests_of("glstar/score/gate.py")[0] == "tests/score/test_gate.py"
+    assert {"tests/score/test_score.py", "tests/score/test_runs.py"} <= set(tests_of("glstar/score/gate.py"))
+    assert "tests/score/test_gate.py" in tests_of("glstar/cli/images/score.py")
+    assert any(test.startswith("tests/gl/") for test in tests_of("glstar/render/simulator.py"))

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from glstar.score.metrics import METRICS, Metric
-from glstar.score.summary import RUN_METRICS, RunMetric, summarized
+from glstar.score.metrics import METRICS, Metric, summarized
+from glstar.score.scoring import RUN_METRICS, RunMetric
 from glstar.system.resources import manual_pages
 
 PAGE = manual_pages()["score"].read_text(encoding="utf-8")

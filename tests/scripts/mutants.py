@@ -5,10 +5,14 @@
     python -m tests.scripts.mutants                          # every fault of tests/faults: minutes
     python -m tests.scripts.mutants --only leap zenith       # those whose names contain one of these words
     python -m tests.scripts.mutants --list                   # a list of all faults
+    python -m tests.scripts.mutants --random 100 --seed 7    # drawn at random from the sources, by `randomfaults`
 
 Works on copies of the checkout, one per worker, in a temporary directory.  First the tests run without any fault: they
 must pass.  A fault is caught if one of its tests fails.  The exit status is 1 if fewer than 95 % are caught, 2 if tests
 fail without a fault or a snippet does not occur exactly once.
+
+The tests of a random fault are those of the folder that mirrors its package.  The first that fails runs
+again without the fault: if it fails there too, or the tests take longer than --slowest-s, the fault is not judged.
 """
 
 import argparse
@@ -26,6 +30,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from tests.scripts.randomfaults import drawn_changes, tests_of
 
 ROOT = Path(__file__).resolve().parents[2]
 FAULTS = ROOT / "tests" / "faults"
@@ -76,6 +82,7 @@ class Outcome:
     fault: Fault
     caught_by: str | None
     seconds: float
+    unjudged: str = ""  # Why the tests say nothing about a random fault
 
 
 def kept_faults(folder: Path = FAULTS) -> list[Fault]:
@@ -158,6 +165,19 @@ class Workers:
         with self.one() as checkout:
             return checkout.failures(tests) if tests else []
 
+    def judged(self, fault: Fault, slowest_s: float) -> Outcome:
+        """Return the result for a fault whose tests have not run without it."""
+        began_s = time.monotonic()
+        with self.one() as checkout:
+            with checkout.broken_by(fault):
+                failed = checkout.failures(fault.tests, "-x", slowest_s=slowest_s)
+            unjudged = ""
+            if failed and failed[0].startswith("no end"):
+                unjudged = failed[0]
+            elif failed and (named := failed[0].partition(" ")[2].partition(" - ")[0]).startswith("tests/"):
+                unjudged = "fails without a fault too" if checkout.failures([named]) else ""
+        return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s, unjudged)
+
     def outcome(self, fault: Fault) -> Outcome:
         began_s = time.monotonic()
         with self.one() as checkout, checkout.broken_by(fault):
@@ -189,6 +209,31 @@ def run(faults: Sequence[Fault], workers: int) -> int:
     return report(outcomes)
 
 
+def random_faults(count: int, seed: int, only: Sequence[str]) -> list[Fault]:
+    """Return faults drawn at random from the sources, or from the files whose path contains one of some words."""
+    faults = []
+    for change, old, new in drawn_changes(count, seed, only):
+        pairs = zip(old.splitlines(), new.splitlines(), strict=True)
+        means = "; ".join(f"{before.strip()}  ->  {after.strip()}" for before, after in pairs if before != after)
+        name = f"{change.kind} {change.file}:{change.line}"
+        faults.append(Fault(name, change.file, old, new, means, tests_of(change.file)))
+    return faults
+
+
+def run_random(faults: Sequence[Fault], workers: int, slowest_s: float) -> int:
+    """Inject random faults and print the result of each; return the exit status."""
+    with tempfile.TemporaryDirectory(prefix="glstar-mutants-") as folder, ThreadPoolExecutor(workers) as pool:
+        checkouts = Workers(Path(folder), workers)
+        outcomes = []
+        for outcome in pool.map(lambda fault: checkouts.judged(fault, slowest_s), faults):
+            word = outcome.unjudged or ("survived" if outcome.caught_by is None else "caught")
+            print(f"{word:8}  {outcome.seconds:5.1f} s  {outcome.fault.name}  {outcome.fault.means}", flush=True)
+            if not outcome.unjudged:
+                outcomes.append(outcome)
+    print(f"{len(faults) - len(outcomes)} faults were not judged")
+    return report(outcomes) if outcomes else 2
+
+
 def report(outcomes: Sequence[Outcome]) -> int:
     """Print the score and every survivor; return the exit status."""
     survivors = [outcome.fault for outcome in outcomes if outcome.caught_by is None]
@@ -202,10 +247,21 @@ def report(outcomes: Sequence[Outcome]) -> int:
 def main() -> int:
     """Read the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="faults whose names contain one of these words")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", help="faults whose names, or files, contain one of these words"
+    )
     parser.add_argument("--list", action="store_true", help="print the faults and their consequences")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="number of faults tested at a time")
+    parser.add_argument("--random", type=int, metavar="N", help="draw N faults at random from the sources")
+    parser.add_argument("--seed", type=int, default=0, help="seed of --random")
+    parser.add_argument("--slowest-s", type=float, default=3 * SLOWEST_S, help="longest run for a random fault, s")
     wanted = parser.parse_args()
+    if wanted.random is not None:
+        drawn = random_faults(wanted.random, wanted.seed, wanted.only or ())
+        if wanted.list:
+            print(*(f"{fault.name}: {fault.means}" for fault in drawn), sep="\n")
+            return 0
+        return run_random(drawn, max(1, wanted.workers), wanted.slowest_s)
     faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
     if not faults:
         parser.error(f"no fault is called {' or '.join(wanted.only)}; --list names them")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from glstar.cli.reporting import progress_bar, with_verbosity
+from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
 from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import refuse_links
 
@@ -87,9 +87,12 @@ def _written_to_learn(export: Path, output: str, kind: str, min_snr: float, shar
                 raise ConfigError(f"{output}: a file of COCO is named .json")
             return tuple(map(str, write_coco(source, Path(output), least_snr=min_snr)))
         if kind == "yolo":
-            from glstar.export.convert.labels import write_yolo  # noqa: PLC0415
+            from glstar.export.convert.labels import write_yolo, yolo_folders  # noqa: PLC0415
 
             write_yolo(source, Path(output), least_snr=min_snr)
+            for key, (_, why) in yolo_folders(source.splits).items():
+                if why:
+                    echo_note(f"glstar: {key} of data.yaml: {why}")
             return (output,)
         from glstar.export.convert.shards import write_shards  # noqa: PLC0415
         from glstar.export.run.store import opened_target  # noqa: PLC0415

@@ -132,20 +132,21 @@ Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 Parquet = Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")]
 Split = Annotated[
-    Literal["flight"] | None,
+    Literal["flight", "flight:exact"] | None,
     typer.Option(
-        help="Write train.txt, validation.txt and test.txt: every flight with all of its frames in one of them.",
+        help="Write train.txt, validation.txt and test.txt: every flight with all of its frames in one of them, by its"
+        " hash, or exact: dealt out by the number of frames.",
         show_default="no",
     ),
 ]
-SplitShares = Annotated[
-    str, typer.Option(metavar="TRAIN,VALIDATION,TEST", help="Expected shares of the flights with --split.")
-]
+SplitShares = Annotated[str, typer.Option(metavar="TRAIN,VALIDATION,TEST", help="Shares of the flights with --split.")]
 SplitSeed = Annotated[int, typer.Option(help="Seed of --split.")]
 Card = Annotated[
     bool | None,
     typer.Option("--card/--no-card", help="Write DATACARD.md.", show_default="yes for a data set, no for one flight"),
 ]
+# Fraction of frames near one of the training from which a split is no test, and is noted.
+_MOST_NEAR = 0.1
 _DEFAULT_SHARES = "80,10,10"
 
 LatestFrame = Annotated[
@@ -240,13 +241,15 @@ class SummaryFiles:
         from glstar.export.truth.splits import SplitRule, write_splits  # noqa: PLC0415 - OpenCV
 
         if self.split is not None:
-            counts = write_splits(job.directory, SplitRule.parse(self.split_shares, self.split_seed))
-            echo_note("split by flight: " + ", ".join(f"{split} {count}" for split, count in counts.items()))
-            if sum(count > 0 for count in counts.values()) == 1:
-                echo_note(
-                    "glstar: all frames are in one split; several logs, or [flight.synthetic] in a [sweep], make more"
-                    " flights"
-                )
+            rule = SplitRule.parse(self.split_shares, self.split_seed, is_exact=self.split == "flight:exact")
+            written = write_splits(job.directory, rule)
+            echo_note("split by flight: " + ", ".join(f"{split} {count}" for split, count in written.frames.items()))
+            for split, fraction in written.near_train.items():
+                if fraction > _MOST_NEAR:
+                    echo_note(
+                        f"glstar: {fraction:.0%} of the frames of {split} are within 2 deg of a frame of train, as if"
+                        " flights differ in gusts alone: vary place, time, path or heading too"
+                    )
             for split in SPLITS if output != job.directory else ():
                 write_atomically(output / f"{split}.txt", (job.directory / f"{split}.txt").read_bytes())
         is_data_set = "flights" in job.manifest

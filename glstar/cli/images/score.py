@@ -11,15 +11,23 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.score.frames import Limits
-from glstar.score.metrics import METRICS, Metric, Spread
-from glstar.score.scoring import DETECTABLE_SNR, Score, draw_score
-from glstar.score.summary import RUN_METRICS, Summary
+from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
+from glstar.score.metrics import METRICS, Metric, Spread, Summary
+from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Score, draw_score
 from glstar.system.files import write_atomically
 
 # Orbits that are printed one by one; score.json has all.
 _MOST_ORBITS = 12
 # Invalid lines that are reported one by one; score.json has all.
 _MOST_FAULTS = 5
+
+
+def _example_gate(gate: Path | None) -> Path | None:
+    """Print an example of the file of ``--gate``, if it is requested in place of a file."""
+    if gate == Path("example"):
+        typer.echo(EXAMPLE, nl=False)
+        raise typer.Exit
+    return gate
 
 
 def score(
@@ -42,6 +50,16 @@ def score(
     detectable_snr: Annotated[
         float, typer.Option(help="Smallest signal-to-noise ratio of a detectable star.")
     ] = DETECTABLE_SNR,
+    gate: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Limits of the score (TOML): the exit status is 1 if one is not kept. --gate example prints a file.",
+            callback=_example_gate,
+            is_eager=True,
+            show_default=False,
+        ),
+    ] = None,
     by: Annotated[
         list[str] | None,
         typer.Option(help="Print all ranges of a setting that the sweep drew at random.", show_default=False),
@@ -54,24 +72,53 @@ def score(
     from glstar.score.scoring import score as scored  # noqa: PLC0415 - the name of the command
 
     chosen = frozenset(by or ())
+    gate_limits = () if gate is None else read_gate(gate)
     limits = Limits(float(np.deg2rad(false_deg)), float(np.deg2rad(false_roll_deg)), false_km, star_px=tolerance_px)
     found = scored(export, answers, limits=limits, least_snr=detectable_snr)
     _warn_of(answers, found.faults)
     if unknown := sorted(chosen - {name for name, _ in found.bins}):
         names = ", ".join(name for name, _ in found.bins) or "none"
         raise typer.BadParameter(f"{unknown[0]} is no bin of these frames; there are {names}", param_hint="--by")
-    text = json.dumps(found.json, indent=1) + "\n"
+    verdicts = judged(gate_limits, found)
+    text = json.dumps(found.json | _gate_json(gate, verdicts), indent=1) + "\n"
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
         write_atomically(output / "score.json", text.encode())
         draw_score(found, output / "score.png")
     if json_output:
         typer.echo(text, nl=False)
-        return
+    else:
+        _print_score(found, output, chosen)
+    if gate is not None:
+        _report_gate(gate, gate_limits, verdicts, as_json=json_output)
+
+
+def _print_score(found: Score, output: Path | None, by: frozenset[str]) -> None:
     console = Console(width=None if Console().is_terminal else 120)
-    _print(found, console, chosen)
+    _print(found, console, by)
     if output is not None:
         typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
+
+
+def _gate_json(gate: Path | None, verdicts: Sequence[Verdict]) -> dict[str, object]:
+    if gate is None:
+        return {}
+    passed = all(verdict.passed for verdict in verdicts)
+    return {"gate": {"file": str(gate), "passed": passed, "verdicts": [verdict.json for verdict in verdicts]}}
+
+
+def _report_gate(gate: Path, limits: Sequence[GateLimit], verdicts: Sequence[Verdict], *, as_json: bool) -> None:
+    """Print the verdict on each limit, beside JSON the failed ones as errors; raises Exit(1) if one failed."""
+    if (note := gate_note(limits)) is not None:
+        typer.echo(f"{gate}: note: {note}", err=True)
+    failed = [verdict for verdict in verdicts if not verdict.passed]
+    for verdict in failed if as_json else verdicts:
+        typer.echo(verdict.text, err=as_json)
+    if failed:
+        typer.echo(f"{gate}: {len(failed)} of {len(verdicts)} limits failed", err=True)
+        raise typer.Exit(1)
+    if not as_json:
+        typer.echo(f"{gate}: all limits hold")
 
 
 def _warn_of(answers: Path, faults: Sequence[str]) -> None:

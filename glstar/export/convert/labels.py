@@ -419,11 +419,26 @@ def _row(label: TrailLabel) -> str:
     return " ".join([str(CATEGORIES.index(label.category)), *(f"{number:.6f}" for number in numbers)])
 
 
-def _index(splits: tuple[str, ...]) -> str:
-    names = {"train": "train", "validation": "val", "test": "test"}
-    lines = [f"{names[split]}: images/{split}" for split in names if split in splits]
-    if splits == (NO_SPLIT,):
-        lines = [f"train: images/{NO_SPLIT}", f"val: images/{NO_SPLIT}  # the export is not split"]
+def yolo_folders(splits: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return the folder of each key of ``data.yaml``, and why it is not that of its split; empty if it is.
+
+    Ultralytics needs ``train`` and ``val``, whatever the shares of the splits are.
+    """
+    own = {"train": "train", "val": "validation", "test": "test"}
+    if NO_SPLIT in splits:
+        return {"train": (NO_SPLIT, ""), "val": (NO_SPLIT, "the export is not split: do not choose a model by it")}
+    found = {key: (split, "") for key, split in own.items() if split in splits}
+    for key in ("train", "val"):
+        if key not in found:
+            other = next(split for split in ("test", "train", "validation") if split in splits)
+            found[key] = other, f"there are no frames for {own[key]}: these are those of {other}"
+    return {key: found[key] for key in own if key in found}
+
+
+def _index(splits: Sequence[str]) -> str:
+    lines = [
+        f"{key}: images/{split}" + (f"  # {why}" if why else "") for key, (split, why) in yolo_folders(splits).items()
+    ]
     return "\n".join([*lines, "names:", *(f"  {k}: {name}" for k, name in enumerate(CATEGORIES))]) + "\n"
 
 

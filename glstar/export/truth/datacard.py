@@ -177,7 +177,11 @@ def _splits(directory: Path) -> list[str]:
     rows = ((split, f"{_frames(index['frames'][split])} of {flights[split]} flights") for split in SPLITS)
     shares = " / ".join(f"{index['shares'][split]:.4g}" for split in SPLITS)
     return [
-        f"By flight, shares {shares}, seed {index['seed']}: no flight has frames in two splits.",
+        f"By {index['by']}, shares {shares}, seed {index['seed']}: no flight has frames in two splits.",
+        *(
+            f"{fraction:.0%} of the frames of {split} are within 2 deg of a frame of train."
+            for split, fraction in index.get("within_2_deg_of_train", {}).items()
+        ),
         "",
         *_table("split", "content", rows),
     ]

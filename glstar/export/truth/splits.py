@@ -2,19 +2,24 @@
 
 Frames of one flight show the same stars under almost the same attitude: divided frame by frame, a model would be tested
 with what it has seen. The split of a flight follows from a hash of the flight and a seed. It does not depend on the
-other flights, so that it stays as it is when flights are added, in whatever order, and in other exports. `ConvertedSet`
-is an export that is read, split by split, to be written in the format of another tool.
+other flights, so that it stays as it is when flights are added, in whatever order, and in other exports. A few flights
+meet the shares only by `SplitRule.is_exact`, which deals all flights out together. `ConvertedSet` is an export that is
+read, split by split, to be written in the format of another tool.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import ceil, log
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from glstar.arrays import Float
 from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import SPLIT_INDEX, SPLITS, explain_disk_errors, image_path
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
@@ -26,6 +31,11 @@ _SYNTHETIC = "flight.synthetic"
 # Hash digits that become a number between 0 and 1.
 _HASH_DIGITS = 15
 _LARGEST_BYTES = 2**30
+# Two frames whose attitudes are closer show nearly the same image, rad; and the frames of a split that are compared.
+_SAME_RAD = float(np.deg2rad(2.0))
+_MOST_COMPARED = 5000
+# Probability with which flights in the number that a message names leave no split empty.
+_LIKELY = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +44,11 @@ class SplitRule:
 
     shares: tuple[float, float, float] = (0.8, 0.1, 0.1)  # Shares of training, validation and test; they add up to 1
     seed: int = 0  # Another seed divides the flights otherwise
+    # Whether all flights are dealt out by their frames to meet the shares: another flight may move the others
+    is_exact: bool = False
 
     @classmethod
-    def parse(cls, shares: str, seed: int = 0) -> "SplitRule":
+    def parse(cls, shares: str, seed: int = 0, *, is_exact: bool = False) -> "SplitRule":
         """Return the rule of a text such as ``80,10,10``, shares or percentages; two numbers leave out the validation.
 
         Raises ConfigError if these are not two or three numbers, none negative, with a positive sum.
@@ -51,12 +63,62 @@ class SplitRule:
         if len(weights) != 3 or not 0 < total < float("inf") or min(weights) < 0:
             raise ConfigError(f"--split-shares {shares}: give the shares of training, validation, test, as in 80,10,10")
         train, validation, test = (share / total for share in weights)
-        return cls((train, validation, test), seed)
+        return cls((train, validation, test), seed, is_exact)
+
+    @property
+    def name(self) -> str:
+        """The value of ``--split``."""
+        return "flight:exact" if self.is_exact else "flight"
+
+    def _number(self, identity: str) -> float:
+        """Return the hash of a flight and the seed as a number from 0 to below 1."""
+        digest = hashlib.sha256(f"{self.seed}:{identity}".encode()).hexdigest()
+        return int(digest[:_HASH_DIGITS], 16) / float(16**_HASH_DIGITS)
+
+    def dealt(self, frames: Mapping[str, int]) -> dict[str, str]:
+        """Return the split of each flight, by `FlightIdentity.digest`; `frames`: the number of frames of each.
+
+        With `is_exact` the longest flights are dealt out first, each to the split that lacks most frames; flights of
+        equal length in the order of their hashes. Every split with a share gets a flight, if there are enough.
+        """
+        if not self.is_exact:
+            return {identity: self.split_of(identity) for identity in frames}
+        lacking = {split: share * sum(frames.values()) for split, share in zip(SPLITS, self.shares, strict=True)}
+        empty = {split for split, share in zip(SPLITS, self.shares, strict=True) if share > 0}
+        order = sorted(frames, key=lambda identity: (-frames[identity], self._number(identity)))
+        found = {}
+        for number, identity in enumerate(order):
+            # The last flights are for the splits that have none.
+            open_splits = empty if len(order) - number <= len(empty) else lacking
+            split = max(SPLITS, key=lambda split: (split in open_splits, lacking[split]))
+            lacking[split] -= frames[identity]
+            empty.discard(split)
+            found[identity] = split
+        return found
+
+    def fault(self, splits: Sequence[str]) -> str | None:
+        """Return which split with a share has no flight, and what to do; `splits`: that of each flight."""
+        shares = {split: share for split, share in zip(SPLITS, self.shares, strict=True) if share > 0}
+        lacks = [split for split in shares if split not in splits]
+        if not lacks:
+            return None
+        flights = "1 flight" if len(splits) == 1 else f"{len(splits)} flights"
+        empty = f"--split {self.name}: {' and '.join(lacks)} would have none of the {flights}"
+        if len(splits) < len(shares):
+            return (
+                f"{empty}; {len(shares)} splits need {len(shares)} flights: add logs, or [flight.synthetic] to a"
+                " [sweep], or leave splits out, as in --split-shares 1,0,0"
+            )
+        # (1 - share)^n is the probability that a split gets none of n flights.
+        needed = ceil(max(log((1 - _LIKELY) / len(shares)) / log(1 - share) for share in shares.values()))
+        return (
+            f"{empty}, because hashes meet these shares only for many flights (about {needed});"
+            " --split flight:exact deals them out by their frames"
+        )
 
     def split_of(self, identity: str) -> str:
-        """Return the split of a flight by `FlightIdentity.digest`."""
-        digest = hashlib.sha256(f"{self.seed}:{identity}".encode()).hexdigest()
-        number = int(digest[:_HASH_DIGITS], 16) / 16**_HASH_DIGITS
+        """Return the split of a flight by `FlightIdentity.digest`, which no other flight changes."""
+        number = self._number(identity)
         bound = 0.0
         for split, share in zip(SPLITS, self.shares, strict=True):
             bound += share
@@ -102,16 +164,52 @@ class _Flights:
         return FlightIdentity(log["name"], log["sha256"], varied)
 
 
-def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
-    """Write ``splits.json``, ``train.txt``, ``validation.txt`` and ``test.txt``; return the frames of each split.
+@dataclass(frozen=True, slots=True)
+class WrittenSplits:
+    """The splits of an export."""
 
-    Raises ExportError if the export cannot be read or the files cannot be written.
+    frames: dict[str, int]  # By split
+    # Fraction of the frames of validation and of test whose attitude is within 2 deg of one of train
+    near_train: dict[str, float]
+
+
+def write_splits(directory: Path, rule: SplitRule) -> WrittenSplits:
+    """Write ``splits.json``, ``train.txt``, ``validation.txt`` and ``test.txt``.
+
+    Raises ExportError if the export cannot be read or the files cannot be written, ConfigError if a split that has a
+    share would have no flight; no file is written or removed then.
     """
     flights = _Flights(_manifest(directory))
     entries: dict[str, dict[str, Any]] = {}
+    for line in read_truth(directory):
+        flight = flights.of(line)
+        entries.setdefault(flight.digest, _entry(flight))["frames"] += 1
+    split_of = rule.dealt({digest: entry["frames"] for digest, entry in entries.items()})
+    if (fault := rule.fault(list(split_of.values()))) is not None:
+        raise ConfigError(fault)
     counts = dict.fromkeys(SPLITS, 0)
+    for digest, entry in entries.items():
+        entry["split"] = split_of[digest]
+        counts[split_of[digest]] += entry["frames"]
+    near_train = _write_lists(directory, flights, split_of)
+    index = {
+        "schema": SCHEMA,
+        "by": rule.name,
+        "shares": dict(zip(SPLITS, rule.shares, strict=True)),
+        "seed": rule.seed,
+        "frames": counts,
+        "within_2_deg_of_train": near_train,
+        "flights": list(entries.values()),
+    }
+    write_atomically(directory / SPLIT_INDEX, (json.dumps(index, indent=1) + "\n").encode())
+    return WrittenSplits(counts, near_train)
+
+
+def _write_lists(directory: Path, flights: _Flights, split_of: Mapping[str, str]) -> dict[str, float]:
+    """Write the list of each split, and return how many frames are near one of train, as `WrittenSplits`."""
     paths = [directory / f"{split}.txt" for split in SPLITS]
     temporary = [temporary_path(path) for path in paths]
+    attitudes: dict[str, list[Any]] = {split: [] for split in SPLITS}
     with explain_disk_errors(directory):
         try:
             with ExitStack() as opened:
@@ -120,12 +218,9 @@ def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
                     for split, path in zip(SPLITS, temporary, strict=True)
                 }
                 for line in read_truth(directory):
-                    flight = flights.of(line)
-                    split = rule.split_of(flight.digest)
+                    split = split_of[flights.of(line).digest]
                     lists[split].write(f"{line['file']}\n")
-                    counts[split] += 1
-                    entry = entries.setdefault(flight.digest, _entry(flight, split))
-                    entry["frames"] += 1
+                    attitudes[split].append(np.ravel(line["C_camera_icrs"]))
             # The index is written last and removed first: it says that the lists are complete.
             with suppress(FileNotFoundError):
                 (directory / SPLIT_INDEX).unlink()
@@ -134,24 +229,29 @@ def write_splits(directory: Path, rule: SplitRule) -> dict[str, int]:
         finally:
             for unnamed in temporary:
                 unnamed.unlink(missing_ok=True)
-        index = {
-            "schema": SCHEMA,
-            "by": "flight",
-            "shares": dict(zip(SPLITS, rule.shares, strict=True)),
-            "seed": rule.seed,
-            "frames": counts,
-            "flights": list(entries.values()),
-        }
-        write_atomically(directory / SPLIT_INDEX, (json.dumps(index, indent=1) + "\n").encode())
-    return counts
+    train, *others = (np.array(rows, dtype=np.float64).reshape(-1, 9) for rows in attitudes.values())
+    return {split: _near_fraction(rows, train) for split, rows in zip(SPLITS[1:], others, strict=True) if len(rows)}
 
 
-def _entry(flight: FlightIdentity, split: str) -> dict[str, Any]:
+def _near_fraction(rows: Float, train: Float) -> float:
+    """Return the fraction of attitudes that are close to one of others; both (n, 9), matrices by rows."""
+    from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
+
+    if not len(train):
+        return 0.0
+    # The norm of the difference of two rotation matrices is 2 sqrt(2) sin(a / 2) for an angle a between them.
+    limit = 2 * np.sqrt(2) * np.sin(_SAME_RAD / 2)
+    chosen = rows[:: ceil(len(rows) / _MOST_COMPARED)]
+    nearest, _ = KDTree(train).query(chosen, distance_upper_bound=limit)
+    return float(np.isfinite(nearest).mean())
+
+
+def _entry(flight: FlightIdentity) -> dict[str, Any]:
     return {
         "flight": flight.name,
         "identity": flight.digest,
         **({"settings": dict(flight.settings)} if flight.settings else {}),
-        "split": split,
+        "split": "",
         "frames": 0,
     }
 

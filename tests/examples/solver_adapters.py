@@ -1,0 +1,201 @@
+"""Four solvers on frames of glstar: each reads images and nav.jsonl, and writes answers in glstar's conventions.
+
+    glstar export -c night.toml -o seen --blind hidden
+    python tests/examples/solver_adapters.py tetra3rs seen answers.jsonl
+    glstar score hidden answers.jsonl
+
+Solvers: tetra3rs, cedar-solve (needs numpy < 2), zenith-fixer, and astrometry (astrometry.net from Python; the variable
+ASTROMETRY_INDEXES names the folder of its index files).  Only NumPy, SciPy and Pillow are needed beside the solver, not
+glstar.  `glstar manual solvers` has the conventions, and each adapter the step from them to those of a solver.
+"""
+
+import json
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+DETECTION_SIGMA = 6.0
+MOST_SPOTS = 60
+MATCH_PX = 6.0  # a spot this close to a star of a map is that star
+
+
+def spots(image):
+    """Return the centroids (x, y) of stars, the brightest first, (n, 2) px: pixel (0, 0) is a centre."""
+    signal = ndimage.gaussian_filter(image.astype(np.float64) - np.median(image), 1.0)
+    noise = 1.4826 * np.median(np.abs(signal - np.median(signal)))
+    labels, count = ndimage.label(signal > max(DETECTION_SIGMA * noise, 2.0), structure=np.ones((3, 3)))
+    numbers = np.arange(1, count + 1)
+    flux = ndimage.sum(signal, labels, numbers)
+    yx = np.array(ndimage.center_of_mass(signal, labels, numbers)).reshape(-1, 2)
+    return yx[np.argsort(-flux)][:MOST_SPOTS, ::-1]
+
+
+class Pinhole:
+    """The camera of a line of nav.jsonl, without a lens."""
+
+    def __init__(self, camera):
+        if camera["lens"] != "none":
+            raise SystemExit(f"the lens is {camera['lens']}: undistort the centroids first, with camera.distortion")
+        (self.fx, _, self.cx), (_, self.fy, self.cy), _ = camera["K"]
+        self.width, self.height = camera["width_px"], camera["height_px"]
+        self.field_rad = 2 * math.atan(self.width / 2 / self.fx)
+
+    def centred(self, xy_px):
+        """Return pixel positions from the principal point, with square pixels of the focal length fx, (n, 2) px."""
+        return (xy_px - [self.cx, self.cy]) * [1.0, self.fx / self.fy]
+
+    def rays(self, xy_px):
+        """Return unit vectors in the camera: right, down, along the optical axis, (n, 3)."""
+        rays = np.column_stack([self.centred(xy_px) / self.fx, np.ones(len(xy_px))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def tetra3rs():
+    """tetra3rs counts pixels from the middle of the image; its quaternion is glstar's: (w, x, y, z), ICRS to camera."""
+    import tetra3rs as solver  # noqa: PLC0415 - only the chosen solver is installed
+
+    database = None
+
+    def solve(image, nav, camera):
+        nonlocal database
+        if database is None:
+            field_deg = math.degrees(camera.field_rad)
+            database = solver.SolverDatabase.generate_from_gaia(
+                max_fov_deg=1.1 * field_deg, epoch_proper_motion_year=2025
+            )
+        found = database.solve_from_centroids(
+            camera.centred(spots(image)),
+            fov_estimate_rad=camera.field_rad,
+            image_shape=image.shape,
+            solve_timeout_ms=5000,
+        )
+        # A mirrored image is solved too, and says so.
+        if not found or found.parity_flip:
+            return None
+        return dict(zip(("qw", "qx", "qy", "qz"), map(float, found.quaternion), strict=True))
+
+    return solve
+
+
+def cedar_solve():
+    """cedar-solve counts (y, x) from the corner of the image; its Roll is minus glstar's roll_deg."""
+    import tetra3  # noqa: PLC0415 - only the chosen solver is installed
+
+    database = tetra3.Tetra3("default_database")
+
+    def solve(image, nav, camera):
+        # From the principal point to the middle of the image, half of its size from the corner.
+        yx = (camera.centred(spots(image)) + np.array([camera.width / 2, camera.height / 2]))[:, ::-1]
+        found = database.solve_from_centroids(
+            yx, image.shape, fov_estimate=math.degrees(camera.field_rad), fov_max_error=1.0, solve_timeout=5000
+        )
+        if found["RA"] is None:
+            return None
+        return {"ra_deg": found["RA"], "dec_deg": found["Dec"], "roll_deg": -found["Roll"]}
+
+    return solve
+
+
+def zenith_fixer():
+    """zenith-fixer takes the image and glstar's up vector; its ellipse is of 2 sigma, in nautical miles."""
+    import zenith  # noqa: PLC0415 - only the chosen solver is installed
+
+    catalogue = zenith.bundled_catalog()
+
+    def solve(image, nav, camera):
+        date, clock = nav["utc"]["middle"].rstrip("Z").split("T")
+        hour, minute, second = clock.split(":")
+        utc = (*map(int, date.split("-")), int(hour), int(minute), float(second))
+        try:
+            fix = zenith.resolve_fix(image, camera.fx, camera.cx, camera.cy, nav["up_camera"]["middle"], utc, catalogue)
+        except zenith.ZenithError:
+            return None
+        major_nm, minor_nm, azimuth_deg = fix.ellipse_2sigma_nm
+        return {
+            "latitude_deg": fix.latitude_deg,
+            "longitude_deg": fix.longitude_deg,
+            "ellipse_major_km": 1.852 * major_nm,
+            "ellipse_minor_km": 1.852 * minor_nm,
+            "ellipse_azimuth_deg": azimuth_deg,
+            "ellipse_confidence": 1 - math.exp(-2),
+        }
+
+    return solve
+
+
+def astrometry():
+    """astrometry.net knows stars by a map of the sky; an attitude is fitted to them, free of the angles of that map."""
+    import astrometry as solver  # noqa: PLC0415 - only the chosen solver is installed
+
+    solving = solver.Solver(sorted(Path(os.environ["ASTROMETRY_INDEXES"]).glob("*.fits")))
+    # Rows that count downwards are a flipped image there.  Without a tune-up the map is gnomonic.
+    parameters = solver.SolutionParameters(parity=solver.Parity.FLIP, sip_order=0, tune_up_logodds_threshold=None)
+
+    def solve(image, nav, camera):
+        arcsec_per_px = math.degrees(1 / camera.fx) * 3600
+        hint = solver.SizeHint(0.7 * arcsec_per_px, 1.3 * arcsec_per_px)
+        found_px = spots(image)
+        solution = solving.solve(found_px, hint, None, parameters)
+        if not solution.has_match():
+            return None
+        match = solution.best_match()
+        sky = unit_vectors([star.ra_deg for star in match.stars], [star.dec_deg for star in match.stars])
+        star_px = map_pixels({key: value for key, (value, _) in match.wcs_fields.items()}, sky)
+        distance_px = np.linalg.norm(found_px[:, np.newaxis] - star_px, axis=-1)
+        same = np.argwhere((distance_px < MATCH_PX) & (distance_px == distance_px.min(axis=0)))
+        return attitude(camera.rays(found_px[same[:, 0]]), sky[same[:, 1]]) if len(same) > 2 else None
+
+    return solve
+
+
+def unit_vectors(ra_deg, dec_deg):
+    """Return ICRS unit vectors, (n, 3)."""
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    return np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+
+
+def map_pixels(fields, sky):
+    """Return the pixels of directions by a gnomonic map of the FITS standard, (n, 2), counted as its input was."""
+    cd = np.array([[fields["CD1_1"], fields["CD1_2"]], [fields["CD2_1"], fields["CD2_2"]]])
+    ((*ahead,),) = unit_vectors([fields["CRVAL1"]], [fields["CRVAL2"]])
+    east = np.array([-ahead[1], ahead[0], 0.0]) / math.hypot(*ahead[:2])
+    plane = np.degrees(sky @ np.column_stack([east, np.cross(ahead, east)]) / (sky @ ahead)[:, np.newaxis])
+    return plane @ np.linalg.inv(cd).T + [fields["CRPIX1"], fields["CRPIX2"]]
+
+
+def attitude(rays, sky):
+    """Return the rotation from ICRS to the camera that fits directions, as ra, dec and roll: v_camera = C v_icrs."""
+    u, _, vt = np.linalg.svd(rays.T @ sky)
+    C_camera_icrs = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    ahead, up = C_camera_icrs[2], -C_camera_icrs[1]
+    ra, dec = math.atan2(ahead[1], ahead[0]), math.asin(ahead[2])
+    east = np.array([-math.sin(ra), math.cos(ra), 0.0])
+    roll = math.atan2(up @ east, up @ np.cross(ahead, east))
+    return {"ra_deg": math.degrees(ra), "dec_deg": math.degrees(dec), "roll_deg": math.degrees(roll)}
+
+
+SOLVERS = {"tetra3rs": tetra3rs, "cedar-solve": cedar_solve, "zenith-fixer": zenith_fixer, "astrometry": astrometry}
+
+
+def main(name, directory, answers):
+    """Answer every frame of a directory with a solver."""
+    solve = SOLVERS[name]()
+    lines = (Path(directory) / "nav.jsonl").read_text(encoding="utf-8").splitlines()
+    with Path(answers).open("w", encoding="utf-8") as file:
+        for nav in map(json.loads, lines):
+            image = np.array(Image.open(Path(directory) / nav["file"]))
+            began_s = time.perf_counter()
+            found = solve(image, nav, Pinhole(nav["camera"])) if nav["up_camera"] is not None else None
+            time_ms = 1000 * (time.perf_counter() - began_s)
+            answer = {"frame": nav["frame"], "time_ms": time_ms, **(found or {"status": "refused"})}
+            file.write(json.dumps(answer) + "\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:4])
