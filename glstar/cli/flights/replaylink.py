@@ -9,7 +9,6 @@ import typer
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
-from glstar.system.process import EXIT_INTERRUPTED
 
 
 # The camera's clock does not apply to a vehicle.
@@ -46,11 +45,7 @@ def replay_link(
             f"{played.name}, {played.attitude_source}, {played.attitude.last_s - played.attitude.first_s:.1f} s,"
             f" to {endpoint.text} at {rate_hz:g} Hz; Ctrl-C stops"
         )
-        try:
-            done = vehicle.run()
-        except KeyboardInterrupt:
-            typer.echo("glstar: stopped", err=True)
-            raise typer.Exit(EXIT_INTERRUPTED) from None
+        done = vehicle.run()
     if as_json:
         facts = {"duration_s": round(done.duration_s, 3), "packets": done.packets, "dropped": done.dropped}
         typer.echo(json.dumps(facts))
