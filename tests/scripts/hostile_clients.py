@@ -130,6 +130,30 @@ def opened(port: int, sent: bytes = b"") -> socket.socket:
     return connection
 
 
+def introduced(port: int, kind: bytes, buffer_bytes: int | None = None) -> socket.socket:
+    """Connect as a socket of ZeroMQ; return a connection that may be closed already, because there are too many."""
+    connection = socket.socket()
+    if buffer_bytes is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+    connection.settimeout(2)
+    connection.connect(("127.0.0.1", port))
+    with suppress(OSError):
+        connection.sendall(GREETING + READY[kind])
+        answer = b""
+        while b"READY" not in answer and (received := connection.recv(1000)):
+            answer += received
+    connection.settimeout(0.2)
+    return connection
+
+
+def speaks(port: int, kind: bytes, *sent: bytes, buffer_bytes: int | None = None) -> socket.socket:
+    connection = introduced(port, kind, buffer_bytes)
+    with suppress(OSError):
+        for part in sent:
+            connection.sendall(part)
+    return connection
+
+
 def reads_nothing(port: int, _: random.Random) -> socket.socket:
     connection = socket.socket()
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -141,13 +165,7 @@ def reads_nothing(port: int, _: random.Random) -> socket.socket:
 
 
 def subscribes_and_reads_nothing(port: int, _: random.Random) -> socket.socket:
-    connection = socket.socket()
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    connection.settimeout(5)
-    connection.connect(("127.0.0.1", port))
-    with suppress(OSError):
-        connection.sendall(GREETING + READY[b"SUB"] + b"\x00\x01\x01")
-    return connection
+    return speaks(port, b"SUB", b"\x00\x01\x01", buffer_bytes=4096)
 
 
 def sends_nothing(port: int, _: random.Random) -> socket.socket:
@@ -179,16 +197,17 @@ def resets(port: int, _: random.Random) -> socket.socket:
 
 def sends_a_long_message(port: int, _: random.Random) -> socket.socket:
     """Announce a message of a terabyte, and send 2 MB of it."""
-    return opened(port, GREETING + READY[b"PUSH"] + b"\x02" + (1 << 40).to_bytes(8, "big") + bytes(2_000_000))
+    return speaks(port, b"PUSH", b"\x02" + (1 << 40).to_bytes(8, "big"), bytes(2_000_000))
 
 
 def sends_the_longest_message(port: int, rng: random.Random) -> socket.socket:
-    return opened(port, GREETING + READY[b"PUSH"] + b"\x02" + (999_999).to_bytes(8, "big") + rng.randbytes(999_999))
+    message = b"\x02" + (999_999).to_bytes(8, "big") + rng.randbytes(999_999)
+    return speaks(port, b"PUSH", *[message] * 20)
 
 
 def sends_answers(port: int, _: random.Random) -> socket.socket:
     line = b'{"frame": 999999, "latitude_deg": 1, "longitude_deg": 2}'
-    return opened(port, GREETING + READY[b"PUSH"] + (b"\x00" + bytes([len(line)]) + line) * 200)
+    return speaks(port, b"PUSH", (b"\x00" + bytes([len(line)]) + line) * 2000)
 
 
 ATTACKS: dict[str, dict[str, Attack]] = {
@@ -285,6 +304,7 @@ def main() -> None:
     options.add_argument("--clients", type=int, default=500)
     options.add_argument("--seconds", type=float, default=10.0)
     options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--only", choices=[*ATTACKS], help="attack one kind of socket only")
     options.add_argument("--json", action="store_true")
     asked = options.parse_args()
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -292,7 +312,7 @@ def main() -> None:
     print(f"{os.cpu_count()} processors, frames of 1280 x 960 px")
     print(HEADER, flush=True)
     wrong = 0
-    for output in ATTACKS:
+    for output in (asked.only,) if asked.only else ATTACKS:
         for row in search(output, asked.clients, asked.seconds, asked.seed):
             print(json.dumps(vars(row)) if asked.json else row, flush=True)
             wrong += not row.is_good

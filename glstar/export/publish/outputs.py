@@ -159,18 +159,19 @@ class _Client(BaseHTTPRequestHandler):
     timeout = _FRAME_TIMEOUT_S
 
     def setup(self) -> None:
-        """Read the request, of which a client could send one byte a minute."""
+        """Read the request, of which a client could send one byte a minute, or no end; such a one gets no answer."""
         super().setup()
         until_s, head = time.monotonic() + _REQUEST_TIMEOUT_S, b""
-        while b"\r\n\r\n" not in head and b"\n\n" not in head and len(head) < _LARGEST_REQUEST:
+        while b"\r\n\r\n" not in head and b"\n\n" not in head:
             self.connection.settimeout(max(until_s - time.monotonic(), 0.001))
             received = self.connection.recv(_LARGEST_REQUEST)
-            if not received:
+            if not received or len(head) > _LARGEST_REQUEST:
+                head = b""
                 break
             head += received
         self.connection.settimeout(_FRAME_TIMEOUT_S)
         self.rfile.close()
-        self.rfile = io.BufferedReader(io.BytesIO(head[:_LARGEST_REQUEST]))
+        self.rfile = io.BufferedReader(io.BytesIO(head))
 
     def parse_request(self) -> bool:
         """Parse the request; refuse one that names another host."""
