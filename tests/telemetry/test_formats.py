@@ -65,3 +65,9 @@ def test_only_a_zip_archive_has_members(tmp_path: Path, head: bytes) -> None:
 
     with pytest.raises(LogFormatError, match=r"flight::member: only a zip archive has members$"):
         open_flight(f"{tmp_path / 'flight'}::member")
+
+
+@pytest.mark.parametrize("link", ["tcp:127.0.0.1:5760", "udpin:0.0.0.0:14550", "/dev/ttyUSB7,57600", "COM14,57600"])
+def test_a_link_in_place_of_a_log_is_named(link: str) -> None:
+    with pytest.raises(LogFormatError, match=f"is a link, not a file; glstar live {link} shows"):
+        open_flight(link)
