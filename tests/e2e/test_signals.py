@@ -163,6 +163,20 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     return SimpleNamespace(words=words, whole=folder / "whole")
 
 
+def test_an_export_that_was_stopped_before_its_first_frame_binds_to_no_settings(
+    flight: SimpleNamespace, tmp_path: Path
+) -> None:
+    shutil.copy(flight.whole / "manifest.json", tmp_path)
+    (tmp_path / "truth.jsonl.partial").touch()
+    (tmp_path / ".glstar-writing-01234567-frame_000000.png").write_bytes(b"half")
+
+    done(*flight.words, tmp_path, "--frames", 1, "--seed", 9)
+
+    assert frames_of(tmp_path) == [0]
+    assert json.loads((tmp_path / "manifest.json").read_text())["seed"] == 9
+    assert not list(tmp_path.glob(".glstar*"))
+
+
 def test_nohup_keeps_a_command(vehicle: list[str], tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     ignoring = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)}
