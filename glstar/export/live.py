@@ -32,7 +32,7 @@ from glstar.export.plan.manifest import NAME, SCHEMA, described_brightness, hold
 from glstar.export.publish.outputs import FrameOutput, MjpegServer
 from glstar.export.publish.stream import FrameStream
 from glstar.export.run.export import remove_leftovers
-from glstar.export.truth.lines import TruthFile, parse_frame
+from glstar.export.truth.lines import TruthFile, is_unfinished, parse_frame
 from glstar.flight import Flight, Gap
 from glstar.link import Estimate, LatestAttitude, Link
 from glstar.render.scene.scene import Renderer
@@ -364,8 +364,8 @@ class RecoveredExport:
 def recover(directory: Path) -> RecoveredExport:
     """Complete an export that was not finished, live or of a log, with the frames that it has.
 
-    Frames without an intact image are left out of the truth. Raises ExportError if it has no frames, another glstar is
-    writing there, or the directory cannot be written.
+    Frames without an intact image are left out of the truth; an export that was finished stays as it is.  Raises
+    ExportError if it has no frames, another glstar is writing there, or the directory cannot be written.
     """
     if not directory.is_dir():
         raise ExportError(directory, "is no directory of an export")
@@ -373,6 +373,8 @@ def recover(directory: Path) -> RecoveredExport:
         refuse_links(directory)
         truth = TruthFile(directory)
         truth.read()
+        if not is_unfinished(directory) and truth.numbers.size:
+            return RecoveredExport(directory, len(truth.numbers), ())
         damaged = {}
         for number, line in zip(truth.numbers.tolist(), truth.lines(), strict=True):
             image = image_path(directory, parse_frame(directory, number, line))

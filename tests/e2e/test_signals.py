@@ -251,7 +251,10 @@ def test_a_killed_export_is_recovered(unfinished: Path, vehicle: list[str], tmp_
     assert frames_of(directory) == np.setdiff1d(frames, frames[1]).tolist()
     assert json.loads((directory / "manifest.json").read_text())["frames"] == len(frames) - 1
     assert {path.suffix for path in directory.iterdir()} == {".png", ".json", ".jsonl"}
+
+    before = {path.name: path.read_bytes() for path in directory.iterdir()}
     assert invoke("export", "--recover", directory).rc == 0  # again
+    assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
 
 
 def test_only_an_export_that_nobody_writes_is_recovered(unfinished: Path, tmp_path: Path) -> None:

@@ -249,6 +249,7 @@ def test_a_connection_that_does_not_introduce_itself_is_closed(opened: Any, monk
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_hostile_clients_cost_little_memory_and_frames_go_on() -> None:
     """A sample of ``python -m tests.scripts.hostile_clients``."""
     rows = list(hostile_clients.search("http", 60, 4.0, 1, {"read nothing", "name another host"}))

@@ -216,7 +216,8 @@ def holds_frames(directory: Path) -> bool:
                 continue
             return True
         is_left_over = path.name.endswith(".partial") and path.name.startswith("nav.")
-        if OURS.fullmatch(path.name) and path.stat().st_size and not is_left_over:
+        is_filled = path.name in SUMMARIES or path.stat().st_size > 0
+        if OURS.fullmatch(path.name) and is_filled and not is_left_over:
             return True
     return False
 

@@ -238,10 +238,10 @@ _COUNTED_BLOCK_BYTES = 1 << 20
 
 def has_truth(directory: Path) -> bool:
     """Return whether a directory has ``truth.jsonl``, or that of an export that was not finished."""
-    return (directory / "truth.jsonl").is_file() or _is_unfinished(directory)
+    return (directory / "truth.jsonl").is_file() or is_unfinished(directory)
 
 
-def _is_unfinished(directory: Path) -> bool:
+def is_unfinished(directory: Path) -> bool:
     """Return whether a directory has lines of truth, but no ``truth.jsonl``."""
     return not (directory / "truth.jsonl").exists() and any(directory.glob("truth.jsonl*.partial"))
 
@@ -285,7 +285,7 @@ def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterat
     if file.is_dir():
         file /= "truth.jsonl"
     wanted = None if split is None else _listed(file.with_name(f"{split}.txt"))
-    if file.name.startswith("truth.jsonl") and _is_unfinished(file.parent):
+    if file.name.startswith("truth.jsonl") and is_unfinished(file.parent):
         numbered = enumerate(_unfinished(file.parent).lines(), start=1)
     else:
         numbered = enumerate(_lines(file), start=1)
@@ -339,7 +339,7 @@ def count_frames_of_truth(directory: Path) -> int:
     Raises ExportError if the truth cannot be read.
     """
     file = directory / "truth.jsonl"
-    if _is_unfinished(directory):
+    if is_unfinished(directory):
         return len(_unfinished(directory).numbers)
     try:
         with file.open("rb") as truth:
