@@ -1,28 +1,28 @@
 """``glstar`` and ``python -m glstar``: the command line."""
 
-import signal
 import sys
 
-from glstar.system.process import EXIT_INTERRUPTED, exit_on_interrupt, is_interrupt
+from glstar.system.process import default_signals, end_on_signals, exit_on_interrupt, exit_status, interrupt_of
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command line and leave with its exit status; Ctrl-C ends it with 130 and one line."""
+    """Run the command line and leave with its exit status; a signal ends it with 128 plus its number and one line."""
     with exit_on_interrupt():
         from glstar.cli import main as run  # noqa: PLC0415 - half a second in which Ctrl-C may come
     try:
+        end_on_signals()
         run()
     except BaseException as error:
-        if isinstance(error, SystemExit) or not is_interrupt(error):
+        interrupt = None if isinstance(error, SystemExit) else interrupt_of(error)
+        if interrupt is None:
             raise
         sys.stderr.write("glstar: stopped\n")
-        sys.exit(EXIT_INTERRUPTED)
+        sys.exit(exit_status(interrupt))
     finally:
         # All is written: a later Ctrl-C meets nothing but the interpreter's own end, where it would show a traceback.
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        default_signals()
 
 
 if __name__ == "__main__":

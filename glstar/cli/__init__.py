@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 from glstar import __version__
 from glstar.cli.reporting import Quiet, Verbose, reporting
 from glstar.errors import GlstarError
-from glstar.system.process import EXIT_INTERRUPTED
+from glstar.system.process import exit_on_interrupt, exit_status
 
 __all__ = ["COMMANDS", "main"]
 
@@ -50,9 +50,9 @@ class _OneLineErrors(TyperGroup):
                 raise
             typer.echo(f"glstar: {' '.join(str(error).split())}", err=True)
             ctx.exit(1)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as interrupt:
             typer.echo("glstar: stopped", err=True)
-            ctx.exit(EXIT_INTERRUPTED)
+            ctx.exit(exit_status(interrupt))
 
 
 class _Command(NamedTuple):
@@ -250,4 +250,6 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     # Threads of OpenBLAS wait in a loop, which takes the processors from the threads that draw.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _program(sys.argv[1:])()
+    with exit_on_interrupt():
+        program = _program(sys.argv[1:])
+    program()

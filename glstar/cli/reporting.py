@@ -2,13 +2,15 @@
 
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from enum import IntEnum
 from functools import wraps
 from inspect import Parameter, signature
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, TextIO
 
 import typer
 
@@ -29,6 +31,8 @@ class Verbosity(IntEnum):
     """Details as well, and progress in lines where there is no terminal."""
 
 
+# Directory of the package.
+_PACKAGE = Path(__file__).parents[1]
 _CURRENT = ContextVar("verbosity", default=Verbosity.NORMAL)
 # Time between two lines of progress, s: a log of an hour's export has some hundred lines.
 _LINE_EVERY_S = 30.0
@@ -62,9 +66,35 @@ def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
     louder = Verbosity.VERBOSE if verbose else verbosity()
     before = _CURRENT.set(Verbosity.QUIET if quiet else louder)
     try:
-        yield
+        with _warnings_as_lines():
+            yield
     finally:
         _CURRENT.reset(before)
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Write each warning of glstar itself as one line, once."""
+    shown, others = set(), warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if category is not UserWarning or not Path(filename).is_relative_to(_PACKAGE):
+            others(message, category, filename, lineno, file, line)
+        elif str(message) not in shown:
+            shown.add(str(message))
+            typer.echo(f"glstar: {message}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("always", category=UserWarning, module=r"glstar\.")
+        warnings.showwarning = show
+        yield
 
 
 def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:

@@ -23,7 +23,7 @@ from glstar.compare.pairs import measure, pair_trails
 from glstar.compare.prediction import Trails, trail_jacobian
 from glstar.errors import ImagesError
 from glstar.images import read_grey
-from glstar.images.times import BESIDE, TABLES, TRUTH
+from glstar.images.times import BESIDE, TABLES, TRUTH, truth_files
 from glstar.render.truth.frame import as_current_schema
 
 # Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
@@ -143,11 +143,12 @@ def _opened(real: Path, simulated: Path) -> tuple[SubtractedImage, SubtractedIma
 def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the lines of an export's truth by file name, in the current schema; none without a truth file."""
     truth: dict[str, dict[str, Any]] = {}
-    with suppress(OSError), (folder / TRUTH).open("rb") as lines:
-        for line in lines:
-            with suppress(ValueError, KeyError, TypeError, RecursionError):
-                frame = as_current_schema(json.loads(line))
-                truth[frame["file"]] = frame
+    for path in truth_files(folder):
+        with suppress(OSError), path.open("rb") as lines:
+            for line in lines:
+                with suppress(ValueError, KeyError, TypeError, RecursionError):
+                    frame = as_current_schema(json.loads(line))
+                    truth[frame["file"]] = frame
     return truth
 
 

@@ -87,6 +87,23 @@ def frame_numbers(directory: Path, suffix: str) -> NDArray[np.int64]:
     return np.unique(np.fromiter((int(match[1]) for match in found), dtype=np.int64))
 
 
+def remove_own_files(directory: Path) -> None:
+    """Remove every file of an export, and its folders if nothing else is in them."""
+    revoke_leases(directory)
+    for entry in directory.iterdir():
+        if is_folder_name(entry.name) and entry.is_symlink():
+            entry.unlink()  # only the link, not its target
+    for path in output_files(directory):
+        if path.name.startswith(TEMPORARY) or OURS.fullmatch(path.name):
+            path.unlink(missing_ok=True)
+    for folder in frame_folders(directory):
+        flush_directory(folder)
+        with suppress(OSError):  # it holds files that are not the export's
+            folder.rmdir()
+    # The old frames must be gone from the disk before a new manifest describes the directory.
+    flush_directory(directory)
+
+
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 _ADVICE = "glstar follows no links below its output directory; remove it, or choose another directory"
 

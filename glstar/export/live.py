@@ -17,15 +17,22 @@ from glstar import __version__
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.directory import OURS, directory_lock, explain_disk_errors, output_files, refuse_links, revoke_leases
+from glstar.export.directory import (
+    directory_lock,
+    explain_disk_errors,
+    image_path,
+    refuse_links,
+    remove_own_files,
+)
 from glstar.export.frame import EncodedFrame, FrameTask, FrameWriter
-from glstar.export.imagefiles.formats import ImageFormat, fit_format
-from glstar.export.navigator import LiveNavigator
+from glstar.export.imagefiles.formats import ImageFormat, find_damage, fit_format
+from glstar.export.navigator import LiveNavigator, finish_nav
 from glstar.export.plan.frames import FlightFrames, Plan, PlannedFrame, SkippedFrame
-from glstar.export.plan.manifest import SCHEMA, described_brightness, write_manifest
-from glstar.export.publish.outputs import FrameOutput
+from glstar.export.plan.manifest import NAME, SCHEMA, described_brightness, holds_frames, read_manifest, write_manifest
+from glstar.export.publish.outputs import FrameOutput, MjpegServer
 from glstar.export.publish.stream import FrameStream
-from glstar.export.truth.lines import TruthFile
+from glstar.export.run.export import remove_leftovers
+from glstar.export.truth.lines import TruthFile, is_unfinished, parse_frame
 from glstar.flight import Flight, Gap
 from glstar.link import CapturedImage, Estimate, LatestAttitude, Link
 from glstar.link.camera import Capture
@@ -35,7 +42,8 @@ from glstar.render.truth.conditions import conditions_report
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import described_earth_orientation, format_utc
-from glstar.system.files import TEMPORARY, flush_directory, make_directory
+from glstar.system.files import make_directory
+from glstar.system.process import defer_interrupts
 
 # Part of the flight before the exposure that is read too, s: its median sample interval decides what counts as a gap.
 _CONTEXT_S = 5.0
@@ -120,7 +128,7 @@ class LiveExport:
         on_event: Callable[[str], None] | None = None,
         on_frame: Callable[[int], None] | None = None,
     ) -> LiveReport:
-        """Draw for a time, s, until Ctrl-C or until `stop`.
+        """Draw for a time, s, until Ctrl-C or another signal of the end, or until `stop`.
 
         With `force` the files of an earlier export are removed from the directory. `on_event` is called with a message
         for each event of the link, and with the Sun, the Moon and the limiting magnitude of the first frame; `on_frame`
@@ -131,7 +139,7 @@ class LiveExport:
         until_s = inf if duration_s is None else time.monotonic() + duration_s
         with ExitStack() as locked:
             directory = self._directory
-            if self._writes_nav or isinstance(self._output, FrameStream):
+            if self._writes_nav or isinstance(self._output, FrameStream | MjpegServer):
                 self._nav = locked.enter_context(closing(LiveNavigator(self._config, directory, duration_s)))
             truth = None
             with ExitStack() as writing:
@@ -144,13 +152,19 @@ class LiveExport:
                 follow = self._follow if self._link.camera is None else self._obey
                 with suppress(KeyboardInterrupt):
                     follow(renderer, until_s, writer, on_event, on_frame)
-            if directory is not None and truth is not None:
-                self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
-                self._write_manifest(directory, renderer)
-                if self._nav is not None and self._writes_nav:
-                    self._nav.finish(truth.numbers)
-                truth.finish(truth.numbers)
+                with defer_interrupts():
+                    writing.close()
+                    if directory is not None and truth is not None:
+                        self._finish(directory, truth, renderer)
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
+
+    def _finish(self, directory: Path, truth: TruthFile, renderer: Renderer) -> None:
+        """Complete the files of the directory."""
+        self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
+        self._write_manifest(directory, renderer)
+        if self._nav is not None and self._writes_nav:
+            self._nav.finish(truth.numbers)
+        truth.finish(truth.numbers)
 
     def stop(self) -> None:
         """End `run` after the current frame; another thread may call it."""
@@ -369,15 +383,14 @@ class LiveExport:
         make_directory(directory)
         locked.enter_context(directory_lock(directory))
         refuse_links(directory)
-        entries = list(output_files(directory))
-        existing = [path for path in entries if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
-        if existing and not force:
-            message = "holds frames already; choose another directory for a live export, or start over with --force"
-            raise ExportError(directory, message)
-        revoke_leases(directory)
-        for path in existing:
-            path.unlink(missing_ok=True)
-        flush_directory(directory)
+        if not force and holds_frames(directory):
+            unfinished = "" if (directory / "truth.jsonl").exists() else f" (glstar export --recover {directory})"
+            raise ExportError(
+                directory,
+                f"holds frames already{unfinished}; choose another directory for a live export, or start over with"
+                " --force",
+            )
+        remove_own_files(directory)
         return TruthFile(directory)
 
     def _write_manifest(self, directory: Path, renderer: Renderer) -> None:
@@ -412,3 +425,42 @@ class LiveExport:
             "renderer": renderer.driver,
         }
         write_manifest(directory, manifest)
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveredExport:
+    """What `recover` found."""
+
+    directory: Path
+    frames: int  # Frames of the completed export
+    damaged: tuple[str, ...]  # Images with a line of truth that are missing or damaged, and are left out
+
+
+def recover(directory: Path) -> RecoveredExport:
+    """Complete an export that was not finished, live or of a log, with the frames that it has.
+
+    Frames without an intact image are left out of the truth; an export that was finished stays as it is.  Raises
+    ExportError if it has no frames, another glstar is writing there, or the directory cannot be written.
+    """
+    if not directory.is_dir():
+        raise ExportError(directory, "is no directory of an export")
+    with explain_disk_errors(directory), directory_lock(directory):
+        refuse_links(directory)
+        truth = TruthFile(directory)
+        truth.read()
+        if not is_unfinished(directory) and truth.numbers.size:
+            return RecoveredExport(directory, len(truth.numbers), ())
+        damaged = {}
+        for number, line in zip(truth.numbers.tolist(), truth.lines(), strict=True):
+            image = image_path(directory, parse_frame(directory, number, line))
+            if not image.is_file() or find_damage(image):
+                damaged[number] = image.relative_to(directory).as_posix()
+        numbers = np.array([number for number in truth.numbers.tolist() if number not in damaged], dtype=np.int64)
+        if not numbers.size:
+            raise ExportError(directory, "has no finished frame to recover")
+        remove_leftovers(directory)
+        if (directory / NAME).exists():
+            write_manifest(directory, read_manifest(directory / NAME) | {"frames": len(numbers)})
+        finish_nav(directory, numbers)
+        truth.finish(numbers)
+    return RecoveredExport(directory, len(numbers), tuple(damaged.values()))

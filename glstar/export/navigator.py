@@ -41,6 +41,7 @@ _CONVENTIONS = {
     "pixel": "(x, y), x to the right, y down; (0, 0) is the centre of the top left pixel",
 }
 _INSTANTS = ("start", "middle", "end")
+_CLOCK_KEY = "navigator.clock_offset_s"
 _UP_NED = np.array([0.0, 0.0, -1.0])
 
 
@@ -155,6 +156,7 @@ def _at_instants(values: Float) -> dict[str, Any]:
 
 
 NAV = "nav.jsonl"
+_PARTIAL_NAV = f"{NAV}.partial"
 
 
 def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrack | None]:
@@ -219,11 +221,28 @@ class NavRecords:
         return self._current[1].record(shot.exposure, number=number, file=file)
 
 
+# Stream of random numbers, beside that of the errors.
+_PHASE_STREAM = 1 << 32
+
+
+def blind_phase_s(config: Config) -> float:
+    """Return by how much later than asked the exposures of a blind set begin, 0 to 1 s, drawn from the seed.
+
+    Flights and intervals have round times: without it the fraction of a second of ``nav.jsonl`` would be that of the
+    clock's error.  0 if the clock has no error, or the log's triggers decide.
+    """
+    section = config.navigator
+    is_wrong = section.clock_offset_s != 0 or any(axis.key == _CLOCK_KEY for axis in config.sweep.axes)
+    if config.exposure.at is not None or not is_wrong:
+        return 0.0
+    return round(float(np.random.default_rng([section.seed, _PHASE_STREAM]).uniform()), 6)
+
+
 def publish_blind(job: Export, output: Path) -> None:
     """Fill a directory with the images and ``nav.jsonl`` of a complete export, and nothing else of it.
 
-    Images are hard links where the file system has them, else copies; FITS images are copies without their truth.
-    Raises ExportError if the directory holds files of another export.
+    Images are copies; those of FITS are without their truth.  Raises ExportError if the directory holds files of
+    another export.
     """
     images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
     refuse_other_files(output, {image.name for image in images})
@@ -315,7 +334,7 @@ class LiveNavigator:
     @property
     def _partial(self) -> Path:
         assert self._directory is not None
-        return self._directory / f"{NAV}.partial"
+        return self._directory / _PARTIAL_NAV
 
     def close(self) -> None:
         """Close the file without completing it."""
@@ -326,10 +345,17 @@ class LiveNavigator:
     def finish(self, numbers: NDArray[np.int64]) -> None:
         """Complete ``nav.jsonl``: one line for each frame that is in the truth, (n,) numbers."""
         self.close()
-        lines = []
-        with suppress(FileNotFoundError):
-            lines = self._partial.read_bytes().splitlines(keepends=True)
-        written = set(numbers.tolist())
-        kept = [line for line in lines if line.endswith(b"\n") and orjson.loads(line)["frame"] in written]
-        self._partial.write_bytes(b"".join(kept))
-        publish(self._partial, self._partial.with_name(NAV))
+        self._partial.touch()
+        assert self._directory is not None
+        finish_nav(self._directory, numbers)
+
+
+def finish_nav(directory: Path, numbers: NDArray[np.int64]) -> None:
+    """Complete ``nav.jsonl`` of a live export, if it has one: a line for each frame of the truth, (n,) numbers."""
+    partial = directory / _PARTIAL_NAV
+    if not partial.exists():
+        return
+    written = set(numbers.tolist())
+    lines = [line for line in partial.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
+    partial.write_bytes(b"".join(line for line in lines if orjson.loads(line)["frame"] in written))
+    publish(partial, directory / NAV)

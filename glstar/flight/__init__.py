@@ -19,7 +19,7 @@ module                holds
 ====================  ==================================================================================================
 """
 
-from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
+from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation, mean_rate_hz
 from glstar.flight.flight import (
     ONLY_CAMERA,
     CameraTriggers,
@@ -47,4 +47,5 @@ __all__ = [
     "Interpolation",
     "Pose",
     "PositionTrack",
+    "mean_rate_hz",
 ]

@@ -365,6 +365,16 @@ class AttitudeTrack:
         return replace(self, utc_s=self.utc_s + shift_s, gaps=gaps, _curve=curve)
 
 
+def mean_rate_hz(t_s: Float) -> float:
+    """Return the mean rate of samples at increasing times, (n,) s, without pauses that are data gaps, Hz.
+
+    A scheduler may alternate intervals of 20 and 40 ms, whose median says 50 Hz for 40.
+    """
+    intervals_s = np.diff(t_s)
+    counted = intervals_s[intervals_s <= max(_MAX_GAP_INTERVALS * float(np.median(intervals_s)), _LEAST_GAP_S)]
+    return 1 / float(counted.mean())
+
+
 def _valid_samples(utc_s: ArrayLike, q_body_ned: ArrayLike, segment: ArrayLike | None) -> tuple[Float, Float, Integer]:
     """Return times, unit quaternions and segment numbers of the valid samples, sorted by time."""
     t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64).reshape(-1, 4)

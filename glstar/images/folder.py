@@ -18,7 +18,7 @@ from typing import Self
 from glstar.errors import ImagesError
 from glstar.flight import ONLY_CAMERA, Flight
 from glstar.images.decoding import FittedImage, fit, is_image, read_grey
-from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
+from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of, truth_files
 
 # Size of the cache of decoded images, bytes: 330 images of 1014 x 760, 20 of 12 megapixels.
 _CACHE_BYTES = 256 * 2**20
@@ -27,7 +27,6 @@ _CACHE_BYTES = 256 * 2**20
 _COMPANIONS = (
     *TABLES,
     TRUTH,
-    f"{TRUTH}.partial",
     "manifest.json",
     "nav.jsonl",
     "nav.jsonl.partial",
@@ -215,7 +214,8 @@ def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealIm
     listed, problems = _listed_times(folder, table)
     images = []
     for path in files:
-        if path.name in _COMPANIONS or path == table or BESIDE.search(path.name):
+        is_companion = path.name in _COMPANIONS or path.name.startswith(f"{TRUTH}.")
+        if is_companion or path == table or BESIDE.search(path.name):
             continue
         found = _as_image(path, listed)
         if isinstance(found, RealImage):
@@ -256,12 +256,11 @@ def _listed_times(folder: Path, table: Path | None) -> tuple[dict[str, ImageTime
     """Return the times in a table and in the truth of an export, by file name, with the problems of reading them."""
     listed: dict[str, ImageTime] = {}
     problems: list[str] = []
-    truth = folder / TRUTH
-    if truth.is_file():
+    for truth in truth_files(folder):
         try:
             listed |= read_truth(truth)
         except OSError as error:
-            problems.append(f"{TRUTH}: cannot be read: {error.strerror or error}")
+            problems.append(f"{truth.name}: cannot be read: {error.strerror or error}")
     if table is not None:
         by_table, refused = read_table(table)
         listed |= by_table

@@ -14,6 +14,7 @@ states a zone.
 import csv
 import json
 import re
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -33,7 +34,7 @@ from glstar.system.userinput import read_text
 TABLES = ("images.csv", "times.csv")
 TRUTH = "truth.jsonl"
 # In the names of the files that an export writes beside its images: noiseless images and masks.
-BESIDE = re.compile(r"\.(light|trails|saturated|cloud|flare)\.")
+BESIDE = re.compile(r"\.(light|trails|saturated|cloud|flare|ground)\.")
 
 # A line of some 60 bytes for each of a million images.
 _LARGEST_BYTES = 64 * 2**20
@@ -277,6 +278,16 @@ def _table_exposure_s(text: str | None) -> float | None:
         exposure_s = float(text or "")
         return exposure_s if isfinite(exposure_s) and exposure_s > 0 else None
     return None
+
+
+def truth_files(folder: Path) -> list[Path]:
+    """Return the files with the truth of an export: one; none without it; its parts, with a warning, if unfinished."""
+    if (folder / TRUTH).is_file():
+        return [folder / TRUTH]
+    parts = sorted(folder.glob(f"{TRUTH}*.partial"))
+    if parts:
+        warnings.warn(f"{folder}: the export was not finished; the frames so far are read", stacklevel=1)
+    return parts
 
 
 def read_truth(path: Path) -> dict[str, ImageTime]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from glstar.arrays import Float
 from glstar.errors import TelemetryError
-from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack, mean_rate_hz
 from glstar.link.packets import MessageId, MessageRate
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.site import HEIGHTS_M
@@ -161,7 +161,7 @@ class HistorySnapshot:
         except TelemetryError:
             return None
         position = PositionTrack.from_samples(*positions.T) if len(positions) else None
-        return Estimate(attitude, position, f"{attitude_source}, {attitude.rate_hz:.1f} Hz")
+        return Estimate(attitude, position, f"{attitude_source}, {mean_rate_hz(attitude.utc_s):.1f} Hz")
 
     def _boots(self, utc_minus_boot_s: float) -> list[tuple[Float, Float]]:
         """Return attitudes and positions of each boot over UTC, oldest first."""

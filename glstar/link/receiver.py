@@ -65,8 +65,8 @@ class Receiver:
         self.history = History(keep_s)
         self.simulator = SimulatorState(keep_s) if with_simulator else None
         self.gimbal = LinkGimbal(clock, keep_s)
-        # Number of packets received, and of packets lost by the sequence numbers of all senders.
-        self.packets = self.lost = 0
+        # Number of packets received, of those of the autopilot among them, and of its packets that were lost.
+        self.packets = self.counted = self.lost = 0
         # The autopilot; None before its first heartbeat.
         self.chosen: Sender | None = None
         # Arrival of its latest attitude by `time.monotonic`, s.
@@ -88,9 +88,9 @@ class Receiver:
         self._decode_error: type[Exception] = mavlink.MAVError
         self._vehicles: dict[Sender, str | None] = {}
         self._chosen_s = 0.0
-        # Latest sequence number and its arrival, and last jump of the numbers and its arrival, by sender.
-        self._sequences: dict[Sender, tuple[int, float]] = {}
-        self._jumps: dict[Sender, tuple[int, float]] = {}
+        # Latest sequence number of the autopilot and its arrival, and last jump of the numbers and its arrival.
+        self._sequence: tuple[int, float] | None = None
+        self._jump = 0, -inf
         counted = (*_ATTITUDES, MessageId.GLOBAL_POSITION_INT, MessageId.SYSTEM_TIME)
         self._rates: dict[int, MessageRate] = {number: MessageRate() for number in counted}
         # Messages that contained a position, and the UTC at which the clock of a simulator begins.
@@ -138,6 +138,8 @@ class Receiver:
             self._latest_stamp[number] = packet.begins
         if number == MessageId.HEARTBEAT:
             self._on_heartbeat(message, packet.sender, arrival_s)
+            if self._sequence is None:  # it has just been chosen
+                self._count_lost(packet, arrival_s)
         elif number == MessageId.SYSTEM_TIME:
             self._on_time(message, arrival_s, is_chosen=is_chosen)
         else:
@@ -145,11 +147,8 @@ class Receiver:
 
     def continue_from(self, other: "Receiver", now_s: float) -> None:
         """Continue to count packets and vehicles where the receiver of another autopilot ended."""
-        self.packets = other.packets
-        self.lost = other.lost
+        self.packets, self.counted, self.lost = other.packets, other.counted, other.lost
         self._vehicles = other._vehicles  # noqa: SLF001 - of the same class
-        self._sequences = other._sequences  # noqa: SLF001 - of the same class
-        self._jumps = other._jumps  # noqa: SLF001 - of the same class
         for sender in self._vehicles:
             if sender[0] == self._sysid and self.chosen is None:
                 self._choose(sender, now_s)
@@ -191,22 +190,27 @@ class Receiver:
     # --- senders ------------------------------------------------------------------------------------------------------
 
     def _count_lost(self, packet: Packet, arrival_s: float) -> None:
-        latest = self._sequences.get(packet.sender)
-        if latest is not None:
-            before, before_s = latest
+        """Count the missing packets of the autopilot by their sequence numbers.
+
+        Those of other senders do not show losses: a router forwards some of them only.
+        """
+        if packet.sender != self.chosen:
+            return
+        self.counted += 1
+        if self._sequence is not None:
+            before, before_s = self._sequence
             missing = (packet.sequence - before - 1) % 256
             # A larger step is a late packet.  After a pause the numbers may have wrapped around or restarted.
             if missing < 128 and arrival_s - before_s < _SEQUENCE_TIMEOUT_S:
                 self.lost += missing
                 if missing:
-                    self._jumps[packet.sender] = missing, arrival_s
-        elif len(self._sequences) >= _MAX_SENDERS:
-            return
-        self._sequences[packet.sender] = packet.sequence, arrival_s
+                    self._jump = missing, arrival_s
+        self._sequence = packet.sequence, arrival_s
 
     def _discard_jump(self, arrival_s: float) -> None:
         """Subtract the losses counted at a reboot: the sequence numbers have restarted."""
-        missing, jumped_s = self._jumps.pop(self.chosen, (0, 0.0)) if self.chosen is not None else (0, 0.0)
+        missing, jumped_s = self._jump
+        self._jump = 0, -inf
         if arrival_s - jumped_s < _SEQUENCE_TIMEOUT_S:
             self.lost -= missing
 
@@ -228,6 +232,7 @@ class Receiver:
 
     def _choose(self, sender: Sender, arrival_s: float) -> None:
         self.chosen = sender
+        self._sequence = None
         self.parameters = {}
         self._velocity_s = -inf
         self._chosen_s = arrival_s
@@ -398,7 +403,14 @@ class Receiver:
             self.ack = message.result
         elif message.command == EXTERNAL_POSITION_ESTIMATE and message.result != self._position_ack:
             self._position_ack = message.result
-            accepted = message.result == dialect().MAV_RESULT_ACCEPTED
-            name = dialect().enums["MAV_RESULT"].get(message.result)
-            why = "" if accepted or name is None else f": {name.name}"
-            self._report(f"the autopilot {'accepts' if accepted else 'rejects'} the positions{why}")
+            mavlink = dialect()
+            name = mavlink.enums["MAV_RESULT"].get(message.result)
+            if message.result == mavlink.MAV_RESULT_ACCEPTED:
+                self._report("the autopilot accepts the positions")
+            elif message.result == mavlink.MAV_RESULT_FAILED:
+                self._report(
+                    "the autopilot uses no position now: MAV_RESULT_FAILED is its usual answer while GNSS is in use, or"
+                    " before its first position"
+                )
+            else:
+                self._report(f"the autopilot rejects the positions: {message.result if name is None else name.name}")

@@ -113,24 +113,29 @@ class Quality:
 
     def __init__(self) -> None:
         self._since_s: float | None = None
-        self._before = (0, 0, 0, 0)
+        self._before = (0, 0, 0, 0, 0)
         self._problems: set[str] = set()
 
-    def update(self, now_s: float, *, packets: int, lost: int, bytes_: int, bad_bytes: int) -> list[str]:
-        """Return messages to report, by totals since the link was opened; `now_s`: time by `time.monotonic`, s."""
-        counts = packets, lost, bytes_, bad_bytes
+    def update(self, now_s: float, *, packets: int, counted: int, lost: int, bytes_: int, bad_bytes: int) -> list[str]:
+        """Return messages to report, by totals since the link was opened; `now_s`: time by `time.monotonic`, s.
+
+        `counted`: packets of the autopilot, to which `lost` belongs.
+        """
+        counts = packets, counted, lost, bytes_, bad_bytes
         if self._since_s is None:
             self._since_s = now_s
             self._before = counts
         passed_s = now_s - self._since_s
         if passed_s < _WINDOW_S:
             return []
-        received, missed, total, bad = (now - before for now, before in zip(counts, self._before, strict=True))
+        received, sequenced, missed, total, bad = (
+            now - before for now, before in zip(counts, self._before, strict=True)
+        )
         self._since_s = now_s
         self._before = counts
         packets_hz = received / passed_s
         bad_fraction = bad / max(total, 1)
-        lost_fraction = missed / max(received + missed, 1)
+        lost_fraction = missed / max(sequenced + missed, 1)
         damage = f"damage: {bad_fraction:.0%} of the bytes belong to no packet"
         loss = f"loss: {lost_fraction:.0%} of the packets do not arrive"
         return [

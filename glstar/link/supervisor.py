@@ -399,6 +399,7 @@ class Link:
             for message in quality.update(
                 now_s,
                 packets=self._receiver.packets,
+                counted=self._receiver.counted,
                 lost=self._receiver.lost,
                 bytes_=received_bytes,
                 bad_bytes=framer.bad_bytes,

@@ -16,7 +16,7 @@ from glstar.arrays import Float
 from glstar.camera.distortion import Lens
 from glstar.camera.model import AttitudeError, Camera
 from glstar.errors import AnswersError
-from glstar.export.truth.lines import read_truth
+from glstar.export.truth.lines import has_truth, read_truth
 from glstar.rotation import euler_from_quaternion, fitted_rotation
 from glstar.score.answers import Answer, ObservedStars
 from glstar.sky.catalogue.reading import StarCatalogue
@@ -164,7 +164,7 @@ def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     of glstar wrote it without ``snr``; ExportError if a line of the truth cannot be read.
     """
     truth = directory / _TRUTH if directory.is_dir() else directory
-    if not truth.is_file():
+    if not truth.is_file() and not has_truth(truth.parent):
         raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
     offset_s = _clock_offset_s(truth.parent / _MANIFEST)
     try:

@@ -1,20 +1,24 @@
-"""Handling of Ctrl-C, and freed memory of the C library.
+"""Signals that end a command, and freed memory of the C library.
 
-Ctrl-C ends a command with one line and exit status 130 at any time, without a traceback.  Freed memory stays with the
-process, because the next frame needs as much again.
+Ctrl-C, SIGTERM and SIGHUP end a command with one line at any time, without a traceback, after its files are closed.
+Freed memory stays with the process, because the next frame needs as much again.
 """
 
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from typing import Any
 
-# Exit status of a command that was ended by SIGINT: 128 + 2, as in shells.
-EXIT_INTERRUPTED = 130
+# Signals that end a command as Ctrl-C does: of `kill`, of a service manager, of a terminal that is closed.
+TERMINATING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_ENDING = (signal.SIGINT, *TERMINATING)
+# A closed terminal sends SIGHUP twice, once by its shell: later signals within this time are ignored, s.
+_REPEATED_S = 2.0
 
 # Parameters of glibc's `mallopt`, from malloc.h.
 _M_ARENA_MAX = -8
@@ -32,21 +36,74 @@ _HEAPS = 1
 _CHOSEN = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 
 
+class Terminated(KeyboardInterrupt):
+    """The process received one of `TERMINATING`; `number` is that of the signal."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+def exit_status(error: KeyboardInterrupt) -> int:
+    """Return the exit status of a command that a signal has ended: 128 plus its number, as in shells."""
+    return 128 + (error.number if isinstance(error, Terminated) else signal.SIGINT)
+
+
+class _Terminator:
+    """A handler of `TERMINATING` that raises `Terminated`."""
+
+    def __init__(self) -> None:
+        self._ignored_until_s = -1.0
+        # Streams whose terminal may be closed.
+        self._terminals = [handle for handle in (1, 2) if os.isatty(handle)]
+
+    def __call__(self, number: int, _: object) -> None:
+        now_s = time.monotonic()
+        if now_s < self._ignored_until_s:
+            return
+        self._ignored_until_s = now_s + _REPEATED_S
+        if number != signal.SIGTERM:
+            self._leave_terminals()
+        raise Terminated(number)
+
+    def _leave_terminals(self) -> None:
+        """Discard what is still written to a terminal: each write to a closed one would be an error."""
+        with suppress(OSError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            for handle in self._terminals:
+                os.dup2(nowhere, handle)
+            os.close(nowhere)
+
+
+def end_on_signals() -> None:
+    """Let SIGTERM and SIGHUP end the command from now on, unless the caller has them ignored, as nohup does."""
+    terminator = _Terminator()
+    for number in TERMINATING:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, terminator)
+
+
+def _ends_the_command(handler: Any) -> bool:
+    return handler is signal.default_int_handler or isinstance(handler, _Terminator)
+
+
 @contextmanager
 def exit_on_interrupt() -> Iterator[None]:
     """Let Ctrl-C end the process at once, for the time in which libraries are imported and nothing is written.
 
     Libraries may turn a KeyboardInterrupt during their import into a traceback or an ImportError, or suppress it.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    signal.signal(signal.SIGINT, _stop)
+    before = {number: handler for number in _ENDING if _ends_the_command(handler := signal.getsignal(number))}
+    for number in before:
+        signal.signal(number, _stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
@@ -59,28 +116,37 @@ def defer_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    received = []
-    before = signal.signal(signal.SIGINT, lambda *_: received.append(True))
+    received: list[int] = []
+    before = {number: handler for number in _ENDING if callable(handler := signal.getsignal(number))}
+    for number in before:
+        signal.signal(number, lambda number, _: received.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-    if received and before not in {signal.SIG_IGN, None}:
-        raise KeyboardInterrupt
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if received:
+        before[signal.Signals(received[0])](received[0], None)
 
 
-def _stop(*_: Any) -> None:
-    os.write(2, b"glstar: stopped\n")
-    os._exit(EXIT_INTERRUPTED)
+def default_signals() -> None:
+    """Let signals end the process without Python: nothing is left to be written."""
+    for number in _ENDING:
+        if _ends_the_command(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
 
 
-def is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an exception is a KeyboardInterrupt or was raised while one was handled."""
+def _stop(number: int, _: object) -> None:
+    os._exit(128 + number)
+
+
+def interrupt_of(error: BaseException | None) -> KeyboardInterrupt | None:
+    """Return the KeyboardInterrupt that an exception is, or that was handled when it was raised; None without one."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
-            return True
+            return error
         error = error.__cause__ or error.__context__
-    return False
+    return None
 
 
 @cache

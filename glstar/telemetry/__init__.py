@@ -27,6 +27,7 @@ module                holds
 """
 
 import os
+import re
 from collections.abc import Callable
 from functools import partial
 from os import PathLike
@@ -105,6 +106,8 @@ __all__ = [
 
 # First bytes of a file by which its format is recognised: some dozens of packets or lines.
 _HEAD_BYTES = 4096
+# The beginning of a link, which is easily given in place of a log.
+_LINK = re.compile(r"(tcp|tcpin|udp|udpin|udpout|serial):|(/dev/tty|COM\d)[^/]*,\d+$", re.IGNORECASE)
 
 
 def open_flight(
@@ -218,6 +221,8 @@ def open_source(
             raise LogFormatError(name, f"this is {formats.other_file(head, name)} ({formats.READABLE})", offset=0)
         return _reader(name, recognised, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
     except OSError as error:
+        if isinstance(error, FileNotFoundError) and _LINK.match(name):
+            raise LogFormatError(name, f"is a link, not a file; glstar live {name} shows what it sends") from error
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
 

@@ -17,6 +17,7 @@ from glstar.flight import (
     FlightEvents,
     Interpolation,
     PositionTrack,
+    mean_rate_hz,
 )
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc
@@ -279,8 +280,8 @@ class Recording:
 
 
 def _rate_hz(clock_s: Float) -> float:
-    """Return the inverse of the median interval, Hz."""
-    return 1 / float(np.median(np.diff(np.unique(clock_s[np.isfinite(clock_s)]))))
+    """Return the mean rate of samples in any order, Hz."""
+    return mean_rate_hz(np.unique(clock_s[np.isfinite(clock_s)]))
 
 
 def given_utc(utc_start: float) -> str:

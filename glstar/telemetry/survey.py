@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from glstar.errors import TelemetryError
-from glstar.flight import ONLY_CAMERA, AttitudeTrack, ClockQuality, Flight
+from glstar.flight import ONLY_CAMERA, AttitudeTrack, ClockQuality, Flight, mean_rate_hz
 from glstar.sky.air.skybrightness import light_name
 from glstar.sky.observed.solarsystem import moon_over
 from glstar.sky.observed.stars import sun_altitude_rad
@@ -37,7 +37,7 @@ class AttitudeSurvey:
 
     name: str  # Value for ``attitude=``
     samples: int
-    rate_hz: float  # Inverse of the median interval
+    rate_hz: float  # Mean, without gaps
     duration_s: float  # From the first sample to the last
     gaps: int
     longest_gap_s: float
@@ -251,7 +251,7 @@ def _attitude(name: str, samples: AttitudeSamples, max_gap_s: float | None) -> A
     return AttitudeSurvey(
         name=name,
         samples=track.utc_s.size,
-        rate_hz=round(track.rate_hz, 2),
+        rate_hz=round(mean_rate_hz(track.utc_s), 2),
         duration_s=round(track.last_s - track.first_s, 3),
         gaps=len(track.gaps),
         longest_gap_s=round(max((gap.duration_s for gap in track.gaps), default=0.0), 3),
@@ -276,7 +276,7 @@ def _gyros(recording: Recording) -> GyroSurvey | None:
     clock_s = np.unique(recording.rates.clock_s)
     if clock_s.size < 2:
         return None
-    return GyroSurvey(recording.rates.source, round(1 / float(np.median(np.diff(clock_s))), 2))
+    return GyroSurvey(recording.rates.source, round(mean_rate_hz(clock_s), 2))
 
 
 def _interpolation_advice(recording: Recording, track: AttitudeTrack) -> dict[str, object]:

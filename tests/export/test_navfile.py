@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from astropy.io import fits
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +17,7 @@ from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.imagefiles.fits import damage_of_fits
-from glstar.export.navigator import Navigator, refuse_other_files
+from glstar.export.navigator import Navigator, blind_phase_s, refuse_other_files
 from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_quaternion, turn_between
 from glstar.sky.place.timescale import parse_utc
@@ -132,6 +133,64 @@ def test_fits_images_for_a_navigator_have_no_coordinates_site_or_seed(blind_set:
         assert damage_of_fits(content, len(content)) == ""
         for secret in (drawn["utc_start"], drawn["utc_mid"], str(drawn["seed"]), repr(drawn["site"]["latitude_deg"])):
             assert secret.removesuffix("Z").encode() not in content
+
+
+@pytest.mark.parametrize("format_", ["png16", "tiff", "jpeg"])
+def test_images_of_each_format_state_neither_time_nor_place_nor_seed(format_: str, blind_set: Path) -> None:
+    seen, hidden = f"seen_{format_}", f"hidden_{format_}"
+    words = ("-c", "nav.toml", "-o", seen, "--blind", hidden, "--format", format_, "--frames", "1", "--seed", "990007")
+    exported = glstar("export", *words, folder=blind_set)
+    assert exported.returncode == 0, exported.stderr
+
+    (drawn,) = lines_of(blind_set / hidden / "truth.jsonl")
+    image = blind_set / seen / drawn["file"]
+    content = image.read_bytes()
+    utc = drawn["utc_start"]
+    for secret in (utc[:10], utc[:10].replace("-", ":"), utc[11:19], str(drawn["seed"]), "990007", "Exif", "GPS"):
+        assert secret.encode() not in content
+    if format_ == "tiff":
+        with tifffile.TiffFile(image) as file:
+            names = {tag.name for tag in file.pages[0].tags.values()}
+        assert not names & {"DateTime", "GPSTag", "ExifTag", "ImageDescription", "HostComputer", "Artist"}
+
+
+def test_a_fraction_of_a_second_tells_nothing_of_the_error_of_the_clock(blind_set: Path) -> None:
+    """The flight begins at a whole second and frames follow every 8 s: without a phase the records would show 10 ms."""
+    truth = lines_of(blind_set / "hidden" / "truth.jsonl")
+    fractions_s = {round(parse_utc(frame["utc_start"]) % 1, 6) for frame in truth}
+    expected_s = float(np.random.default_rng([104729, 1 << 32]).uniform())
+    assert fractions_s == {round(expected_s, 6)}
+
+    command = json.loads((blind_set / "hidden" / "manifest.json").read_text())["command"]
+    assert f"--start {round(expected_s, 6)}" in command
+
+
+@pytest.mark.parametrize(
+    ("changed", "phase_s"),
+    [
+        ({"navigator.clock_offset_s": 0.0}, 0.0),
+        ({"exposure.at": "camera"}, 0.0),
+        ({"navigator.seed": 3}, round(float(np.random.default_rng([3, 1 << 32]).uniform()), 6)),
+    ],
+)
+def test_only_a_wrong_clock_moves_the_exposures(changed: dict[str, Any], phase_s: float, tmp_path: Path) -> None:
+    (tmp_path / "nav.toml").write_text(CONFIG, encoding="utf-8")
+    assert blind_phase_s(Config.load(tmp_path / "nav.toml").override(**changed)) == phase_s
+
+
+@pytest.mark.parametrize("output", ["shm:blind", "latest.bin", "zmq://5599 --with-truth"])
+def test_a_blind_export_passes_no_truth_on(output: str, blind_set: Path) -> None:
+    words = ("-c", "nav.toml", "-o", "seen_on", "--blind", "hidden_on", "--latest-frame", *output.split())
+    refused = glstar("export", *words, folder=blind_set)
+
+    assert refused.returncode == 2
+    assert "pass on the truth" in " ".join(refused.stderr.replace("│", " ").split())
+    assert not (blind_set / "hidden_on").exists()
+
+
+def test_default_seeds_of_a_blind_set_are_named(blind_set: Path) -> None:
+    words = ("export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden")
+    assert "give --seed a number of your own" in glstar(*words, folder=blind_set).stderr
 
 
 def test_the_residuals_of_the_attitude_are_those_of_the_error_model(blind_set: Path) -> None:

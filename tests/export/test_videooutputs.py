@@ -18,12 +18,14 @@ from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.publish.outputs import MjpegServer, open_frame_output
 from glstar.sky.place.timescale import parse_utc
-from tests.support.autopilot import SMALL, simulated
+from tests.support.autopilot import SMALL, UTC_S, simulated
 from tests.support.links import free_port, interrupted_when
 
 FOCAL = {"camera.fx_px": 60.0, "camera.fy_px": 60.0}
 UTC = "2024-03-10T11:00:00.250000Z"
-TRUTH = f'{{"camera_utc_start":"{UTC}"}}\n'.encode()
+NAV = {"utc": {"start": UTC}}
+# The navigator's clock is wrong: the true time is not for it.
+TRUTH = b'{"utc_start":"2024-03-10T10:59:00.000000Z","camera_utc_start":"2024-03-10T10:59:00.000000Z"}\n'
 # A smooth image, which JPEG keeps.
 RAMP = np.add.outer(np.arange(48) * 2, np.arange(64)).astype(np.uint8)
 
@@ -36,7 +38,7 @@ def test_opencv_reads_the_stream_as_a_camera() -> None:
             number = 0
             while not ended.wait(0.02):
                 number = (number + 1) % 5
-                server.write(RAMP + np.uint8(20 * number), TRUTH, {})
+                server.write(RAMP + np.uint8(20 * number), TRUTH, NAV)
 
         drawing = Thread(target=draw)
         drawing.start()
@@ -56,7 +58,7 @@ def test_opencv_reads_the_stream_as_a_camera() -> None:
 def test_each_part_has_its_time_and_the_latest_frame_is_a_file() -> None:
     port = free_port()
     with MjpegServer(f"http://127.0.0.1:{port}", Config().sensor()) as server:
-        server.write(RAMP, TRUTH, {})
+        server.write(RAMP, TRUTH, NAV)
         with urlopen(f"http://127.0.0.1:{port}/frame.jpg") as answer:
             content = answer.read()
             assert float(answer.headers["X-Timestamp"]) == pytest.approx(parse_utc(UTC), rel=0, abs=1e-6)
@@ -74,7 +76,7 @@ def test_each_part_has_its_time_and_the_latest_frame_is_a_file() -> None:
 def test_saturation_is_white_in_sixteen_bits_and_in_sums() -> None:
     port, sensor = free_port(), Config().override(**{"sensor.bit_depth": 12}).sensor()
     with MjpegServer(f"http://{port}", sensor, summed=2) as server:
-        server.write(np.full((48, 64), 4095, np.uint16), TRUTH, {})
+        server.write(np.full((48, 64), 4095, np.uint16), TRUTH, NAV)
         with urlopen(f"http://127.0.0.1:{port}/frame.jpg") as answer:
             image = cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
     assert np.abs(image.astype(int) - 128).max() <= 1
@@ -112,7 +114,7 @@ def test_a_video_device_shows_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     config = Config().override(**{"camera.width_px": 64, "camera.height_px": 48, **FOCAL, "sensor.bit_depth": 12})
 
     output = open_frame_output("video:/dev/video10", config.camera(), config.sensor(), interval_s=0.5)
-    output.write(np.full((48, 64), 2048, np.uint16), TRUTH, {})
+    output.write(np.full((48, 64), 2048, np.uint16), TRUTH, NAV)
     output.close()
 
     (device,) = Device.made
@@ -134,13 +136,15 @@ def test_without_the_library_the_command_is_said(monkeypatch: pytest.MonkeyPatch
 
 def test_a_live_link_is_a_network_camera(tmp_path: Any) -> None:
     port, out, config, seen = free_port(), free_port(), tmp_path / "small.toml", list[bytes]()
-    config.write_text(SMALL)
+    config.write_text(f"{SMALL}clock_offset_s = 1000.0\n")
+    stamps_s = []
     words = f"live udpin:127.0.0.1:{port} --truth sim_state --every 0.2 --exposure 0.2 --duration 60 -c {config}"
 
     def has_frames() -> bool:
         try:
             with urlopen(f"http://127.0.0.1:{out}/frame.jpg", timeout=5) as answer:
                 seen.append(answer.read())
+                stamps_s.append(float(answer.headers["X-Timestamp"]))
         except OSError:
             return False
         return len(set(seen)) >= 2
@@ -150,3 +154,4 @@ def test_a_live_link_is_a_network_camera(tmp_path: Any) -> None:
         result = CliRunner().invoke(app, [*words.split(), "--latest-frame", f"http://{out}", "--json"])
     assert result.exit_code == 0, result.output
     assert cv2.imdecode(np.frombuffer(seen[-1], np.uint8), cv2.IMREAD_GRAYSCALE).shape == (48, 64)
+    assert UTC_S + 1000 - 1 < stamps_s[-1] < UTC_S + 1000 + 60

@@ -1,5 +1,6 @@
 """Positions that are sent to an autopilot, and where they are not."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from math import isnan
 from typing import Any
@@ -245,6 +246,59 @@ def test_an_autopilot_applies_a_position_at_its_instant(message: InjectedMessage
     assert np.abs(offsets_s).max() < 0.05
 
 
+def heard_over(plane: Sender, uptime_s: float, *, with_velocity: bool) -> Callable[[Receiver, float], None]:
+    """Return a function that sends what an autopilot sends until a time, by UTC; 32 bits of milliseconds wrap."""
+    boot_utc_s = UTC_S - uptime_s
+
+    def until(heard: Receiver, utc_s: float) -> None:
+        for back_s in (1.0, 0.5, 0.0):
+            boot_ms = round(1000 * (utc_s - back_s - boot_utc_s)) % 2**32
+            arrival_s = utc_s - back_s - UTC_S
+            heard.receive(plane(MAVLINK.MAVLink_system_time_message(round((utc_s - back_s) * 1e6), boot_ms)), arrival_s)
+            if with_velocity:
+                moved = MAVLINK.MAVLink_global_position_int_message(boot_ms, 1, 1, 0, 0, 2000, 0, 0, 0)
+                heard.receive(plane(moved), arrival_s)
+
+    return until
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("message", ["external_position", "global_position_sensor", "gps_input"])
+def test_positions_at_any_uptime_are_applied_at_their_instant_or_refused(message: InjectedMessage, seed: int) -> None:
+    """Delays up to 8 s, pauses up to ten minutes, wraps of 49.7 days and GPS weeks, 20 ms on the link."""
+    rng = np.random.default_rng(seed)
+    # A few hours before the clock wraps, after three hours, or anywhere in four days.
+    uptime_s = [2**32 / 1000 - rng.uniform(0, 9000), 3 * 3600.0, rng.uniform(1, 4 * 86400)][seed % 3]
+    plane, (heard, _) = Sender(7), flying()
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane(MAVLINK.MAVLink_param_value_message(b"GPS1_TYPE", 14.0, 9, 1, 0)), 0.0)
+    lacks_velocity = seed % 5 == 4
+    send = heard_over(plane, uptime_s, with_velocity=not lacks_velocity)
+    injector, clock = Injector(HERE, message=message), JitterCorrection()
+    speed_m_per_s, m_per_e7 = 20.0, 0.0110575  # due north from the equator
+    utc_s, outcomes = UTC_S + 10.0, []
+    for _ in range(130):
+        utc_s += float(rng.choice([rng.uniform(1, 5), rng.uniform(5, 60), rng.uniform(60, 600)], p=[0.5, 0.4, 0.1]))
+        delay_s = float(rng.choice([rng.uniform(0.2, 4.0), rng.uniform(4.0, 8.0)], p=[0.9, 0.1]))
+        now_s = utc_s + delay_s - UTC_S
+        send(heard, UTC_S + now_s)
+        injector.add(PositionFix(np.deg2rad(speed_m_per_s * (utc_s - UTC_S) / m_per_e7 * 1e-7), 0.0, utc_s, 1000.0))
+        fixes, reasons = sent(injector, now_s, heard), len(injector.messages)
+        if delay_s > 5 or (lacks_velocity and message == "gps_input"):
+            assert (fixes, reasons) == ([], len(outcomes) + 1 - injector.sent)
+            outcomes.append(None)
+            continue
+        (fix,) = fixes
+        applied_s = clock.applied_s(fix, UTC_S + now_s + rng.uniform(0.0, 0.02))
+        latitude_e7 = fix.x if message == "external_position" else fix.lat
+        outcomes.append(applied_s - UTC_S - latitude_e7 * m_per_e7 / speed_m_per_s)
+
+    offsets_s = [offset_s for offset_s in outcomes if offset_s is not None]
+    assert len(offsets_s) == injector.sent
+    assert injector.refused == len(outcomes) - injector.sent
+    assert max(map(abs, offsets_s), default=0.0) < 0.05
+
+
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:1", "tcp:localhost:1", "udpout:[::1]:1", "udp:14550"])
 def test_a_link_on_this_computer_needs_no_host(link: str) -> None:
     assert Injector(Endpoint.parse(link)).sent == 0
@@ -266,10 +320,12 @@ def test_the_autopilots_reply_is_reported_once() -> None:
     heard, messages = flying()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
-    for result in (0, 0, 2):
+    for result in (4, 4, 0, 0, 2):
         heard.receive(plane(MAVLINK.MAVLink_command_ack_message(43003, result)), 1.0)
 
     assert messages[1:] == [
+        "the autopilot uses no position now: MAV_RESULT_FAILED is its usual answer while GNSS is in use, or before its"
+        " first position",
         "the autopilot accepts the positions",
         "the autopilot rejects the positions: MAV_RESULT_DENIED",
     ]

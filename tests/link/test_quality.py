@@ -14,7 +14,12 @@ def reported(*, packets_hz: float = 60.0, lost_hz: float = 0.0, bad: float = 0.0
         bytes_ += 300
         bad_bytes += 300 * bad if disturbed else 0.0
         messages += quality.update(
-            step / 10, packets=int(packets), lost=int(lost), bytes_=int(bytes_), bad_bytes=int(bad_bytes)
+            step / 10,
+            packets=int(packets),
+            counted=int(packets),
+            lost=int(lost),
+            bytes_=int(bytes_),
+            bad_bytes=int(bad_bytes),
         )
     return messages
 

@@ -1,12 +1,13 @@
 """Attitude, position and time of an autopilot, from single packets."""
 
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glstar.flight import Flight
-from glstar.link import Packet
+from glstar.link import Framer, Packet
 from glstar.link.clock import BootClock
 from glstar.link.history import RowBuffer
 from glstar.link.receiver import Receiver
@@ -14,6 +15,8 @@ from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.sky.place.site import Site
 from glstar.telemetry import FlightOptions
 from tests.support.sender import MAVLINK, UTC_S, Sender, flying, receiver, system_time
+
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
 
 
 def attitude_rad(heard: Receiver) -> tuple[float, ...]:
@@ -68,17 +71,39 @@ def test_an_autopilot_that_reports_attitude_replaces_one_that_does_not() -> None
     assert any("listening to system 2" in words for words in reported)
 
 
-def test_missing_packets_are_counted_for_each_sender() -> None:
+def test_missing_packets_of_the_autopilot_are_losses_and_those_of_others_are_not() -> None:
+    """A router forwards heartbeats of a ground station, and none of its other packets."""
     heard, _ = receiver()
-    first, second = Sender(1), Sender(2)
+    plane, station = Sender(1), Sender(255, 190)
+    heard.receive(plane.heartbeat(), 0.0)
     for number in range(600):
-        packet = first.heartbeat()
+        packet = plane.angles(number / 100)
         if number % 10:
-            heard.receive(packet, 0.0)
-        heard.receive(second.heartbeat(), 0.0)
+            heard.receive(packet, number / 100)
+        forwarded = station.heartbeat(8)
+        if number % 3 == 0:
+            heard.receive(forwarded, number / 100)
 
     assert heard.lost == pytest.approx(60, abs=1)
-    assert heard.packets == 540 + 600
+    assert heard.packets == 1 + 540 + 200
+    assert heard.counted == 1 + 540
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="needs the real logs of ../shared")
+def test_a_recorded_link_without_losses_has_none() -> None:
+    """ArduPilot forwarded the heartbeats of a ground station, and nothing else of it."""
+    raw, framer, (heard, _) = (LOGS / "plane_SITL_gnss_denied.tlog").read_bytes(), Framer(), flying()
+    at = 0
+    while at < len(raw):
+        stop = at + 8 + raw[at + 9] + 12
+        for packet in framer.feed(raw[at + 8 : stop]):
+            heard.receive(packet, int.from_bytes(raw[at : at + 8], "big") * 1e-6)
+        at = stop
+
+    assert heard.chosen == (1, 1)
+    assert heard.packets > 10_000
+    assert heard.counted < heard.packets
+    assert heard.lost == 0
 
 
 def test_the_quaternion_is_used_unless_the_angles_are_twice_as_frequent() -> None:

@@ -24,7 +24,6 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -505,12 +504,12 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     asked = options.parse_args()
     failed = 0
+    print("| run | states of the disk | wrong |\n|---|---:|---:|")
     with tempfile.TemporaryDirectory() as folder, Laboratory(Path(folder)) as laboratory:
         for name in asked.cases or CASES:
-            began_s = time.monotonic()
             tried, wrong = search(laboratory, name, share=asked.share, rounds=asked.rounds, seed=asked.seed)
-            print(f"{name}: {tried} states in {time.monotonic() - began_s:.0f} s, {len(wrong)} wrong")
-            print(*wrong[:5], sep="\n")
+            print(f"| {name} | {tried} | {len(wrong)} |", flush=True)
+            print(*wrong[:5], sep="\n", end="\n" * bool(wrong))
             failed += len(wrong)
     sys.exit(1 if failed else 0)
 

@@ -4,15 +4,17 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
 from glstar.link.packets import dialect
 from glstar.rotation import quaternion_from_euler
+from tests.support.jitter import JitterCorrection
 
 MAVLINK: Final = dialect()
 UTC_S: Final = 1_710_068_400.0
@@ -24,6 +26,7 @@ DRIFT_RAD_PER_S: Final = np.deg2rad(0.02)
 TRUE_DEG: Final = (-34.93, 138.60, 300.0)
 ESTIMATED_DEG: Final = (-34.80, 138.70, 310.0)
 _HZ: Final = 50
+_GPS_OF_MAVLINK: Final = 14
 
 
 def true_yaw_rad(utc_s: float) -> float:
@@ -39,31 +42,55 @@ def estimated_yaw_rad(utc_s: float) -> float:
 class SimulatedAutopilot:
     """Sends 50 times a second to a UDP port of this computer, and keeps what it receives.
 
-    ``received`` holds the messages; ``truth`` names the message of the simulator's own state.
+    ``received`` holds the messages, and ``applied`` the UTC, latitude and longitude, deg, of each position as it is
+    used.  `truth`: the message of the simulator's own state; `uptime_s`: time since boot at first; `uses_gnss`: whether
+    positions are refused for that; `parameters`: what it states on request, others get no answer; `is_uneven`: whether
+    the intervals are 20 and 40 ms in turn, as of ArduPilot's scheduler; `has_station`: whether it forwards the
+    heartbeats of a ground station, whose other packets are for itself.
     """
 
-    def __init__(self, port: int, truth: str | None = "SIM_STATE") -> None:
+    def __init__(
+        self,
+        port: int,
+        truth: str | None = "SIM_STATE",
+        *,
+        uptime_s: float = BOOT_S,
+        uses_gnss: bool = False,
+        parameters: Mapping[str, float] = MappingProxyType({"GPS1_TYPE": 14.0}),
+        is_uneven: bool = False,
+        has_station: bool = False,
+    ) -> None:
         self.received: list[Any] = []
+        self.applied: list[tuple[float, float, float]] = []
         self._truth, self._address = truth, ("127.0.0.1", port)
+        self._uptime_s, self._uses_gnss, self._parameters = uptime_s, uses_gnss, dict(parameters)
+        self._is_uneven, self._has_station = is_uneven, has_station
+        self._clock, self._began_s = JitterCorrection(), 0.0
         self._link = MAVLINK.MAVLink(None, srcSystem=1, srcComponent=1)
         self._link.robust_parsing = True
+        self._station = MAVLINK.MAVLink(None, srcSystem=255, srcComponent=190)
 
     def run(self, stop: threading.Event) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
             here.setblocking(False)
-            began_s, step = time.monotonic(), 0
+            self._began_s, step = time.monotonic(), 0
             while not stop.is_set():
-                elapsed_s = time.monotonic() - began_s
-                for message in self.messages(step, elapsed_s):
+                for message in self.messages(step, time.monotonic() - self._began_s):
                     here.sendto(message.pack(self._link), self._address)
                     self._link.seq = (self._link.seq + 1) % 256
+                if self._has_station and step % _HZ == 0:
+                    heartbeat = MAVLINK.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+                    here.sendto(heartbeat.pack(self._station), self._address)
+                    self._station.seq = (self._station.seq + 7) % 256
                 self._receive(here)
                 step += 1
-                time.sleep(max(began_s + step / _HZ - time.monotonic(), 0.0))
+                # The same mean rate of 50 / 1.5 Hz if uneven.
+                due_s = (1.5 * step - 0.5 * (step % 2)) / _HZ if self._is_uneven else step / _HZ
+                time.sleep(max(self._began_s + due_s - time.monotonic(), 0.0))
 
     def messages(self, step: int, elapsed_s: float) -> Iterator[Any]:
-        boot_ms = round((BOOT_S + elapsed_s) * 1000)
-        utc_s = UTC_S + boot_ms / 1000 - BOOT_S
+        boot_ms = round((self._uptime_s + elapsed_s) * 1000) % 2**32
+        utc_s = UTC_S + round(elapsed_s * 1000) / 1000
         if step % _HZ == 0:
             yield MAVLINK.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
         if step % 10 == 0:
@@ -102,11 +129,28 @@ class SimulatedAutopilot:
                     self._link.seq = (self._link.seq + 1) % 256
 
     def _replies(self, message: Any) -> Iterator[Any]:
-        """Yield what ArduPilot answers: it takes positions, and its GPS receiver is MAVLink."""
-        if message.get_type() == "COMMAND_INT":
+        """Yield what ArduPilot answers."""
+        kind = message.get_type()
+        if kind == "COMMAND_INT":
+            if not self._uses_gnss:
+                self._apply(message)
+            result = MAVLINK.MAV_RESULT_FAILED if self._uses_gnss else MAVLINK.MAV_RESULT_ACCEPTED
+            yield MAVLINK.MAVLink_command_ack_message(message.command, result)
+        elif kind == "COMMAND_LONG":
             yield MAVLINK.MAVLink_command_ack_message(message.command, MAVLINK.MAV_RESULT_ACCEPTED)
-        if message.get_type() == "PARAM_REQUEST_READ" and message.param_id == "GPS1_TYPE":
-            yield MAVLINK.MAVLink_param_value_message(b"GPS1_TYPE", 14.0, MAVLINK.MAV_PARAM_TYPE_INT8, 900, 55)
+        elif kind == "GLOBAL_POSITION_SENSOR" or (
+            kind == "GPS_INPUT" and self._parameters.get("GPS1_TYPE") == _GPS_OF_MAVLINK
+        ):
+            self._apply(message)
+        elif kind == "PARAM_REQUEST_READ" and message.param_id in self._parameters:
+            name, value = message.param_id, self._parameters[message.param_id]
+            yield MAVLINK.MAVLink_param_value_message(name.encode(), value, MAVLINK.MAV_PARAM_TYPE_INT8, 900, 55)
+
+    def _apply(self, fix: Any) -> None:
+        """Use a position at the instant that the correction of jitter gives."""
+        utc_s = self._clock.applied_s(fix, UTC_S + time.monotonic() - self._began_s)
+        degrees = (fix.x, fix.y) if fix.get_type() == "COMMAND_INT" else (fix.lat, fix.lon)
+        self.applied.append((utc_s, degrees[0] / 1e7, degrees[1] / 1e7))
 
 
 def body_to_ned(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -118,9 +162,9 @@ def body_to_ned(roll: float, pitch: float, yaw: float) -> tuple[float, float, fl
 
 
 @contextmanager
-def simulated(port: int, truth: str | None = "SIM_STATE") -> Iterator[SimulatedAutopilot]:
+def simulated(port: int, truth: str | None = "SIM_STATE", **options: Any) -> Iterator[SimulatedAutopilot]:
     """Run the autopilot in a thread."""
-    autopilot, stop = SimulatedAutopilot(port, truth), threading.Event()
+    autopilot, stop = SimulatedAutopilot(port, truth, **options), threading.Event()
     thread = threading.Thread(target=autopilot.run, args=(stop,), name="autopilot")
     thread.start()
     try:

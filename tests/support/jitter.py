@@ -13,7 +13,10 @@ _LARGEST_DELAY_S = 5.0
 
 @dataclass
 class JitterCorrection:
-    """The least difference of both clocks is taken for the link; what seems later than 0.5 s is taken for 0.5 s."""
+    """The least difference of both clocks is taken for the link; what seems later than 0.5 s is taken for 0.5 s.
+
+    A message from further in the past moves the offset, which only the least difference of 100 messages moves back.
+    """
 
     offset_s: float | None = None
     recent_s: list[float] = field(default_factory=list)
@@ -23,7 +26,10 @@ class JitterCorrection:
         difference_s = local_s - sent_s
         if self.offset_s is None or difference_s < self.offset_s:
             self.offset_s = difference_s
-        estimate_s = max(sent_s + self.offset_s, local_s - _MOST_LAG_S)
+        estimate_s = sent_s + self.offset_s
+        if estimate_s + _MOST_LAG_S < local_s:
+            estimate_s = local_s - _MOST_LAG_S
+            self.offset_s = estimate_s - sent_s
         self.recent_s.append(difference_s)
         if len(self.recent_s) == _CONVERGENCE:
             self.offset_s = min(self.recent_s)

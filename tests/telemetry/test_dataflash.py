@@ -52,7 +52,7 @@ def test_the_adelaide_flight_is_what_was_flown() -> None:
     assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(134.475, abs=0.001)
     assert flight.attitude.rate_hz == pytest.approx(200.0, abs=0.1)
     assert flight.attitude.gaps == ()
-    assert flight.attitude_source == "XKQ lane 0, nearest to ATT, 200.1 Hz"
+    assert flight.attitude_source == "XKQ lane 0, nearest to ATT, 200.0 Hz"
     assert flight.utc_source == "GPS time when logged (no GPA), 672 fixes, 18 leap seconds"
     site = flight.position.at(flight.attitude.first_s)
     assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([-34.81, 138.62], abs=1e-6)
@@ -145,7 +145,7 @@ def test_any_attitude_can_be_named() -> None:
         "AHR2": "AHR2",
         "SIM": "SIM",
     }.items():
-        assert open_flight(ADELAIDE, attitude=asked).attitude_source == f"{reported}, 200.1 Hz"
+        assert open_flight(ADELAIDE, attitude=asked).attitude_source == f"{reported}, 200.0 Hz"
 
 
 @needs_logs
@@ -154,7 +154,7 @@ def test_an_unknown_attitude_is_refused_with_the_known_ones(unknown: str) -> Non
     with pytest.raises(LogFormatError) as caught:
         open_flight(ADELAIDE, attitude=unknown)
 
-    offered = "AHR2 200.1 Hz; ATT 200.1 Hz; SIM 200.1 Hz; XKQ[0] and XKQ[1] 200.1 Hz"
+    offered = "AHR2 200.0 Hz; ATT 200.0 Hz; SIM 200.0 Hz; XKQ[0] and XKQ[1] 200.0 Hz"
     assert str(caught.value) == f"{ADELAIDE}: the log has no attitude {unknown!r}; it has {offered}"
 
 

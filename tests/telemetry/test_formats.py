@@ -76,3 +76,9 @@ def test_demo_is_the_bundled_flight_unless_a_file_is_called_so(tmp_path: Path, m
     assert bundled.attitude.utc_s.size == open_flight(asset("adelaide.BIN")).attitude.utc_s.size
     with pytest.raises(LogFormatError, match="demo: line 1: no table of a flight"):
         open_flight("demo")
+
+
+@pytest.mark.parametrize("link", ["tcp:127.0.0.1:5760", "udpin:0.0.0.0:14550", "/dev/ttyUSB7,57600", "COM14,57600"])
+def test_a_link_in_place_of_a_log_is_named(link: str) -> None:
+    with pytest.raises(LogFormatError, match=f"is a link, not a file; glstar live {link} shows"):
+        open_flight(link)

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import glstar as gs
-from glstar.flight import AttitudeTrack
+from glstar.config import Config
+from glstar.flight import AttitudeTrack, mean_rate_hz
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.sky.place.site import Site
@@ -25,6 +27,7 @@ from glstar.telemetry import (
     survey,
 )
 
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
 DEG = np.pi / 180
 ELEVEN_S = 1710068400.0  # 2024-03-10 11:00 UTC
 ADELAIDE = Site(-34.93 * DEG, 138.60 * DEG, 48.0)
@@ -163,3 +166,21 @@ def test_a_place_that_replaces_positions_of_the_log_is_noted() -> None:
     (note,) = gs.open_flight("demo", site=site).notes
 
     assert note == "the given place, at a height of 250 m, replaces the positions of the log (POS)"
+
+
+def test_a_rate_is_the_mean_without_gaps() -> None:
+    """A scheduler of 20 ms that sends 40 times a second: intervals of 20 and 40 ms, and a gap of 10 s."""
+    steps_s = np.tile([0.02, 0.02, 0.02, 0.04], 500)  # 25 ms each, on average
+    steps_s[1000] = 10.0
+    times_s = np.concatenate(([0.0], np.cumsum(steps_s)))
+
+    assert mean_rate_hz(times_s) == pytest.approx(40.0, rel=0, abs=0.01)
+    assert mean_rate_hz(np.arange(1000) * 0.005) == pytest.approx(200.0, rel=0, abs=1e-6)
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="needs the real logs of ../shared")
+def test_the_rate_of_an_uneven_recording_is_its_samples_over_its_duration() -> None:
+    found, _ = Config().survey_flight(LOGS / "plane_SITL_gnss_denied.tlog")
+
+    rates = {attitude.name: (attitude.samples, attitude.rate_hz) for attitude in found.attitudes}
+    assert rates["ATTITUDE_QUATERNION"] == (5958, pytest.approx(5957 / 148.919, rel=0, abs=0.02))

@@ -53,7 +53,7 @@ def turn() -> Log:
             530.0,
             86.3,
             (45.22, -93.14),
-            ("vehicle_attitude, 86.3 Hz", "vehicle_global_position", "vehicle_gps_position.time_utc_usec, 2622 fixes"),
+            ("vehicle_attitude, 89.8 Hz", "vehicle_global_position", "vehicle_gps_position.time_utc_usec, 2622 fixes"),
         ),
         (
             VTOL,
@@ -106,7 +106,7 @@ def test_a_log_without_gps_is_refused_unless_time_and_position_are_given() -> No
 
     flight = open_flight(COPTER, utc_start=ELEVEN_S, site=HOME)
     assert flight.attitude.last_s - ELEVEN_S == pytest.approx(69.0, abs=0.2)
-    assert flight.attitude_source == "vehicle_attitude, 83.3 Hz"
+    assert flight.attitude_source == "vehicle_attitude, 93.7 Hz"
 
 
 # --- which attitude -------------------------------------------------------------------------------------------------

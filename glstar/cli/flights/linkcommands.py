@@ -11,7 +11,6 @@ import typer
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
 from glstar.cli.reporting import echo_note, with_verbosity
 from glstar.errors import AnswersError
-from glstar.system.process import EXIT_INTERRUPTED
 
 # Probability within one standard deviation of each of two components.
 _ONE_SIGMA = float(-np.expm1(-0.5))
@@ -121,11 +120,7 @@ def replay_link(
             f"{played.name}, {played.attitude_source}, {played.attitude.last_s - played.attitude.first_s:.1f} s,"
             f" to {endpoint.text} at {rate_hz:g} Hz; Ctrl-C stops"
         )
-        try:
-            done = vehicle.run()
-        except KeyboardInterrupt:
-            typer.echo("glstar: stopped", err=True)
-            raise typer.Exit(EXIT_INTERRUPTED) from None
+        done = vehicle.run()
     if as_json:
         facts = {"duration_s": round(done.duration_s, 3), "packets": done.packets, "dropped": done.dropped}
         typer.echo(json.dumps(facts))

@@ -31,7 +31,9 @@ from glstar.link import (
     serial_ports,
 )
 from glstar.link.history import SIMULATOR_NAMES
+from glstar.link.packets import dialect
 from glstar.link.status import GIMBAL_LACK
+from glstar.system.process import exit_on_interrupt
 
 if TYPE_CHECKING:
     from glstar.export.live import LiveReport
@@ -230,6 +232,8 @@ def live(
     window = _WindowOptions(show, size, screenshot, stats, headless, answers)
     frames = _ExportOptions.of(export, FramePublishing(latest_frame, with_truth), format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
+    with exit_on_interrupt():
+        _import_libraries(draws=frames is not None)
     windowoptions.size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
@@ -269,6 +273,14 @@ def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bo
         raise typer.BadParameter("are shown in a window, or sent with --inject", param_hint="--answers")
     if window.stats is not None and duration_s is None:
         raise typer.BadParameter("--stats needs --duration SECONDS", param_hint="--stats")
+
+
+def _import_libraries(*, draws: bool) -> None:
+    """Import what takes long enough to be interrupted, before anything is opened."""
+    dialect()  # pymavlink
+    if draws:
+        import glstar.export.live  # noqa: PLC0415 - OpenCV
+        import glstar.render.opengl  # noqa: F401, PLC0415 - OpenGL, only if frames are drawn
 
 
 def _follow(

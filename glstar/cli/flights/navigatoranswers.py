@@ -3,6 +3,7 @@
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from threading import Event, Thread
 from typing import IO, TYPE_CHECKING, Self
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 STDIN = Path("-")
 # Interval at which a file of answers is read, s.
 _POLL_S = 0.02
+# Lines that cannot be used of which each is reported.
+_REPORTED = 20
 
 
 class IncomingAnswers(ABC):
@@ -46,7 +49,7 @@ class IncomingAnswers(ABC):
         self._on_failure = on_failure
         self._failure: Exception | None = None
         self._ending = Event()
-        self._number = 0
+        self._number = self._faults = 0
         self._start = source.stat().st_size if source != STDIN and source.is_file() else 0
         if source != STDIN and source.exists() and not source.is_file():
             raise AnswersError(source, "is no file; pipe answers into --answers -")
@@ -86,9 +89,12 @@ class IncomingAnswers(ABC):
 
     def _received(self, receiver: AnswerReceiver) -> Iterator[str]:
         """Yield the lines that arrive, and close the receiver at the end."""
-        while not self._ending.is_set():
-            yield from receiver.lines(_POLL_S)
-        receiver.close()
+        with closing(receiver):
+            while not self._ending.is_set():
+                for line in receiver.lines(_POLL_S):
+                    yield line
+                    if self._ending.is_set():
+                        return
 
     def _file_lines(self) -> Iterator[str]:
         """Yield the complete lines of the file as they are appended."""
@@ -107,7 +113,12 @@ class IncomingAnswers(ABC):
         try:
             self.take(parse_answer(self._source, self._number, line))
         except AnswersError as error:
-            self._report(str(error))
+            self._faults += 1
+            # Of a flood of them, fewer and fewer.
+            if self._faults <= _REPORTED:
+                self._report(str(error))
+            elif self._faults.bit_count() == 1:
+                self._report(f"{error} ({self._faults} lines cannot be used so far)")
 
 
 def _complete_lines(file: IO[bytes], has_more: Callable[[], bool] | None = None) -> Iterator[str]:

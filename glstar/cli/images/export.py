@@ -20,7 +20,7 @@ from glstar.flight import DATA_GAP
 from glstar.render.truth.conditions import conditions_report
 from glstar.sky.observed.stars import sun_altitude_rad
 from glstar.sky.place.timescale import earth_orientation_note, has_earth_orientation
-from glstar.system.process import EXIT_INTERRUPTED, exit_on_interrupt
+from glstar.system.process import exit_on_interrupt, exit_status
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -75,6 +75,7 @@ def export(
     dry_run: options.DryRun = False,
     verify: options.Verify = False,
     force: options.Force = False,
+    recover: options.Recover = None,  # noqa: ARG001 - its callback does all of it
     as_json: options.Json = False,
     summaries: options.SummaryFiles,
 ) -> None:
@@ -90,16 +91,22 @@ def export(
     summaries.check(verify=verify)
     output.check(video=video, verify=verify, blind=blind, **summaries.asked)
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=any((dask, video, dry_run, force)))
-    publishing = options.FramePublishing(latest_frame, with_truth).in_one_process(
-        workers, dask, draws=not (verify or dry_run)
-    )
+    publishing = options.FramePublishing(latest_frame, with_truth).without_truth(blind)
+    publishing.in_one_process(workers, dask, draws=not (verify or dry_run))
     exposures = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
     settings = flags.settings(**exposures, **{"navigator.attitude": navigator})
     part = _part_of(shard, force=force)
     known = options.NavigatorFiles(settings, output.directory, blind, flights_of(settings, flights))
     exif = known.allows(exif=exif)
     wanted = ExportOptions(
-        start, stop, frames=frames, image_format=format_, noiseless=light, seed=seed, masks=masks, exif=exif
+        known.start_s(start),
+        stop,
+        frames=frames,
+        image_format=format_,
+        noiseless=light,
+        seed=seed,
+        masks=masks,
+        exif=exif,
     )
     job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
@@ -214,9 +221,9 @@ def _draw(
         ):
             target = output.target(job)
             report = target.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+        raise typer.Exit(exit_status(interrupt)) from None
     return report, time.monotonic() - began_s
 
 

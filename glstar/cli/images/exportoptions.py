@@ -130,6 +130,31 @@ Verify = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Start over: remove the frames in the directory.")]
 Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
+
+def _recover(directory: Path | None) -> None:
+    """Complete an unfinished export, and exit."""
+    if directory is None:
+        return
+    from glstar.export.live import recover  # noqa: PLC0415 - OpenCV
+
+    found = recover(directory)
+    for image in found.damaged:
+        typer.echo(f"glstar: left out: {image} is missing or damaged", err=True)
+    typer.echo(f"{found.frames} frames are complete: {found.directory}")
+    raise typer.Exit
+
+
+Recover = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Only complete an export, live too, that was killed: truth.jsonl of the frames that DIR has.",
+        show_default=False,
+        is_eager=True,
+        callback=_recover,
+    ),
+]
+
 Parquet = Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")]
 Split = Annotated[
     Literal["flight", "flight:exact"] | None,
@@ -327,6 +352,14 @@ class NavigatorFiles:
             )
         return exif
 
+    def start_s(self, start_s: float) -> float:
+        """Return when the exposures begin, s from the first attitude: a random fraction later in a blind set."""
+        if self._blind is None:
+            return start_s
+        from glstar.export.navigator import blind_phase_s  # noqa: PLC0415 - OpenCV
+
+        return start_s + blind_phase_s(self._settings)
+
     def begin(self) -> None:
         """Remove an older ``nav.jsonl`` before frames are drawn; refuse a directory with files of another export."""
         from glstar.export.navigator import refuse_other_files, remove_nav  # noqa: PLC0415 - OpenCV
@@ -363,6 +396,11 @@ class NavigatorFiles:
                     "glstar: the errors of nav.jsonl are drawn from the default seed, which everybody knows; give"
                     " navigator.seed a number of your own"
                 )
+            if job.task.seed == 0:
+                echo_note(
+                    "glstar: the noise of the images is drawn from the default seed: who has glstar can subtract it;"
+                    " give --seed a number of your own"
+                )
 
 
 def _overlap(one: Path, other: Path) -> bool:
@@ -381,6 +419,16 @@ class FramePublishing:
     def __post_init__(self) -> None:
         if self.with_truth and not (self.where or "").startswith(STREAM):
             raise typer.BadParameter("belongs to --latest-frame zmq://...", param_hint="--with-truth")
+
+    def without_truth(self, blind: Path | None) -> Self:
+        """Return itself; refuse an output of a blind export that passes the truth on."""
+        has_truth = self.with_truth or not (self.where or "").startswith((STREAM, "http://", "video:"))
+        if blind is not None and self.where is not None and has_truth:
+            raise typer.BadParameter(
+                "would pass on the truth that --blind hides; take zmq://, http:// or video:, without --with-truth",
+                param_hint="--latest-frame",
+            )
+        return self
 
     def in_one_process(self, workers: int | None, dask: str | None, *, draws: bool) -> Self:
         """Return itself; refuse frames that several processes draw (`workers`, `dask`), or that are not written."""

@@ -12,6 +12,7 @@ import platform
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -23,7 +24,7 @@ from glstar import __version__
 from glstar.camera.sensor.sensor import Sensor
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
-from glstar.export.directory import OURS, SUMMARIES, TABLES, create, refuse_link
+from glstar.export.directory import OURS, SUMMARIES, TABLES, create, output_files, refuse_link
 from glstar.export.imagefiles.masks import masks_of
 from glstar.export.imagefiles.processing import CameraProcessing
 from glstar.export.plan.dataset import HASH_DIGITS, DataSetFrames, file_hash
@@ -183,7 +184,7 @@ def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
     if not _exists(path) and any(OURS.fullmatch(entry.name) for entry in directory.iterdir()) and not _exists(path):
         raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
     if _exists(path):
-        _refuse_other(directory, _read(path), manifest)
+        _refuse_other(directory, read_manifest(path), manifest)
 
 
 def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, Any]) -> None:
@@ -203,6 +204,24 @@ def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, An
         )
 
 
+def holds_frames(directory: Path) -> bool:
+    """Return whether a directory has an image, a line of truth, a summary of frames or a foreign file of that name.
+
+    An export that was stopped before its first frame leaves a manifest, empty files and unfinished ones.
+    """
+    for path in output_files(directory):
+        if path.name == NAME:
+            with suppress(ExportError):
+                read_manifest(path)
+                continue
+            return True
+        is_left_over = path.name.endswith(".partial") and path.name.startswith("nav.")
+        is_filled = path.name in SUMMARIES or path.stat().st_size > 0
+        if OURS.fullmatch(path.name) and is_filled and not is_left_over:
+            return True
+    return False
+
+
 def claim(directory: Path, manifest: dict[str, Any]) -> bool:
     """Write the manifest, unless another run has written it already; the caller has locked the directory.
 
@@ -213,7 +232,7 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
     path = directory / NAME
     if _created(path, to_json(manifest)):
         return False
-    existing = _read(path)
+    existing = read_manifest(path)
     _refuse_other(directory, existing, manifest)
     if existing == manifest:
         return False
@@ -228,7 +247,7 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
 def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:
     """Return whether the manifest of a directory equals this one, including the number of frames."""
     path = directory / NAME
-    return _exists(path) and _read(path) == manifest
+    return _exists(path) and read_manifest(path) == manifest
 
 
 def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
@@ -292,7 +311,8 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
     return shlex.join(str(argument) for argument in arguments)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Return the manifest in a file; raises ExportError if it is none of glstar, or a link."""
     refuse_link(path)
     try:
         manifest = json.loads(read_bytes(path, _LARGEST_BYTES))

@@ -1,22 +1,27 @@
 """Where frames go while they are drawn, besides files: other processes, a browser, a video device.
 
 ``cv2.VideoCapture("http://127.0.0.1:8090")`` reads the MJPEG stream of ``glstar live LINK --latest-frame
-http://127.0.0.1:8090``; ``/frame.jpg`` is the latest frame alone. Each part of the stream has its UTC by the camera's
-clock, in seconds since 1970, in the header ``X-Timestamp``.
+http://127.0.0.1:8090``; ``/frame.jpg`` is the latest frame alone. Each part of the stream has the start of its exposure
+by the clock of the navigator, in seconds since 1970, in the header ``X-Timestamp``.
 
 A virtual video device is a camera with a number or path. On Linux it belongs to the kernel module v4l2loopback, on
 Windows and macOS to OBS.
 """
 
+import io
 import re
+import select
+import socket
+import time
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Condition, Thread
+from socketserver import TCPServer
+from threading import BoundedSemaphore, Condition, Thread
 from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
@@ -32,14 +37,23 @@ HTTP = "http://"
 _ADDRESS = re.compile(r"http://(?:(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):)?(\d{1,5})/?")
 _LOOPBACK = "127.0.0.1"
 _BOUNDARY = "glstar-frame"
-# Interval at which the thread of a waiting client checks if the server has ended, s.
+# Interval at which the thread of a waiting client checks if the server or the client has ended, s.
 _POLL_INTERVAL_S = 0.25
+# Clients at a time; further ones are refused.
+MOST_CLIENTS = 16
+# Time for a client to send its request, and to take a frame, s.
+_REQUEST_TIMEOUT_S, _FRAME_TIMEOUT_S = 5.0, 10.0
+# Largest request, bytes.
+_LARGEST_REQUEST = 8192
+_BUSY = b"HTTP/1.0 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
 class MjpegServer:
     """Serves frames as they are drawn; a context manager. A client that is slower than the frames misses some.
 
-    `where` is ``http://HOST:PORT``, or ``http://PORT`` on this computer only. Frames are processed by ``[output]`` of
+    `where` is ``http://HOST:PORT``, or ``http://PORT`` on this computer only. There are 16 clients at most. Each has 5
+    s to send a request, 10 s to take a frame, and names this server in the header Host, which foreign web pages do not.
+    Frames are processed by ``[output]`` of
     the sensor, otherwise its saturation is white; `summed` is the number of short exposures whose sum a frame is.
     Raises ConfigError if the address is not valid or in use.
     """
@@ -55,12 +69,12 @@ class MjpegServer:
         self._thread = Thread(target=self._server.serve_forever, name="glstar-mjpeg", daemon=True)
         self._thread.start()
 
-    def write(self, pixels: NDArray[Any], truth: bytes, _nav: dict[str, Any]) -> None:
+    def write(self, pixels: NDArray[Any], _truth: bytes, nav: dict[str, Any]) -> None:
         """Send a frame to all clients.
 
-        `pixels` (height, width) uint8 or uint16; `truth`: the line of ``truth.jsonl``, for its UTC.
+        `pixels` (height, width) uint8 or uint16; `nav`: the record of the navigator, for the UTC of its clock.
         """
-        start_s = parse_utc(orjson.loads(truth)["camera_utc_start"])
+        start_s = parse_utc(nav["utc"]["start"])
         self._latest.set(
             encode_jpeg(shown_as_8_bits(pixels, self._sensor, summed=self._summed), self._quality), start_s
         )
@@ -106,10 +120,35 @@ class _Latest:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
+    request_queue_size = 64
 
     def __init__(self, address: tuple[str, int], latest: _Latest) -> None:
-        self.latest = latest
+        self.latest, self.named = latest, address[0].lower()
+        self._places = BoundedSemaphore(MOST_CLIENTS)
+        self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
         super().__init__(address, _Client)
+
+    def server_bind(self) -> None:
+        """Bind the socket; that of the library looks the name up in the network."""
+        TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a client on a thread of its own, or refuse it."""
+        if self._places.acquire(blocking=False):
+            super().process_request(request, client_address)
+            return
+        with suppress(OSError):
+            request.setblocking(False)
+            request.send(_BUSY)
+        self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a client."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print nothing: a client that goes away is no error."""
@@ -117,6 +156,41 @@ class _Server(ThreadingHTTPServer):
 
 class _Client(BaseHTTPRequestHandler):
     server: _Server
+    timeout = _FRAME_TIMEOUT_S
+
+    def setup(self) -> None:
+        """Read the request, of which a client could send one byte a minute, or no end; such a one gets no answer."""
+        super().setup()
+        until_s, head = time.monotonic() + _REQUEST_TIMEOUT_S, b""
+        while b"\r\n\r\n" not in head and b"\n\n" not in head:
+            self.connection.settimeout(max(until_s - time.monotonic(), 0.001))
+            received = self.connection.recv(_LARGEST_REQUEST)
+            if not received or len(head) > _LARGEST_REQUEST:
+                head = b""
+                break
+            head += received
+        self.connection.settimeout(_FRAME_TIMEOUT_S)
+        self.rfile.close()
+        self.rfile = io.BufferedReader(io.BytesIO(head))
+
+    def parse_request(self) -> bool:
+        """Parse the request; refuse one that names another host."""
+        if not super().parse_request():
+            return False
+        named = self.headers.get("Host")
+        if named is None or _host_of(named) in self._own_names():
+            return True
+        self.send_error(HTTPStatus.FORBIDDEN, "this server has another name")
+        return False
+
+    def _own_names(self) -> set[str]:
+        """Return the names of this computer's loopback, of the address of the server, and of the connection."""
+        return {"localhost", "127.0.0.1", "::1", self.server.named, str(self.connection.getsockname()[0])}
+
+    def _is_gone(self) -> bool:
+        """Return whether the client has closed the connection."""
+        ready, _, _ = select.select([self.connection], [], [], 0.0)
+        return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
 
     def do_GET(self) -> None:
         """Answer a client."""
@@ -129,7 +203,7 @@ class _Client(BaseHTTPRequestHandler):
 
     def _send_one(self) -> None:
         frame = None
-        while frame is None and not self.server.latest.has_ended:
+        while frame is None and not self.server.latest.has_ended and not self._is_gone():
             frame = self.server.latest.after(0)
         if frame is not None:
             self.send_response(HTTPStatus.OK)
@@ -148,6 +222,8 @@ class _Client(BaseHTTPRequestHandler):
                 self.wfile.write(f"--{_BOUNDARY}\r\n".encode())
                 self._send_jpeg(*frame[1:])
                 self.wfile.write(b"\r\n")
+            elif self._is_gone():
+                return
 
     def _send_jpeg(self, jpeg: bytes, utc_s: float) -> None:
         self.send_header("Content-Type", "image/jpeg")
@@ -158,6 +234,14 @@ class _Client(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the name in the standard library
         """Print nothing."""
+
+
+def _host_of(named: str) -> str:
+    """Return the host of a header Host, without the port."""
+    host = named.strip().lower()
+    if host.startswith("["):
+        return host[1:].partition("]")[0]
+    return host.rpartition(":")[0] if host.count(":") == 1 else host
 
 
 def _address(where: str) -> tuple[str, int]:

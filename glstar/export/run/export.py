@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, closing, nullcontext, suppress
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -12,21 +12,19 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import (
-    OURS,
     Lease,
     directory_lock,
     explain_disk_errors,
-    frame_folders,
     frame_numbers,
-    is_folder_name,
     output_files,
     refuse_links,
+    remove_own_files,
     revoke_leases,
 )
 from glstar.export.frame import FrameTask
 from glstar.export.imagefiles.formats import find_damage
 from glstar.export.plan.frames import SkippedFrame
-from glstar.export.plan.manifest import OmittedLog, claim, is_claimed, refuse_other_settings
+from glstar.export.plan.manifest import OmittedLog, claim, holds_frames, is_claimed, refuse_other_settings
 from glstar.export.run.executors import Executor
 from glstar.export.truth.lines import TruthFile
 from glstar.system.files import TEMPORARY, flush_directory, make_directory
@@ -65,23 +63,6 @@ def remove_leftovers(directory: Path) -> None:
     for path in output_files(directory):
         if path.name.startswith(TEMPORARY):
             path.unlink()
-
-
-def remove_all(directory: Path) -> None:
-    """Remove every file of an export, and its folders if nothing else is in them."""
-    revoke_leases(directory)
-    for entry in directory.iterdir():
-        if is_folder_name(entry.name) and entry.is_symlink():
-            entry.unlink()  # only the link, not its target
-    for path in output_files(directory):
-        if path.name.startswith(TEMPORARY) or OURS.fullmatch(path.name):
-            path.unlink()
-    for folder in frame_folders(directory):
-        flush_directory(folder)
-        with suppress(OSError):  # it holds files that are not the export's
-            folder.rmdir()
-    # The old frames must be gone from the disk before a new manifest describes the directory.
-    flush_directory(directory)
 
 
 def remove_staged_files(directory: Path) -> None:
@@ -225,6 +206,9 @@ class Export:
         is_new = not self.directory.exists()
         if not is_new:
             locked.enter_context(directory_lock(self.directory, shared=shared))
+            if not shared:
+                refuse_links(self.directory)
+                force = force or not holds_frames(self.directory)
         missing = wanted if is_new or force else missing_frames(self.task, manifest, truth, wanted)
         if missing.size:
             executor.preflight(self.task, int(missing[0]))
@@ -234,7 +218,7 @@ class Export:
             # Another run may have begun here in the meantime.
             missing = wanted if force else missing_frames(self.task, manifest, truth, wanted)
         if force:
-            remove_all(self.directory)
+            remove_own_files(self.directory)
         return missing
 
     def _draw(self, executor: Executor, missing: Numbers, truth: TruthFile) -> Generator[int, None, None]:

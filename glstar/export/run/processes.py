@@ -28,6 +28,8 @@ from glstar.system.process import defer_interrupts
 _MAX_DEATHS = 3
 # Time for a worker to finish the frames that it has begun, before it is killed, s.
 _STOP_TIMEOUT_S = 30.0
+# Signals that every process of a terminal receives, by Ctrl-C and when it is closed: the parent stops its workers.
+_OF_TERMINAL = {signal.Signals[name] for name in ("SIGINT", "SIGHUP") if name in signal.Signals.__members__}
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,16 +253,16 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _block_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C, which all processes of a terminal receive, from processes that are started in this context.
+    """Keep `_OF_TERMINAL` from processes that are started in this context.
 
-    They inherit the signal mask and lift it once they ignore SIGINT.  In this process the interrupt is raised when the
-    context ends: a half-started process would fail.
+    They inherit the signal mask and lift it once they ignore the signals.  In this process the interrupt is raised when
+    the context ends: a half-started process would fail.
     """
     if sys.platform == "win32":
         yield
         return
     resource_tracker.ensure_running()  # multiprocessing starts it with the first process, which would lift the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINAL)
     try:
         with defer_interrupts():
             yield
@@ -278,9 +280,10 @@ def _processors_per_worker(count: int) -> int:
 
 def _worker_main(connection: "Connection[Any, Any]") -> None:
     """Serve requests until the parent sends None or closes the pipe."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal; the parent stops workers
+    for number in _OF_TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
     if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_TERMINAL)
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL only where it is needed
 
     # The parent may have died: then there is no one to answer.

@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -140,6 +141,13 @@ class TruthFile:
             truth.seek(offset)
             return truth.read(length)
 
+    def lines(self) -> Iterator[bytes]:
+        """Yield the lines that are indexed, one for each frame, in the order of the frames."""
+        for number in self.numbers.tolist():
+            line = self.line(number)
+            assert line is not None
+            yield line
+
     @cached_property
     def _found(self) -> dict[int, tuple[int, int, int]]:
         """Source, offset and length of the last line of each frame."""
@@ -228,8 +236,32 @@ def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:
 _COUNTED_BLOCK_BYTES = 1 << 20
 
 
+def has_truth(directory: Path) -> bool:
+    """Return whether a directory has ``truth.jsonl``, or that of an export that was not finished."""
+    return (directory / "truth.jsonl").is_file() or is_unfinished(directory)
+
+
+def is_unfinished(directory: Path) -> bool:
+    """Return whether a directory has lines of truth, but no ``truth.jsonl``."""
+    return not (directory / "truth.jsonl").exists() and any(directory.glob("truth.jsonl*.partial"))
+
+
+def _unfinished(directory: Path) -> TruthFile:
+    """Return the truth of an export that was not finished, with a warning."""
+    truth = TruthFile(directory)
+    truth.read()
+    warnings.warn(
+        f"{directory}: the export was not finished; its first {len(truth.numbers)} frames are read"
+        f" (glstar export --recover {directory} completes it)",
+        stacklevel=1,
+    )
+    return truth
+
+
 def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterator[dict[str, Any]]:
     """Yield the frames of an export's ground truth, in the order of the file.
+
+    Of an export that was not finished, the frames so far are yielded in the order of their numbers, with a warning.
 
     Parameters
     ----------
@@ -253,15 +285,23 @@ def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterat
     if file.is_dir():
         file /= "truth.jsonl"
     wanted = None if split is None else _listed(file.with_name(f"{split}.txt"))
+    if file.name.startswith("truth.jsonl") and is_unfinished(file.parent):
+        numbered = enumerate(_unfinished(file.parent).lines(), start=1)
+    else:
+        numbered = enumerate(_lines(file), start=1)
+    for number, line in numbered:
+        frame = parse_frame(file, number, line)
+        if wanted is None or frame["file"] in wanted:
+            yield frame
+
+
+def _lines(file: Path) -> Iterator[bytes]:
     try:
         lines = file.open("rb")
     except OSError as error:
         raise ExportError(file, f"cannot be read ({error.strerror})") from error
     with lines:
-        for number, line in enumerate(lines, start=1):
-            frame = _frame(file, number, line)
-            if wanted is None or frame["file"] in wanted:
-                yield frame
+        yield from lines
 
 
 def _listed(path: Path) -> set[str]:
@@ -273,8 +313,8 @@ def _listed(path: Path) -> set[str]:
         raise ExportError(path, message) from error
 
 
-def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
-    """Return one line as a dictionary."""
+def parse_frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
+    """Return a line of a file, with its number, as a frame; raises ExportError if it is none."""
     try:
         frame = as_current_schema(orjson.loads(line))
     except (ValueError, TypeError, KeyError, RecursionError) as error:
@@ -299,6 +339,8 @@ def count_frames_of_truth(directory: Path) -> int:
     Raises ExportError if the truth cannot be read.
     """
     file = directory / "truth.jsonl"
+    if is_unfinished(directory):
+        return len(_unfinished(directory).numbers)
     try:
         with file.open("rb") as truth:
             return sum(block.count(b"\n") for block in iter(lambda: truth.read(_COUNTED_BLOCK_BYTES), b""))

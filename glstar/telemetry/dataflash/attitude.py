@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float, Integer
+from glstar.flight import mean_rate_hz
 from glstar.rotation import conjugate, euler_from_quaternion, multiply, quaternion_from_euler
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
 from glstar.telemetry.source import AttitudeSamples, quaternion_lengths, unit_quaternions, valid_times
@@ -185,7 +186,7 @@ class AttitudeEstimate:
         """Return the names of the lanes and their rate, for messages."""
         lanes = self.lanes
         clock_s = np.unique(self.clock_s[self.lane == lanes[0]])
-        rate = f" {1 / np.median(np.diff(clock_s)):.1f} Hz" if clock_s.size > 1 else " once"
+        rate = f" {mean_rate_hz(clock_s):.1f} Hz" if clock_s.size > 1 else " once"
         return " and ".join(map(self.called, lanes)) + rate
 
     def _samples(self, which: NDArray[np.bool_], source: str) -> AttitudeSamples:
