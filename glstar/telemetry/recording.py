@@ -91,7 +91,8 @@ class FlightOptions:
         if gap_s > BETWEEN_FLIGHTS_S and not ((utc_s >= attitude.first_s) & (utc_s <= attitude.last_s)).any():
             hours = f"for {gap_s / 3600:.1f} h around it"
             raise LogFormatError(name, f"the track {source} has no fix during the flight {flight}, and {hours}")
-        if gap_s > _TRACK_GAP_S:
+        within_s = np.clip(utc_s, attitude.first_s, attitude.last_s)
+        if (gap_s := float(np.diff(within_s).max(initial=0.0))) > _TRACK_GAP_S:
             notes.append(
                 f"the track {source} has no fix for {gap_s / 60:.0f} min of the flight; there it is interpolated"
             )

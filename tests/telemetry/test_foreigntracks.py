@@ -298,6 +298,17 @@ def test_a_track_without_a_fix_near_the_flight_is_refused(tmp_path: Path) -> Non
         open_flight(log, position=str(tmp_path / "track.gpx"))
 
 
+def test_fixes_of_other_days_are_no_gap_of_the_flight(tmp_path: Path) -> None:
+    text = gpx([(float(k), -34.93, 138.6, 100.0) for k in range(20)])
+    points = text.partition("<trkseg>")[2].partition("</trkseg>")[0]
+    (tmp_path / "track.gpx").write_text(text.replace(points, points + points.replace("2024-03-10", "2024-03-12")))
+
+    flight = open_flight(table(tmp_path / "flight.csv"), position=str(tmp_path / "track.gpx"))
+
+    assert not any("has no fix for" in note for note in flight.notes)
+    assert flight.position.at(FIRST_S + 10).height_m == pytest.approx(100)
+
+
 def test_heights_of_zero_between_others_are_none(tmp_path: Path) -> None:
     """A receiver without a fix in three dimensions states 0; an aircraft at the level of the sea does too."""
     points = [(float(k), -34.93, 138.6, 0.0 if 5 <= k < 15 else 500.0) for k in range(20)]
