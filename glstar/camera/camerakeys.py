@@ -186,6 +186,8 @@ _COUNTS: Mapping[LensModel, tuple[int, ...]] = {
     "rational": (4, 5, 8, 12, 14),
     "fisheye": (4,),
 }
+# Largest tangential coefficients of lenses; the last two of a fisheye's four are often larger.
+_LARGEST_TANGENTIAL = 0.015
 # Least focal length over the width of the image: a plumb_bob lens then sees 79 deg off its axis, a fisheye all around.
 _LEAST_FOCAL: Mapping[LensModel, float] = {"plumb_bob": 0.1, "rational": 0.1, "fisheye": 0.03}
 
@@ -441,6 +443,11 @@ def _model_of_count(named: str | None, claims: Sequence[tuple[str, tuple[float, 
         counts = " or ".join(str(count) for count in _COUNTS[model])
         raise CalibrationError(f"{key} holds {len(numbers)} numbers; a {model} lens has {counts}")
     if named is None and len(numbers) == _COUNTS["fisheye"][0] and any(numbers):
+        if max(abs(number) for number in numbers[2:]) > _LARGEST_TANGENTIAL:
+            raise CalibrationError(
+                f"{key} has four numbers, no key names the model, and the last two are too large for the tangential"
+                " distortion of a plumb_bob; add distortion_model: equidistant (a fisheye), or plumb_bob"
+            )
         notes.append(
             f"{key} has four numbers and no key names the model: plumb_bob is assumed; for a fisheye, add"
             " distortion_model: equidistant"

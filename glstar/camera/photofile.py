@@ -63,7 +63,7 @@ _LARGEST_DN = 65535
 # Stored numbers to a digital number of 15 to 9 bits that is in the highest of 16.
 _LEFT_ALIGNED = frozenset(2.0**shift for shift in range(1, 8))
 # Tags of TIFF directories.
-_COMPRESSION, _PHOTOMETRIC, _DNG_VERSION = 259, 262, 50706
+_COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _DNG_VERSION = 259, 262, 274, 50706
 _COLOUR_FILTERS, _LINEAR_RAW = 32803, 34892
 _UNCOMPRESSED = 1
 # Compressions of Nikon, Sony, Samsung and Pentax.
@@ -147,7 +147,9 @@ def _is_cut_off(jpeg: bytes) -> bool:
 
 def _decoded_common(content: bytes, *, floats: bool) -> PhotoPixels:
     """Return the pixels of a JPEG, PNG, TIFF, WebP and whatever else OpenCV reads."""
-    pixels, packed_bits = _decoded_tiff(content) if content.startswith((*_TIFF, *_BIG_TIFF)) else (None, None)
+    pixels, packed_bits, is_inverted = None, None, False
+    if content.startswith((*_TIFF, *_BIG_TIFF)):
+        pixels, packed_bits, is_inverted, content = _decoded_tiff(content)
     if pixels is None:
         import cv2  # noqa: PLC0415 - cv2, only when an image is read
 
@@ -168,7 +170,8 @@ def _decoded_common(content: bytes, *, floats: bool) -> PhotoPixels:
         # OpenCV moves the numbers to the highest of 16 bits.
         moved = _FILE_BITS - packed_bits
         plain = pixels if (pixels & ((1 << moved) - 1)).any() else pixels >> np.uint16(moved)
-        return PhotoPixels(np.ascontiguousarray(plain), 2**packed_bits - 1)
+        white_dn = 2**packed_bits - 1
+        return PhotoPixels(np.ascontiguousarray(white_dn - plain if is_inverted else plain), white_dn)
     stated = stated_shift_bits(content)
     shifted = as_digital_numbers(pixels, stated)
     if shifted is not pixels:
@@ -191,37 +194,44 @@ def _aligned(pixels: NDArray[Any]) -> PhotoPixels:
     return PhotoPixels(plain, 2**bits - 1, (f"{multiples}: they are taken as {bits} bits in the highest of 16",))
 
 
-def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None]:
-    """Return the pixels of a TIFF, blue first, or None to leave them to OpenCV; and the bits of packed numbers."""
+def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None, bool, bytes]:
+    """Return the pixels of a TIFF, blue first, or None to leave them to OpenCV.
+
+    Beside them: the bits of packed numbers, whether these count from white, and the file for OpenCV, which then does
+    not turn the image.
+    """
     import tifffile  # noqa: PLC0415 - only when a TIFF is read
 
     try:
-        page = _full_page(tifffile.TiffFile(BytesIO(content)))
+        tiff = tifffile.TiffFile(BytesIO(content))
+        page = _full_page(tiff)
     except Exception:  # damage: OpenCV is tried next
-        return None, None
+        return None, None, False, content
     _refuse_large(page.imagewidth, page.imagelength)
+    if (turned := page.tags.get(_ORIENTATION)) is not None:
+        upright, at = (1).to_bytes(2, "little" if tiff.byteorder == "<" else "big"), turned.valueoffset
+        content = content[:at] + upright + content[at + len(upright) :]
+    is_inverted, is_rgb = page.photometric == _WHITE_IS_ZERO, page.photometric == _RGB
     if page.bitspersample in _PACKED_BITS:
         # Some programs state 12 bits and write two bytes for each; OpenCV would unpack them.
         is_packed = sum(page.databytecounts) != 2 * page.imagewidth * page.imagelength * page.samplesperpixel
         if page.compression == _UNCOMPRESSED and not is_packed:
-            raise ValueError(
-                f"states {page.bitspersample} bits a sample and holds 16; write it with BitsPerSample = 16"
-            )
-        return None, page.bitspersample
+            stated = f"states {page.bitspersample} bits a sample and holds 16"
+            raise ValueError(f"{stated}; write it with BitsPerSample = 16")
+        return None, page.bitspersample, is_inverted, content
     # OpenCV makes 0 and 255 of single bits.
     if page.photometric not in _PLAIN_COLOURS or page.bitspersample == 1:
-        return None, None
+        return None, None, False, content
     try:
         # Not OpenCV: it mixes up the channels of planar images.
         pixels: NDArray[Any] = page.asarray()
     except Exception:  # unsupported compression or damage: OpenCV is tried next
-        return None, None
-    is_inverted, is_rgb = page.photometric == _WHITE_IS_ZERO, page.photometric == _RGB
+        return None, None, False, content
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
     if is_rgb and pixels.ndim == 3 and pixels.shape[2] >= 3:
         pixels = pixels[..., 2::-1]
-    return np.iinfo(pixels.dtype).max - pixels if is_inverted else pixels, None
+    return np.iinfo(pixels.dtype).max - pixels if is_inverted else pixels, None, False, content
 
 
 def _full_page(tiff: Any) -> Any:

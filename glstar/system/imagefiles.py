@@ -166,9 +166,9 @@ def read_fits(content: bytes) -> NDArray[np.float64]:
             cards[card[:8].strip()] = card[10:].split("/")[0].strip()
     dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
     axes = cards.get("NAXIS", "")
-    # A single plane may have a third axis.
+    # A single plane may have further axes.
     sides = [cards.get(key, "") for key in ("NAXIS2", "NAXIS1")]
-    is_plane = axes == "2" or (axes == "3" and cards.get("NAXIS3") == "1")
+    is_plane = axes in {"2", "3", "4"} and all(cards.get(f"NAXIS{axis}") == "1" for axis in range(3, int(axes) + 1))
     if dtype is None or not is_plane or not all(side.isdecimal() for side in sides):
         raise ValueError("its first unit is not an image of one channel")
     shape = int(sides[0]), int(sides[1])
@@ -176,7 +176,7 @@ def read_fits(content: bytes) -> NDArray[np.float64]:
     if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
         raise ValueError("it is cut off")
     stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
-    if cards.get("ROWORDER", "").strip("' ").upper() == "BOTTOM-UP":
+    if cards.get("ROWORDER", "").strip("' ").upper().replace("_", "-") == "BOTTOM-UP":
         stored = stored[::-1]
     # The standard allows FORTRAN's D for the exponent.
     scale, zero = (float(cards.get(key, "").replace("D", "E") or default) for key, default in _FITS_SCALE)

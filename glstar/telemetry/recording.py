@@ -32,6 +32,9 @@ from glstar.telemetry.source import (
     TelemetrySource,
     TriggerSamples,
     flyable,
+    is_missing_height,
+    no_position_samples,
+    two_places,
 )
 from glstar.telemetry.tracks import BETWEEN_FLIGHTS_S, GivenTrack
 
@@ -89,7 +92,8 @@ class FlightOptions:
         if gap_s > BETWEEN_FLIGHTS_S and not ((utc_s >= attitude.first_s) & (utc_s <= attitude.last_s)).any():
             hours = f"for {gap_s / 3600:.1f} h around it"
             raise LogFormatError(name, f"the track {source} has no fix during the flight {flight}, and {hours}")
-        if gap_s > _TRACK_GAP_S:
+        within_s = np.clip(utc_s, attitude.first_s, attitude.last_s)
+        if (gap_s := float(np.diff(within_s).max(initial=0.0))) > _TRACK_GAP_S:
             notes.append(
                 f"the track {source} has no fix for {gap_s / 60:.0f} min of the flight; there it is interpolated"
             )
@@ -314,13 +318,25 @@ def _position(batches: list[PositionSamples]) -> tuple[PositionSamples, tuple[st
     )
     columns = columns[:, np.isfinite(columns).all(axis=0)]
     order = np.argsort(columns[0], kind="stable")
+    sorted_columns = columns[:, order]
+    missing = is_missing_height(sorted_columns[0], sorted_columns[3])
+    if missing.any():
+        clock_s, height_m = sorted_columns[0], sorted_columns[3]
+        height_m[missing] = np.interp(clock_s[missing], clock_s[~missing], height_m[~missing])
+    columns[:, order] = sorted_columns
     reachable = np.ones(order.size, dtype=bool)
-    reachable[order] = flyable(*columns[:, order])
-    cut = int(np.count_nonzero(~reachable))
-    note = f"{cut} of {order.size} positions are too far from the others for an aircraft, and are left out"
+    reachable[order] = flyable(*sorted_columns)
+    if where := two_places(*sorted_columns, reachable[order]):
+        return no_position_samples(where), ()
+    notes = {
+        f"{np.count_nonzero(~reachable)} of {order.size} positions are too far from the others for an aircraft, and are"
+        " left out": ~reachable,
+        f"{np.count_nonzero(missing)} of {order.size} heights are 0 m between others that are not: they are"
+        " interpolated": missing,
+    }
     clock_s, latitude_rad, longitude_rad, height_m = columns[:, reachable]
     kept = PositionSamples(clock_s, latitude_rad, longitude_rad, height_m, _source(batches))
-    return kept, (note,) if cut else ()
+    return kept, tuple(note for note, which in notes.items() if which.any())
 
 
 def _clock(batches: list[ClockSamples]) -> ClockSamples:

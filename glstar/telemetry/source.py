@@ -361,6 +361,10 @@ _SPIKE_INTERVALS = 3.0
 _LARGEST_SPEED_M_PER_S = 700.0
 _POSITION_NOISE_M = 200.0
 _EARTH_RADIUS_M = 6.371e6
+# A height of 0 m is none if the ones beside it are farther away than this and this climb, m and m/s.
+_NO_HEIGHT_M, _LARGEST_CLIMB_M_PER_S = 30.0, 50.0
+# With this part of the positions at another place, either may be the flight.
+_ELSEWHERE = 0.8
 # A pause, in median intervals of positions.
 _PAUSE_INTERVALS = 10.0
 # Number of runs of positions before one that are searched for the one that it goes on from.
@@ -454,6 +458,37 @@ def flyable(clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m:
         kept[starts[run] : ends[run]] = True
         run = int(previous[run])
     return kept
+
+
+def two_places(clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m: Float, kept: Mask) -> str:
+    """Return where else the rest of (n,) positions is, if nearly as many as are kept are there; otherwise empty."""
+    rest = ~kept
+    rest[rest] = flyable(clock_s[rest], latitude_rad[rest], longitude_rad[rest], height_m[rest])
+    if not rest.any() or np.count_nonzero(rest) < _ELSEWHERE * np.count_nonzero(kept):
+        return ""
+    latitude_deg, longitude_deg = np.rad2deg(latitude_rad), np.rad2deg(longitude_rad)
+    one, other = (
+        f"{np.count_nonzero(rows)} at {np.median(latitude_deg[rows]):.2f}, {np.median(longitude_deg[rows]):.2f} deg"
+        for rows in (kept, rest)
+    )
+    return f"its positions are of two places, {one} and {other}, and nothing says which is the flight"
+
+
+def is_missing_height(clock_s: Float, height_m: Float) -> Mask:
+    """Return which of (n,) heights, m, sorted by time, s, are 0 because there is none: no aircraft climbs to the next.
+
+    A run of zeros is compared with the heights before and after it.
+    """
+    missing = np.zeros(height_m.size, dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], height_m == 0, [False]])))
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        beside = [(start - 1, start)] if start else []
+        beside += [(stop, stop - 1)] if stop < height_m.size else []
+        missing[start:stop] = bool(beside) and all(
+            abs(height_m[known]) > _NO_HEIGHT_M + _LARGEST_CLIMB_M_PER_S * abs(clock_s[zero] - clock_s[known])
+            for known, zero in beside
+        )
+    return missing
 
 
 def is_zero_position(latitude_deg: Float, longitude_deg: Float) -> Mask:

@@ -24,7 +24,7 @@ from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import PositionTrack
 from glstar.sky.place.timescale import parse_utc
 from glstar.system.userinput import read_bytes
-from glstar.telemetry.source import flyable, valid_positions
+from glstar.telemetry.source import flyable, is_missing_height, two_places, valid_positions
 
 # For messages.
 TRACK_FORMATS = "GPX, KML, KMZ, NMEA or IGC"
@@ -83,7 +83,10 @@ def read_track(path: str) -> GivenTrack:
         if isinstance(error, LogFormatError):
             raise
         raise LogFormatError(path, f"cannot be read as a track: {error}") from error
-    fixes = _valid(fixes, passed)
+    try:
+        fixes = _valid(fixes, passed)
+    except ValueError as error:
+        raise LogFormatError(path, str(error)) from error
     name = Path(path).name
     why = "; ".join(f"{count} {reason}" for reason, count in passed.items())
     if not fixes.size:
@@ -119,10 +122,17 @@ def _valid(fixes: Float, passed: Counter[str]) -> Float:
     longitude_deg = np.where((fixes[:, 2] > 180) & (fixes[:, 2] <= 360), fixes[:, 2] - 360, fixes[:, 2])
     real = valid_positions(fixes[:, 1], longitude_deg, heights_m)
     passed["at 0 N 0 E, beyond a pole or at an impossible height"] += int(np.count_nonzero(~real))
-    fixes, heights_m = fixes[real], heights_m[real]
+    fixes = fixes[real]
+    missing = is_missing_height(fixes[:, 0], fixes[:, 3])
+    passed["heights of 0 m that are none, between others"] += int(np.count_nonzero(missing))
+    fixes[missing, 3] = nan
+    heights_m = np.nan_to_num(fixes[:, 3])
     known = np.isfinite(fixes[:, 3])
     heights_m = np.interp(fixes[:, 0], fixes[known, 0], fixes[known, 3]) if known.any() else heights_m
-    reachable = flyable(fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
+    columns = (fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
+    reachable = flyable(*columns)
+    if where := two_places(*columns, reachable):
+        raise ValueError(where)
     passed["too far from the others for an aircraft"] += int(np.count_nonzero(~reachable))
     for reason in [reason for reason, count in passed.items() if not count]:
         del passed[reason]
@@ -140,7 +150,7 @@ def _format(path: str, content: bytes) -> tuple[str, _Parse, str]:
         if root is not None and root[1] in kinds:
             return (*kinds[root[1]], text)
     head = content.lstrip(b"\xef\xbb\xbf \r\n\t")
-    if re.match(rb"A[A-Z0-9]{3}", head) and re.search(rb"^(H[FOP]DTE|B\d{6})", content, re.M):
+    if re.match(rb"A[A-Z0-9]{3}", head) and re.search(rb"(?i)[\r\n](H[FOP]DTE|B\d{6})", content):
         return "IGC", _igc, text
     if _NMEA.search(content):
         return "NMEA", _nmea, text
@@ -174,17 +184,26 @@ def _kmz(path: str) -> bytes:
 def _elements(text: str, passed: Counter[str]) -> Iterator[tuple[str, ET.Element]]:
     """Yield the elements of an XML document when they end, with their names without the namespace.
 
-    A document that ends early is read up to there, and counted.
+    A mode of heights that stands in an element around it is copied into a gx:Track.  A document that ends early is read
+    up to there, and counted.
     """
     if "<!ENTITY" in text:
         raise ValueError("it declares entities, which no track needs")
-    parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(["end"])
+    parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(["start", "end"])
     ended = 0
+    around: list[ET.Element] = []
     try:
         parser.feed(text.lstrip())
-        for _, element in cast(Iterator[tuple[str, ET.Element]], parser.read_events()):
+        for event, element in cast(Iterator[tuple[str, ET.Element]], parser.read_events()):
+            name = str(element.tag).rpartition("}")[2]
+            if event == "start":
+                around.append(element)
+                continue
             ended += 1
-            yield str(element.tag).rpartition("}")[2], element
+            around.pop()
+            if name == "Track" and around:
+                element.extend([child for child in around[-1] if str(child.tag).endswith("altitudeMode")])
+            yield name, element
         parser.close()
     except ET.ParseError as error:
         if not ended:
@@ -253,7 +272,8 @@ def _kml(text: str, passed: Counter[str]) -> Iterator[_Fix]:
 
 def _is_above_ground(geometry: ET.Element) -> bool:
     """Return whether the heights of a geometry are above ground, or meaningless."""
-    return dict(_texts(geometry)).get("altitudeMode", "absolute") in _ABOVE_GROUND
+    # Its own mode comes first, before that of a gx:MultiTrack.
+    return next((mode for tag, mode in _texts(geometry) if tag == "altitudeMode"), "absolute") in _ABOVE_GROUND
 
 
 def _kml_fixes(fixes: Iterable[tuple[str, list[str]]], above: bool, passed: Counter[str]) -> Iterator[_Fix]:
@@ -269,7 +289,7 @@ def _kml_fixes(fixes: Iterable[tuple[str, list[str]]], above: bool, passed: Coun
         yield _Fix(utc_s, latitude_deg, longitude_deg, height[0] if height and not above else nan)
 
 
-_IGC_DATE = re.compile(r"H[FOP]DTE\s*(?:DATE)?[\s:]*(\d\d)[\s./-]*(\d\d)[\s./-]*(\d\d)")
+_IGC_DATE = re.compile(r"H[FOP]DTE\s*(?:DATE)?[\s:]*(\d\d)[\s./-]*(\d\d)[\s./-]*(\d\d)", re.IGNORECASE)
 _IGC_FIX = re.compile(r"B(\d\d)(\d\d)(\d\d)(\d\d)(\d{5})([NS])(\d{3})(\d{5})([EW])([AV])([-\d]\d{4})([-\d]\d{4})")
 
 

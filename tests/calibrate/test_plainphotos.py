@@ -165,7 +165,11 @@ BESIDE_A_TREE = {"fov_deg": 10.0, "limit_vmag": 7.0, "peak_snr": 14.0, "uncatalo
 FEW_STARS = {"fov_deg": 6.0, "limit_vmag": 8.5, "peak_snr": 5.0, "uncatalogued": 5}
 
 
-@pytest.mark.parametrize(("seed", "given", "least"), [(14, BESIDE_A_TREE, 9), (10, FEW_STARS, 5)])
+# The last two have five catalogue stars in clear view, and as many or five times as many others.
+@pytest.mark.parametrize(
+    ("seed", "given", "least"),
+    [(14, BESIDE_A_TREE, 9), (10, FEW_STARS, 5), (4, BESIDE_A_TREE, 5), (2, FEW_STARS, 5)],
+)
 def test_few_stars_beside_a_tree_and_in_a_narrow_view_are_recognised(seed, given, least) -> None:
     photo = narrow(seed, **given)
     camera = pinhole_camera(photo, 1.04 * given["fov_deg"])
@@ -179,6 +183,20 @@ def test_random_stars_beside_a_tree_and_in_a_narrow_view_are_refused(given) -> N
     photo = narrow(3, **given, is_decoy=True)
     with pytest.raises(CalibrationError):
         identify_lost(detect_stars(photo.image), REFERENCE, ALL_STARS, pinhole_camera(photo, given["fov_deg"]))
+
+
+@pytest.mark.parametrize(
+    ("seed", "given", "few"),
+    [
+        (3, BESIDE_A_TREE, r"has \d+ stars in such a view between crowded parts on average"),
+        (0, FEW_STARS, "has 6 stars in such a view on average, and five must be among the brightest"),
+    ],
+)
+def test_a_view_of_few_catalogue_stars_is_refused_with_their_number(seed, given, few) -> None:
+    photo = narrow(seed, **given)
+    with pytest.raises(CalibrationError, match=few) as refusal:
+        identify_lost(detect_stars(photo.image), REFERENCE, ALL_STARS, pinhole_camera(photo, given["fov_deg"]))
+    assert "try a deeper one (sky.catalogue)" in str(refusal.value)
 
 
 def test_round_stars_above_a_bright_edge_are_no_trails() -> None:

@@ -136,6 +136,18 @@ def test_a_number_of_coefficients_that_no_model_has_is_refused(tmp_path: Path, n
     assert f"D holds {len(numbers)} numbers" in refusal(tmp_path / "c.yaml", text)
 
 
+def test_four_coefficients_that_are_no_plumb_bob_need_a_model(tmp_path: Path) -> None:
+    """A fisheye by its numbers would be read as a lens with a tangential distortion that none has."""
+    text = "image_width: 1280\nimage_height: 960\nK: [[700, 0, 640], [0, 700, 480], [0, 0, 1]]\n"
+    path = tmp_path / "camera.yaml"
+    path.write_text(text + "D: [[-0.021], [0.013], [-0.027], [0.0101]]\n")
+
+    with pytest.raises(CalibrationError, match=r"the last two are too large .* add distortion_model: equidistant"):
+        camera_from_file(path)
+    path.write_text(text + "D: [[-0.021], [0.013], [-0.027], [0.0101]]\ndistortion_model: fisheye\n")
+    assert str(camera_from_file(path).lens).startswith("fisheye k1=-0.021")
+
+
 def test_four_coefficients_without_a_model_are_noted(tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(PLAIN)

@@ -176,3 +176,89 @@ def written(path: Path, kind: str, start_ns: int = START_NS) -> Path:
             if k % 5 == 0:
                 bag.fix(k, start_ns, status=-1 if k == 0 else 0)
     return path
+
+
+# Messages of PX4 1.14 and 1.16 without the fields that have no meaning for glstar; the bridge sends them as they are.
+PX4 = {
+    "px4_msgs/msg/VehicleAttitude": """
+        uint32 MESSAGE_VERSION = 0
+        uint64 timestamp
+        uint64 timestamp_sample
+        float32[4] q
+        float32[4] delta_q_reset
+        uint8 quat_reset_counter""",
+    "px4_msgs/msg/VehicleOdometry": """
+        uint64 timestamp
+        uint64 timestamp_sample
+        uint8 POSE_FRAME_NED = 1
+        uint8 POSE_FRAME_FRD = 2
+        uint8 pose_frame
+        float32[3] position
+        float32[4] q
+        float32[3] angular_velocity
+        uint8 reset_counter""",
+    "px4_msgs/msg/VehicleGlobalPosition": """
+        uint64 timestamp
+        uint64 timestamp_sample
+        float64 lat
+        float64 lon
+        float32 alt
+        bool lat_lon_valid
+        bool alt_valid""",
+    "px4_msgs/msg/SensorGps": """
+        uint64 timestamp
+        uint64 timestamp_sample
+        float64 latitude_deg
+        float64 longitude_deg
+        float64 altitude_msl_m
+        uint8 fix_type
+        int32 timestamp_time_relative
+        uint64 time_utc_usec""",
+    "px4_msgs/msg/SensorCombined": """
+        uint64 timestamp
+        float32[3] gyro_rad
+        float32[3] accelerometer_m_s2""",
+}
+
+
+class Px4Bag(Bag):
+    """A bag of PX4's topics, which have timestamps in microseconds and no headers."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        super().__init__(path, kind)
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
+        for name, definition in PX4.items():
+            self.store.register(get_types_from_msg(definition, name))
+
+    def flight(self, boot_ns: int, *, attitude: str = "vehicle_attitude", utc: bool = True, node: str = "/fmu") -> None:
+        """Write the flight with timestamps that begin at `boot_ns`, and the position and UTC of its receiver."""
+        f32 = np.float32
+        for k, t_s in enumerate(TIMES_S):
+            received_ns = START_NS + round(t_s * 1e9) + 4_000_000
+            us = (boot_ns + round(t_s * 1e9)) // 1000
+            x, y, z, w = NED_FRD[k].as_quat()
+            q = np.array([w, x, y, z], dtype=f32)
+            own: dict[str, Any] = {"delta_q_reset": np.zeros(4, f32), "quat_reset_counter": int(k >= 60)}
+            kind = "px4_msgs/msg/VehicleAttitude"
+            if attitude != "vehicle_attitude":
+                kind = "px4_msgs/msg/VehicleOdometry"
+                own = {"pose_frame": 1, "position": np.zeros(3, f32), "angular_velocity": np.zeros(3, f32)}
+                own |= {"reset_counter": 0}
+            self.write(f"{node}/out/{attitude}", kind, received_ns, timestamp=us + 900, timestamp_sample=us, q=q, **own)
+            before, after = NED_FRD[max(k - 1, 0)], NED_FRD[min(k + 1, TIMES_S.size - 1)]
+            rate = (before.inv() * after).as_rotvec() / (TIMES_S[min(k + 1, TIMES_S.size - 1)] - TIMES_S[max(k - 1, 0)])
+            self.write(
+                f"{node}/out/sensor_combined", "px4_msgs/msg/SensorCombined", received_ns, timestamp=us,
+                gyro_rad=rate.astype(f32), accelerometer_m_s2=np.zeros(3, f32),
+            )  # fmt: skip
+            if k % 5 == 0:
+                place = {"lat": -34.93, "lon": 138.6, "alt": f32(150.0), "lat_lon_valid": k > 0, "alt_valid": True}
+                topic = f"{node}/out/vehicle_global_position"
+                times_us = {"timestamp": us, "timestamp_sample": us}
+                self.write(topic, "px4_msgs/msg/VehicleGlobalPosition", received_ns, **times_us, **place)
+                self.write(
+                    f"{node}/out/vehicle_gps_position", "px4_msgs/msg/SensorGps", received_ns, timestamp=us,
+                    timestamp_sample=us, latitude_deg=-34.93, longitude_deg=138.6, altitude_msl_m=150.0, fix_type=3,
+                    timestamp_time_relative=-120_000,
+                    time_utc_usec=(START_NS + round(t_s * 1e9)) // 1000 - 120_000 if utc else 0,
+                )  # fmt: skip

@@ -177,19 +177,29 @@ def packed_tiff(rng: Rng) -> ImageCase:
     pixels = _mosaic(rng, bits, (int(rng.integers(33, 70)), int(rng.integers(33, 99))))
     if rng.random() < 0.3:
         pixels = (pixels // 40 * 1).astype(np.uint16)  # a dark image
-    samples = (pixels[..., np.newaxis] >> np.arange(bits - 1, -1, -1)) & 1
+    orientation, is_inverted = int(rng.integers(1, 9)), rng.random() < 0.2
+    stored = 2**bits - 1 - pixels if is_inverted else pixels
+    samples = (stored[..., np.newaxis] >> np.arange(bits - 1, -1, -1)) & 1
     rows = np.packbits(samples.reshape(len(pixels), -1).astype(np.uint8), axis=1).tobytes()
     order = str(rng.choice(["<", ">"]))
     height, width = pixels.shape
-    entries = [(256, 4, width), (257, 4, height), (258, 3, bits), (259, 3, 1), (262, 3, 1), (273, 4, 8)]
-    entries += [(277, 3, 1), (278, 4, height), (279, 4, len(rows)), (284, 3, 1)]
+    entries = [
+        (256, 4, width),
+        (257, 4, height),
+        (258, 3, bits),
+        (259, 3, 1),
+        (262, 3, int(not is_inverted)),
+        (273, 4, 8),
+    ]
+    entries += [(274, 3, orientation), (277, 3, 1), (278, 4, height), (279, 4, len(rows)), (284, 3, 1)]
     body = struct.pack(f"{order}H", len(entries))
     for tag, kind, value in entries:
         body += struct.pack(f"{order}HHI", tag, kind, 1)
         body += struct.pack(f"{order}H2x" if kind == 3 else f"{order}I", value)
     head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(f"{order}I", 8 + len(rows) + len(rows) % 2)
     content = head + rows + b"\0" * (len(rows) % 2) + body + bytes(4)
-    return ImageCase(f"TIFF packed {bits} bits {order}, width {width}", content, pixels, bits)
+    what = f"TIFF packed {bits} bits {order}, width {width}, orientation {orientation}, inverted {is_inverted}"
+    return ImageCase(what, content, pixels, bits)
 
 
 def left_aligned(rng: Rng) -> ImageCase:
@@ -229,10 +239,10 @@ def fits_file(rng: Rng) -> ImageCase:
     """Return a FITS file: rows from the top or the bottom, of one plane, unsigned, of 8 to 32 bits."""
     bits = int(rng.choice([8, 16]))
     pixels = _mosaic(rng, bits)
-    order = str(rng.choice(["TOP-DOWN", "BOTTOM-UP", ""]))
-    stored = pixels[::-1] if order == "BOTTOM-UP" else pixels
+    order = str(rng.choice(["TOP-DOWN", "BOTTOM-UP", "bottom_up", ""]))
+    stored = pixels[::-1] if order.upper().startswith("BOTTOM") else pixels
     stored = stored.astype(rng.choice([stored.dtype, np.dtype(np.int32), np.dtype(np.float32)]))
-    unit = fits.PrimaryHDU(stored[np.newaxis] if rng.random() < 0.5 else stored)
+    unit = fits.PrimaryHDU(stored.reshape(*np.ones(rng.integers(3), dtype=int), *stored.shape))
     if order:
         unit.header["ROWORDER"] = order
     target = BytesIO()

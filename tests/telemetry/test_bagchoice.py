@@ -31,6 +31,7 @@ from tests.support.bags import (
     START_NS,
     TIMES_S,
     Bag,
+    Px4Bag,
     written,
 )
 from tests.support.randombags import PLANNED, judged, random_bag
@@ -583,3 +584,184 @@ def test_the_flight_of_a_bag_is_read_once(tmp_path: Path) -> None:
 
     assert names == ["/mavros/imu/data", "/mavros/setpoint_position/global"]
     require_agreement(flight)
+
+
+# --- attitudes that do not turn alike -------------------------------------------------------------------------------
+FASTER = Rotation.from_rotvec(np.outer(-8 * TIMES_S, [0, 0, 1]), degrees=True) * ENU_FLU
+
+
+def turning(kind: str, topic: str, rotations: Rotation, frame_id: str = "map", **more: object) -> Decoy:
+    """Return a decoy with an orientation of its own at each sample."""
+
+    def add(bag: Bag, k: int, stamp_ns: int) -> None:
+        bag.oriented(kind, topic, stamp_ns, rotations[k], frame_id, **more)  # type: ignore[arg-type]
+
+    return add
+
+
+@pytest.mark.parametrize("topic", ["/mission/geopose", "/fov/geopose", "/leader_of_us"])
+def test_a_pose_that_turns_otherwise_is_passed_over_beside_an_imu(tmp_path: Path, topic: str) -> None:
+    with Bag(tmp_path / "bag", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            bag.imu(k, START_NS, ENU_FLU, topic="/vectornav/imu")
+            bag.fix(k, START_NS)
+            bag.oriented(GEO, topic, START_NS + round(TIMES_S[k] * 1e9), FASTER[k], place=(10.0, 20.0, 30.0))
+
+    flight = open_flight(tmp_path / "bag")
+
+    require_agreement(flight)
+    assert any(f"passed over: {topic}" in note for note in flight.notes)
+    assert flight.position_source == "/fix"
+
+
+def test_poses_that_turn_otherwise_are_refused_and_gyros_decide(tmp_path: Path) -> None:
+    def bag_with(name: str, *, gyros: bool) -> Path:
+        with Bag(tmp_path / name, "mcap") as bag:
+            for k in range(TIMES_S.size):
+                stamp_ns = START_NS + round(TIMES_S[k] * 1e9)
+                for topic, rotations in (("/a/pose", FASTER), ("/b/pose", ENU_FLU)):
+                    bag.oriented(POSE, topic, stamp_ns, rotations[k])
+                bag.fix(k, START_NS)
+                if gyros:
+                    before, after = ENU_FLU[max(k - 1, 0)], ENU_FLU[min(k + 1, TIMES_S.size - 1)]
+                    span_s = TIMES_S[min(k + 1, TIMES_S.size - 1)] - TIMES_S[max(k - 1, 0)]
+                    rate = (before.inv() * after).as_rotvec() / span_s
+                    bag.oriented(IMU, "/imu/raw", stamp_ns, ENU_FLU[k], rate=rate, covariance=NO_ORIENTATION)
+        return tmp_path / name
+
+    poses = bag_with("poses", gyros=False)
+    with pytest.raises(LogFormatError, match=r"/a/pose and /b/pose turn by differ by \d+ deg: .*--attitude"):
+        open_flight(poses)
+    require_agreement(open_flight(poses, attitude="/b/pose"))
+    flight = open_flight(bag_with("with gyros", gyros=True))
+    require_agreement(flight)
+    assert any("passed over: /a/pose" in note for note in flight.notes)
+
+
+def test_imus_of_two_bodies_without_vehicles_are_refused(tmp_path: Path) -> None:
+    path = flight_without_vehicle(tmp_path / "bag")
+
+    with pytest.raises(LogFormatError, match="not of one body, and nothing says which is the aircraft"):
+        open_flight(path)
+
+
+def flight_without_vehicle(path: Path) -> Path:
+    """Write Imus of two bodies whose topics name no vehicle."""
+    with Bag(path, "mcap") as bag:
+        for k in range(TIMES_S.size):
+            bag.imu(k, START_NS, ENU_FLU, topic="/imu_boat")
+            bag.imu(k, START_NS, FASTER, topic="/imu_helicopter")
+            bag.fix(k, START_NS)
+    return path
+
+
+# --- other time scales ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("ahead_s", "scale"),
+    [(18.02, "GPS time"), (37.0, "TAI"), (18.0 - 315964800.0, "GPS time since 1980"), (17.0, ""), (0.0, "")],
+)
+@pytest.mark.parametrize("boot", [True, False])
+def test_a_time_reference_of_another_scale_is_converted(
+    tmp_path: Path, ahead_s: float, scale: str, *, boot: bool
+) -> None:
+    """The recorder's clock shows it; a clock that is off by another time is believed."""
+    late_ns = START_NS - 40_000_000_000 if boot else 0
+    with Bag(tmp_path / "bag", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            now_ns = START_NS + round(TIMES_S[k] * 1e9)
+            bag.oriented(IMU, "/imu", now_ns - late_ns, ENU_FLU[k], late_ns=late_ns)
+            bag.placed("/fix", now_ns, HOME_DEG)
+            if k % 10 == 0:
+                bag.time("/gnss/time", now_ns - late_ns, now_ns + round(ahead_s * 1e9), received_ns=now_ns)
+
+    flight = open_flight(tmp_path / "bag")
+
+    off_s = 0.02 if ahead_s == 18.02 else 0.0 if scale else ahead_s
+    assert flight.attitude.first_s == pytest.approx(START_NS * 1e-9 + off_s, abs=1e-3)
+    assert any(f"/gnss/time count {scale}" in note for note in flight.notes) == bool(scale)
+
+
+HOME_DEG = (-34.93, 138.6, 100.0)
+
+
+def test_stamps_of_gps_time_are_converted(tmp_path: Path) -> None:
+    with Bag(tmp_path / "bag", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            now_ns = START_NS + round(TIMES_S[k] * 1e9)
+            bag.oriented(IMU, "/imu", now_ns + 18_000_000_000, ENU_FLU[k], late_ns=-18_000_000_000 + 3_000_000)
+            bag.placed("/fix", now_ns, HOME_DEG)
+
+    flight = open_flight(tmp_path / "bag")
+
+    assert flight.attitude.first_s == pytest.approx(START_NS * 1e-9, abs=1e-3)
+    assert any("the stamps of /imu count GPS time" in note for note in flight.notes)
+
+
+def test_of_two_clocks_of_receivers_the_one_that_was_never_set_is_not_used(tmp_path: Path) -> None:
+    late_ns = START_NS - 40_000_000_000
+    with Bag(tmp_path / "bag", "mcap") as bag:
+        for k in range(TIMES_S.size):
+            now_ns = START_NS + round(TIMES_S[k] * 1e9)
+            bag.oriented(IMU, "/imu", now_ns - late_ns, ENU_FLU[k], late_ns=late_ns)
+            bag.placed("/fix", now_ns, HOME_DEG)
+            bag.time("/gps/rtc", now_ns - late_ns, now_ns - 258462000_000000000, received_ns=now_ns)
+            if k % 25 == 0:
+                bag.time("/gnss/time", now_ns - late_ns, now_ns, received_ns=now_ns)
+
+    assert open_flight(tmp_path / "bag").attitude.first_s == pytest.approx(START_NS * 1e-9, abs=1e-3)
+
+
+# --- messages of PX4 ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("kind", ["mcap", "db3"])
+@pytest.mark.parametrize("boot_ns", [START_NS, 40_000_000_000])
+@pytest.mark.parametrize("attitude", ["vehicle_attitude", "vehicle_odometry"])
+def test_px4_topics_are_a_flight_by_utc_or_since_boot(tmp_path: Path, kind: str, boot_ns: int, attitude: str) -> None:
+    with Px4Bag(tmp_path / "bag", kind) as bag:
+        bag.flight(boot_ns, attitude=attitude)
+
+    flight = open_flight(tmp_path / "bag")
+
+    require_agreement(flight)
+    assert flight.attitude.first_s == pytest.approx(START_NS * 1e-9, abs=2e-3)
+    assert flight.attitude_source == f"/fmu/out/{attitude}, 25.0 Hz"
+    site = flight.position.at(START_NS * 1e-9 + 2.0)
+    np.testing.assert_allclose(np.rad2deg([site.latitude_rad, site.longitude_rad]), [-34.93, 138.6], atol=1e-9)
+    assert site.height_m == pytest.approx(150.0)
+    assert flight.utc_source.startswith("/fmu/out/vehicle_gps_position")
+    open_flight(tmp_path / "bag", interpolation="gyro")
+
+
+def test_px4_without_utc_of_a_receiver_is_timed_by_the_host_or_refused_with_its_time(tmp_path: Path) -> None:
+    for name, boot_ns in (("synchronised", START_NS), ("since boot", 40_000_000_000)):
+        with Px4Bag(tmp_path / name, "mcap") as bag:
+            bag.flight(boot_ns, utc=False)
+
+    assert open_flight(tmp_path / "synchronised").attitude.first_s == pytest.approx(START_NS * 1e-9, abs=2e-3)
+    with pytest.raises(LogFormatError, match=r"its recorder received the first attitude at 2024-03-10T11:00:00\.25"):
+        open_flight(tmp_path / "since boot")
+
+
+def test_px4_setpoints_of_other_programs_are_not_the_attitude(tmp_path: Path) -> None:
+    with Px4Bag(tmp_path / "bag", "mcap") as bag:
+        bag.flight(START_NS)
+        bag.flight(START_NS, attitude="vehicle_visual_odometry", node="/fmu/in")
+
+    flight = open_flight(tmp_path / "bag")
+
+    assert flight.attitude_source.startswith("/fmu/out/vehicle_attitude")
+
+
+def test_px4_messages_without_definitions_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    """Recorders before ROS Iron write no definitions into a database."""
+    with Px4Bag(tmp_path / "bag", "db3") as bag:
+        bag.flight(START_NS)
+    with closing(sqlite3.connect(next((tmp_path / "bag").glob("*.db3")))) as database:
+        database.execute("DROP TABLE message_definitions")
+        database.commit()
+
+    with pytest.raises(
+        LogFormatError,
+        match=r"no definitions of the messages of /fmu/out/vehicle_attitude \(px4_msgs/VehicleAttitude\)",
+    ) as refusal:
+        open_flight(tmp_path / "bag")
+    assert "convert it to MCAP where their package is installed: ros2 bag convert" in str(refusal.value)

@@ -142,7 +142,7 @@ def test_the_end_of_a_day_is_the_next_midnight(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "header",
-    ["HFDTE100324", "HFDTEDATE:100324,01", "HFDTEDATE100324", "HFDTE 100324", "HFDTE DATE: 10 03 24", "HPDTE100324"],
+    ["HFDTE100324", "HFDTEDATE:100324,01", "HFDTEDATE100324", "HFDTE 100324", "HFDTE DATE: 10 03 24", "HPDTE100324", "hfdte100324"],
 )
 def test_dates_of_igc_files_have_many_forms(tmp_path: Path, header: str) -> None:
     (tmp_path / "track.igc").write_text(f"AXXXABC FLIGHT:1\n{header}\n" + b_records("A", HOME, range(20)) + "B1100")
@@ -178,6 +178,16 @@ def test_an_empty_element_of_kml_is_skipped_and_counted(tmp_path: Path) -> None:
 
     np.testing.assert_allclose(found.track.utc_s, FIRST_S + np.delete(np.arange(20), 9), rtol=0, atol=1e-6)
     assert found.notes == ("of the track track.kml were passed over: 1 without a readable place or time",)
+
+
+def test_a_track_within_another_has_its_mode_of_heights(tmp_path: Path) -> None:
+    """A gx:MultiTrack states the mode for all, and a track may state its own."""
+    text = kml_track("", ["138.6 -34.93 100"] * 20).replace("<gx:Track>", "<gx:MultiTrack>MODE<gx:Track>OWN")
+    text = text.replace("</gx:Track>", "</gx:Track></gx:MultiTrack>")
+    relative, absolute = (f"<altitudeMode>{mode}</altitudeMode>" for mode in ("relativeToGround", "absolute"))
+    for mode, own, height_m in ((relative, "", 0.0), (absolute, "", 100.0), (relative, absolute, 100.0)):
+        (tmp_path / "track.kml").write_text(text.replace("MODE", mode).replace("OWN", own))
+        np.testing.assert_allclose(read_track(str(tmp_path / "track.kml")).track.height_m, height_m, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -286,6 +296,48 @@ def test_a_track_without_a_fix_near_the_flight_is_refused(tmp_path: Path) -> Non
 
     with pytest.raises(LogFormatError, match=r"track.gpx, GPX, 40 fixes has no fix during the flight .*for 48.0 h"):
         open_flight(log, position=str(tmp_path / "track.gpx"))
+
+
+def test_fixes_of_other_days_are_no_gap_of_the_flight(tmp_path: Path) -> None:
+    text = gpx([(float(k), -34.93, 138.6, 100.0) for k in range(20)])
+    points = text.partition("<trkseg>")[2].partition("</trkseg>")[0]
+    (tmp_path / "track.gpx").write_text(text.replace(points, points + points.replace("2024-03-10", "2024-03-12")))
+
+    flight = open_flight(table(tmp_path / "flight.csv"), position=str(tmp_path / "track.gpx"))
+
+    assert not any("has no fix for" in note for note in flight.notes)
+    assert flight.position.at(FIRST_S + 10).height_m == pytest.approx(100)
+
+
+def test_heights_of_zero_between_others_are_none(tmp_path: Path) -> None:
+    """A receiver without a fix in three dimensions states 0; an aircraft at the level of the sea does too."""
+    points = [(float(k), -34.93, 138.6, 0.0 if 5 <= k < 15 else 500.0) for k in range(20)]
+    (tmp_path / "track.gpx").write_text(gpx(points))
+    beach = [(float(k), -34.93, 138.6, max(0.0, 12.0 - 3 * k)) for k in range(20)]
+    (tmp_path / "beach.gpx").write_text(gpx(beach))
+
+    found = read_track(str(tmp_path / "track.gpx"))
+    beach_m = read_track(str(tmp_path / "beach.gpx")).track.height_m
+
+    np.testing.assert_allclose(found.track.height_m, 500, rtol=0, atol=1e-6)
+    assert found.notes == (
+        "of the track track.gpx were passed over: 10 heights of 0 m that are none, between others",
+    )
+    np.testing.assert_allclose(beach_m, [height for *_, height in beach], rtol=0, atol=1e-6)
+
+
+def test_a_track_of_two_places_is_refused(tmp_path: Path) -> None:
+    points = [(float(k), *((-34.93, 138.6) if k < 10 else (52.0, 5.0)), 100.0) for k in range(20)]
+    (tmp_path / "track.gpx").write_text(gpx(points))
+    log = "utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg\n"
+    rows = "\n".join(f"{FIRST_S + k},1,2,3,{latitude},{longitude}" for k, latitude, longitude, _ in points)
+    (tmp_path / "flight.csv").write_text(log + rows)
+
+    places = r"of two places, 10 at -34.93, 138.60 deg and 10 at 52.00, 5.00 deg, and nothing says which is the flight"
+    with pytest.raises(LogFormatError, match=places):
+        read_track(str(tmp_path / "track.gpx"))
+    with pytest.raises(LogFormatError, match=places):
+        open_flight(tmp_path / "flight.csv")
 
 
 def test_positions_of_a_log_that_no_aircraft_reaches_are_left_out(tmp_path: Path) -> None:

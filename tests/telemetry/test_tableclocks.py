@@ -207,6 +207,27 @@ def test_heights_of_betaflight_are_in_decimetres_and_those_of_inav_in_metres(tmp
     assert heights_m == [500, 5000]
 
 
+@pytest.mark.parametrize(
+    ("firmware", "height_m", "unit"),
+    [
+        ("Betaflight 3.5.7", 5000, "metres, as its firmware writes"),
+        ("Cleanflight 2.3.2", 5000, "metres, as its firmware writes"),
+        ("Betaflight 4.3.2 (b38b2fb) STM32F405", 500, "tenths of a metre"),
+        ("Betaflight 2025.12.0", 500, "tenths of a metre"),
+    ],
+)
+def test_the_firmware_of_a_blackbox_says_the_unit_of_its_heights(
+    tmp_path: Path, firmware: str, height_m: float, unit: str
+) -> None:
+    before = f'"fieldname","fieldvalue"\n"Product","Blackbox"\n"Firmware revision","{firmware}"\n'
+    path = blackbox(tmp_path / "bbe.csv", QUATERNION | PLACE, before)
+
+    flight = open_flight(path, utc_start=START_S)
+
+    assert flight.position.at(START_S).height_m == height_m
+    assert f"GPS_altitude has no unit and is taken in {unit}" in flight.notes
+
+
 def test_the_date_and_time_of_a_blackbox_is_its_utc(tmp_path: Path) -> None:
     path = blackbox(tmp_path / "inav.csv", {"attitude[0]": 100, "attitude[1]": -200, "attitude[2]": 1000} | PLACE)
     lines = path.read_text().splitlines()

@@ -456,6 +456,15 @@ def test_feedback_without_a_time_is_dated_by_arrival_and_numbered_by_the_camera(
     )
 
 
+def test_the_number_of_feedback_goes_on_after_16_bits(tmp_path: Path) -> None:
+    shots = [(t_s, ELEVEN_S + t_s, (65534 + n) % 2**16, 0) for n, t_s in enumerate(TRIGGERS_S)]
+
+    flight = open_flight(feedback(tmp_path / "log.tlog", shots))
+
+    assert plan_of(flight) == [(65534 + n, t_s) for n, t_s in enumerate(TRIGGERS_S)]
+    assert flight.notes == ()
+
+
 def test_lost_feedback_leaves_its_number_out(tmp_path: Path) -> None:
     shots = [(t_s, ELEVEN_S + t_s, n + 5, 0) for n, t_s in enumerate(TRIGGERS_S) if n != 1]
 

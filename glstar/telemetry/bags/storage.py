@@ -154,6 +154,7 @@ def _read_file(bag: Bag, path: Path) -> Exception | None:
                     topic.add(channel.decode(raw), received_ns * 1e-9)
                 except Exception:
                     topic.undecoded += 1
+                    topic.undefined = not channel.definition and not len(topic)
         except Exception as error:
             where = f"in {path.name}"
             if stream.position:  # of a database it is not known

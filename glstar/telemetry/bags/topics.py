@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from glstar.arrays import Float, Mask
+from glstar.rotation import slerp
+from glstar.sky.place.timescale import TAI_MINUS_GPS_S, leap_seconds
 from glstar.telemetry import source
 
 IMU = "sensor_msgs/msg/Imu"
@@ -18,6 +20,15 @@ FIX = "sensor_msgs/msg/NavSatFix"
 GEO = "geographic_msgs/msg/GeoPoseStamped"
 TIME = "sensor_msgs/msg/TimeReference"
 CAMERA = "sensor_msgs/msg/CameraInfo"
+# Messages of PX4, which the bridge of uXRCE-DDS publishes: FRD to NED, microseconds since boot or by the host's UTC.
+PX4_ATTITUDE, PX4_ODOMETRY = "px4_msgs/msg/VehicleAttitude", "px4_msgs/msg/VehicleOdometry"
+PX4_GYROS, PX4_RATES = "px4_msgs/msg/SensorCombined", "px4_msgs/msg/VehicleAngularVelocity"
+PX4_PLACE, PX4_GPS = "px4_msgs/msg/VehicleGlobalPosition", "px4_msgs/msg/SensorGps"
+PX4_OLD_GPS = "px4_msgs/msg/VehicleGpsPosition"
+PX4 = frozenset({PX4_ATTITUDE, PX4_ODOMETRY, PX4_GYROS, PX4_RATES, PX4_PLACE, PX4_GPS, PX4_OLD_GPS})
+# VehicleOdometry: the world of its orientation, by its number.
+_PX4_WORLDS = {1: "NED", 2: "FRD"}
+_FIX_3D = 3
 # An orientation with this variance about an axis is not known, rad^2: drivers write 1e6 and 99999.
 _UNKNOWN_RAD2 = 10.0
 
@@ -32,14 +43,18 @@ def _nested_orientation(message: Any) -> Any:
 
 # Messages with attitude, in the order of choice, and how each gives its orientation.
 ATTITUDES: Mapping[str, Callable[[Any], Any]] = {
+    PX4_ATTITUDE: lambda message: message.q,
     GEO: _pose_orientation,
     IMU: lambda message: message.orientation,
     "geometry_msgs/msg/PoseStamped": _pose_orientation,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _nested_orientation,
     "geometry_msgs/msg/QuaternionStamped": lambda message: message.quaternion,
     "nav_msgs/msg/Odometry": _nested_orientation,
+    PX4_ODOMETRY: lambda message: message.q,
 }
-KINDS = frozenset({*ATTITUDES, FIX, TIME, CAMERA})
+PLACES, TIMES = {GEO, FIX, PX4_PLACE, PX4_GPS, PX4_OLD_GPS}, {TIME, PX4_GPS, PX4_OLD_GPS}
+RATES = {IMU, PX4_GYROS, PX4_RATES}
+KINDS = frozenset({*ATTITUDES, *PLACES, *TIMES, *RATES, CAMERA})
 
 
 # An orientation that turns less does not move: the rounding of float64, rad.
@@ -52,6 +67,19 @@ _FROZEN_S, _FROZEN_PART = 1.0, 0.1
 _UTC_SCATTER_S = 0.5
 # Stamps of two topics that are received with delays that differ more are of two clocks, s.
 _SAME_CLOCK_S = 5.0
+# Words of frames that are the axes of a world or of a body.
+WORLDS = ("NED", "ENU", "NWU")
+_BODIES = ("FRD", "FLU")
+# PX4 logs the age of its UTC, which is no age beyond this, s.
+_LARGEST_AGE_S = 2.0
+# Two attitudes of one body turn by the same angles between any two times, within this angle and this part of it.
+_ALIKE_DEG, _ALIKE_PART = 2.0, 0.05
+_COMPARED_TIMES = 60
+# UTC by a receiver, and the clock of the recorder, differ by less than this unless they count another time scale, s.
+_SAME_SCALE_S = 0.5
+# The same for seconds since 1980 that are taken as seconds since 1970, s.
+_SAME_EPOCH_S = 60.0
+_GPS_EPOCH_S = 315964800.0
 # Cosine between the mean direction of the accelerometers and the axis of the world that is up.
 _UPRIGHT = 0.8
 
@@ -64,6 +92,7 @@ _COLUMNS = {
     "acceleration": slice(9, 12),  # m/s^2
     "position": slice(12, 15),  # latitude and longitude, deg; height, m
     "utc_s": slice(15, 16),
+    "resets": slice(16, 17),  # Number of resets of the estimator
 }
 _WIDTH = max(columns.stop for columns in _COLUMNS.values())
 
@@ -80,13 +109,23 @@ class Topic:
     unmeasured: int = 0  # Number of messages whose covariance says that they have no orientation
     unknown: int = 0  # Number of messages whose covariance says that their orientation may be any
     undecoded: int = 0  # Number of messages that rosbags cannot decode
+    undefined: bool = False  # Whether the bag has no definition of them
     _cells: "array[float]" = field(default_factory=lambda: array("d"))
 
     def add(self, message: Any, received_s: float) -> None:
         """Append a message that was recorded at `received_s`, UTC seconds of the recorder."""
+        row = [np.nan] * _WIDTH
+        row[0] = received_s
+        if self.kind in PX4:
+            self._add_px4(row, message)
+        else:
+            self._add_ros(row, message, received_s)
+        self._cells.extend(row)
+
+    def _add_ros(self, row: list[float], message: Any, received_s: float) -> None:
+        """Complete the row of a message with a header."""
         header = message.header
         stamp_s = header.stamp.sec + header.stamp.nanosec * 1e-9
-        row = [np.nan] * _WIDTH
         row[:2] = received_s, stamp_s or received_s
         if self.kind in ATTITUDES:
             q = ATTITUDES[self.kind](message)
@@ -103,7 +142,34 @@ class Topic:
             self.origin = self.origin or message.source
             row[_COLUMNS["utc_s"]] = [message.time_ref.sec + message.time_ref.nanosec * 1e-9]
         self.frame_id = self.frame_id or header.frame_id
-        self._cells.extend(row)
+
+    def _add_px4(self, row: list[float], message: Any) -> None:
+        """Complete the row of a message of PX4, whose timestamps are microseconds; (w, x, y, z) is body to NED."""
+        stamp_s = (getattr(message, "timestamp_sample", 0) or message.timestamp) * 1e-6
+        if self.kind in ATTITUDES:
+            row[_COLUMNS["orientation"]] = ATTITUDES[self.kind](message)
+            counters = (getattr(message, name, 0.0) for name in ("quat_reset_counter", "reset_counter"))
+            row[_COLUMNS["resets"]] = [float(sum(counters))]
+            self.frame_id = self.frame_id or _PX4_WORLDS.get(getattr(message, "pose_frame", 1), "unknown")
+        elif self.kind == PX4_GYROS:
+            row[_COLUMNS["rate_rad_per_s"]] = message.gyro_rad
+        elif self.kind == PX4_RATES:
+            row[_COLUMNS["rate_rad_per_s"]] = message.xyz
+        elif self.kind == PX4_PLACE:
+            if getattr(message, "lat_lon_valid", True) and getattr(message, "alt_valid", True):
+                row[_COLUMNS["position"]] = message.lat, message.lon, message.alt
+        else:
+            # The age of the UTC when it was logged, as in ULog.
+            age_s = message.timestamp_time_relative * 1e-6
+            stamp_s = message.timestamp * 1e-6 + (age_s if abs(age_s) <= _LARGEST_AGE_S else 0.0)
+            if message.fix_type >= _FIX_3D:
+                row[_COLUMNS["position"]] = (
+                    (message.latitude_deg, message.longitude_deg, message.altitude_msl_m)
+                    if hasattr(message, "latitude_deg")
+                    else (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
+                )
+                row[_COLUMNS["utc_s"]] = [message.time_utc_usec * 1e-6]
+        row[1] = stamp_s
 
     def _add_gyros(self, row: list[float], message: Any) -> None:
         """Complete the row of an Imu, which says by covariances what it does not measure."""
@@ -152,6 +218,33 @@ class Topic:
         length = float(np.linalg.norm(a, axis=-1).mean())
         return length > 0 and float((third * a).sum(axis=-1).mean()) < -_UPRIGHT * length
 
+    @property
+    def is_of_device(self) -> bool:
+        """Whether it is by its name of a sensor other than that of the aircraft's attitude."""
+        return has_word(DEVICE, f"{self.name} {self.frame_id}")
+
+    @property
+    def is_interface(self) -> bool:
+        """Whether it is of the interface of an autopilot."""
+        return self.kind == PX4_ATTITUDE or any(map(INTERFACE.fullmatch, self.name.split("/")))
+
+    @property
+    def authority(self) -> int:
+        """How surely its attitude is measured: 2 by an autopilot, 1 by an Imu, 0 unknown."""
+        return 2 if self.is_interface else int(self.kind == IMU)
+
+    def axes(self, world: str, body: str) -> tuple[str, str]:
+        """Return the axes of world and body; "auto" is what the topic says."""
+        frames = {word.upper() for word in words_of(self.frame_id)} if self.kind != IMU else set()
+        own = {word.upper() for word in words_of(self.child_frame_id)}
+        if world == "auto" and self.kind in PX4:
+            world = "NED"
+        elif world == "auto":
+            world = next((axes for axes in WORLDS if axes in frames), "NED" if self.is_up_down else "ENU")
+        if body == "auto":
+            body = next((axes for axes in _BODIES if axes in own), "FRD" if world == "NED" else "FLU")
+        return world, body
+
     def frozen_beside(self, others: Iterable["Topic"]) -> str:
         """Return why the orientation is none: it stands still while its gyros or other attitudes turn; empty if not."""
         clock_s, q = self.column("stamp_s")[self.is_oriented], self.column("orientation")[self.is_oriented]
@@ -174,6 +267,24 @@ class Topic:
             if turned.size and _angles_rad(turned, turned[:1]).max() > _TURNS_RAD:
                 return f"its orientation is constant while that of {other.name} turns"
         return ""
+
+    def turns_otherwise(self, other: "Topic") -> float:
+        """Return by how much the angles between times differ from those of another attitude, deg; 0 if they are alike.
+
+        Angles between two times are the same for two sensors of one body, whatever their axes and their worlds.
+        """
+        tracks = [
+            (times_s[topic.is_oriented], topic.column("orientation")[topic.is_oriented])
+            for times_s, topic in ((self.clock_s(other), self), (other.column("stamp_s"), other))
+        ]
+        first_s, last_s = max(times_s.min() for times_s, _ in tracks), min(times_s.max() for times_s, _ in tracks)
+        if not first_s < last_s:
+            return 0.0
+        at_s = np.linspace(first_s, last_s, _COMPARED_TIMES)
+        one, another = (np.rad2deg(_angles_between(_interpolated(times_s, q, at_s))) for times_s, q in tracks)
+        differs_deg = float(np.median(np.abs(one - another)))
+        is_alike = differs_deg <= _ALIKE_DEG + _ALIKE_PART * float(np.median(np.concatenate([one, another])))
+        return 0.0 if is_alike else differs_deg
 
     def positions(self, attitude: "Topic") -> source.PositionSamples:
         """Return the valid positions of a NavSatFix or a GeoPose, by the clock of an attitude."""
@@ -198,6 +309,12 @@ class Topic:
         """Median time from the stamps of the headers to reception, s: large if they are of another clock."""
         return float(np.median(self.column("received_s") - self.column("stamp_s")))
 
+    @cached_property
+    def scale_of_stamps(self) -> tuple[float, str]:
+        """What turns the stamps into UTC, s, and the time scale that they count; see `utc_of_scale`."""
+        received_s = float(np.median(self.column("received_s")))
+        return utc_of_scale(received_s - self.late_s, received_s)
+
     def clock_s(self, other: "Topic") -> Float:
         """Return the stamps of the headers by the clock of another topic, (n,) s: by reception if they have another."""
         return self.column("received_s") - other.late_s if self.is_other_clock(other) else self.column("stamp_s")
@@ -212,6 +329,35 @@ class Topic:
         return self.kind.rpartition("/")[2]
 
 
+def utc_of_scale(utc_s: float, recorder_s: float) -> tuple[float, str]:
+    """Return what turns a time into UTC, s, and the time scale that it counts; by the clock of the recorder, s."""
+    if source.YEAR_2010_S <= recorder_s < source.YEAR_2100_S:
+        gps_s = leap_seconds(recorder_s + TAI_MINUS_GPS_S)
+        for name, ahead_s, within_s in (
+            ("GPS time", gps_s, _SAME_SCALE_S),
+            ("TAI", gps_s + TAI_MINUS_GPS_S, _SAME_SCALE_S),
+            ("GPS time since 1980", gps_s - _GPS_EPOCH_S, _SAME_EPOCH_S),
+        ):
+            if abs(utc_s - recorder_s - ahead_s) < within_s:
+                return -ahead_s, name
+    return 0.0, ""
+
+
+def _interpolated(times_s: Float, q: Float, at_s: Float) -> Float:
+    """Return (n, 4) orientations between samples at other times, (m,) s."""
+    times_s, first = np.unique(times_s, return_index=True)
+    after = np.clip(np.searchsorted(times_s, at_s), 1, times_s.size - 1)
+    part = (at_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1])
+    q = q[first] / source.quaternion_lengths(q[first])[:, np.newaxis]
+    return slerp(q[after - 1], q[after], part)
+
+
+def _angles_between(q: Float) -> Float:
+    """Return the angles between all pairs of (m, 4) orientations, rad."""
+    one, other = np.triu_indices(len(q), 1)
+    return _angles_rad(q[one], q[other])
+
+
 def _angles_rad(q1: Float, q2: Float) -> Float:
     """Return the angles between unit quaternions, (n, 4), rad."""
     chord = np.minimum(np.linalg.norm(q1 - q2, axis=-1), np.linalg.norm(q1 + q2, axis=-1))
@@ -224,6 +370,7 @@ _PLANNED = re.compile(
     r"|mission|home|origin|offset|initial|initialpose|clicked|teleop|joy|markers?|tags?|aruco|apriltags?|landing|takeoff"
     r"|predict(ed|ion)|station|beacon|dock|des|demand(ed)?|nominal|wanted|intended|wps?|traj|tgt|setpt|carrot|lookahead"
     r"|rally|next|traffic|intruder|adsb|obstacles?|detect(ed|ions?)?|objects?|person|people|pad|gcs"
+    r"|requests?|requested|hover|hold|rtl|rth|roi|poi|look_?at|lookat|launch|fence|geofence|virtual"
 )
 _GIMBAL = re.compile("gimbal|mount|turret|ptu|pantilt")
 # Topics below mavros that are sent to the autopilot: estimates of other programs, and simulated sensors.
@@ -262,7 +409,7 @@ def words_of(name: str) -> list[str]:
 
 def has_word(words: re.Pattern[str], name: str) -> bool:
     """Return whether a topic or a frame has one of some words."""
-    return any(map(words.fullmatch, words_of(name)))
+    return any(map(words.fullmatch, {*words_of(name), *re.split("[^a-z0-9]+", name.lower())}))
 
 
 def purpose_of(name: str) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from math import nan
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -49,6 +50,9 @@ _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PLACE_RAD = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
 _FOOT_M = 0.3048
 _YEAR_S = 365.25 * 86400
+# Firmware whose blackbox has heights in metres: Betaflight before 4, Cleanflight.  It stands in the first bytes.
+_IN_METRES = re.compile(rb"Firmware revision[\"',;\t ]+(Cleanflight|Betaflight [0-3]\.)")
+_SETTINGS_BYTES = 1 << 16
 # A clock whose rate differs more from that of UTC is reported; crystals differ by up to 50 millionths.
 _NOTABLE_RATE = 5e-5
 
@@ -432,7 +436,8 @@ class MappedTableReader(source.TelemetrySource):
         scale = np.rad2deg(_PLACE_RAD[wanted.place_unit])
         latitude_deg, longitude_deg = (table.numbers(name) * scale for name in names if name is not None)
         height_m = np.zeros(latitude_deg.size)
-        for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M), (wanted.height_dm, 0.1)):
+        tenth_m = 1.0 if self._is_old_blackbox else 0.1
+        for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M), (wanted.height_dm, tenth_m)):
             if (name := self._name(alternatives)) is not None:
                 height_m = np.nan_to_num(table.numbers(name) * unit_m)
                 break
@@ -441,6 +446,12 @@ class MappedTableReader(source.TelemetrySource):
             clock_s[rows], latitude_deg[rows], longitude_deg[rows], height_m[rows], self._map.title
         )
         return samples if samples.clock_s.size else source.no_position_samples("latitude and longitude are empty or 0")
+
+    @cached_property
+    def _is_old_blackbox(self) -> bool:
+        """Whether the settings above the header name a firmware whose heights are in metres."""
+        with Path(self.name).open("rb") as file:
+            return _IN_METRES.search(file.read(_SETTINGS_BYTES)) is not None
 
     @property
     def _is_utc(self) -> bool:
@@ -488,6 +499,9 @@ class MappedTableReader(source.TelemetrySource):
 
     def _notes(self) -> tuple[str, ...]:
         notes = [self._map.note] if self._map.note else []
+        if (name := self._name(self._map.height_dm)) is not None and self._name(self._map.height) is None:
+            unit = "metres, as its firmware writes" if self._is_old_blackbox else "tenths of a metre"
+            notes.append(f"{name} has no unit and is taken in {unit}")
         if dropped := self._dropped:
             notes.append(left_out_rows(dropped))
         return tuple(notes)
