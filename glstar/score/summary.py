@@ -8,7 +8,7 @@ import numpy as np
 
 from glstar.arrays import Float
 from glstar.score.frames import FrameScore, Outcome
-from glstar.score.metrics import METRICS, Group, Spread
+from glstar.score.metrics import METRICS, MOST_VALUES, Group, Spread
 from glstar.sky.place.apparent import ARCSEC_RAD
 
 _TURN_RAD = 2 * np.pi
@@ -195,6 +195,19 @@ def runs_of(scores: Sequence[FrameScore]) -> list[Run]:
         Run(flight, sample, dict(inside[0].truth.settings), summarized(inside), tuple(orbits(inside)))
         for (flight, sample), inside in grouped.items()
     ]
+
+
+def orbits_by_setting(runs: Sequence[Run]) -> dict[str, dict[str, list[Orbit]]]:
+    """Return the orbits of runs by the value of each setting that varies, except seeds and those drawn at random."""
+    grouped = {}
+    for key in dict.fromkeys(key for run in runs for key in run.settings if not key.endswith(".seed")):
+        by_value: dict[str, list[Orbit]] = {}
+        for run in runs:
+            if key in run.settings and run.orbits:
+                by_value.setdefault(str(run.settings[key]), []).extend(run.orbits)
+        if 1 < len(by_value) <= MOST_VALUES:
+            grouped[key] = by_value
+    return grouped
 
 
 def spread_of_runs(runs: Sequence[Run]) -> dict[str, Spread | None] | None:
