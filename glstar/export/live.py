@@ -4,7 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from math import floor, inf
 from pathlib import Path
@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from glstar import __version__
-from glstar.camera.exposure import Exposure
+from glstar.camera.exposure import ControlledExposure, Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.directory import OURS, directory_lock, explain_disk_errors, output_files, refuse_links, revoke_leases
 from glstar.export.frame import EncodedFrame, FrameTask, FrameWriter
 from glstar.export.imagefiles.formats import ImageFormat, fit_format
 from glstar.export.navigator import LiveNavigator
-from glstar.export.plan.frames import FlightFrames, Plan, PlannedFrame, SkippedFrame
+from glstar.export.plan.frames import ControlledFrames, FlightFrames, Plan, PlannedFrame, SkippedFrame, level_of
 from glstar.export.plan.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.publish.outputs import FrameOutput
 from glstar.export.publish.stream import FrameStream
@@ -95,6 +95,7 @@ class LiveExport:
         self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
         self._nav: LiveNavigator | None = None
         self._simulator: Simulator | None = None
+        self._control: ControlledExposure | None = None
         self._stars_utc_s = 0.0
         self.exposures: dict[int | str, Exposure] = {}
         self._stopping = Event()
@@ -232,7 +233,7 @@ class LiveExport:
         if flight is None or (estimate is None and self._nav is not None and self._link.truth == "sim_state"):
             return None
         track = flight.attitude
-        start_s = track.last_s - section.span_s
+        start_s = track.last_s - section.span_s  # of the longest exposure of a control
         if start_s < track.first_s:
             return None
         gap = track.gap_within(start_s, track.last_s)
@@ -245,9 +246,10 @@ class LiveExport:
         self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
         number, self._number = self._number, self._number + 1
         self._simulator = self._simulator_of(flight)
-        planned = PlannedFrame(number, section.starting_at(start_s))
-
-        task = self._task(planned)
+        task = self._task(PlannedFrame(number, section.starting_at(start_s)))
+        if section.exposure_control is not None:
+            task = self._controlled(task, number, track.last_s)
+        shot = task.frames.shot(number)
         image = task.image_path(number)
         record: dict[str, Any] = {}
         if self._nav is not None:
@@ -255,14 +257,17 @@ class LiveExport:
             estimate = estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
             file = image.relative_to(task.directory).as_posix()
             shown = self._simulator.flight
-            record = self._nav.record(estimate, planned.exposure, number=number, file=file, flight=shown)
+            record = self._nav.record(estimate, shot.exposure, number=number, file=file, flight=shown, gain=shot.gain)
 
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
+            if self._control is not None:
+                level = level_of(self._control.control, shot.exposure, self._sensor, pixels)
+                self._control = self._control.after(level)
             if self._output is not None:
                 self._output.write(pixels, truth, record)
             self._latency_s.append(time.monotonic() - latest.arrival_s)
 
-        self.exposures |= dict.fromkeys((number, image.name), planned.exposure)
+        self.exposures |= dict.fromkeys((number, image.name), shot.exposure)
         while len(self.exposures) > _MOST_EXPOSURES:
             del self.exposures[next(iter(self.exposures))]
         frame = task.draw(renderer, number, on_pixels=publish)
@@ -280,8 +285,19 @@ class LiveExport:
 
     def _task(self, *planned: PlannedFrame) -> FrameTask:
         assert self._simulator is not None
-        frames = FlightFrames(self._simulator, Plan(planned, ()))
+        frames = FlightFrames(self._simulator, Plan(planned, ()), self._config.exposure.exposure_control)
         return FrameTask(frames, self._directory or Path(), self._format, noiseless=False, seed=self._seed)
+
+    def _controlled(self, task: FrameTask, number: int, stop_utc_s: float) -> FrameTask:
+        """Return the task with the exposure time and gain of the exposure control; it ends at a time as well."""
+        shot = task.frames.shot(number)
+        if self._control is None:
+            assert shot.control is not None
+            self._control = ControlledExposure.begun(shot.control, shot.sensor_gain)
+        duration_s, gain = self._control.settings
+        start_s = stop_utc_s - shot.exposure.shortened(duration_s).span_s
+        task = self._task(PlannedFrame(number, replace(shot.exposure, start_utc_s=start_s)))
+        return replace(task, frames=ControlledFrames(task.frames, {number: (duration_s, gain)}))
 
     def _lacking(self) -> str | None:
         """Return what is missing to draw a frame, empty if nothing is; None while the link has timed out."""

@@ -103,6 +103,7 @@ def export(
     )
     job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
+    job = job if dry_run or not job.is_controlled else _controlled(job)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
     elif verify:
@@ -150,6 +151,14 @@ def _prepare(
     if video is not None:
         options.refuse_video_of_two_sizes(settings, len(paths), video)
     return job
+
+
+def _controlled(job: "Export") -> "Export":
+    """Return the export with the exposure times and gains of its exposure control, which draws every frame."""
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
+
+    with exit_on_interrupt(), GLRenderer.headless() as renderer, progress_bar("exposures") as on_frame:
+        return job.controlled(renderer, on_frame)
 
 
 def _refuse_contradictions(
