@@ -101,9 +101,8 @@ def export(
     wanted = ExportOptions(
         start, stop, frames=frames, image_format=format_, noiseless=light, seed=seed, masks=masks, exif=exif
     )
-    job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
+    job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video, dry_run=dry_run)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
-    job = job if dry_run or not job.is_controlled else _controlled(job)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
     elif verify:
@@ -135,7 +134,14 @@ def _part_of(shard: str | None, *, force: bool) -> "Shard":
 
 
 def _prepare(
-    settings: "Config", paths: list[Path], output: Path, wanted: "ExportOptions", *, strict: bool, video: Path | None
+    settings: "Config",
+    paths: list[Path],
+    output: Path,
+    wanted: "ExportOptions",
+    *,
+    strict: bool,
+    video: Path | None,
+    dry_run: bool,
 ) -> "Export":
     """Read the flights and plan their frames; print notes on how the logs were read."""
     from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV
@@ -150,7 +156,7 @@ def _prepare(
         echo_note(f"{name}: {note}")
     if video is not None:
         options.refuse_video_of_two_sizes(settings, len(paths), video)
-    return job
+    return _controlled(job) if job.is_controlled and not dry_run else job
 
 
 def _controlled(job: "Export") -> "Export":
