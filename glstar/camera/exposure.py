@@ -306,7 +306,7 @@ class ExposureControl:
     limits_s: tuple[float, float]  # Shortest and longest exposure time, s
     gain_limits: tuple[float, float]  # Smallest and largest analogue gain
     delay_frames: int  # What is measured on a frame is first used this many frames later, 1 or more
-    speed: float  # Fraction of the way to the target in a frame, above 0, at most 1
+    speed: float  # Fraction of the distance to the target that a frame makes up, above 0, at most 1
 
     def level(self, pixels_dn: NDArray[Any], black_dn: float, full_scale_dn: float) -> float:
         """Return the level of an image: 0 at its black level, 1 at its full scale, DN; noise may make it negative."""

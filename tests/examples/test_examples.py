@@ -136,5 +136,5 @@ def test_the_ros_node_finds_the_stars_of_a_bag(tmp_path, monkeypatch):
     for line, found in zip(truth, published, strict=True):
         brightest = min((star for star in line["stars"] if star["in_frame"]), key=lambda star: star["vmag"])
         places = np.array([[point.x, point.y] for point in found.polygon.points])
-        apart_px = np.linalg.norm(places - [brightest["x_px"], brightest["y_px"]], axis=1)
-        assert apart_px.min() < 1.0
+        separation_px = np.linalg.norm(places - [brightest["x_px"], brightest["y_px"]], axis=1)
+        assert separation_px.min() < 1.0

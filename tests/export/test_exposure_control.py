@@ -75,10 +75,10 @@ def test_through_dusk_the_level_is_held_within_the_limits(renderer: gs.GLRendere
     assert gain.max() <= 16.0
     # It begins saturated, at 3000 times the exposure: what is measured is then at most 6 times too much.
     assert level[0] > 0.99
-    settled = int(np.argmax(np.abs(level / 0.16 - 1) < 0.25))
-    assert settled <= 18
+    steady = int(np.argmax(np.abs(level / 0.16 - 1) < 0.25))
+    assert steady <= 18
     # The sky darkens by 8 % a frame, and what is measured is used two frames later.
-    assert (np.abs(level[settled:] / 0.16 - 1) < 0.25).all()
+    assert (np.abs(level[steady:] / 0.16 - 1) < 0.25).all()
     # The night ends at the longest exposure, with gain.
     assert duration_s[-1] == 0.5
     assert gain[-1] > 1.1
@@ -127,7 +127,7 @@ def test_an_exposure_that_follows_poses_ends_with_its_step(renderer: gs.GLRender
 
     ends = [parse_utc(one.truth["utc_start"]) + one.truth["total_s"] for one in seen]
     np.testing.assert_allclose(ends, utc_s + 20.0 * np.arange(13), rtol=0, atol=2e-6)
-    # Shorter than the readout, and both short exposures still begin half a second apart.
+    # Shorter than the readout, and the second short exposure still begins half a second after the first.
     assert seen[-1].truth["duration_s"] < 0.01
     for one in seen:
         assert one.truth["duration_s"] + one.truth["gap_s"] == pytest.approx(0.5, abs=2e-6)

@@ -171,8 +171,8 @@ def _refuse_contradictions(
     video: Path | None, dask: str | None, workers: int | None, *, verify: bool, writes_more: bool
 ) -> None:
     """Refuse options that contradict each other."""
-    if video is not None and video.suffix.lower() != ".mp4":
-        raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
+    if video is not None and video.suffix.lower() not in (".webm", ".mp4"):
+        raise typer.BadParameter(f"{video} must end with .webm or .mp4", param_hint="--video")
     if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
     if verify and writes_more:
@@ -326,6 +326,7 @@ def _executor(
 def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
     from glstar.export.imagefiles.formats import write_video  # noqa: PLC0415 - OpenCV
 
+    options.note_codec(video)
     images = [job.task.image_path(number) for number in job.numbers.tolist()]
     write_video(images, video, frames_per_s=frames_per_s, saturation_dn=job.task.frames.saturation_dn)
 

@@ -357,7 +357,7 @@ def control_exposures(
 ) -> Frames:
     """Return frames with the exposure times and gains of their exposure control; unchanged without.
 
-    Each frame is drawn with `draw` to measure its level. The control of each flight and sample begins anew. `on_frame`
+    Each frame is drawn with `draw` to measure its level. Each flight and sample has a control of its own. `on_frame`
     is called with the number of finished frames and of all frames.
     """
     numbers = frames.numbers.tolist()
