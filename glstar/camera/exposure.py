@@ -1,8 +1,8 @@
 """Exposures: when the shutter opens and closes, row by row, for one exposure or a stack of short ones."""
 
 from dataclasses import dataclass, replace
-from math import ceil, isfinite
-from typing import Literal, Self, get_args
+from math import ceil, isfinite, sqrt
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ OPPOSITE: dict[Readout, Readout] = {"down": "up", "up": "down", "left": "right",
 
 # How short exposures become one image.
 Stack = Literal["sum", "mean"]
+
+# What exposure control holds at its target: the mean of the image, or a percentile of its pixels.
+Metering = Literal["mean", "percentile"]
 
 Seconds = float | NDArray[np.float64]
 
@@ -117,6 +120,13 @@ class Exposure:
         if self.stack not in get_args(Stack):
             raise ConfigError(f"must be 'sum' or 'mean', not {self.stack!r}", key="exposure.stack")
         check_readouts(self.duration_s, self.readout_s, self.frames, self.gap_s)
+
+    def shortened(self, duration_s: float) -> Self:
+        """Return the exposure with a shorter exposure time, s, and the same start.
+
+        The short exposures of a stack follow each other as before: their gaps take up the rest.
+        """
+        return replace(self, duration_s=duration_s, gap_s=self.gap_s + max(self.duration_s - duration_s, 0.0))
 
     @property
     def span_s(self) -> float:
@@ -272,6 +282,94 @@ class Exposure:
         too long.
         """
         return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.span_s / n)
+
+
+# One frame cannot ask for more than this factor: it may be black.
+_LARGEST_STEP = 10.0
+# A smaller relative change is not made; within the larger one the filter takes the square root of its speed.
+_STABLE, _NEAR = 0.02, 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureControl:
+    """Automatic exposure: time and gain follow the level of earlier frames, as in the drivers of real cameras.
+
+    The product of both goes to what would have brought a frame to the target, by a first-order filter; it is made of
+    the exposure time first, up to its limit, then of the gain.  The filter, the largest step of a frame and the region
+    without change are those of libcamera for the Raspberry Pi (``src/ipa/rpi/controller/rpi/agc_channel.cpp``), whose
+    IMX477 has a target of 0.16, a speed of 0.2 and a delay of two frames.
+    """
+
+    metering: Metering
+    target: float  # Wanted level, 0 to 1 between the black level and the full scale
+    percentile: float  # Of the pixels, %, for ``"percentile"``
+    limits_s: tuple[float, float]  # Shortest and longest exposure time, s
+    gain_limits: tuple[float, float]  # Smallest and largest analogue gain
+    delay_frames: int  # What is measured on a frame is first used this many frames later, 1 or more
+    speed: float  # Fraction of the distance to the target that a frame makes up, above 0, at most 1
+
+    def level(self, pixels_dn: NDArray[Any], black_dn: float, full_scale_dn: float) -> float:
+        """Return the level of an image: 0 at its black level, 1 at its full scale, DN; noise may make it negative."""
+        if self.metering == "mean":
+            value_dn = float(pixels_dn.mean(dtype=np.float64))
+        else:
+            value_dn = float(np.percentile(pixels_dn, self.percentile, method="inverted_cdf"))
+        return (value_dn - black_dn) / (full_scale_dn - black_dn)
+
+    def product_after(self, product_s: float, measured_s: float, level: float) -> float:
+        """Return the next product of exposure time and gain, s.
+
+        `product_s`: the present one; `measured_s`: that of the measured frame, whose level is `level`.
+        """
+        factor = min(self.target / max(level, self.target / _LARGEST_STEP), _LARGEST_STEP)
+        (shortest_s, longest_s), (least, most) = self.limits_s, self.gain_limits
+        wanted_s = min(max(measured_s * factor, shortest_s * least), longest_s * most)
+        if abs(wanted_s - product_s) < _STABLE * product_s:
+            return product_s
+        is_near = abs(product_s - wanted_s) < _NEAR * wanted_s
+        return product_s + (sqrt(self.speed) if is_near else self.speed) * (wanted_s - product_s)
+
+    def divided(self, product_s: float) -> tuple[float, float]:
+        """Return the exposure time, whole microseconds in s, and the gain of a product of both, inside the limits."""
+        (shortest_s, longest_s), (least, most) = self.limits_s, self.gain_limits
+        duration_s = min(max(round(product_s / least, 6), shortest_s), longest_s)
+        gain = least if duration_s < longest_s else min(max(round(product_s / longest_s, 4), least), most)
+        return duration_s, gain
+
+
+@dataclass(frozen=True, slots=True)
+class ControlledExposure:
+    """Exposure control between two frames."""
+
+    control: ExposureControl
+    product_s: float  # Exposure time times gain that the control has come to, s
+    # Exposure time, s, and gain of the next frame, and of those after it that are decided already.
+    queue: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def begun(cls, control: ExposureControl, gain: float) -> Self:
+        """Return the control before the first frame, which has the longest exposure time and the gain of the sensor."""
+        duration_s, first_gain = control.limits_s[1], min(max(gain, control.gain_limits[0]), control.gain_limits[1])
+        return cls(control, duration_s * first_gain, ((duration_s, first_gain),) * control.delay_frames)
+
+    @property
+    def settings(self) -> tuple[float, float]:
+        """Exposure time, s, and gain of the next frame."""
+        return self.queue[0]
+
+    def after(self, level: float, measured_s: float | None = None) -> Self:
+        """Return the control after the next frame has been taken and its level measured.
+
+        `measured_s`: exposure time times gain of the frame that was measured, s; by default those of `settings`.
+        """
+        duration_s, gain = self.settings
+        measured_s = duration_s * gain if measured_s is None else measured_s
+        product_s = self.control.product_after(self.product_s, measured_s, level)
+        return replace(self, product_s=product_s, queue=(*self.queue[1:], self.control.divided(product_s)))
+
+    def unmeasured(self) -> Self:
+        """Return the control after the next frame, which is not measured."""
+        return replace(self, queue=(*self.queue[1:], self.queue[-1]))
 
 
 def check_readouts(duration_s: float, readout_s: float, frames: float, gap_s: float) -> None:

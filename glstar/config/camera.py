@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
 from glstar.camera.distortion import LensModel
-from glstar.camera.exposure import MAX_FRAMES, Exposure, Readout, Stack, Trail
+from glstar.camera.exposure import MAX_FRAMES, Exposure, ExposureControl, Metering, Readout, Stack, Trail
 from glstar.camera.model import Camera
 from glstar.camera.sensor.pixelpattern import read_map
+from glstar.camera.sensor.sensor import NoiseModel
 from glstar.camera.sensor.tonecurve import checked_points, curve_text, is_curve_text, parse_curve, read_curve
 from glstar.config.section import Section
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
@@ -52,6 +53,15 @@ class ExposureSection(Section):
     # Time from the end of one short exposure to the start of the next, s.
     gap_s: float = Field(default=_EXPOSURE.gap_s, ge=0, description="a number of seconds, 0 or more")
     stack: Stack = _EXPOSURE.stack  # whether short exposures are added or averaged
+    # Automatic exposure: see `ExposureControl`; `duration_s` is its longest exposure time, and that of the first frame.
+    control: Literal["none", Metering] = "none"
+    control_target: float = Field(default=0.16, gt=0, lt=1, description="a number between 0 and 1")
+    control_percentile: float = Field(default=99.0, ge=0, le=100, description="a number from 0 to 100")
+    control_min_s: float = Field(default=0.0001, gt=0, description="a positive number of seconds")
+    control_min_gain: float = Field(default=1.0, gt=0, description="a positive number")
+    control_max_gain: float = Field(default=16.0, gt=0, description="a positive number")
+    control_delay_frames: int = Field(default=2, ge=1, le=30, description="a whole number from 1 to 30")
+    control_speed: float = Field(default=0.2, gt=0, le=1, description="a number above 0, at most 1")
 
     @field_validator("trail", mode="before")
     @classmethod
@@ -66,6 +76,21 @@ class ExposureSection(Section):
         `start_s`: start of the first exposure, s after the first attitude.
         """
         return self.starting_at(first_utc_s + (start_s + number * self.interval_s))
+
+    @property
+    def exposure_control(self) -> ExposureControl | None:
+        """The automatic exposure; None without."""
+        if self.control == "none":
+            return None
+        return ExposureControl(
+            self.control,
+            self.control_target,
+            self.control_percentile,
+            (self.control_min_s, self.duration_s),
+            (self.control_min_gain, self.control_max_gain),
+            self.control_delay_frames,
+            self.control_speed,
+        )
 
     @property
     def span_s(self) -> float:
@@ -115,6 +140,21 @@ def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLi
     with np.errstate(over="ignore"):
         counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
     return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)
+
+
+def checked_control(exposure: ExposureSection, noise: NoiseModel, faults: list[tuple[str, str]]) -> None:
+    """Check exposure control against the exposure and the sensor's noise model; errors are appended to `faults`."""
+    if exposure.control == "none":
+        return
+    if noise == "paper":
+        message = 'needs [sensor] noise = "electrons": the sky of the paper\'s sensor does not depend on the exposure'
+        faults.append(("exposure.control", message))
+    if exposure.control_min_s > exposure.duration_s:
+        message = f"is {exposure.control_min_s:g} s, longer than exposure.duration_s, {exposure.duration_s:g} s"
+        faults.append(("exposure.control_min_s", f"{message}, which is the longest exposure"))
+    if exposure.control_min_gain > exposure.control_max_gain:
+        message = f"is {exposure.control_min_gain:g}, more than control_max_gain, {exposure.control_max_gain:g}"
+        faults.append(("exposure.control_min_gain", message))
 
 
 def checked_lens(values: dict[str, Any], camera: Camera, folder: Path, faults: list[tuple[str, str]]) -> dict[str, Any]:

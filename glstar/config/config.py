@@ -15,7 +15,14 @@ from glstar.camera.model import Camera, Mount
 from glstar.camera.presets import preset_file
 from glstar.camera.sensor.sensor import Sensor
 from glstar.config import reading
-from glstar.config.camera import CameraSection, ExposureSection, camera_numbers, checked_lens, checked_output
+from glstar.config.camera import (
+    CameraSection,
+    ExposureSection,
+    camera_numbers,
+    checked_control,
+    checked_lens,
+    checked_output,
+)
 from glstar.config.flight import SYNTHETIC, AirSection, FlightSection, MountSection, NavigatorSection, SyntheticSection
 from glstar.config.keys import (
     EFFECT_DEFAULTS,
@@ -393,7 +400,7 @@ class Config:
             "sky": resolved_sky(self.sky),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
-            **{name: dict(self._tables[name]) for name in (SYNTHETIC, "navigator") if self._tables.get(name)},
+            **{name: _as_given(self._tables[name]) for name in (SYNTHETIC, "navigator") if self._tables.get(name)},
             **{name: dict(keys) for name, keys in self._effects.items()},
         }
 
@@ -437,6 +444,7 @@ class Config:
         sensor = reading.sensor_of(
             reading.section_of(SensorSection, "sensor", tables, faults), tables, folder, faults, camera, lens
         )
+        checked_control(exposure, sensor.noise, faults)
         star_brightness = reading.star_brightness_of(sensor, faults)
         sky = reading.sky_of(reading.section_of(SkySection, "sky", tables, faults), folder, faults)
         air = reading.section_of(AirSection, "air", tables, faults)
@@ -468,6 +476,11 @@ class Config:
             _effects=effects,
             _tables=given,
         )
+
+
+def _as_given(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a section as it was given; times without quotes, which TOML reads as datetimes, as text."""
+    return {key: value.isoformat() if hasattr(value, "isoformat") else value for key, value in table.items()}
 
 
 def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySource:

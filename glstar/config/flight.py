@@ -166,6 +166,10 @@ class NavigatorSection(Section):
     drift_sigma_deg: float = Field(default=0.0, ge=0, description=_SPREAD)
     drift_time_s: float = Field(default=60.0, gt=0, description="a positive number of seconds")
     turn_coupling: float = Field(default=0.0, ge=0, le=1, description="a number from 0 to 1")
+    # Errors that turn once per revolution: see `AttitudeErrorModel`.
+    revolution_pitch_deg: float = Field(default=0.0, ge=-90, le=90, description="a number of degrees, -90 to 90")
+    revolution_roll_deg: float = Field(default=0.0, ge=-90, le=90, description="a number of degrees, -90 to 90")
+    revolution_heading_deg: float = Field(default=0.0, description=_DEGREES)
     perlin_deg: float = Field(default=0.0, ge=0, description=_SPREAD)
     perlin_time_s: float = Field(default=10.0, gt=0, description="a positive number of seconds")
     perlin_octaves: int = Field(default=4, ge=1, le=12, description="a whole number from 1 to 12")
@@ -185,6 +189,9 @@ class NavigatorSection(Section):
             drift_sigma_rad=radians(self.drift_sigma_deg),
             drift_time_s=self.drift_time_s,
             turn_coupling=self.turn_coupling,
+            revolution_pitch_rad=radians(self.revolution_pitch_deg),
+            revolution_roll_rad=radians(self.revolution_roll_deg),
+            revolution_heading_rad=radians(self.revolution_heading_deg),
             perlin_rad=radians(self.perlin_deg),
             perlin_time_s=self.perlin_time_s,
             perlin_octaves=self.perlin_octaves,

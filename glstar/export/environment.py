@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 import orjson
 
-from glstar.camera.exposure import Exposure
+from glstar.camera.exposure import ControlledExposure
 from glstar.config import Config
 from glstar.config.flight import SYNTHETIC
 from glstar.errors import ConfigError
 from glstar.export.frame import frame_seed
 from glstar.export.navigator import Navigator
+from glstar.export.plan.frames import Shot, level_of
 from glstar.flight import AttitudeTrack, Flight, Pose, PositionTrack
 from glstar.flight.navigator import EstimatedAttitude
 from glstar.render.scene.scene import Frame, Renderer
@@ -222,22 +223,30 @@ class Environment:
 
     def _observed(self, state: "_Flown | _Followed", seed: int, number: int) -> Observation:
         """Return what a state shows, and keep the state."""
-        shot = state.shot()
-        scene = shot.simulator.scene(shot.exposure)
-        frame = self._renderer.render(scene, seed=frame_seed(seed, number))
+        shot, navigator = state.shot()
+        composed = shot.composed(number)
+        frame = self._renderer.render(composed.scene, seed=frame_seed(seed, number))
         file = f"frame_{number:06d}"
-        nav = shot.navigator.record(shot.exposure, number=number, file=file)
-        truth = orjson.loads(frame_truth(scene, frame, number=number, file=file)) if self._has_truth else {}
+        nav = navigator.record(shot.exposure, number=number, file=file, gain=shot.gain)
+        truth = {}
+        if self._has_truth:
+            truth = orjson.loads(frame_truth(composed.scene, frame, number=number, file=file, about=shot.about))
+        if state.control is not None:
+            level = level_of(state.control.control, shot.exposure, shot.simulator.sensor, frame.pixels)
+            state = replace(state, control=state.control.after(level))
         self._state, self._seed, self._number = state, seed, number + 1
         return Observation(frame, nav, truth)
 
 
-class _Shot(NamedTuple):
-    """One exposure."""
+def _control_of(config: Config, simulator: Simulator) -> ControlledExposure | None:
+    """Return the exposure control before the first frame; None without."""
+    shot = Shot(simulator, config.exposure.starting_at(0.0), control=config.exposure.exposure_control)
+    return None if shot.control is None else ControlledExposure.begun(shot.control, shot.sensor_gain)
 
-    simulator: Simulator
-    exposure: Exposure
-    navigator: Navigator
+
+def _set(shot: Shot, control: ControlledExposure | None) -> Shot:
+    """Return a shot with the exposure time and gain of the control."""
+    return shot if control is None else shot.set_to(*control.settings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,13 +257,16 @@ class _Flown:
     simulator: Simulator
     navigator: Navigator
     start_utc_s: float  # Of the exposure, UTC seconds since 1970
+    control: ControlledExposure | None
 
     @classmethod
     def begun(cls, config: Config, simulator: Simulator, flight: Flight) -> Self:
-        return cls(config, simulator, Navigator.of(config, flight), flight.attitude.first_s)
+        navigator, control = Navigator.of(config, flight), _control_of(config, simulator)
+        return cls(config, simulator, navigator, flight.attitude.first_s, control)
 
-    def shot(self) -> _Shot:
-        return _Shot(self.simulator, self.config.exposure.starting_at(self.start_utc_s), self.navigator)
+    def shot(self) -> tuple[Shot, Navigator]:
+        shot = Shot(self.simulator, self.config.exposure.starting_at(self.start_utc_s))
+        return _set(shot, self.control), self.navigator
 
     def after(self, action: Pose | float | None) -> Self:
         """Return the state after a step."""
@@ -283,6 +295,7 @@ class _Followed:
     navigator: Navigator
     flight: Flight  # From the previous pose to the present one
     pose: Pose
+    control: ControlledExposure | None
     left_s: None = None
 
     @classmethod
@@ -295,7 +308,7 @@ class _Followed:
                 key="exposure.duration_s",
             )
         navigator = Navigator.of(config, simulator.flight, until_utc_s=utc_s + _HORIZON_S)
-        return cls(config, simulator, navigator, simulator.flight, pose)
+        return cls(config, simulator, navigator, simulator.flight, pose, _control_of(config, simulator))
 
     def after(self, action: Pose | float | None) -> Self:
         """Return the state after a step."""
@@ -305,19 +318,20 @@ class _Followed:
         flight = _between(self.pose, action, utc_s, utc_s + self.config.exposure.interval_s)
         return replace(self, flight=flight, pose=action)
 
-    def shot(self) -> _Shot:
+    def shot(self) -> tuple[Shot, Navigator]:
         flight, utc_s = self.flight, self.flight.attitude.last_s
-        duration_s, span_s = self.config.exposure.duration_s, self.config.exposure.span_s
+        shot = _set(Shot(self.simulator.with_flight(flight), self.config.exposure.starting_at(0.0)), self.control)
+        duration_s, span_s = shot.exposure.duration_s, shot.exposure.span_s
         # The clock of float64 is 0.2 microseconds fine: an exposure never begins before its pose.
         start_utc_s = max(utc_s - span_s, flight.attitude.first_s)
-        frames = self.config.exposure.frames
+        frames = shot.exposure.frames
         rest_s = span_s - frames * duration_s  # readout and gaps
         duration_s = min(duration_s, (utc_s - start_utc_s - rest_s) / frames)
-        exposure = self.config.exposure.starting_at(start_utc_s, duration_s)
+        exposure = replace(shot.exposure, start_utc_s=start_utc_s, duration_s=duration_s)
         estimate = EstimatedAttitude(flight.attitude, self.navigator.attitude.errors)
         position = None if self.navigator.position is None else flight.position
         navigator = replace(self.navigator, attitude=estimate, position=position)
-        return _Shot(self.simulator.with_flight(flight), exposure, navigator)
+        return replace(shot, exposure=exposure), navigator
 
     @property
     def is_over(self) -> bool:

@@ -4,7 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from math import floor, inf
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from glstar import __version__
-from glstar.camera.exposure import Exposure
+from glstar.camera.exposure import ControlledExposure, Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.directory import (
@@ -27,7 +27,7 @@ from glstar.export.directory import (
 from glstar.export.frame import EncodedFrame, FrameTask, FrameWriter
 from glstar.export.imagefiles.formats import ImageFormat, find_damage, fit_format
 from glstar.export.navigator import LiveNavigator, finish_nav
-from glstar.export.plan.frames import FlightFrames, Plan, PlannedFrame, SkippedFrame
+from glstar.export.plan.frames import ControlledFrames, FlightFrames, Plan, PlannedFrame, SkippedFrame, level_of
 from glstar.export.plan.manifest import NAME, SCHEMA, described_brightness, holds_frames, read_manifest, write_manifest
 from glstar.export.publish.outputs import FrameOutput, MjpegServer
 from glstar.export.publish.stream import FrameStream
@@ -109,6 +109,7 @@ class LiveExport:
         self._format, self._sensor = fit_format(image_format, config.sensor(), summed=config.exposure.signal_factor)
         self._nav: LiveNavigator | None = None
         self._simulator: Simulator | None = None
+        self._control: ControlledExposure | None = None
         self._stars_utc_s = 0.0
         self.exposures: dict[int | str, Exposure] = {}
         self._latest_exposure = config.exposure.starting_at(0.0)
@@ -319,6 +320,7 @@ class LiveExport:
         if flight is None or (estimate is None and self._nav is not None and self._link.truth == "sim_state"):
             return None
         track = flight.attitude
+        # With an exposure control, of its longest exposure.
         start_s = track.last_s - section.span_s if begins_s is None else begins_s
         stop_s = start_s + section.span_s
         if start_s < track.first_s or stop_s > track.last_s:
@@ -335,8 +337,10 @@ class LiveExport:
         self._simulator = self._simulator_of(flight)
         planned = PlannedFrame(number, section.starting_at(start_s), about)
         self._latest_exposure = planned.exposure
-
         task = self._task(planned)
+        if section.exposure_control is not None:
+            task = self._controlled(task, planned, None if begins_s is None else start_s)
+        shot = task.frames.shot(number)
         image = task.image_path(number)
         record: dict[str, Any] = {}
         if self._nav is not None:
@@ -344,14 +348,17 @@ class LiveExport:
             estimate = estimate or Estimate(flight.aircraft_attitude, flight.position, flight.attitude_source)
             file = image.relative_to(task.directory).as_posix()
             shown = self._simulator.flight
-            record = self._nav.record(estimate, planned.exposure, number=number, file=file, flight=shown)
+            record = self._nav.record(estimate, shot.exposure, number=number, file=file, flight=shown, gain=shot.gain)
 
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
+            if self._control is not None:
+                level = level_of(self._control.control, shot.exposure, self._sensor, pixels)
+                self._control = self._control.after(level)
             if self._output is not None:
                 self._output.write(pixels, truth, record)
             self._latency_s.append(time.monotonic() - latest.arrival_s)
 
-        self.exposures |= dict.fromkeys((number, image.name), planned.exposure)
+        self.exposures |= dict.fromkeys((number, image.name), shot.exposure)
         while len(self.exposures) > _MOST_EXPOSURES:
             del self.exposures[next(iter(self.exposures))]
         frame = task.draw(renderer, number, on_pixels=publish)
@@ -369,8 +376,23 @@ class LiveExport:
 
     def _task(self, *planned: PlannedFrame) -> FrameTask:
         assert self._simulator is not None
-        frames = FlightFrames(self._simulator, Plan(planned, ()))
+        frames = FlightFrames(self._simulator, Plan(planned, ()), self._config.exposure.exposure_control)
         return FrameTask(frames, self._directory or Path(), self._format, noiseless=False, seed=self._seed)
+
+    def _controlled(self, task: FrameTask, planned: PlannedFrame, begins_s: float | None) -> FrameTask:
+        """Return the task with the exposure time and gain of the exposure control.
+
+        `begins_s`: when the exposure begins, UTC s; None if it ends when the planned one does.
+        """
+        shot = task.frames.shot(planned.number)
+        if self._control is None:
+            assert shot.control is not None
+            self._control = ControlledExposure.begun(shot.control, shot.sensor_gain)
+        duration_s, gain = self._control.settings
+        start_s = planned.exposure.stop_utc_s - shot.exposure.shortened(duration_s).span_s
+        exposure = replace(planned.exposure, start_utc_s=start_s if begins_s is None else begins_s)
+        task = self._task(replace(planned, exposure=exposure))
+        return replace(task, frames=ControlledFrames(task.frames, {planned.number: (duration_s, gain)}))
 
     def _lacking(self) -> str | None:
         """Return what is missing to draw a frame, empty if nothing is; None while the link has timed out."""

@@ -89,10 +89,11 @@ class Navigator:
             None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
         )
 
-    def record(self, exposure: Exposure, *, number: int, file: str) -> dict[str, Any]:
+    def record(self, exposure: Exposure, *, number: int, file: str, gain: float | None = None) -> dict[str, Any]:
         """Return the record of one frame, ready for JSON.
 
-        `exposure`: when the camera really exposed; `number`: the frame's number; `file`: its image.  Returns ``schema,
+        `exposure`: when the camera really exposed; `number`: the frame's number; `file`: its image; `gain`: the
+        analogue gain that an exposure control has set, which becomes ``analogue_gain``.  Returns ``schema,
         frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s, readout_s,
         readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure), ``up_camera`` (at the same
         instants), ``C_camera_body``, ``camera``, ``position`` (null where GPS is denied) and ``conventions`` (what the
@@ -122,6 +123,7 @@ class Navigator:
             "duration_s": exposure.duration_s,
             "readout_s": exposure.readout_s,
             "readout": exposure.readout,
+            **({} if gain is None else {"analogue_gain": gain}),
             "q_body_ned": _at_instants(q_body_ned) if is_known else None,
             "rates_rad_per_s": rates.tolist() if is_known else None,
             "up_camera": _at_instants(up_camera) if is_known else None,
@@ -218,7 +220,7 @@ class NavRecords:
             navigator = Navigator.of(own, shot.simulator.flight, estimate=estimate, stream=shot.stream)
             self._current = shot.stream, navigator
         file = task.image_path(number).relative_to(task.directory).as_posix()
-        return self._current[1].record(shot.exposure, number=number, file=file)
+        return self._current[1].record(shot.exposure, number=number, file=file, gain=shot.gain)
 
 
 # Stream of random numbers, beside that of the errors.
@@ -306,7 +308,14 @@ class LiveNavigator:
         self._file: BinaryIO | None = None
 
     def record(
-        self, estimate: Estimate, exposure: Exposure, *, number: int, file: str, flight: Flight
+        self,
+        estimate: Estimate,
+        exposure: Exposure,
+        *,
+        number: int,
+        file: str,
+        flight: Flight,
+        gain: float | None = None,
     ) -> dict[str, Any]:
         """Return the record of a frame of a flight, as `Navigator.record`; `estimate` covers the exposure."""
         track = estimate.attitude
@@ -322,7 +331,7 @@ class LiveNavigator:
             estimate.position if self._section.gps == "known" else None,
             None if flight.own_attitude is None else (flight.attitude, flight.own_attitude),
         )
-        return navigator.record(exposure, number=number, file=file)
+        return navigator.record(exposure, number=number, file=file, gain=gain)
 
     def write(self, record: dict[str, Any]) -> None:
         """Append a record to the file."""

@@ -35,7 +35,11 @@ class MountError:
 class AttitudeErrorModel:
     """The errors of an estimated attitude: rotations of the body about its axes forward, right and down.
 
-    Teague & Chahl, Drones 2023, 7(1), 52: the INS is the truth with a random constant and Perlin noise.
+    Teague & Chahl, Drones 2023, 7(1), 52: the INS is the truth with a random constant and Perlin noise.  Drones 2024,
+    8(11), 652 takes what is left to be fixed to the body, so that an orbit averages it out; the part that turns once
+    per revolution is not.  ArduPilot's EKF3 in simulated orbits has 0.47 deg peak to peak of it in pitch, with constant
+    phase (pfabreu/cns, README, section 9, 2026): acceleration that is mistaken for gravity and points towards a fixed
+    direction of the compass.
     """
 
     bias_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Constant errors in roll, pitch and yaw, rad
@@ -47,6 +51,11 @@ class AttitudeErrorModel:
     # Fraction of a turn's centripetal acceleration that the AHRS mistakes for gravity: in a coordinated turn of bank
     # phi the roll is estimated too small by the coupling times tan(phi), rad.
     turn_coupling: float = 0.0
+    # Errors that turn once per revolution of the heading: amplitudes in pitch, as its cosine from a heading, and in
+    # roll, as its sine, and that heading, rad.  Equal amplitudes tilt the estimate towards it on all headings.
+    revolution_pitch_rad: float = 0.0
+    revolution_roll_rad: float = 0.0
+    revolution_heading_rad: float = 0.0
     perlin_rad: float = 0.0  # Largest error of Perlin noise on each axis, rad
     perlin_time_s: float = 10.0  # Time between the nodes of its first octave, s
     perlin_octaves: int = 4  # Number of octaves, each with half the amplitude and half the time of the one before
@@ -107,11 +116,29 @@ class AttitudeErrors:
         for octave, (time_s, phase, slopes) in enumerate(self.perlin_octaves):
             position = elapsed_s[:, np.newaxis] / time_s + phase
             error = error + self.model.perlin_rad * 0.5**octave / total * perlin_noise(position, slopes)
-        roll, pitch, _ = euler_from_quaternion(q_body_ned)
+        roll, pitch, heading = euler_from_quaternion(q_body_ned)
+        error = error + self._once_per_revolution(heading, q_body_ned)
         tangent = np.where(np.cos(roll) > 0, np.tan(roll), 0.0)
         tangent = np.clip(tangent, -_LARGEST_TANGENT, _LARGEST_TANGENT)
         error[:, 0] -= self.model.turn_coupling * tangent * (np.abs(pitch) < np.pi / 4)
         return error
+
+    def _once_per_revolution(self, heading: Float, q_body_ned: Float) -> Float:
+        """Return the errors that turn with the heading, (n,) rad, about the axes of the body, (n, 3) rad.
+
+        They are tilts about horizontal axes, right of the heading and along it.  A fix by the stars is displaced by its
+        radius on the Earth times ``pitch cos^2 a + roll sin^2 a`` towards `revolution_heading_rad`, and ``(pitch -
+        roll) sin a cos a`` to the right of it, a: the heading from there.  The mean of an orbit is half of the sum.
+        """
+        model = self.model
+        if model.revolution_pitch_rad == model.revolution_roll_rad == 0.0:
+            return np.zeros((len(heading), 3))
+        angle = heading - model.revolution_heading_rad
+        pitch, roll = model.revolution_pitch_rad * np.cos(angle), model.revolution_roll_rad * np.sin(angle)
+        north = roll * np.cos(heading) - pitch * np.sin(heading)
+        east = roll * np.sin(heading) + pitch * np.cos(heading)
+        tilt_ned = np.stack([north, east, np.zeros_like(north)], axis=-1)
+        return np.asarray((matrix_from_quaternion(q_body_ned) @ tilt_ned[..., np.newaxis])[..., 0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

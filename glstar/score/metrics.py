@@ -322,7 +322,7 @@ BINS = (
 )
 
 # A setting with more values than this is grouped into as many ranges as `_RANGES`, each with equally many values.
-_MOST_VALUES = 8
+MOST_VALUES = 8
 _RANGES = 4
 
 
@@ -336,7 +336,7 @@ def settings_bins(scores: Sequence[FrameScore]) -> Iterator[tuple[str, list[tupl
         values = sorted({score.truth.settings[key] for score in varied}, key=lambda value: (str(type(value)), value))
         if key.endswith(".seed") or len(values) < 2:
             continue
-        if len(values) <= _MOST_VALUES:
+        if len(values) <= MOST_VALUES:
             yield key, [(str(value), [s for s in varied if s.truth.settings[key] == value]) for value in values]
         elif all(isinstance(value, int | float) for value in values):
             yield key, list(_in_ranges(key, values, varied))
@@ -346,7 +346,7 @@ def drawn_settings(scores: Sequence[FrameScore]) -> frozenset[str]:
     """Return the settings of a sweep that `settings_bins` groups into ranges, because they were drawn at random."""
     keys = dict.fromkeys(key for score in scores for key in score.truth.settings)
     values = {key: {score.truth.settings[key] for score in scores if key in score.truth.settings} for key in keys}
-    return frozenset(key for key, different in values.items() if len(different) > _MOST_VALUES)
+    return frozenset(key for key, different in values.items() if len(different) > MOST_VALUES)
 
 
 def _in_ranges(

@@ -12,7 +12,18 @@ from glstar.camera.model import AttitudeError
 from glstar.errors import AnswersError
 from glstar.score.answers import Answer, AnswerFile, FirstAnswers, read_answers
 from glstar.score.frames import FrameScore, FrameTruth, Limits, Outcome, read_frame_truths, score_frame
-from glstar.score.metrics import BINS, METRICS, Bin, Spread, Summary, as_json, drawn_settings, settings_bins, summarized
+from glstar.score.metrics import (
+    BINS,
+    METRICS,
+    MOST_VALUES,
+    Bin,
+    Spread,
+    Summary,
+    as_json,
+    drawn_settings,
+    settings_bins,
+    summarized,
+)
 from glstar.sky.place.apparent import ARCSEC_RAD
 
 # Signal-to-noise ratio above which a matched filter detects a trail with few false alarms.
@@ -148,6 +159,19 @@ def runs_of(scores: Sequence[FrameScore]) -> list[Run]:
         Run(flight, sample, dict(inside[0].truth.settings), summarized(inside), tuple(orbits(inside)))
         for (flight, sample), inside in grouped.items()
     ]
+
+
+def orbits_by_setting(runs: Sequence[Run]) -> dict[str, dict[str, list[Orbit]]]:
+    """Return the orbits of runs by the value of each setting that varies, except seeds and those drawn at random."""
+    grouped = {}
+    for key in dict.fromkeys(key for run in runs for key in run.settings if not key.endswith(".seed")):
+        by_value: dict[str, list[Orbit]] = {}
+        for run in runs:
+            if key in run.settings and run.orbits:
+                by_value.setdefault(str(run.settings[key]), []).extend(run.orbits)
+        if 1 < len(by_value) <= MOST_VALUES:
+            grouped[key] = by_value
+    return grouped
 
 
 def spread_of_runs(runs: Sequence[Run]) -> dict[str, Spread | None] | None:

@@ -60,8 +60,8 @@ def test_keys_record_videos_set_the_range_save_and_copy_pictures(
 
         # A range of a second between the in and out points.
         press("shift+i", "shift+Right", "shift+o", "ctrl+shift+r")
-        until(lambda: press("Return") or soon((saved / "adelaide-range.mp4").exists, 3.0), "a video of a range")
-        assert frame_count(saved / "adelaide-range.mp4") == FRAMES_PER_S + 1
+        until(lambda: press("Return") or soon((saved / "adelaide-range.webm").exists, 3.0), "a video of a range")
+        assert frame_count(saved / "adelaide-range.webm") == FRAMES_PER_S + 1
         press("s")
         until((saved / "screenshot.png").exists, "a screenshot")
         press("ctrl+q")

@@ -2,9 +2,9 @@
 
 What is left of its error is that of the aircraft's knowledge: mount, AHRS and clock.
 
-    glstar export -c orbit.toml -o hidden
-    python tests/examples/perfect_solver.py hidden answers.jsonl
-    glstar score hidden answers.jsonl
+    glstar export -c orbit.toml -o set
+    python -m tests.examples.perfect_solver set answers.jsonl
+    glstar score set answers.jsonl
 """
 
 import json

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 from threading import Thread
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,3 +88,53 @@ def test_a_solver_reads_frames_from_shared_memory():
 
     assert len(errors_px) == 2
     assert np.max(errors_px) < 0.5
+
+
+def test_the_ros_node_finds_the_stars_of_a_bag(tmp_path, monkeypatch):
+    """Messages of a bag of our own; the few calls of rclpy are recorded in its place."""
+    pytest.importorskip("rosbags")
+    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
+
+    from tests.support.exports import done  # noqa: PLC0415
+
+    done("export", "fly:still", "-o", tmp_path / "night", "--frames", 2)
+    done("convert", tmp_path / "night", "-o", tmp_path / "bag", "--to", "ros2")
+    published, callbacks = [], {}
+    node = SimpleNamespace(
+        create_publisher=lambda *_: SimpleNamespace(publish=published.append),
+        create_subscription=lambda _, topic, callback, __: callbacks.update({topic: callback}),
+        get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0)),
+        get_logger=lambda: SimpleNamespace(info=lambda _: None),
+        destroy_node=lambda: None,
+    )
+
+    def spin(_):
+        with AnyReader([tmp_path / "bag"]) as bag:
+            for connection, _, raw in bag.messages():
+                if connection.topic in callbacks:
+                    callbacks[connection.topic](bag.deserialize(raw, connection.msgtype))
+
+    messages = {
+        "Point32": SimpleNamespace,
+        "PolygonStamped": lambda header: SimpleNamespace(header=header, polygon=SimpleNamespace(points=[])),
+    }
+    fakes = {
+        "rclpy": {"init": lambda args: None, "create_node": lambda _: node, "spin": spin},
+        "geometry_msgs.msg": messages,
+        "sensor_msgs.msg": {"Image": object},
+    }
+    for name, content in fakes.items():
+        module = ModuleType(name)
+        module.__dict__.update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.delitem(sys.modules, "tests.examples.ros_stars", raising=False)
+    from tests.examples import ros_stars  # noqa: PLC0415 - needs rclpy
+
+    ros_stars.main([])
+
+    truth = gs.read_truth(tmp_path / "night")
+    for line, found in zip(truth, published, strict=True):
+        brightest = min((star for star in line["stars"] if star["in_frame"]), key=lambda star: star["vmag"])
+        places = np.array([[point.x, point.y] for point in found.polygon.points])
+        separation_px = np.linalg.norm(places - [brightest["x_px"], brightest["y_px"]], axis=1)
+        assert separation_px.min() < 1.0

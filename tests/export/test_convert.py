@@ -11,6 +11,7 @@ import exifread
 import numpy as np
 import piexif
 import pytest
+import yaml
 from mcap.reader import make_reader
 from PIL import Image
 from rosbags.highlevel import AnyReader
@@ -78,13 +79,16 @@ def test_rosbags_reads_pixels_camera_time_and_transforms(export: Path, tmp_path:
 
     lines = truth(export)
     assert {topic: len(messages) for topic, messages in found.items()} == {
-        **dict.fromkeys(("/camera/image_raw", "/camera/camera_info", "/imu/data", "/fix", "/tf", "/glstar/truth"), 3),
+        **dict.fromkeys(("/camera/image_raw", "/camera/camera_info", "/imu/data", "/fix", "/tf", "/clock"), 3),
+        "/glstar/truth": 3,
         "/tf_static": 1,
     }
     for k, line in enumerate(lines):
         stamp_ns, image = found["/camera/image_raw"][k]
         assert abs(stamp_ns * 1e-9 - parse_utc(line["utc_mid"])) < 1e-6
         assert abs(image.header.stamp.sec + image.header.stamp.nanosec * 1e-9 - parse_utc(line["utc_mid"])) < 1e-6
+        clock_ns, clock = found["/clock"][k]
+        assert (clock_ns, clock.clock) == (stamp_ns, image.header.stamp)
         pixels = cv2.imread(str(export / line["file"]), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(image.data.reshape(image.height, image.width), pixels)
         info = found["/camera/camera_info"][k][1]
@@ -105,6 +109,25 @@ def test_rosbags_reads_pixels_camera_time_and_transforms(export: Path, tmp_path:
         fix = found["/fix"][k][1]
         assert (fix.latitude, fix.longitude) == (line["site"]["latitude_deg"], line["site"]["longitude_deg"])
         assert json.loads(found["/glstar/truth"][k][1].data) == line
+
+
+def test_the_metadata_of_a_bag_are_those_that_humble_reads(export: Path, tmp_path: Path) -> None:
+    """rosbag2 before Jazzy reads QoS profiles as text, and refuses the empty list of version 9."""
+    convert(export, tmp_path / "bag", "--to", "ros2")
+
+    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+    assert metadata["version"] == 8
+    assert metadata["storage_identifier"] == "sqlite3"
+    profiles = {
+        topic["topic_metadata"]["name"]: topic["topic_metadata"]["offered_qos_profiles"]
+        for topic in metadata["topics_with_message_count"]
+    }
+    assert {type(profile) for profile in profiles.values()} == {str}
+    # Numbers of rmw: transient local, reliable; all others are left to the player.
+    [latched] = yaml.safe_load(profiles.pop("/tf_static"))
+    assert (latched["durability"], latched["reliability"], latched["depth"]) == (1, 1, 1)
+    assert set(profiles.values()) == {""}
 
 
 def test_foxgloves_reader_finds_the_messages_in_order(export: Path, tmp_path: Path) -> None:

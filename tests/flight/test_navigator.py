@@ -6,7 +6,7 @@ import pytest
 from glstar.errors import ConfigError
 from glstar.flight import AttitudeTrack
 from glstar.flight.navigator import AttitudeErrorModel, EstimatedAttitude, MountError, gauss_markov, perlin_noise
-from glstar.rotation import quaternion_from_euler, turn_between
+from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, turn_between
 
 DEG = np.pi / 180
 T_S = np.linspace(0.0, 600.0, 6001)
@@ -52,6 +52,27 @@ def test_a_turn_tilts_the_estimate_towards_the_apparent_vertical() -> None:
 
     np.testing.assert_allclose(found[:, 0], -0.0041 * np.tan(20 * DEG), rtol=1e-9)
     np.testing.assert_allclose(found[:, 1:], 0.0, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(0.235, 0.0), (0.3, 0.3), (0.3, -0.3), (0.0, 0.4)])
+def test_an_error_once_per_revolution_leans_to_one_side_of_the_compass(pitch_deg: float, roll_deg: float) -> None:
+    """Up leans by pitch cos^2 a + roll sin^2 a towards the heading of the key, a from there, banked as level."""
+    towards = np.deg2rad(50.0)
+    model = AttitudeErrorModel(
+        revolution_pitch_rad=pitch_deg * DEG, revolution_roll_rad=roll_deg * DEG, revolution_heading_rad=towards
+    )
+    errors = model.drawn(0.0, 600.0, np.random.default_rng(0))
+    estimate = EstimatedAttitude(AttitudeTrack(T_S, BANKED), errors).at(T_S)
+    up_body = matrix_from_quaternion(estimate) @ np.array([0.0, 0.0, -1.0])
+    up_ned = np.einsum("nij,nj->ni", np.swapaxes(matrix_from_quaternion(BANKED), 1, 2), up_body)
+
+    a = 0.1 * T_S - towards
+    along = up_ned[:, :2] @ [np.cos(towards), np.sin(towards)]
+    across = up_ned[:, :2] @ [-np.sin(towards), np.cos(towards)]
+
+    expected_deg = pitch_deg * np.cos(a) ** 2 + roll_deg * np.sin(a) ** 2
+    np.testing.assert_allclose(along / DEG, expected_deg, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(across / DEG, (pitch_deg - roll_deg) * np.sin(a) * np.cos(a), rtol=0, atol=2e-5)
 
 
 def test_perlin_noise_is_zero_at_its_nodes_and_follows_their_slopes() -> None:

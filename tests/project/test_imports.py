@@ -18,7 +18,7 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = (
     *("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs"),
-    *("distributed", "openpyxl", "pyarrow", "rosbags", "zmq", "pyvirtualcam"),
+    *("distributed", "openpyxl", "pyarrow", "rosbags", "zmq", "pyvirtualcam", "av"),
 )
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
@@ -69,6 +69,7 @@ IMPORTED_IN = {
     "astropy": ["sky"],
     "distributed": ["export"],
     "orjson": ["export", "render", "score"],
+    "av": ["export"],
     "gymnasium": ["export"],
     "openpyxl": ["telemetry"],
     "lz4": ["telemetry"],
@@ -270,6 +271,7 @@ def test_what_is_imported_is_declared() -> None:
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
         *(
+            "av",
             "distributed",
             "fsspec",
             "gymnasium",

@@ -472,3 +472,30 @@ def test_a_sensor_that_uses_few_of_its_bits_is_shown_with_more_gain(make_viewer,
     assert bundled.boost == 5.0
     assert session.stretch.boost == pytest.approx(5.0 * 4095 / 255)
     assert session.stretch.black == pytest.approx(bundled.black * 255 / 4095)
+
+
+def test_exposure_control_brings_the_image_shown_to_its_target(make_viewer, small, log):
+    """A sky that half a second saturates: each image that is drawn is a frame, until the level is held."""
+    keys = {"sensor.noise": "electrons", "sensor.bit_depth": 12, "sensor.sky_mag_per_arcsec2": 13.0}
+    control = {"exposure.control": "mean", "exposure.control_speed": 1.0}
+    viewer = make_viewer(log, config=small.override(**keys, **control))
+    session = viewer.session
+
+    levels = []
+    for _ in range(25):
+        viewer.frame(0.0)
+        levels.append((session.image.pixels.mean() - 256) / (4095 - 256))
+
+    assert levels[0] > 0.9
+    assert levels[-1] == pytest.approx(0.16, rel=0.03)
+    assert session.scene.exposure.duration_s < 0.1
+    before = session.scene
+    viewer.frame(0.0)
+    assert session.scene is before  # nothing is drawn again
+
+    save_frame(session)
+    finish(viewer)
+    assert any("exposure.control" in message for message in session.notifications.errors)
+    session.change(**{"exposure.control": "none"})
+    viewer.frame(0.0)
+    assert session.scene.exposure.duration_s == 0.5

@@ -69,7 +69,7 @@ def test_a_video_is_absent_until_it_is_complete(tmp_path: Path) -> None:
         video.write(level(10))
         assert not path.exists()
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(ExportError, match=r"must end with \.mp4"):
+    with pytest.raises(ExportError, match=r"must end with \.webm or \.mp4"):
         VideoFile(tmp_path / "v.avi", 96, 64, 10.0)
 
 

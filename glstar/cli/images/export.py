@@ -108,7 +108,7 @@ def export(
         masks=masks,
         exif=exif,
     )
-    job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video)
+    job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video, dry_run=dry_run)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
@@ -141,7 +141,14 @@ def _part_of(shard: str | None, *, force: bool) -> "Shard":
 
 
 def _prepare(
-    settings: "Config", paths: list[Path], output: Path, wanted: "ExportOptions", *, strict: bool, video: Path | None
+    settings: "Config",
+    paths: list[Path],
+    output: Path,
+    wanted: "ExportOptions",
+    *,
+    strict: bool,
+    video: Path | None,
+    dry_run: bool,
 ) -> "Export":
     """Read the flights and plan their frames; print notes on how the logs were read."""
     from glstar.export.run.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV
@@ -156,15 +163,23 @@ def _prepare(
         echo_note(f"{name}: {note}")
     if video is not None:
         options.refuse_video_of_two_sizes(settings, len(paths), video)
-    return job
+    return _controlled(job) if job.is_controlled and not dry_run else job
+
+
+def _controlled(job: "Export") -> "Export":
+    """Return the export with the exposure times and gains of its exposure control, which draws every frame."""
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
+
+    with exit_on_interrupt(), GLRenderer.headless() as renderer, progress_bar("exposures") as on_frame:
+        return job.controlled(renderer, on_frame)
 
 
 def _refuse_contradictions(
     video: Path | None, dask: str | None, workers: int | None, *, verify: bool, writes_more: bool
 ) -> None:
     """Refuse options that contradict each other."""
-    if video is not None and video.suffix.lower() != ".mp4":
-        raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
+    if video is not None and video.suffix.lower() not in (".webm", ".mp4"):
+        raise typer.BadParameter(f"{video} must end with .webm or .mp4", param_hint="--video")
     if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
     if verify and writes_more:
@@ -318,6 +333,7 @@ def _executor(
 def _write_video(job: "Export", video: Path, frames_per_s: float) -> None:
     from glstar.export.imagefiles.formats import write_video  # noqa: PLC0415 - OpenCV
 
+    options.note_codec(video)
     images = [job.task.image_path(number) for number in job.numbers.tolist()]
     write_video(images, video, frames_per_s=frames_per_s, saturation_dn=job.task.frames.saturation_dn)
 

@@ -77,7 +77,9 @@ Masks = Annotated[
 ]
 Exif = Annotated[bool, typer.Option("--exif", help="Write UTC, exposure time and position into each image, as EXIF.")]
 Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]
-Video = Annotated[Path | None, typer.Option(help="Write a video of all frames too: a name.mp4.", show_default=False)]
+Video = Annotated[
+    Path | None, typer.Option(help="Write a video of all frames too: a name.webm or name.mp4.", show_default=False)
+]
 VideoRate = Annotated[float, typer.Option(help="Frame rate of the video, 1/s.", min=0.1, max=240)]
 WorkerCount = Annotated[
     int | None,
@@ -301,6 +303,15 @@ def _write_parquet(directory: Path) -> tuple[Path, ...]:
 def with_summary_files(command: "Callable[..., None]") -> "Callable[..., None]":
     """Replace the parameter ``summaries: SummaryFiles`` of a command by its options."""
     return with_fields_as_options(command, "summaries", SummaryFiles)
+
+
+def note_codec(video: Path) -> None:
+    """Note that a video has a codec that browsers do not play."""
+    from glstar.export.imagefiles.formats import is_pyav_installed  # noqa: PLC0415 - OpenCV
+
+    if video.suffix.lower() == ".mp4" and not is_pyav_installed():
+        better = f"write {video.with_suffix('.webm').name}, or: {install_command('film')}"
+        echo_note(f"glstar: {video.name} has MPEG-4 part 2, which browsers and notebooks do not play; {better}")
 
 
 def refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) -> None:

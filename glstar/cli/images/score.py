@@ -13,7 +13,7 @@ from rich.table import Table
 from glstar.score.frames import Limits
 from glstar.score.gate import EXAMPLE, GateLimit, Verdict, gate_note, judged, read_gate
 from glstar.score.metrics import METRICS, Metric, Spread, Summary
-from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Score, draw_score
+from glstar.score.scoring import DETECTABLE_SNR, RUN_METRICS, Orbit, Score, draw_score, orbits_by_setting
 from glstar.system.files import write_atomically
 
 # Orbits that are printed one by one; score.json has all.
@@ -158,6 +158,8 @@ def _print(found: Score, console: Console, by: frozenset[str]) -> None:
         )
     if found.spread is not None:
         _print_runs(found.spread, len(found.runs), console)
+    for name, by_value in orbits_by_setting(found.runs).items():
+        _print_orbits(name, by_value, console)
     for number, orbit in enumerate(found.orbits[:_MOST_ORBITS], 1):
         circle = (
             "" if orbit.circle_km is None else f", centre of a {orbit.radius_km:.2f} km circle {orbit.circle_km:.2f} km"
@@ -188,6 +190,17 @@ def _print_runs(spreads: Mapping[str, Spread | None], runs: int, console: Consol
         spread = spreads[metric.json_key]
         if spread is not None:
             table.add_row(metric.label, *_numbers(spread))
+    console.print(table)
+
+
+def _print_orbits(name: str, by_value: Mapping[str, Sequence[Orbit]], console: Console) -> None:
+    """Print how far the means of the orbits are off, by the value of a setting: the spread says what chance does."""
+    table = Table(name, "orbits", "mean, km", "10 %", "90 %", "weighted by heading, km", "10 %", "90 %", box=None)
+    for label, orbits in by_value.items():
+        cells = [str(len(orbits))]
+        for values in ([orbit.mean_km for orbit in orbits], [orbit.weighted_mean_km for orbit in orbits]):
+            cells += [f"{quantile:.3g}" for quantile in np.quantile(values, (0.5, 0.1, 0.9))]
+        table.add_row(label, *cells)
     console.print(table)
 
 

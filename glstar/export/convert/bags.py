@@ -8,10 +8,12 @@ topic                  message                         content
 /imu/data              sensor_msgs/Imu                 the true attitude, from forward, left, up to east, north, up
 /fix                   sensor_msgs/NavSatFix           the position
 /tf, /tf_static        tf2_msgs/TFMessage              map (east, north, up) to base_link, base_link to camera_optical
+/clock                 rosgraph_msgs/Clock             the time of the stamps, for nodes with ``use_sim_time``
 /glstar/truth          std_msgs/String                 the line of ``truth.jsonl``, JSON
 =====================  ==============================  ================================================================
 
-Stamps are UTC of the middle of the exposure, at which attitude and star positions are given.
+Stamps are UTC of the middle of the exposure, at which attitude and star positions are given.  ROS 2 Humble and later
+play the bag: its metadata have version 8, for rosbag2 before Jazzy refuses the empty list of QoS profiles of version 9.
 """
 
 import json
@@ -23,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -48,6 +51,14 @@ _LENSES = {
     "rational": ("rational_polynomial", 8),
     "fisheye": ("equidistant", 4),
 }
+# Unlimited, as rosbag2 writes it.
+_FOREVER = QosTime(9223372036, 854775807)
+# A subscriber that comes late gets the last message too, as tf2 asks of static transforms.
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, _FOREVER, _FOREVER,
+    QosLiveliness.AUTOMATIC, _FOREVER, avoid_ros_namespace_conventions=False,
+)  # fmt: skip
+_QOS = {"/tf_static": (_LATCHED,)}
 _UNKNOWN = np.array([-1.0, *[0.0] * 8])
 
 
@@ -67,7 +78,7 @@ def write_bag(directory: Path, output: Path, on_step: Step = lambda _done, _all:
             is_mcap = output.suffix.lower() == ".mcap"
             plugin = StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
             bag = folder / output.stem
-            with Writer(bag, version=9, storage_plugin=plugin) as writer:
+            with Writer(bag, version=8, storage_plugin=plugin) as writer:
                 messages = _Messages(writer)
                 for number, line in enumerate(read_truth(directory)):
                     messages.write(line, _pixels(directory, line))
@@ -96,6 +107,7 @@ class _Messages:
     def write(self, line: dict[str, Any], pixels: NDArray[Any]) -> None:
         stamp_ns = round(parse_utc(line["utc_mid"]) * 1e6) * 1000
         optical = self._header(stamp_ns, _CAMERA)
+        self._put("/clock", "rosgraph_msgs/msg/Clock", stamp_ns, clock=optical.stamp)
         pixels = np.ascontiguousarray(pixels)
         encoding = "mono8" if pixels.dtype.itemsize == 1 else "mono16"
         self._put("/camera/image_raw", "sensor_msgs/msg/Image", stamp_ns,
@@ -165,6 +177,8 @@ class _Messages:
 
     def _put(self, topic: str, kind: str, stamp_ns: int, **fields: Any) -> None:
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+            self._connections[topic] = self._writer.add_connection(
+                topic, kind, typestore=self._store, offered_qos_profiles=_QOS.get(topic, ())
+            )
         message = self._store.serialize_cdr(self._make(kind, **fields), kind)
         self._writer.write(self._connections[topic], stamp_ns, message)

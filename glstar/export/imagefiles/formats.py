@@ -5,6 +5,8 @@ import struct
 import zlib
 from collections.abc import Sequence
 from contextlib import suppress
+from fractions import Fraction
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -26,38 +28,51 @@ from glstar.render.effects import scaled_keys
 from glstar.system.files import TEMPORARY, make_directory, publish
 from glstar.system.imagefiles import PNG_SIGNATURE, encode_png
 
+# Suffixes of videos.
+VIDEOS = (".webm", ".mp4")
+# Encoders of PyAV by suffix, with their options: quality instead of a bit rate, and speed, for the window waits.
+_ENCODERS = {
+    ".webm": ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "row-mt": "1", "crf": "28", "b": "0"}),
+    ".mp4": ("libx264", {"preset": "veryfast", "crf": "20"}),
+}
+# Codes of OpenCV's encoders by suffix.
+_FOUR_CC = {".webm": "VP90", ".mp4": "mp4v"}
+
 
 class VideoFile:
-    """An MPEG-4 video that is being written; a context manager, which discards the video unless `finish` was called.
+    """A video that is being written; a context manager, which discards the video unless `finish` was called.
 
-    `path`: must end with .mp4; `width_px`, `height_px`: size of the pictures; the codec needs even sides: of an odd
-    side, the video omits the last row or column; `frames_per_s`: frame rate, 1/s.  `count`: number of frames written.
-    Raises ExportError if the video cannot be written.
+    `path`: .webm has VP9, which browsers and notebooks play; .mp4 has H.264 with PyAV, which they play too, and
+    MPEG-4 part 2 without it, which they do not.  `width_px`, `height_px`: size of the pictures; the codecs need even
+    sides: of an odd side, the video omits the last row or column; `frames_per_s`: frame rate, 1/s.  `count`: number of
+    frames written.  Raises ExportError if the video cannot be written.
     """
 
     def __init__(self, path: Path, width_px: int, height_px: int, frames_per_s: float) -> None:
-        if path.suffix.lower() != ".mp4":
-            raise ExportError(path, "is no name for a video; it must end with .mp4")
+        if path.suffix.lower() not in VIDEOS:
+            raise ExportError(path, f"is no name for a video; it must end with {' or '.join(VIDEOS)}")
         if min(width_px, height_px) < 2:
             raise ExportError(path, f"would have pictures of {width_px} x {height_px} px, and a video needs 2 x 2")
         self.path, self.count = path, 0
         self._size = width_px - width_px % 2, height_px - height_px % 2
         self._temporary = path.with_name(f"{TEMPORARY}{path.name}")
-        self._writer: Any = None
+        self._writer: _PyAVWriter | _OpenCVWriter | None = None
         with explain_disk_errors(path):
             make_directory(path.parent)
             # Create the file exclusively: the codec would follow a link of this name, and it reports no reason when it
             # cannot write.
             self._temporary.unlink(missing_ok=True)
             self._temporary.open("xb").close()
-        codec = cv2.VideoWriter.fourcc(*"mp4v")
-        self._writer = cv2.VideoWriter(str(self._temporary), codec, frames_per_s, self._size, isColor=True)
-        if not self._writer.isOpened():
+        try:
+            writer = _PyAVWriter if is_pyav_installed() else _OpenCVWriter
+            self._writer = writer(self._temporary, self._size, frames_per_s)
+        except ValueError as error:
             self.discard()
-            raise ExportError(path, f"cannot be encoded: OpenCV has no MPEG-4 encoder for {frames_per_s:g} frames/s")
+            raise ExportError(path, f"cannot be encoded at {frames_per_s:g} frames/s: {error}") from error
 
     def write(self, picture: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
         """Add a frame; `picture` (height, width) or (height, width, 3) uint8: grey, or blue, green, red."""
+        assert self._writer is not None
         width_px, height_px = self._size
         cut = np.ascontiguousarray(picture[:height_px, :width_px])
         self._writer.write(cut if cut.ndim == 3 else cv2.cvtColor(cut, cv2.COLOR_GRAY2BGR))
@@ -68,8 +83,10 @@ class VideoFile:
 
         Raises ExportError if it cannot be read back with all its frames.
         """
-        self._writer.release()
+        assert self._writer is not None
         try:
+            with explain_disk_errors(self.path):
+                self._writer.release()
             if _count_frames(self._temporary) != self.count or not self.count:
                 raise ExportError(self.path, "could not be written completely; is the disk full?")
             with explain_disk_errors(self.path):
@@ -80,7 +97,8 @@ class VideoFile:
     def discard(self) -> None:
         """Remove what has been written, unless it is complete."""
         if self._writer is not None:
-            self._writer.release()
+            with suppress(OSError):
+                self._writer.release()
         self._temporary.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
@@ -90,6 +108,58 @@ class VideoFile:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.discard()
+
+
+def is_pyav_installed() -> bool:
+    """Return whether PyAV is, the extra ``film``: its encoders write H.264, and VP9 ten times as fast as OpenCV's."""
+    return find_spec("av") is not None
+
+
+class _OpenCVWriter:
+    """Encodes a video of pictures of a size, px, with OpenCV; raises ValueError if it has no encoder."""
+
+    def __init__(self, path: Path, size_px: tuple[int, int], frames_per_s: float) -> None:
+        codec = cv2.VideoWriter.fourcc(*_FOUR_CC[path.suffix.lower()])
+        self._writer = cv2.VideoWriter(str(path), codec, frames_per_s, size_px, isColor=True)
+        if not self._writer.isOpened():
+            raise ValueError("OpenCV has no encoder for it")
+
+    def write(self, picture: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
+        self._writer.write(picture)
+
+    def release(self) -> None:
+        self._writer.release()
+
+
+class _PyAVWriter:
+    """Encodes a video of pictures of a size, px, with PyAV; raises ValueError if it has no encoder."""
+
+    def __init__(self, path: Path, size_px: tuple[int, int], frames_per_s: float) -> None:
+        import av  # noqa: PLC0415 - an extra
+
+        codec, options = _ENCODERS[path.suffix.lower()]
+        self._av, self._is_open = av, True
+        # The index before the frames: a browser shows the first before it has the last.
+        self._file = av.open(str(path), "w", options={"movflags": "faststart"} if path.suffix.lower() == ".mp4" else {})
+        try:
+            self._stream = self._file.add_stream(codec, rate=Fraction(frames_per_s).limit_denominator(1000))
+            self._stream.width, self._stream.height = size_px
+            self._stream.pix_fmt, self._stream.options = "yuv420p", options
+        except (ValueError, av.FFmpegError) as error:
+            self._file.close()
+            raise ValueError(str(error)) from error
+
+    def write(self, picture: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
+        frame = self._av.VideoFrame.from_ndarray(picture, format="bgr24")
+        self._file.mux(self._stream.encode(frame))
+
+    def release(self) -> None:
+        if self._is_open:
+            self._is_open = False
+            try:
+                self._file.mux(self._stream.encode(None))
+            finally:
+                self._file.close()
 
 
 def _count_frames(path: Path) -> int:
@@ -320,7 +390,7 @@ def _inflated(deflated: bytes) -> bytes:
 
 
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
-    """Write image files of one size as an MPEG-4 video, atomically; `path` must end with .mp4.
+    """Write image files of one size as a video, atomically; `path` is that of a `VideoFile`.
 
     The digital number `saturation_dn` is shown as white. Raises ExportError if the video cannot be written.
     """

@@ -176,13 +176,12 @@ class DataSetFrames:
             shutter = exposure.starting_at(self._triggered[2][which][nth] + shift_s)
         else:
             shutter = exposure.nth(nth, first_s, start_s=start_s)
-        return Shot(simulator, shutter, index, which, settings, shift_s)
+        about = {"flight": simulator.flight.name, "sample": which, "settings": settings}
+        return Shot(simulator, shutter, index, which, settings, shift_s, about, exposure.exposure_control)
 
     def compose(self, number: int) -> ComposedFrame:
         """Return the scene of a frame; see `Frames`."""
-        shot = self.shot(number)
-        about = {"flight": shot.simulator.flight.name, "sample": shot.stream, "settings": shot.settings}
-        return ComposedFrame(number, shot.simulator.scene(shot.exposure), about)
+        return self.shot(number).composed(number)
 
     def _settings(self, which: int) -> dict[str, Any]:
         flight, sample = divmod(which, len(self.config.sweep))

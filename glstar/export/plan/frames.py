@@ -1,8 +1,8 @@
 """Planning of an export: its options, the exposure and scene of each frame, and the frames that are skipped."""
 
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isnan
 from pathlib import Path
@@ -11,12 +11,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.exposure import Exposure
+from glstar.camera.exposure import ControlledExposure, Exposure, ExposureControl
+from glstar.camera.sensor.sensor import Sensor
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
 from glstar.export.imagefiles.formats import ImageFormat
 from glstar.flight import CameraTriggers, Flight
-from glstar.render.scene.scene import Scene
+from glstar.render.scene.scene import Frame, Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
 
@@ -198,6 +199,36 @@ class Shot:
     stream: int = 0  # Index of the flight and the sample together: frames of one value belong to one flight
     settings: Mapping[str, Any] = field(default_factory=dict)  # The settings of the sample, by dotted key
     shift_s: float = 0.0  # How much later than in its log the flight is, s
+    about: Mapping[str, Any] = field(default_factory=dict)  # Additional keys of its line of truth
+    control: ExposureControl | None = None  # The automatic exposure, which shortens it; None without
+
+    def set_to(self, duration_s: float, gain: float) -> "Shot":
+        """Return the shot with the exposure time, s, and the analogue gain of an exposure control."""
+        sensor = self.simulator.sensor
+        assert sensor.electrons is not None  # the config has checked it
+        sensor = replace(sensor, electrons=replace(sensor.electrons, analogue_gain=gain))
+        return replace(
+            self,
+            simulator=replace(self.simulator, sensor=sensor),
+            exposure=self.exposure.shortened(duration_s),
+            about={**self.about, "analogue_gain": gain},
+            control=None,
+        )
+
+    @property
+    def gain(self) -> float | None:
+        """The analogue gain that an exposure control has set; None without."""
+        return self.about.get("analogue_gain")
+
+    @property
+    def sensor_gain(self) -> float:
+        """The analogue gain of the sensor."""
+        electrons = self.simulator.sensor.electrons
+        return 1.0 if electrons is None else electrons.analogue_gain
+
+    def composed(self, number: int) -> ComposedFrame:
+        """Return the scene of the frame of this number."""
+        return ComposedFrame(number, self.simulator.scene(self.exposure), self.about)
 
 
 class Frames(Protocol):
@@ -243,6 +274,7 @@ class FlightFrames:
 
     simulator: Simulator
     plan: Plan
+    control: ExposureControl | None = None
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
@@ -272,15 +304,87 @@ class FlightFrames:
 
     def shot(self, number: int) -> Shot:
         """Return when and how the camera exposes a frame; see `Frames`."""
-        return Shot(self.simulator, self._planned(number).exposure)
+        planned = self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
+        return Shot(self.simulator, planned.exposure, about=planned.extra_truth, control=self.control)
 
     def compose(self, number: int) -> ComposedFrame:
         """Return the scene of a frame; see `Frames`."""
-        planned = self._planned(number)
-        return ComposedFrame(number, self.simulator.scene(planned.exposure), planned.extra_truth)
+        return self.shot(number).composed(number)
 
-    def _planned(self, number: int) -> PlannedFrame:
-        return self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
+
+@dataclass(frozen=True, eq=False)
+class ControlledFrames:
+    """Frames whose exposure time and gain an exposure control has set, frame after frame of each flight."""
+
+    uncontrolled: Frames
+    settings: Mapping[int, tuple[float, float]]  # Exposure time, s, and gain by frame number
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Frame numbers, (n,) int64, increasing."""
+        return self.uncontrolled.numbers
+
+    @property
+    def firsts(self) -> NDArray[np.int64]:
+        """First frame number of each simulator; see `Frames`."""
+        return self.uncontrolled.firsts
+
+    @property
+    def skipped(self) -> tuple[SkippedFrame, ...]:
+        """Frames that are left out because their exposure spans a gap in the log."""
+        return self.uncontrolled.skipped
+
+    @property
+    def saturation_dn(self) -> int:
+        """The largest digital number of the images."""
+        return self.uncontrolled.saturation_dn
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that `compose` reads again; see `Frames`."""
+        return self.uncontrolled.files
+
+    def shot(self, number: int) -> Shot:
+        """Return when and how the camera exposes a frame; see `Frames`."""
+        return self.uncontrolled.shot(number).set_to(*self.settings[number])
+
+    def compose(self, number: int) -> ComposedFrame:
+        """Return the scene of a frame; see `Frames`."""
+        return self.shot(number).composed(number)
+
+
+def control_exposures(
+    frames: Frames, draw: Callable[[ComposedFrame], Frame], on_frame: Callable[[int, int], None] = lambda *_: None
+) -> Frames:
+    """Return frames with the exposure times and gains of their exposure control; unchanged without.
+
+    Each frame is drawn with `draw` to measure its level. Each flight and sample has a control of its own. `on_frame`
+    is called with the number of finished frames and of all frames.
+    """
+    numbers = frames.numbers.tolist()
+    if not numbers or frames.shot(numbers[0]).control is None:
+        return frames
+    settings: dict[int, tuple[float, float]] = {}
+    state: ControlledExposure | None = None
+    stream = -1
+    for done, number in enumerate(numbers, start=1):
+        shot = frames.shot(number)
+        if shot.control is not None and (state is None or shot.stream != stream):
+            stream, state = shot.stream, ControlledExposure.begun(shot.control, shot.sensor_gain)
+        assert state is not None
+        settings[number] = state.settings
+        shot = shot.set_to(*state.settings)
+        pixels = draw(shot.composed(number)).pixels
+        state = state.after(level_of(state.control, shot.exposure, shot.simulator.sensor, pixels))
+        on_frame(done, len(numbers))
+    return ControlledFrames(frames, settings)
+
+
+def level_of(control: ExposureControl, exposure: Exposure, sensor: Sensor, pixels_dn: NDArray[Any]) -> float:
+    """Return the level of an image that an exposure control measures."""
+    factor = exposure.signal_factor
+    black_dn = 0.0 if sensor.electrons is None else sensor.electrons.black_level_dn
+    return control.level(pixels_dn, factor * black_dn, factor * sensor.saturation_dn)
 
 
 @dataclass(frozen=True, slots=True)

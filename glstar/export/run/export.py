@@ -23,10 +23,11 @@ from glstar.export.directory import (
 )
 from glstar.export.frame import FrameTask
 from glstar.export.imagefiles.formats import find_damage
-from glstar.export.plan.frames import SkippedFrame
+from glstar.export.plan.frames import ComposedFrame, SkippedFrame, control_exposures
 from glstar.export.plan.manifest import OmittedLog, claim, holds_frames, is_claimed, refuse_other_settings
 from glstar.export.run.executors import Executor
 from glstar.export.truth.lines import TruthFile
+from glstar.render.scene.scene import Frame, Renderer
 from glstar.system.files import TEMPORARY, flush_directory, make_directory
 
 Numbers = NDArray[np.int64]
@@ -149,6 +150,23 @@ class Export:
         """Return the same export with another output directory."""
         return replace(self, task=replace(self.task, directory=directory))
 
+    @property
+    def is_controlled(self) -> bool:
+        """Whether an exposure control is to set exposure times and gains, which are not known yet."""
+        return bool(len(self.numbers)) and self.task.frames.shot(int(self.numbers[0])).control is not None
+
+    def controlled(self, renderer: Renderer, on_frame: Callable[[int, int], None]) -> Self:
+        """Return the export with the exposure times and gains of its exposure control: all frames are drawn for them.
+
+        `on_frame` is called with the number of finished frames and of all frames.
+        """
+
+        def draw(composed: ComposedFrame) -> Frame:
+            return self.task.begin(renderer, composed).frame()
+
+        frames = control_exposures(self.task.frames, draw, on_frame)
+        return replace(self, task=replace(self.task, frames=frames))
+
     def run(
         self,
         executor: Executor,
@@ -164,6 +182,10 @@ class Export:
         after each frame. Raises ExportError if the directory cannot be written, the disk is full, or it holds frames of
         other settings.
         """
+        if self.is_controlled:
+            raise ConfigError(
+                "follows the level of the frames before, which glstar export draws", key="exposure.control"
+            )
         report_progress = on_frame or (lambda *_: None)
         manifest = self.manifest | {"renderer": executor.driver}
         truth = TruthFile(self.directory, shard.label)

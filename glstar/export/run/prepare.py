@@ -40,7 +40,8 @@ def prepare_export(
     flight = config.open_flight(flight_path) if flight is None else flight
     plan = plan_frames(flight, config.exposure, start_s=options.start_s, stop_s=options.stop_s, frames=options.frames)
     image_format, sensor = fit_format(options.image_format, config.sensor(), summed=config.exposure.signal_factor)
-    frames = FlightFrames(config.simulator(flight, sensor=sensor), plan if only is None else plan.only(only))
+    chosen = plan if only is None else plan.only(only)
+    frames = FlightFrames(config.simulator(flight, sensor=sensor), chosen, config.exposure.exposure_control)
     manifest = describe(config, flight_path, flight, sensor, replace(options, image_format=image_format), plan)
     return Export(_task(config, frames, directory, image_format, options), manifest)
 

@@ -148,6 +148,7 @@ _FRAME = (
     Column("sensor.sky_e", "float", "e", "mean signal of the sky in a pixel on the axis", _ELECTRONS),
     Column("sensor.dark_e", "float", "e", "mean dark signal of a pixel", _ELECTRONS),
     Column("output", "object", "", "its keys in `[output]`, or `align` and `shift_bits`", "`[output]`"),
+    Column("analogue_gain", "float", "", "analogue gain that exposure control has set", "`[exposure] control`"),
     Column("flight", "string", "", "name of the flight", _SET),
     Column("sample", "int64", "", "number of the sample of the sweep", _SET),
     Column("settings", "object", "", "settings of the sample, by dotted key", _SET),

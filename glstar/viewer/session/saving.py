@@ -31,7 +31,7 @@ from glstar.viewer.session.state import Session
 # Frame rate of a video that is recorded while the viewer is used, 1/s.
 SCREEN_FRAMES_PER_S = 30.0
 # Suffixes of the files that the window saves beside frames; other names are those of directories.
-_FILES = frozenset({".png", ".mp4", ".md", ".tlog"})
+_FILES = frozenset({".png", ".webm", ".mp4", ".md", ".tlog"})
 
 
 def save_frame(session: Session) -> None:

@@ -8,14 +8,16 @@ from math import floor
 from pathlib import Path
 from typing import Any
 
-from glstar.camera.exposure import Exposure
+from glstar.camera.exposure import ControlledExposure, Exposure
 from glstar.config import Config
 from glstar.errors import GlstarError
+from glstar.export.plan.frames import Shot, level_of
 from glstar.flight import Flight, Gap
 from glstar.images import FittedImage, RealImage
 from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene.scene import Scene
+from glstar.render.simulator import Simulator
 from glstar.telemetry import is_bag_directory
 from glstar.viewer.flight import loaded as loadedflight
 from glstar.viewer.flight.live import LiveFlight
@@ -24,7 +26,7 @@ from glstar.viewer.flight.playhead import PlayHead, no_exposure
 from glstar.viewer.flight.sky import Conditions, CurrentConditions
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.overlays.table import Overlay
-from glstar.viewer.picture.comparison import ComparisonState, outside
+from glstar.viewer.picture.comparison import ComparisonMode, ComparisonState, outside
 from glstar.viewer.picture.content import PanelContent
 from glstar.viewer.picture.simulated import ImageRequest, SimulatedImage
 from glstar.viewer.picture.view import ImageView, Stretch
@@ -87,6 +89,10 @@ class Session:
         self._epoch = 0
         self._stars_utc_s = 0.0
         self._latest: LatestAttitude | None = None
+        self._control: ControlledExposure | None = None
+        self._measured: Scene | None = None
+        # A simulator, the exposure time, s, and the gain of the control, and the simulator with them.
+        self._as_set: tuple[Simulator, tuple[float, float], Simulator] | None = None
 
     # --- the flight shown ---
 
@@ -138,10 +144,38 @@ class Session:
         exposure, number = _exposure_to_show(loaded, self.comparison)
         if self._shows_link and self.live is not None and loaded.extend(exposure, self.live.last):
             exposure, number = _exposure_to_show(loaded, self.comparison)
-        request = ImageRequest(exposure, number, loaded.simulator, self.comparison.is_noiseless)
+        shot = self._exposed(Shot(loaded.simulator, exposure, control=self.config.exposure.exposure_control))
+        request = ImageRequest(shot.exposure, number, shot.simulator, self.comparison.is_noiseless)
         drawn = self.image.update(request, playing=head.playing and not head.live)
+        self._measure()
         if drawn and head.live and self.live is not None and self._latest is not None:
             self.live.drew(self._latest, self.scene, self.config.exposure.duration_s)
+
+    def _exposed(self, shot: Shot) -> Shot:
+        """Return a shot as the exposure control sets it; real images have exposures of their own."""
+        if shot.control is None or self.comparison.mode is not ComparisonMode.OFF:
+            self._control = None
+            return shot
+        if self._control is None or self._control.control != shot.control:
+            self._control = ControlledExposure.begun(shot.control, shot.sensor_gain)
+        settings = self._control.settings
+        if self._as_set is None or self._as_set[0] is not shot.simulator or self._as_set[1] != settings:
+            # The same simulator for the same settings: another one would be another image.
+            self._as_set = shot.simulator, settings, shot.set_to(*settings).simulator
+        return replace(shot.set_to(*settings), simulator=self._as_set[2])
+
+    def _measure(self) -> None:
+        """Measure an image that is new for the exposure control: each image that is drawn is a frame of it."""
+        scene = self.scene
+        if self._control is None or scene is None or self.image.is_noiseless:
+            return
+        if scene is self._measured:
+            self._control = self._control.unmeasured()
+            return
+        self._measured, pixels, electrons = scene, self.image.pixels, scene.sensor.electrons
+        if pixels is not None and electrons is not None:
+            level = level_of(self._control.control, scene.exposure, scene.sensor, pixels)
+            self._control = self._control.after(level, scene.exposure.duration_s * electrons.analogue_gain)
 
     # --- live flights ---
 

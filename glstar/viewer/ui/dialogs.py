@@ -310,7 +310,7 @@ class VideoDialog(RangeDialog):
         if session.video is not None:
             session.notify("a video is being recorded; end it first (Ctrl+R)", is_error=True)
             return False
-        self.path = str(unused_path(session.output / f"{file_stem(session)}-range.mp4"))
+        self.path = str(unused_path(session.output / f"{file_stem(session)}-range.webm"))
         return True
 
     def draw_options(self) -> None:
@@ -332,7 +332,7 @@ class VideoDialog(RangeDialog):
     def accept(self, session: Session) -> None:
         """Record the video."""
         path = Path(self.path.strip()).expanduser()
-        session.video = RangeVideo(path if path.suffix else path.with_suffix(".mp4"), self._part(session))
+        session.video = RangeVideo(path if path.suffix else path.with_suffix(".webm"), self._part(session))
 
     def _part(self, session: Session) -> VideoRange:
         head = session.head
