@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import ceil, log
+from math import ceil, cos, log
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ _LARGEST_BYTES = 2**30
 # Two frames whose attitudes are closer show nearly the same image, rad; and the frames of a split that are compared.
 _SAME_RAD = float(np.deg2rad(2.0))
 _MOST_COMPARED = 5000
+# Frames of the training that are compared at a time.
+_BLOCK = 1000
 # Probability with which flights in the number that a message names leave no split empty.
 _LIKELY = 0.95
 
@@ -235,15 +237,13 @@ def _write_lists(directory: Path, flights: _Flights, split_of: Mapping[str, str]
 
 def _near_fraction(rows: Float, train: Float) -> float:
     """Return the fraction of attitudes that are close to one of others; both (n, 9), matrices by rows."""
-    from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
-
-    if not len(train):
-        return 0.0
-    # The norm of the difference of two rotation matrices is 2 sqrt(2) sin(a / 2) for an angle a between them.
-    limit = 2 * np.sqrt(2) * np.sin(_SAME_RAD / 2)
     chosen = rows[:: ceil(len(rows) / _MOST_COMPARED)]
-    nearest, _ = KDTree(train).query(chosen, distance_upper_bound=limit)
-    return float(np.isfinite(nearest).mean())
+    is_near = np.zeros(len(chosen), dtype=np.bool_)
+    for first in range(0, len(train), _BLOCK):
+        # The sum of products of two rotation matrices is 1 + 2 cos a for an angle a between them.
+        products = chosen @ train[first : first + _BLOCK].T
+        is_near |= (products >= 1 + 2 * cos(_SAME_RAD)).any(axis=1)
+    return float(is_near.mean())
 
 
 def _entry(flight: FlightIdentity) -> dict[str, Any]:
