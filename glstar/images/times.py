@@ -286,7 +286,7 @@ def truth_files(folder: Path) -> list[Path]:
         return [folder / TRUTH]
     parts = sorted(folder.glob(f"{TRUTH}*.partial"))
     if parts:
-        warnings.warn(f"{folder}: the export was not finished; the frames so far are read", stacklevel=1)
+        warnings.warn(f"{folder}: the export was not finished; the frames that it has are read", stacklevel=1)
     return parts
 
 

@@ -161,9 +161,13 @@ def received(connection: socket.socket, timeout_s: float) -> bytes:
 def test_subscribers_beyond_the_limit_get_no_frames_until_one_leaves() -> None:
     port = free_port(socket.SOCK_STREAM)
     with FrameStream(f"zmq://{port}") as frames, ExitStack() as opened:
-        subscribe = hostile_clients.subscribes_and_reads_nothing
-        clients = [opened.enter_context(subscribe(port, RNG)) for _ in range(MOST_CONNECTIONS)]
-        late = opened.enter_context(subscribe(port, RNG))
+        clients = [
+            opened.enter_context(hostile_clients.introduced(port, b"SUB", patience_s=20.0))
+            for _ in range(MOST_CONNECTIONS)
+        ]
+        late = opened.enter_context(hostile_clients.introduced(port, b"SUB", patience_s=1.0))
+        for client in (*clients, late):
+            client.sendall(b"\x00\x01\x01")
         time.sleep(0.5)  # until the subscriptions are in force
         frames.write(RAMP, b"{}", NAV)
 
@@ -207,7 +211,7 @@ def test_a_message_that_is_too_large_ends_its_connection_and_no_other() -> None:
     port = free_port(socket.SOCK_STREAM)
     receiver = AnswerReceiver(f"zmq://{port}")
     with (
-        hostile_clients.introduced(port, b"PUSH") as hostile,
+        hostile_clients.introduced(port, b"PUSH", patience_s=20.0) as hostile,
         zmq.Context() as context,
         context.socket(zmq.PUSH) as sender,
     ):

@@ -154,7 +154,7 @@ def test_images_of_each_format_state_neither_time_nor_place_nor_seed(format_: st
         assert not names & {"DateTime", "GPSTag", "ExifTag", "ImageDescription", "HostComputer", "Artist"}
 
 
-def test_a_fraction_of_a_second_tells_nothing_of_the_error_of_the_clock(blind_set: Path) -> None:
+def test_a_fraction_of_a_second_hides_the_error_of_the_clock(blind_set: Path) -> None:
     """The flight begins at a whole second and frames follow every 8 s: without a phase the records would show 10 ms."""
     truth = lines_of(blind_set / "hidden" / "truth.jsonl")
     fractions_s = {round(parse_utc(frame["utc_start"]) % 1, 6) for frame in truth}

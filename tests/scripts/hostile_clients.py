@@ -131,14 +131,14 @@ def opened(port: int, sent: bytes = b"") -> socket.socket:
     return connection
 
 
-def introduced(port: int, kind: bytes, buffer_bytes: int | None = None) -> socket.socket:
+def introduced(port: int, kind: bytes, buffer_bytes: int | None = None, patience_s: float = 0.1) -> socket.socket:
     """Connect as a socket of ZeroMQ; return a connection that may be closed already, because there are too many."""
     connection = socket.socket()
     if buffer_bytes is not None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
     connection.settimeout(5)
     connection.connect(("127.0.0.1", port))
-    connection.settimeout(0.1)  # one that is not admitted gets no answer
+    connection.settimeout(patience_s)  # one that is not admitted gets no answer
     with suppress(OSError):
         connection.sendall(GREETING + READY[kind])
         answer = b""

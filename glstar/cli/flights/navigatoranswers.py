@@ -118,7 +118,7 @@ class IncomingAnswers(ABC):
             if self._faults <= _REPORTED:
                 self._report(str(error))
             elif self._faults.bit_count() == 1:
-                self._report(f"{error} ({self._faults} lines cannot be used so far)")
+                self._report(f"{error} ({self._faults} lines cannot be used)")
 
 
 def _complete_lines(file: IO[bytes], has_more: Callable[[], bool] | None = None) -> Iterator[str]:

@@ -97,16 +97,9 @@ def export(
     settings = flags.settings(**exposures, **{"navigator.attitude": navigator})
     part = _part_of(shard, force=force)
     known = options.NavigatorFiles(settings, output.directory, blind, flights_of(settings, flights))
-    exif = known.allows(exif=exif)
+    exif, start = known.allows(exif=exif), known.start_s(start)
     wanted = ExportOptions(
-        known.start_s(start),
-        stop,
-        frames=frames,
-        image_format=format_,
-        noiseless=light,
-        seed=seed,
-        masks=masks,
-        exif=exif,
+        start, stop, frames=frames, image_format=format_, noiseless=light, seed=seed, masks=masks, exif=exif
     )
     job = _prepare(settings, known.paths, known.directory, wanted, strict=strict, video=video, dry_run=dry_run)
     workers = 1 if latest_frame else workers or _default_workers(len(job.numbers), part)

@@ -129,7 +129,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(address, _Client)
 
     def server_bind(self) -> None:
-        """Bind the socket; that of the library looks the name up in the network."""
+        """Bind the socket, without the library's search for its name in the network."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 

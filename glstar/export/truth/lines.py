@@ -261,7 +261,7 @@ def _unfinished(directory: Path) -> TruthFile:
 def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterator[dict[str, Any]]:
     """Yield the frames of an export's ground truth, in the order of the file.
 
-    Of an export that was not finished, the frames so far are yielded in the order of their numbers, with a warning.
+    Of an export that was not finished, its frames are yielded in the order of their numbers, with a warning.
 
     Parameters
     ----------
