@@ -142,7 +142,15 @@ def test_the_end_of_a_day_is_the_next_midnight(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "header",
-    ["HFDTE100324", "HFDTEDATE:100324,01", "HFDTEDATE100324", "HFDTE 100324", "HFDTE DATE: 10 03 24", "HPDTE100324", "hfdte100324"],
+    [
+        "HFDTE100324",
+        "HFDTEDATE:100324,01",
+        "HFDTEDATE100324",
+        "HFDTE 100324",
+        "HFDTE DATE: 10 03 24",
+        "HPDTE100324",
+        "hfdte100324",
+    ],
 )
 def test_dates_of_igc_files_have_many_forms(tmp_path: Path, header: str) -> None:
     (tmp_path / "track.igc").write_text(f"AXXXABC FLIGHT:1\n{header}\n" + b_records("A", HOME, range(20)) + "B1100")
@@ -320,9 +328,7 @@ def test_heights_of_zero_between_others_are_none(tmp_path: Path) -> None:
     beach_m = read_track(str(tmp_path / "beach.gpx")).track.height_m
 
     np.testing.assert_allclose(found.track.height_m, 500, rtol=0, atol=1e-6)
-    assert found.notes == (
-        "of the track track.gpx were passed over: 10 heights of 0 m that are none, between others",
-    )
+    assert found.notes == ("of the track track.gpx were passed over: 10 heights of 0 m that are none, between others",)
     np.testing.assert_allclose(beach_m, [height for *_, height in beach], rtol=0, atol=1e-6)
 
 
