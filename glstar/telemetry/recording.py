@@ -326,7 +326,7 @@ def _position(batches: list[PositionSamples]) -> tuple[PositionSamples, tuple[st
     columns[:, order] = sorted_columns
     reachable = np.ones(order.size, dtype=bool)
     reachable[order] = flyable(*sorted_columns)
-    if where := two_places(*sorted_columns, reachable[order]):
+    if where := two_places(reachable[order], *sorted_columns):
         return no_position_samples(where), ()
     notes = {
         f"{np.count_nonzero(~reachable)} of {order.size} positions are too far from the others for an aircraft, and are"

@@ -460,7 +460,7 @@ def flyable(clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m:
     return kept
 
 
-def two_places(clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m: Float, kept: Mask) -> str:
+def two_places(kept: Mask, clock_s: Float, latitude_rad: Float, longitude_rad: Float, height_m: Float) -> str:
     """Return where else the rest of (n,) positions is, if nearly as many as are kept are there; otherwise empty."""
     rest = ~kept
     rest[rest] = flyable(clock_s[rest], latitude_rad[rest], longitude_rad[rest], height_m[rest])

@@ -131,7 +131,7 @@ def _valid(fixes: Float, passed: Counter[str]) -> Float:
     heights_m = np.interp(fixes[:, 0], fixes[known, 0], fixes[known, 3]) if known.any() else heights_m
     columns = (fixes[:, 0], np.deg2rad(fixes[:, 1]), np.deg2rad(fixes[:, 2]), heights_m)
     reachable = flyable(*columns)
-    if where := two_places(*columns, reachable):
+    if where := two_places(reachable, *columns):
         raise ValueError(where)
     passed["too far from the others for an aircraft"] += int(np.count_nonzero(~reachable))
     for reason in [reason for reason, count in passed.items() if not count]:
@@ -184,7 +184,7 @@ def _kmz(path: str) -> bytes:
 def _elements(text: str, passed: Counter[str]) -> Iterator[tuple[str, ET.Element]]:
     """Yield the elements of an XML document when they end, with their names without the namespace.
 
-    A mode of heights that stands in an element around it is copied into a gx:Track.  A document that ends early is read
+    The mode of heights of an element around it is copied into a gx:Track.  A document that ends early is read
     up to there, and counted.
     """
     if "<!ENTITY" in text:

@@ -664,7 +664,7 @@ def flight_without_vehicle(path: Path) -> Path:
 def test_a_time_reference_of_another_scale_is_converted(
     tmp_path: Path, ahead_s: float, scale: str, *, boot: bool
 ) -> None:
-    """The recorder's clock shows it; a clock that is off by another time is believed."""
+    """The recorder's clock shows it; a clock that is off by another time is used."""
     late_ns = START_NS - 40_000_000_000 if boot else 0
     with Bag(tmp_path / "bag", "mcap") as bag:
         for k in range(TIMES_S.size):

@@ -352,7 +352,8 @@ class BagReader(source.TelemetrySource):
             frame = f"{topic.short_kind} in {topic.frame_id!r}"
             notes.append(f"{topic.name} is {frame}: its azimuth may be relative to the start")
         # A reset of the estimator is no rotation of the aircraft.
-        segment = np.cumsum(np.diff(topic.column("resets")[valid], prepend=np.nan) > 0)
+        changes = np.nan_to_num(np.diff(topic.column("resets")[valid], prepend=np.nan)) != 0
+        segment = np.cumsum(changes, dtype=np.int64)
         reason = "attitude resets" if topic.kind in PX4 else ""
         return source.AttitudeSamples(clock_s[valid], q_body_ned, segment, topic.name, reason, notes=tuple(notes))
 

@@ -304,7 +304,7 @@ def _triggers_of(rows: Float, name: str, camera: str, clock: VehicleClock, boot:
     number, notes = rows[:, FIELDS_FROM + 1].astype(np.int64), list[str]()
     if name == _TRIGGERS[0]:
         # Its number has 16 bits, and goes on after 65535.
-        number = np.unwrap(number, period=2**16)
+        number = np.unwrap(number, period=2**16).astype(np.int64)
     if is_numbered := np.unique(number).size == number.size:
         order = np.argsort(number)
         rows, number = rows[order], number[order]

@@ -50,7 +50,7 @@ _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PLACE_RAD = {**_ANGLES_RAD, "1e-7deg": _ANGLES_RAD["deg"] * 1e-7}
 _FOOT_M = 0.3048
 _YEAR_S = 365.25 * 86400
-# Firmware whose blackbox has heights in metres: Betaflight before 4, Cleanflight.  It stands in the first bytes.
+# Firmware whose blackbox has heights in metres: Betaflight before 4, Cleanflight; the first bytes name it.
 _IN_METRES = re.compile(rb"Firmware revision[\"',;\t ]+(Cleanflight|Betaflight [0-3]\.)")
 _SETTINGS_BYTES = 1 << 16
 # A clock whose rate differs more from that of UTC is reported; crystals differ by up to 50 millionths.
