@@ -7,7 +7,10 @@ columns of a CSV file that a program exported from a log.
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+import zipfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from copy import copy
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.errors import ConfigError, LogFormatError
+from glstar.errors import ConfigError, LogFormatError, reading
 from glstar.sky.place.timescale import parse_utc
+from glstar.system.userinput import Unpacking, limit_of, read_whole, refuse_more
 
 Cells = Sequence[Any] | NDArray[Any]
 
@@ -70,8 +74,9 @@ class TableFile:
 
     name: str  # The file, for messages
     kind: TableKind
-    columns: dict[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
+    columns: Mapping[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
     lines: NDArray[np.int64]  # (n,) int64: line, or row, of each cell, from 1
+    repeated: frozenset[str] = frozenset()  # Names that several columns have
 
     def numbers(self, column: str) -> Float:
         """Return a column of (n,) numbers; NaN for cells without a value.
@@ -81,10 +86,12 @@ class TableFile:
         """
         if column not in self.columns and column.startswith("-"):
             return -self.numbers(column[1:])
-        cells = self.columns[column]
+        cells = self.cells(column)
         try:
+            if isinstance(cells, np.ndarray) and cells.dtype.kind not in "biuf":
+                raise TypeError  # times
             numbers = np.array(list(map(float, cells)) if self.kind is TableKind.CSV else cells, dtype=np.float64)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             point = "," if self.kind is TableKind.CSV and _has_decimal_commas(cells) else "."
             numbers = np.array([self._number(column, row, cell, point) for row, cell in enumerate(cells)])
         numbers[~np.isfinite(numbers)] = np.nan
@@ -97,17 +104,29 @@ class TableFile:
         times of Parquet and Excel.  `date` is the column with the date, if it is not in `column`.  Raises
         LogFormatError if a cell is no time.
         """
-        days = self.columns[date] if date is not None else [""] * len(self.lines)
-        cells = enumerate(zip(days, self.columns[column], strict=True))
-        return np.array([self._time(column, row, day, cell) for row, (day, cell) in cells])
+        days = self.cells(date) if date is not None else [""] * len(self.lines)
+        cells = self.cells(column)
+        if isinstance(cells, np.ndarray) and cells.dtype.kind == "M":
+            ticks_per_s = np.timedelta64(1, "s") / np.timedelta64(1, np.datetime_data(cells.dtype)[0])
+            return np.where(np.isnat(cells), nan, cells.astype(np.int64) / float(ticks_per_s))
+        rows = enumerate(zip(days, cells, strict=True))
+        return np.array([self._time(column, row, day, cell) for row, (day, cell) in rows])
+
+    def cells(self, column: str) -> Cells:
+        """Return the cells of a column; raises LogFormatError if several columns have its name."""
+        if column in self.repeated:
+            raise LogFormatError(self.name, f"has several columns named {column}; rename or remove all but one")
+        return self.columns[column]
 
     def _number(self, column: str, row: int, cell: Any, point: str) -> float:
         text = "" if cell is None else str(cell).strip()
         if text.lower() in _EMPTY:
             return np.nan
         try:
+            if isinstance(cell, datetime | np.datetime64):
+                raise ValueError
             return float(text.replace(point, "."))
-        except ValueError:
+        except (ValueError, OverflowError):
             hint = "; write decimals with a point" if "," in text else ""
             raise self.error(row, column, f"{text[:40]!r} is not a number{hint}") from None
 
@@ -252,7 +271,8 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _read_text(path: str, names: Sequence[str]) -> TableFile:
-    content = Path(path).read_bytes()
+    content = read_whole(path)
+    refuse_more("rows", content.count(b"\n"))
     if b"\0" in content[:_HEADER_BYTES]:
         raise LogFormatError(path, "is no table: it is not text", offset=0)
     lines = _past_preamble(_lines(content.decode("utf-8-sig", errors="replace")))
@@ -260,6 +280,7 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
         raise LogFormatError(path, "has only blank lines and comments", offset=0)
     separator = _separator(lines[0][1])
     header = _cells(lines[0][1], separator)
+    refuse_more("columns", len(header))
     if names and all(_is_number(cell) for cell in header if cell):
         header, rows = list(names), lines
     else:
@@ -269,7 +290,12 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
     cells = _split(path, rows, separator, len(header))
     numbers = np.array([number for number, _ in rows[: len(cells)]], dtype=np.int64)
     columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
-    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers)
+    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers, _repeated(header))
+
+
+def _repeated(header: Sequence[str]) -> frozenset[str]:
+    """Return the names that occur more than once in a header."""
+    return frozenset(name for name, count in Counter(header).items() if name and count > 1)
 
 
 def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -> list[list[str]]:
@@ -298,50 +324,130 @@ def _read_parquet(path: str) -> TableFile:
         from pyarrow import parquet  # noqa: PLC0415 - an extra, 170 MB
     except ImportError:
         raise LogFormatError(path, "is an Apache Parquet table, which needs pyarrow: pip install pyarrow") from None
-    try:
-        table = parquet.read_table(path)
-    except Exception as error:  # pyarrow raises its own and several standard exceptions
-        raise LogFormatError(path, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from error
-    columns = {name: _parquet_column(table.column(name)) for name in table.column_names}
-    return TableFile(path, TableKind.PARQUET, columns, np.arange(1, table.num_rows + 1))
+    with reading(path, LogFormatError, "cannot be read as Parquet"):
+        with Path(path).open("rb") as file:
+            schema = parquet.read_schema(file)
+        # Text that repeats is kept once, however many rows have it.
+        texts = [field.name for field in schema if str(field.type) in {"string", "large_string"}]
+        table = parquet.ParquetFile(path, read_dictionary=texts)
+        rows, names = table.metadata.num_rows, table.schema_arrow.names
+        refuse_more("rows", rows)
+        refuse_more("columns", len(names))
+        lines = np.arange(1, rows + 1)
+    return TableFile(path, TableKind.PARQUET, _ParquetColumns(path, table, rows), lines, _repeated(names))
 
 
-def _parquet_column(column: Any) -> Cells:
-    """Return the cells of a column: an array of numbers, or a list with None for nothing."""
-    import pyarrow as pa  # noqa: PLC0415 - an extra, which has been imported
+class _ParquetColumns(Mapping[str, Cells]):
+    """The columns of a Parquet file, each read when it is needed: flight tables have hundreds that are not."""
 
-    if pa.types.is_timestamp(column.type):
-        # pandas reads nanoseconds, which datetime has not.
-        unit_s = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
-        ticks = column.cast(pa.int64()).to_pylist()
-        return [None if tick is None else datetime.fromtimestamp(tick * unit_s, UTC) for tick in ticks]
-    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-        numbers: NDArray[Any] = column.to_numpy(zero_copy_only=False)
-        return numbers if column.null_count == 0 else numbers.astype(np.float64)
-    cells: list[Any] = column.to_pylist()
-    return cells
+    def __init__(self, path: str, table: Any, rows: int) -> None:
+        self._path, self._table, self._rows = path, table, rows
+        self._read: dict[str, Cells] = {}
+        self._names = dict.fromkeys(table.schema_arrow.names)
+
+    def __getitem__(self, name: str) -> Cells:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._read:
+            with reading(self._path, LogFormatError, "cannot be read as Parquet"):
+                self._read[name] = self._column(name)
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def _column(self, name: str) -> Cells:
+        """Return the cells of a column: an array of numbers or times, or a list with None for nothing."""
+        import pyarrow as pa  # noqa: PLC0415 - an extra, which has been imported
+
+        kinds = pa.types
+        of = self._table.schema_arrow.field(name).type
+        of = of.value_type if kinds.is_dictionary(of) else of
+        is_number = kinds.is_integer(of) or kinds.is_floating(of) or kinds.is_decimal(of)
+        is_text = kinds.is_string(of) or kinds.is_large_string(of)
+        if not (is_number or is_text or kinds.is_timestamp(of) or kinds.is_date(of) or kinds.is_boolean(of)):
+            raise ValueError(f"its column {name} holds {of}, not numbers, times or text")
+        refuse_more("content_mib", self._unpacked_bytes(name), f"its column {name} unpacks to more than glstar takes")
+        column = self._table.read(columns=[name]).column(0)
+        if len(column) != self._rows:
+            raise ValueError(f"its column {name} has {len(column)} rows, where the file states {self._rows}")
+        if kinds.is_timestamp(of) or kinds.is_date(of):
+            return np.asarray(column.to_numpy(zero_copy_only=False), dtype=None if kinds.is_timestamp(of) else "M8[D]")
+        if is_text:
+            texts = column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
+            values = texts.dictionary.to_pylist()
+            return [None if at is None else values[at] for at in texts.indices.to_pylist()]
+        if kinds.is_integer(of) or kinds.is_floating(of):
+            numbers: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+            return numbers if column.null_count == 0 else numbers.astype(np.float64)
+        cells: list[Any] = column.to_pylist()
+        return cells
+
+    def _unpacked_bytes(self, name: str) -> int:
+        """Return the size of a column as the file states it."""
+        metadata, total = self._table.metadata, 0
+        for group in range(metadata.num_row_groups):
+            columns = metadata.row_group(group)
+            total += sum(
+                columns.column(at).total_uncompressed_size
+                for at in range(columns.num_columns)
+                if columns.column(at).path_in_schema == name
+            )
+        return total
+
+
+# The last row and column of a sheet: https://support.microsoft.com, specifications and limits of Excel.
+_EXCEL_ROWS, _EXCEL_COLUMNS = 1_048_576, 16_384
 
 
 def _read_excel(path: str) -> TableFile:
     try:
-        import openpyxl  # noqa: PLC0415 - an extra, when a workbook is read
+        import openpyxl  # noqa: F401, PLC0415 - an extra, when a workbook is read
     except ImportError:
         raise LogFormatError(path, "is an Excel workbook, which needs openpyxl: pip install openpyxl") from None
-    try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sheet = book.worksheets[0]
-        rows = [(number, row) for number, row in enumerate(sheet.iter_rows(values_only=True), start=1) if any(row)]
-        book.close()
-    except Exception as error:  # openpyxl raises many kinds of exceptions for damaged files
-        raise LogFormatError(path, f"cannot be read as an Excel workbook: {error}") from error
+    with reading(path, LogFormatError, "cannot be read as an Excel workbook"):
+        rows = list(_excel_rows(path))
     if not rows:
         raise LogFormatError(path, "its first sheet is empty", offset=0)
     header = ["" if cell is None else str(cell).strip() for cell in rows[0][1]]
-    cells = [row for _, row in islice(rows, 1, None)]
-    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
+    width = len(header)
+    # A row ends with its last cell, and a note beside the table is no part of it.
+    cells = [(row + (None,) * width)[:width] for _, row in islice(rows, 1, None)]
+    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * width
     numbers = np.array([number for number, _ in rows[1:]], dtype=np.int64)
     named = {name: column for name, column in zip(header, columns, strict=True) if name}
-    return TableFile(path, TableKind.EXCEL, named, numbers)
+    return TableFile(path, TableKind.EXCEL, named, numbers, _repeated(header))
+
+
+def _excel_rows(path: str) -> Iterator[tuple[int, tuple[Any, ...]]]:
+    """Yield the numbers and the cells of the rows of the first sheet that have some."""
+    import openpyxl  # noqa: PLC0415 - an extra, which has been imported
+
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        refuse_more("members", len(members))
+        Unpacking(Path(path).stat().st_size, "content_mib").add(sum(member.file_size for member in members))
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    with closing(book):
+        if not book.worksheets:
+            raise ValueError("has no sheet")
+        sheet = book.worksheets[0]
+        # The stated dimension may be smaller than the sheet.
+        sheet.reset_dimensions()
+        count, most_rows, most_cells = 0, limit_of("rows"), limit_of("cells")
+        for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+            count += len(row)
+            if number > _EXCEL_ROWS or len(row) > _EXCEL_COLUMNS:
+                raise ValueError("has a cell beyond the last row or column of Excel")
+            if number > most_rows:
+                refuse_more("rows", number)
+            if count > most_cells:
+                refuse_more("cells", count)
+            if any(cell is not None for cell in row):
+                yield number, row
 
 
 def csv_rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
