@@ -312,8 +312,9 @@ _LONGEST_REASON = 300
 def reading(path: str | PathLike[str], refusal: type[GlstarError], cannot: str = "cannot be read") -> Iterator[None]:
     """Turn whatever a reader raises over a damaged file into one line that names the file and the reason.
 
-    `refusal`: the class of the error; `cannot`: its words before the reason of a library.  A GlstarError passes unchanged; the message of a ValueError that glstar raises
-    continues "FILE: ".  With the environment variable GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too.
+    `refusal`: the class of the error; `cannot`: its words before the reason of a library.  A GlstarError passes
+    unchanged; the message of a ValueError that glstar raises continues "FILE: ".  With the environment variable
+    GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too.
     """
     try:
         yield
@@ -328,7 +329,7 @@ def reading(path: str | PathLike[str], refusal: type[GlstarError], cannot: str =
             raise refusal(message, file=path) from error
         if issubclass(refusal, CalibrationError):
             raise refusal(message, path=path) from error
-        raise refusal(path, message) from error  # type: ignore[arg-type]
+        raise refusal(path, message) from error
 
 
 def reason_of(error: BaseException) -> str:

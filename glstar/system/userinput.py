@@ -61,9 +61,7 @@ class Limit:
 LIMITS = (
     Limit("megapixels", 200, "megapixels", "photographs and maps of pixels; the largest sensors have 150"),
     Limit("file_mib", 4096, "MiB", "a file that is read as a whole: images, maps, catalogues, tables of text"),
-    Limit(
-        "content_mib", 512, "MiB", "what is unpacked in memory: a track in a KMZ, a chunk of a bag, a gzip catalogue"
-    ),
+    Limit("content_mib", 512, "MiB", "what is unpacked in memory: a KMZ, a chunk of a bag, a packed catalogue"),
     Limit("unpacked_gib", 16, "GiB", "what is unpacked to the disk: logs in gzip, zip and zstd"),
     Limit("ratio", 250, "times its size", "unpacked over packed bytes of any of them, from 64 MiB on"),
     Limit("members", 10_000, "members", "files in an archive"),

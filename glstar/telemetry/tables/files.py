@@ -41,6 +41,8 @@ _PREAMBLE_LINES = 5000
 _ZIP = b"PK\x03\x04"
 _OFFICE_MARKS = (b"[Content_Types].xml", b"docProps/", b"xl/")
 _PARQUET = b"PAR1"
+# Units of times of NumPy, s.
+_TIME_UNITS_S = {"D": 86400.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # A number that can only have a decimal comma: 1,024 may as well be a thousand.
 _DECIMAL_COMMA = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
 # Largest deviation of the norm of a quaternion from 1, for components with two decimals.
@@ -87,9 +89,9 @@ class TableFile:
         if column not in self.columns and column.startswith("-"):
             return -self.numbers(column[1:])
         cells = self.cells(column)
+        if isinstance(cells, np.ndarray) and cells.dtype.kind == "M" and cells.size:
+            raise self.error(0, column, f"{str(cells[0])[:40]!r} is not a number")
         try:
-            if isinstance(cells, np.ndarray) and cells.dtype.kind not in "biuf":
-                raise TypeError  # times
             numbers = np.array(list(map(float, cells)) if self.kind is TableKind.CSV else cells, dtype=np.float64)
         except (ValueError, TypeError, OverflowError):
             point = "," if self.kind is TableKind.CSV and _has_decimal_commas(cells) else "."
@@ -107,8 +109,8 @@ class TableFile:
         days = self.cells(date) if date is not None else [""] * len(self.lines)
         cells = self.cells(column)
         if isinstance(cells, np.ndarray) and cells.dtype.kind == "M":
-            ticks_per_s = np.timedelta64(1, "s") / np.timedelta64(1, np.datetime_data(cells.dtype)[0])
-            return np.where(np.isnat(cells), nan, cells.astype(np.int64) / float(ticks_per_s))
+            unit_s = _TIME_UNITS_S[np.datetime_data(cells.dtype)[0]]
+            return np.where(np.isnat(cells), nan, cells.astype(np.int64) * unit_s)
         rows = enumerate(zip(days, cells, strict=True))
         return np.array([self._time(column, row, day, cell) for row, (day, cell) in rows])
 
@@ -123,8 +125,6 @@ class TableFile:
         if text.lower() in _EMPTY:
             return np.nan
         try:
-            if isinstance(cell, datetime | np.datetime64):
-                raise ValueError
             return float(text.replace(point, "."))
         except (ValueError, OverflowError):
             hint = "; write decimals with a point" if "," in text else ""
