@@ -26,7 +26,7 @@ leaves it is a GlstarError.
 """
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -306,15 +306,16 @@ class AnswersError(GlstarError, ValueError):
 _DEVELOPMENT = "GLSTAR_DEVELOPMENT"
 _PACKAGE = str(Path(__file__).parent)
 _LONGEST_REASON = 300
+_Refusal = Callable[..., GlstarError]
 
 
 @contextmanager
 def reading(path: str | PathLike[str], refusal: type[GlstarError], cannot: str = "cannot be read") -> Iterator[None]:
     """Turn whatever a reader raises over a damaged file into one line that names the file and the reason.
 
-    `refusal`: the class of the error; `cannot`: its words before the reason of a library.  A GlstarError passes
-    unchanged; the message of a ValueError that glstar raises continues "FILE: ".  With the environment variable
-    GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too.
+    `refusal`: the class of the error, or a function of path and message; `cannot`: its words before the reason of a
+    library.  A GlstarError passes unchanged; the message of a ValueError that glstar raises continues "FILE: ".  With
+    the environment variable GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too.
     """
     try:
         yield
@@ -325,10 +326,10 @@ def reading(path: str | PathLike[str], refusal: type[GlstarError], cannot: str =
             raise
         is_own_message = isinstance(error, ValueError) and _is_own(error)
         message = reason_of(error) if is_own_message else f"{cannot}: {reason_of(error)}"
-        if issubclass(refusal, ConfigError):
-            raise refusal(message, file=path) from error
-        if issubclass(refusal, CalibrationError):
-            raise refusal(message, path=path) from error
+        if refusal is ConfigError:
+            raise ConfigError(message, file=path) from error
+        if refusal is CalibrationError:
+            raise CalibrationError(message, path=path) from error
         raise refusal(path, message) from error
 
 

@@ -10,7 +10,8 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from os import PathLike, strerror
@@ -206,7 +207,7 @@ def read_toml(path: str | PathLike[str], largest_bytes: int) -> dict[str, Any]:
 def read_json(text: str | bytes) -> Any:
     """Return the value of a JSON text; raises ValueError if it is none, nests too deeply or has a key twice."""
     try:
-        return json.loads(text, object_pairs_hook=_once_each)
+        return json.loads(text, object_pairs_hook=_once_each, parse_constant=_no_constant)
     except RecursionError:
         raise ValueError("is nested too deeply") from None
 
@@ -219,6 +220,18 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
         raise ValueError(f"the key {twice[:60]!r} occurs twice")
     return values
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def refuse_repeated(names: Iterable[str], needed: Collection[str] | None = None) -> None:
+    """Raise ValueError, which continues "PATH: ", if several columns have a name: a needed one, or any."""
+    counts = Counter(names)
+    twice = next((name for name, n in counts.items() if n > 1 and name and (needed is None or name in needed)), None)
+    if twice is not None:
+        raise ValueError(f"has several columns named {twice[:60]}; rename or remove all but one")
 
 
 def is_number(text: str) -> bool:

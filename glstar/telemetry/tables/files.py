@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from glstar.arrays import Float
 from glstar.errors import ConfigError, LogFormatError, reading
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import Unpacking, limit_of, read_whole, refuse_more
+from glstar.system.userinput import Unpacking, limit_of, read_whole, refuse_more, refuse_repeated
 
 Cells = Sequence[Any] | NDArray[Any]
 
@@ -547,6 +547,7 @@ class Dump:
     def _index(self, name: str) -> tuple[int, int | None] | None:
         """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
         if name in self.header:
+            refuse_repeated(self.header, {name})
             return self.header.index(name), None
         match = _LIST_ITEM.fullmatch(name)
         return (self.header.index(match[1]), int(match[2])) if match and match[1] in self.header else None
