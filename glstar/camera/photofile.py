@@ -25,8 +25,9 @@ from glstar.system.imagefiles import MOST_DIRECTORIES, PNG_SIGNATURE, image_size
 from glstar.system.installation import install_command
 from glstar.system.userinput import refuse_many_pixels
 
-# exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
-logging.getLogger("exifread").addHandler(logging.NullHandler())
+# exifread logs every PNG without EXIF, and tifffile damage; without a handler they would go to the terminal.
+for _library in ("exifread", "tifffile"):
+    logging.getLogger(_library).addHandler(logging.NullHandler())
 
 _FITS = b"SIMPLE  ="
 _JPEG = b"\xff\xd8\xff"
