@@ -232,7 +232,7 @@ def settings() -> list[Kind]:
     """Return files of settings, and the small tables that they name."""
     config = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\ncx_px = 79.5\n\n[exposure]\n"
     config += "duration_s = 0.5\n\n[sensor]\npsf_sigma_px = 1.2\n\n[sky]\nvmag_limit = 4.0\n\n[sweep]\n"
-    config += '"sensor.psf_sigma_px" = [1.0, 2.0]\n'
+    config += "exposure.duration_s = [0.25, 0.5]\n"
     sensor = asset("sensors.toml").read_text(encoding="utf-8").split("\n[")[1].partition("]")[2]
     curve = {"rpi.contrast": {"gamma_curve": [0, 0, 1024, 5040, 65535, 65535]}}
     columns = 'time = "t"\nroll = "r"\npitch = "p"\nyaw = "y"\nangle_unit = "rad"\n'

@@ -353,6 +353,9 @@ class _ParquetColumns(Mapping[str, Cells]):
                 self._read[name] = self._column(name)
         return self._read[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
 
@@ -517,7 +520,8 @@ class Dump:
         remaining = csv_rows(name, delimiter=between, quoted=False)
         header = next(remaining, (0, []))[1]
         self.header = tuple(cell.strip() for cell in header)
-        every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
+        with reading(name, LogFormatError):
+            every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
         indices = {column: index for column, index in every.items() if index is not None}
         text_at = self.header.index(texts) if texts in self.header else None
         lines: list[Float] = []
