@@ -33,7 +33,7 @@ from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import described_earth_orientation, format_utc
 from glstar.system.files import flush_directory, flush_handle, temporary_path, write_atomically
 from glstar.system.resources import asset, shader_paths
-from glstar.system.userinput import read_bytes
+from glstar.system.userinput import read_bytes, read_json
 from glstar.telemetry import is_flight_description
 
 # Version 2: the lines of truth are of schema 2.
@@ -295,8 +295,8 @@ def _command(config: Config, flight_paths: Sequence[Path], options: ExportOption
 def _read(path: Path) -> dict[str, Any]:
     refuse_link(path)
     try:
-        manifest = json.loads(read_bytes(path, _LARGEST_BYTES))
-    except (ValueError, RecursionError):  # RecursionError: nested too deep for a manifest
+        manifest = read_json(read_bytes(path, _LARGEST_BYTES))
+    except ValueError:
         manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
         raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)

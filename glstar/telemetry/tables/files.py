@@ -433,8 +433,8 @@ def _excel_rows(path: str) -> Iterator[tuple[int, tuple[Any, ...]]]:
         members = archive.infolist()
         refuse_more("members", len(members))
         Unpacking(Path(path).stat().st_size, "content_mib").add(sum(member.file_size for member in members))
-    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    with closing(book):
+    # Opened here, because openpyxl leaves a damaged file open.
+    with Path(path).open("rb") as file, closing(openpyxl.load_workbook(file, read_only=True, data_only=True)) as book:
         if not book.worksheets:
             raise ValueError("has no sheet")
         sheet = book.worksheets[0]
