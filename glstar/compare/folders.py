@@ -24,7 +24,7 @@ from glstar.errors import ImagesError
 from glstar.images import read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH
 from glstar.render.truth.frame import as_current_schema
-from glstar.system.userinput import read_json
+from glstar.system.userinput import lines_of, read_json
 
 # Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
 _PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0
@@ -143,8 +143,8 @@ def _opened(real: Path, simulated: Path) -> tuple[SubtractedImage, SubtractedIma
 def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the lines of an export's truth by file name, in the current schema; none without a truth file."""
     truth: dict[str, dict[str, Any]] = {}
-    with suppress(OSError), (folder / TRUTH).open("rb") as lines:
-        for line in lines:
+    with suppress(OSError, ValueError), (folder / TRUTH).open("rb") as lines:
+        for line in lines_of(lines):
             with suppress(ValueError, KeyError, TypeError, RecursionError):
                 frame = as_current_schema(read_json(line))
                 truth[frame["file"]] = frame

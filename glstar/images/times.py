@@ -27,7 +27,7 @@ from glstar.camera.photofile import read_exif, zone_of
 from glstar.errors import ConfigError, ImagesError, reading
 from glstar.render.truth.frame import SCHEMAS_READ
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import read_json, read_text, refuse_repeated
+from glstar.system.userinput import lines_of, read_json, read_text, refuse_repeated
 
 TABLES = ("images.csv", "times.csv")
 TRUTH = "truth.jsonl"
@@ -300,6 +300,6 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
 
 def _json_lines(path: Path) -> Iterator[Any]:
     with path.open("rb") as lines:
-        for line in lines:
-            with suppress(ValueError, RecursionError):
+        for line in lines_of(lines):
+            with suppress(ValueError):
                 yield read_json(line)

@@ -11,7 +11,7 @@ import re
 import stat
 import tomllib
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from os import PathLike, strerror
@@ -76,6 +76,8 @@ _LIMIT_OF = {limit.name: limit for limit in LIMITS}
 # Constant columns compress to any ratio: what takes no memory to speak of is unpacked in any case, bytes.
 _ANY_RATIO_BYTES = 64 << 20
 _PIECE_BYTES = 1 << 20
+# A line of truth with 100 000 stars has 50 MB.
+_LONGEST_LINE = 64 << 20
 _BYTES = {"MiB": 1 << 20, "GiB": 1 << 30}
 
 _KINDS = (
@@ -202,6 +204,16 @@ def read_toml(path: str | PathLike[str], largest_bytes: int) -> dict[str, Any]:
         raise ValueError(f"{f'{parts[2]}: {parts[1]}' if parts else error} (TOML)") from None
     except RecursionError:
         raise ValueError("is nested too deeply") from None
+
+
+def lines_of(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of an open file; raises ValueError, which continues "PATH: ", if one is longer than 64 MiB."""
+    number = 0
+    while line := file.readline(_LONGEST_LINE + 1):
+        number += 1
+        if len(line) > _LONGEST_LINE:
+            raise ValueError(f"line {number} is longer than {_LONGEST_LINE >> 20} MiB")
+        yield line
 
 
 def read_json(text: str | bytes) -> Any:

@@ -9,16 +9,17 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from secrets import token_hex
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from glstar.errors import ExportError
+from glstar.errors import ExportError, reading
 from glstar.export.directory import create, open_to_append
 from glstar.render.truth.frame import KEYS, SCHEMA, as_current_schema
 from glstar.system.files import flush, flush_directory, publish, temporary_path
+from glstar.system.userinput import lines_of
 
 Numbers = NDArray[np.int64]
 
@@ -258,10 +259,15 @@ def read_truth(path: str | PathLike[str], *, split: str | None = None) -> Iterat
     except OSError as error:
         raise ExportError(file, f"cannot be read ({error.strerror})") from error
     with lines:
-        for number, line in enumerate(lines, start=1):
+        for number, line in enumerate(_whole_lines(file, lines), start=1):
             frame = _frame(file, number, line)
             if wanted is None or frame["file"] in wanted:
                 yield frame
+
+
+def _whole_lines(file: Path, lines: BinaryIO) -> Iterator[bytes]:
+    with reading(file, ExportError):
+        yield from lines_of(lines)
 
 
 def _listed(path: Path) -> set[str]:

@@ -355,6 +355,9 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
     try:
         # `immutable`: without lock and journal files, so that the disk may be read-only.
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+            # A view may have rows without end.
+            if connection.execute("SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index')").fetchone():
+                raise CatalogueError(path, "has views or triggers, which `glstar catalogue build` does not write")
             yield connection
     except sqlite3.Error as error:
         raise CatalogueError(path, f"is damaged ({error}); build it again with `glstar catalogue build`") from error

@@ -282,6 +282,9 @@ def _sqlite(bag: Bag, path: Path) -> _Messages:
     except sqlite3.OperationalError:  # in a folder that cannot be written the log cannot be read
         database = sqlite3.connect(f"{address}?immutable=1", uri=True)
     with closing(database):
+        # A view may have rows without end.
+        if database.execute("SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index')").fetchone():
+            raise ValueError("its database has views or triggers, which no recorder writes")
         definitions: dict[str, tuple[str, bool]] = {}
         if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
             rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
