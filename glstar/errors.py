@@ -310,21 +310,24 @@ _Refusal = Callable[..., GlstarError]
 
 
 @contextmanager
-def reading(path: str | PathLike[str], refusal: type[GlstarError], cannot: str = "cannot be read") -> Iterator[None]:
+def reading(
+    path: str | PathLike[str], refusal: _Refusal, cannot: str = "cannot be read", *, is_unchecked: bool = False
+) -> Iterator[None]:
     """Turn whatever a reader raises over a damaged file into one line that names the file and the reason.
 
     `refusal`: the class of the error, or a function of path and message; `cannot`: its words before the reason of a
     library.  A GlstarError passes unchanged; the message of a ValueError that glstar raises continues "FILE: ".  With
-    the environment variable GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too.
+    the environment variable GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too, unless `is_unchecked`: the
+    block takes keys and types of JSON as they are.
     """
     try:
         yield
     except GlstarError:
         raise
     except Exception as error:
-        if os.environ.get(_DEVELOPMENT) and _is_mistake(error):
+        if os.environ.get(_DEVELOPMENT) and _is_mistake(error) and not is_unchecked:
             raise
-        is_own_message = isinstance(error, ValueError) and _is_own(error)
+        is_own_message = isinstance(error, ValueError) and _is_own(error) and not is_unchecked
         message = reason_of(error) if is_own_message else f"{cannot}: {reason_of(error)}"
         if refusal is ConfigError:
             raise ConfigError(message, file=path) from error
@@ -339,6 +342,8 @@ def reason_of(error: BaseException) -> str:
         return "it needs more memory than there is"
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
+    if isinstance(error, KeyError):
+        return f"it has no {error.args[0] if error.args else 'key'}"
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(str(text).split())[:_LONGEST_REASON] or type(error).__name__
 
