@@ -21,7 +21,14 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.system.imagefiles import MOST_DIRECTORIES, PNG_SIGNATURE, image_size, read_fits, tiff_directories
+from glstar.system.imagefiles import (
+    MOST_DIRECTORIES,
+    PNG_SIGNATURE,
+    image_size,
+    is_whole_png,
+    read_fits,
+    tiff_directories,
+)
 from glstar.system.installation import install_command
 from glstar.system.userinput import refuse_many_pixels
 
@@ -120,8 +127,8 @@ def decode_photo(content: bytes, *, demosaiced: bool = True, floats: bool = Fals
     """
     if content.startswith(_JPEG) and _is_cut_off(content):
         raise ValueError("is a JPEG that is cut off: the end of the image is missing; copy it again")
-    if content.startswith(PNG_SIGNATURE) and b"IEND" not in content[-_HEAD_BYTES:]:
-        raise ValueError("is a PNG that is cut off: the end of the image is missing; copy it again")
+    if content.startswith(PNG_SIGNATURE) and not is_whole_png(content):
+        raise ValueError("is a PNG that is cut off or damaged: the end of the image is missing; copy it again")
     if (size_px := image_size(content)) is not None:
         refuse_many_pixels(*size_px)
     if content.startswith(_FITS):

@@ -123,6 +123,24 @@ def _png_size(content: bytes) -> tuple[int, int]:
     return struct.unpack_from(">II", content, 16)
 
 
+def is_whole_png(content: bytes) -> bool:
+    """Return whether the chunks of a PNG lie in the file, to the last one: OpenCV takes memory for any stated length.
+
+    Raises ValueError if a frame of an animation is larger than the largest image.
+    """
+    at = len(PNG_SIGNATURE)
+    while at + 8 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        if at + 12 + length > len(content):
+            return False
+        if kind == b"IEND":
+            return True
+        if kind == b"fcTL" and length >= 12:
+            refuse_many_pixels(*struct.unpack_from(">II", content, at + 12))
+        at += 12 + length
+    return False
+
+
 def _gif_size(content: bytes) -> tuple[int, int]:
     return struct.unpack_from("<HH", content, 6)
 

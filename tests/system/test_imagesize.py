@@ -179,6 +179,16 @@ def test_every_format_is_refused_by_its_header_if_it_is_above_the_limit(
         read_grey(tmp_path / "sky")
 
 
+@pytest.mark.parametrize("length", [0xFFFFFFFF, 1 << 20])
+def test_a_png_with_a_chunk_longer_than_the_file_is_not_decoded(monkeypatch: pytest.MonkeyPatch, length: int) -> None:
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("the image was decoded"))
+    content = encode_png(np.zeros((48, 64), np.uint8))
+    at = content.index(b"IDAT") - 4
+
+    with pytest.raises(ValueError, match="is a PNG that is cut off or damaged"):
+        decode_photo(content[:at] + struct.pack(">I", length) + content[at + 4 :])
+
+
 def test_an_image_of_unknown_size_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("the image was decoded"))
 
