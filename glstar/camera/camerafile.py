@@ -145,9 +145,9 @@ def _keys_of_xml(text: str) -> Keys:
     return _xml_values(list(root))
 
 
-def _xml_values(nodes: list[ET.Element]) -> dict[str, object]:
+def _xml_values(nodes: list[ET.Element]) -> dict[object, object]:
     """Return the values of nodes by name; of one that occurs twice they must agree."""
-    values: dict[str, object] = {}
+    values: dict[object, object] = {}
     for node in nodes:
         value = _xml_value(node)
         if values.setdefault(node.tag, value) != value:

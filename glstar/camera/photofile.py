@@ -30,7 +30,7 @@ from glstar.system.imagefiles import (
     tiff_directories,
 )
 from glstar.system.installation import install_command
-from glstar.system.userinput import refuse_many_pixels
+from glstar.system.userinput import FewReads, refuse_many_pixels
 
 # exifread logs every PNG without EXIF, and tifffile damage; without a handler they would go to the terminal.
 for _library in ("exifread", "tifffile"):
@@ -74,8 +74,6 @@ _RAW_COMPRESSIONS = frozenset((34713, 32767, 32770, 65535))
 _WHITE_IS_ZERO, _RGB = 0, 2
 _PLAIN_COLOURS = (_WHITE_IS_ZERO, 1, _RGB, _COLOUR_FILTERS)
 _PACKED_BITS = (10, 12, 14)
-# Reads of the EXIF of one file: two for each of 5000 tags.
-_MOST_READS = 10_000
 # Samples of a pixel of a TIFF: colours, opacity and some planes of other programs.
 _MOST_SAMPLES = 16
 # Empty lowest bits that prove that 8 to 14 bits are in the highest of 16, if this many levels occur.
@@ -470,27 +468,10 @@ def _exif_tags(file: BinaryIO) -> dict[str, Any]:
     try:
         block = _exif_block(file)
         file.seek(0)
-        source = _FewReads(file if block is None else BytesIO(block))
+        source = FewReads(file if block is None else BytesIO(block))
         return dict(exifread.process_file(source, details=False))
     except Exception:  # damaged EXIF raises many kinds of errors
         return {}
-
-
-class _FewReads:
-    """A file for ExifRead, which reads thousands of tags of a damaged directory, one by one; a camera writes some 200.
-
-    Raises ValueError after many reads.
-    """
-
-    def __init__(self, file: BinaryIO) -> None:
-        self.seek, self.tell = file.seek, file.tell
-        self._read, self._remaining = file.read, _MOST_READS
-
-    def read(self, count: int = -1) -> bytes:
-        self._remaining -= 1
-        if self._remaining < 0:
-            raise ValueError("its EXIF has too many tags")
-        return self._read(count)
 
 
 def _exif_block(file: BinaryIO) -> bytes | None:

@@ -39,6 +39,7 @@ from glstar.system.resources import asset
 from glstar.telemetry import column_map
 from glstar.telemetry.tracks import read_track
 from tests.support import camerafiles, dng, exports, photofiles, satellites, trackfiles
+from tests.support.cataloguefiles import HIP_1, SIRIUS, TYC_1, WITHOUT_MEAN
 
 READ = "read"
 Read = Callable[[Path, random.Random], str]
@@ -277,8 +278,6 @@ def _built(name: str, path: Path) -> None:
 
 def catalogues() -> list[Kind]:
     """Return a catalogue of glstar, and tables that catalogues are built from."""
-    from tests.sky.test_catalogue_import import HIP_1, SIRIUS, TYC_1, WITHOUT_MEAN  # noqa: PLC0415 - a module of tests
-
     bright = StarCatalogue.open("bsc5").brighter_than(2.5)
     table = pd.DataFrame(
         {

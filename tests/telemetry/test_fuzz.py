@@ -16,7 +16,7 @@ def every() -> list[Kind]:
 
 @cache
 def sample() -> list[Report]:
-    return run(every(), 45, seed=3, workers=2)
+    return run(every(), 24, seed=3, workers=2)
 
 
 def test_a_sample_of_damaged_files_of_every_kind_is_read_or_refused() -> None:
