@@ -554,7 +554,7 @@ class Pool:
     def run(self, tasks: Iterator[tuple[int, int]]) -> Iterator[Trial]:
         """Yield what comes of pairs of a kind's index and a mutant's number."""
         for task in tasks:
-            if len(self._workers) >= self._count:
+            if len(self._workers) >= self._count and all(given for _, given, _ in self._workers.values()):
                 yield from self._results(1)
             self._give(task)
         while any(task for _, task, _ in self._workers.values()):
@@ -577,8 +577,6 @@ class Pool:
         count = 0
         while count < least and any(task for _, task, _ in self._workers.values()):
             busy = [at for at, (_, task, _) in self._workers.items() if task]
-            if len(busy) < self._count and count:
-                return
             ready = wait(busy, timeout=1.0)
             for connection in busy:
                 process, task, since_s = self._workers[connection]
