@@ -34,6 +34,8 @@ from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import takewhile
+from math import inf
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -636,8 +638,11 @@ class Report:
         )
 
 
-def run(every: list[Kind], count: int, seed: int, workers: int, keep: Path | None = None) -> list[Report]:
-    """Read `count` mutants of each family, divided among its kinds; the first of each kind is not damaged."""
+def run(
+    every: list[Kind], count: int, seed: int, workers: int, keep: Path | None = None, *, seconds: float = inf
+) -> list[Report]:
+    """Read `count` mutants of each family, divided among its kinds, for some time; the first of each is not damaged."""
+    stop_s = time.monotonic() + seconds
     reports = {kind.name: Report(kind) for kind in every}
     assert len(reports) == len(every), "two kinds of one name"
     families = Counter(kind.family for kind in every)
@@ -645,7 +650,7 @@ def run(every: list[Kind], count: int, seed: int, workers: int, keep: Path | Non
     tasks = ((index, number) for number in range(max(shares)) for index in range(len(every)) if number < shares[index])
     pool = Pool(every, seed, workers)
     try:
-        for trial in pool.run(tasks):
+        for trial in pool.run(takewhile(lambda _: time.monotonic() < stop_s, tasks)):
             reports[trial.kind].add(trial)
             if trial.failure and keep is not None and reports[trial.kind].failures[trial.failure] <= 3:
                 for name, data in trial.files.items():
@@ -681,6 +686,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=20_000, help="mutants of each family")
     parser.add_argument("--kind", action="append", help="a kind or a family; repeatable; by default all")
     parser.add_argument("--seed", type=int, help="by default a drawn one, which is printed")
+    parser.add_argument("--seconds", type=float, default=inf, help="stop after this time, and report")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--joined", type=int, default=0, help="files of each format, made of pieces of several logs")
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"), help="where failing mutants are kept")
@@ -691,7 +697,7 @@ def main() -> int:
         every = [kind for kind in every if {kind.name, kind.family} & {*arguments.kind}]
     print(f"seed {seed}; {len(every)} kinds", flush=True)
     began_s = time.monotonic()
-    reports = run(every, arguments.count, seed, arguments.workers, arguments.keep)
+    reports = run(every, arguments.count, seed, arguments.workers, arguments.keep, seconds=arguments.seconds)
     with tempfile.TemporaryDirectory() as folder:
         failures, joined = run_joined(arguments.joined, seed, Path(folder), arguments.keep)
     for report in reports:
