@@ -468,7 +468,7 @@ def _exif_tags(file: BinaryIO) -> dict[str, Any]:
     try:
         block = _exif_block(file)
         file.seek(0)
-        source = FewReads(file if block is None else BytesIO(block))
+        source: Any = FewReads(file if block is None else BytesIO(block))
         return dict(exifread.process_file(source, details=False))
     except Exception:  # damaged EXIF raises many kinds of errors
         return {}

@@ -3,6 +3,7 @@
 import struct
 import tracemalloc
 import zlib
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -14,14 +15,14 @@ from typer.testing import CliRunner
 from glstar.calibrate.photo.photograph import read_image
 from glstar.camera.camerafile import camera_to_yaml
 from glstar.camera.model import Camera
-from glstar.camera.photofile import decode_photo
+from glstar.camera.photofile import Exif, decode_photo, exif_of
 from glstar.camera.sensor import pixelpattern
 from glstar.camera.sensor.pixelpattern import read_map
 from glstar.cli import app
 from glstar.errors import CalibrationError, ConfigError, ImagesError
 from glstar.images import read_grey
 from glstar.system.imagefiles import encode_png, image_size
-from glstar.system.userinput import refuse_many_pixels
+from glstar.system.userinput import FewReads, refuse_many_pixels
 
 HUGE = (32000, 32000)
 
@@ -243,3 +244,16 @@ def test_a_limit_that_is_no_number_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
     with pytest.raises(ValueError, match="the environment variable GLSTAR_MAX_MEGAPIXELS is 'many', not a number"):
         refuse_many_pixels(1, 1)
+
+
+def test_exif_with_thousands_of_tags_is_none() -> None:
+    # A directory of 65535 tags, all of one byte.
+    directory = struct.pack("<H", 0xFFFF) + struct.pack("<HHII", 256, 1, 1, 0) * 0xFFFF
+    content = b"II*\0" + struct.pack("<I", 8) + directory
+    file = FewReads(BytesIO(content))
+
+    assert exif_of(BytesIO(content)) == Exif()
+    assert [file.read(1) for _ in range(10_000)] == [content[k : k + 1] for k in range(10_000)]
+    with pytest.raises(ValueError, match="has too many records in its header"):
+        file.read(1)
+    assert file.seek(0) == 0
