@@ -104,7 +104,8 @@ def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None =
     cannot be read, or lacks places or magnitudes.
     """
     by_name = _read(path)
-    with reading(path, CatalogueError, "is no table of stars"):
+    # Absurd numbers overflow, and their stars are left out.
+    with reading(path, CatalogueError, "is no table of stars"), np.errstate(over="ignore", invalid="ignore"):
         return _mapped(path, by_name, columns, epoch_yr)
 
 
@@ -133,6 +134,7 @@ def _mapped(
         velocity * 1000,
         epoch * np.where(usable, 1, np.nan),
     )
+    usable &= np.isfinite(moved).all(axis=0)
     number, designation = _numbers(table, vmag)
     parallax_rad = np.nan_to_num(parallax).clip(min=0) * _MAS_RAD
     ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr = moved
@@ -258,7 +260,7 @@ def _csv(content: bytes) -> dict[str, Any]:
         raise ValueError(f"is no text, and no FITS table ({reason_of(error)})") from error
     refuse_more("rows", content.count(b"\n"))
     rows = csv.reader(line for line in io.StringIO(text, newline="") if not line.startswith("#"))
-    header = [name.strip() for name in next(rows, [])]
+    header = [" ".join(name.split()) for name in next(rows, [])]
     refuse_more("columns", len(header))
     # Of several columns of one name none can be chosen.
     names = [f"{name} ({header.count(name)} times)" if header.count(name) > 1 else name for name in header]
