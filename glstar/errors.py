@@ -20,10 +20,17 @@
     └── AnswersError            answers of a navigator that cannot be scored
 
 The facts in a message are also attributes of the exception.
+
+Libraries that read files of others raise whatever comes to them of a damaged one.  `reading` is the boundary: what
+leaves it is a GlstarError.
 """
 
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
+from pathlib import Path
+from traceback import FrameSummary, extract_tb
 from types import MappingProxyType
 from typing import Literal
 
@@ -293,3 +300,70 @@ class AnswersError(GlstarError, ValueError):
     def __init__(self, path: str | PathLike[str], message: str) -> None:
         super().__init__(f"{path}: {message}")
         self.path = str(path)
+
+
+# Set by developers and the tests: mistakes of glstar's own code are then not taken for damage of a file.
+_DEVELOPMENT = "GLSTAR_DEVELOPMENT"
+_PACKAGE = str(Path(__file__).parent)
+_LONGEST_REASON = 300
+_Refusal = Callable[..., GlstarError]
+
+
+@contextmanager
+def reading(
+    path: str | PathLike[str], refusal: _Refusal, cannot: str = "cannot be read", *, is_unchecked: bool = False
+) -> Iterator[None]:
+    """Turn whatever a reader raises over a damaged file into one line that names the file and the reason.
+
+    `refusal`: the class of the error, or a function of path and message; `cannot`: its words before the reason of a
+    library.  A GlstarError passes unchanged; the message of a ValueError that glstar raises continues "FILE: ".  With
+    the environment variable GLSTAR_DEVELOPMENT, a mistake of glstar's own code passes too, unless `is_unchecked`: the
+    block takes keys and types of JSON as they are.
+    """
+    try:
+        yield
+    except GlstarError:
+        raise
+    except Exception as error:
+        if os.environ.get(_DEVELOPMENT) and _is_mistake(error) and not is_unchecked:
+            raise
+        is_own_message = isinstance(error, ValueError) and _is_own(error) and not is_unchecked
+        message = reason_of(error) if is_own_message else f"{cannot}: {reason_of(error)}"
+        if refusal is ConfigError:
+            raise ConfigError(message, file=path) from error
+        if refusal is CalibrationError:
+            raise CalibrationError(message, path=path) from error
+        raise refusal(path, message) from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an exception says in one line, for a message after the name of a file."""
+    if isinstance(error, MemoryError):
+        return "it needs more memory than there is"
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, KeyError):
+        return f"it has no {error.args[0] if error.args else 'key'}"
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(str(text).split())[:_LONGEST_REASON] or type(error).__name__
+
+
+def _is_mistake(error: Exception) -> bool:
+    """Return whether a line of glstar raised an exception of Python, not by a statement ``raise``.
+
+    Libraries raise exceptions of their own, or in lines of their own.
+    """
+    is_foreign = type(error).__module__ != "builtins" or isinstance(error, OSError | MemoryError | RecursionError)
+    return not is_foreign and _is_own(error) and not _line_of(error).startswith("raise ")
+
+
+def _is_own(error: Exception) -> bool:
+    return _last_call(error).filename.startswith(_PACKAGE)
+
+
+def _line_of(error: Exception) -> str:
+    return _last_call(error).line or ""
+
+
+def _last_call(error: Exception) -> FrameSummary:
+    return extract_tb(error.__traceback__)[-1]

@@ -24,6 +24,8 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # Hundreds of children import glstar: they share its compiled modules, as on a user's machine.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # Mistakes of glstar's own code are not taken for damage of a file.
+    os.environ["GLSTAR_DEVELOPMENT"] = "1"
     # Children take this glstar, from whatever directory they run in, not another one on the user's PYTHONPATH.
     if paths := os.environ.get("PYTHONPATH"):
         ours = Path(glstar.__file__).parents[1]

@@ -18,7 +18,7 @@ from glstar.camera.model import Camera
 from glstar.camera.photofile import Exif
 from glstar.config import Config
 from glstar.config.camera import ExposureSection
-from glstar.errors import CalibrationError, ConfigError
+from glstar.errors import CalibrationError, ConfigError, reading
 from glstar.flight import AttitudeTrack
 from glstar.rotation import matrix_from_euler, matrix_from_quaternion
 from glstar.sky.catalogue.reading import StarCatalogue
@@ -26,7 +26,7 @@ from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.site import Site
 from glstar.sky.place.timescale import format_utc, parse_utc
-from glstar.system.userinput import read_text
+from glstar.system.userinput import read_text, refuse_repeated
 
 # For images of unknown time: proper motion of most stars is below 1" in a few years.
 _DEFAULT_UTC_S = parse_utc("2020-01-01T00:00:00Z")
@@ -311,14 +311,18 @@ def _with_rows(
 
 def read_labels(path: Path) -> list[Label]:
     """Return the labelled stars of a CSV file with the columns x, y and star_id, in any order, or without a header."""
-    try:
-        rows = list(csv.reader(read_text(path, _LARGEST_LABELS_BYTES).splitlines()))
-    except (ValueError, csv.Error) as error:
-        raise CalibrationError(f"cannot be read as labels: {error}", path=path) from error
+    with reading(path, CalibrationError, "cannot be read as labels"):
+        return _read_labels(path)
+
+
+def _read_labels(path: Path) -> list[Label]:
+    rows = list(csv.reader(read_text(path, _LARGEST_LABELS_BYTES).splitlines()))
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
     header = [cell.lower().removesuffix("_px") for cell in rows[0]] if rows else []
     header = ["star_id" if cell == "hr" else cell for cell in header]
     has_header = set(_LABEL_COLUMNS) <= set(header)
+    if has_header:
+        refuse_repeated(header, _LABEL_COLUMNS)
     columns = [header.index(name) for name in _LABEL_COLUMNS] if has_header else [0, 1, 2]
     labels = []
     for number, row in enumerate(rows[has_header:], start=1 + has_header):

@@ -44,7 +44,7 @@ from glstar.camera.camerakeys import (
 )
 from glstar.camera.distortion import COEFFICIENTS, LensModel
 from glstar.camera.model import Camera
-from glstar.errors import CalibrationError
+from glstar.errors import CalibrationError, reading
 from glstar.system.userinput import read_text
 
 DIALECTS = (
@@ -79,6 +79,21 @@ def _opencv_value(loader: yaml.SafeLoader, _tag: str, node: yaml.Node) -> object
         return loader.construct_sequence(node, deep=True)
     return None
 
+
+# Plain numbers and nothing else: YAML 1.1 takes 0500 for 320 and 1:20 for 80, programs of YAML 1.2 do not.
+_NUMBERS = {
+    "tag:yaml.org,2002:int": re.compile(r"[-+]?(?:0|[1-9][0-9]*)"),
+    "tag:yaml.org,2002:float": re.compile(
+        r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
+    ),
+}
+_NOT_RESOLVED = {*_NUMBERS, "tag:yaml.org,2002:timestamp"}
+_Loader.yaml_implicit_resolvers = {
+    first: [entry for entry in entries if entry[0] not in _NOT_RESOLVED]
+    for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _tag, _pattern in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, re.compile(f"(?:{_pattern.pattern})$"), list("-+0123456789."))
 
 # !!opencv-matrix, !!opencv-nd-matrix and similar tags.
 _Loader.add_multi_constructor("tag:yaml.org,2002:opencv-", _opencv_value)
@@ -127,7 +142,17 @@ def _keys_of_xml(text: str) -> Keys:
         raise CalibrationError(f"is XML of another program than OpenCV ({label(root.tag)}); glstar reads {DIALECTS}")
     if not len(root):
         raise CalibrationError("is empty")
-    return {node.tag: _xml_value(node) for node in root}
+    return _xml_values(list(root))
+
+
+def _xml_values(nodes: list[ET.Element]) -> dict[object, object]:
+    """Return the values of nodes by name; of one that occurs twice they must agree."""
+    values: dict[object, object] = {}
+    for node in nodes:
+        value = _xml_value(node)
+        if values.setdefault(node.tag, value) != value:
+            raise CalibrationError(f"the key {label(node.tag)} occurs twice, with two values")
+    return values
 
 
 def _xml_value(node: ET.Element) -> object:
@@ -136,7 +161,7 @@ def _xml_value(node: ET.Element) -> object:
     if children and all(child.tag == "_" for child in children):
         return [_xml_value(child) for child in children]
     if children:
-        return {child.tag: _xml_value(child) for child in children}
+        return _xml_values(children)
     words = (node.text or "").split()
     try:
         numbers = [float(word) for word in words]
@@ -274,6 +299,11 @@ class CameraFile:
 
 def read_camera_file(path: str | PathLike[str], name: str | None = None) -> CameraFile:
     """Return the camera of a file with notes for the user; see `camera_from_file`."""
+    with reading(path, CalibrationError):
+        return _read_camera_file(path, name)
+
+
+def _read_camera_file(path: str | PathLike[str], name: str | None) -> CameraFile:
     try:
         documents = documents_of(read_text(path, _LARGEST_BYTES))
         camera, notes = _camera_of_document(next(documents), name)

@@ -22,17 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.system.imagefiles import (
-    MAX_MEGAPIXELS,
     MOST_DIRECTORIES,
     PNG_SIGNATURE,
+    image_size,
+    is_whole_png,
     read_fits,
-    size_error,
     tiff_directories,
 )
 from glstar.system.installation import install_command
+from glstar.system.userinput import FewReads, refuse_many_pixels
 
-# exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
-logging.getLogger("exifread").addHandler(logging.NullHandler())
+# exifread logs every PNG without EXIF, and tifffile damage; without a handler they would go to the terminal.
+for _library in ("exifread", "tifffile"):
+    logging.getLogger(_library).addHandler(logging.NullHandler())
 
 _FITS = b"SIMPLE  ="
 _JPEG = b"\xff\xd8\xff"
@@ -72,6 +74,8 @@ _RAW_COMPRESSIONS = frozenset((34713, 32767, 32770, 65535))
 _WHITE_IS_ZERO, _RGB = 0, 2
 _PLAIN_COLOURS = (_WHITE_IS_ZERO, 1, _RGB, _COLOUR_FILTERS)
 _PACKED_BITS = (10, 12, 14)
+# Samples of a pixel of a TIFF: colours, opacity and some planes of other programs.
+_MOST_SAMPLES = 16
 # Empty lowest bits that prove that 8 to 14 bits are in the highest of 16, if this many levels occur.
 _PROVEN_SHIFTS = (8, 6, 4, 2)
 _LEAST_LEVELS = 8
@@ -121,10 +125,10 @@ def decode_photo(content: bytes, *, demosaiced: bool = True, floats: bool = Fals
     """
     if content.startswith(_JPEG) and _is_cut_off(content):
         raise ValueError("is a JPEG that is cut off: the end of the image is missing; copy it again")
-    if content.startswith(PNG_SIGNATURE) and b"IEND" not in content[-_HEAD_BYTES:]:
-        raise ValueError("is a PNG that is cut off: the end of the image is missing; copy it again")
-    if (too_large := size_error(content)) is not None:
-        raise ValueError(too_large)
+    if content.startswith(PNG_SIGNATURE) and not is_whole_png(content):
+        raise ValueError("is a PNG that is cut off or damaged: the end of the image is missing; copy it again")
+    if (size_px := image_size(content)) is not None:
+        refuse_many_pixels(*size_px)
     if content.startswith(_FITS):
         photo = _decoded_fits(content)
     elif kind := _kind_of_raw(content):
@@ -153,8 +157,10 @@ def _decoded_common(content: bytes, *, floats: bool) -> PhotoPixels:
     if pixels is None:
         import cv2  # noqa: PLC0415 - cv2, only when an image is read
 
+        # Of an unknown size, decoding might fill the memory.
+        is_sized = image_size(content) is not None
         try:
-            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
+            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if is_sized else None
         except cv2.error:
             pixels = None
     if pixels is None:
@@ -207,7 +213,9 @@ def _decoded_tiff(content: bytes) -> tuple[NDArray[Any] | None, int | None, bool
         page = _full_page(tiff)
     except Exception:  # damage: OpenCV is tried next
         return None, None, False, content
-    _refuse_large(page.imagewidth, page.imagelength)
+    refuse_many_pixels(page.imagewidth, page.imagelength)
+    if page.samplesperpixel > _MOST_SAMPLES:
+        raise ValueError(f"has {page.samplesperpixel} samples a pixel; grey and colour images have 1 to 4")
     if (turned := page.tags.get(_ORIENTATION)) is not None:
         upright, at = (1).to_bytes(2, "little" if tiff.byteorder == "<" else "big"), turned.valueoffset
         content = content[:at] + upright + content[at + len(upright) :]
@@ -298,7 +306,7 @@ def _decoded_raw(content: bytes, kind: str, *, demosaiced: bool) -> PhotoPixels:
         raise ValueError(f"is a {kind}, which needs rawpy: {install_command('raw')}") from error
     try:
         with rawpy.imread(BytesIO(content)) as raw:
-            _refuse_large(raw.sizes.raw_width, raw.sizes.raw_height)
+            refuse_many_pixels(raw.sizes.raw_width, raw.sizes.raw_height)
             mosaic = np.array(raw.raw_image_visible)
             white_dn = int(raw.white_level)
             colours = raw.raw_pattern
@@ -342,7 +350,7 @@ def _decoded_heif(content: bytes) -> PhotoPixels:
     with _damage_of_heic_explained():
         image = pillow_heif.open_heif(BytesIO(content), convert_hdr_to_8bit=False, bgr_mode=True)
         size_px = image.size
-    _refuse_large(*size_px)
+    refuse_many_pixels(*size_px)
     with _damage_of_heic_explained():
         pixels = np.asarray(image)
     bits = int(image.info.get("bit_depth", 8))
@@ -370,11 +378,6 @@ def _damage_of_heic_explained() -> Iterator[None]:
     except (OSError, RuntimeError, EOFError, SyntaxError, ValueError, IndexError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"is a HEIC image that cannot be decoded ({reason})") from error
-
-
-def _refuse_large(width_px: int, height_px: int) -> None:
-    if width_px * height_px > MAX_MEGAPIXELS * 1e6:
-        raise ValueError(f"has {width_px} x {height_px} px; glstar reads up to {MAX_MEGAPIXELS} megapixels")
 
 
 # Tag of TIFF 6.0 with the largest value that a pixel can have.
@@ -475,7 +478,8 @@ def _exif_tags(file: BinaryIO) -> dict[str, Any]:
     try:
         block = _exif_block(file)
         file.seek(0)
-        return dict(exifread.process_file(file if block is None else BytesIO(block), details=False))
+        source: Any = FewReads(file if block is None else BytesIO(block))
+        return dict(exifread.process_file(source, details=False))
     except Exception:  # damaged EXIF raises many kinds of errors
         return {}
 

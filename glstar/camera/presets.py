@@ -15,7 +15,7 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor.colourband import BANDS_WITH_COLOURS
 from glstar.errors import CalibrationError, ConfigError
 from glstar.system.resources import asset
-from glstar.system.userinput import nearest_word, read_text
+from glstar.system.userinput import nearest_word, read_toml
 
 # Bits of the digital numbers in `assets/sensors.toml`.
 _TABLE_BITS = 12
@@ -137,13 +137,14 @@ def _sensor_presets() -> dict[str, SensorPreset]:
 def _presets_of_file(file: str) -> dict[str, SensorPreset]:
     """Return the sensors of a user's file by name, in lower case."""
     try:
-        tables = tomllib.loads(read_text(file, _LARGEST_BYTES))
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise ConfigError(f"{file} cannot be read: {reason}", key="preset") from error
+        tables = read_toml(file, _LARGEST_BYTES)
+    except ValueError as error:
+        raise ConfigError(f"{file} cannot be read: {error}", key="preset") from error
     presets = {}
     numbers = _sensor_presets()["generic"].numbers
     for name, table in tables.items():
+        if name.lower() in presets:
+            raise ConfigError(f"{file}: [{name}] is there twice, in large and small letters", key="preset")
         try:
             preset = _preset(f"{file}:{name.lower()}", table)
             presets[name.lower()] = replace(preset, numbers={key: preset.numbers[key] for key in numbers})

@@ -4,7 +4,6 @@ Trails are detected in the simulated images.  If the simulated folder is an expo
 stars; otherwise they stay unidentified.
 """
 
-import json
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -25,6 +24,7 @@ from glstar.errors import ImagesError
 from glstar.images import read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, truth_files
 from glstar.render.truth.frame import as_current_schema
+from glstar.system.userinput import lines_of, read_json
 
 # Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
 _PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0
@@ -144,10 +144,10 @@ def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the lines of an export's truth by file name, in the current schema; none without a truth file."""
     truth: dict[str, dict[str, Any]] = {}
     for path in truth_files(folder):
-        with suppress(OSError), path.open("rb") as lines:
-            for line in lines:
+        with suppress(OSError, ValueError), path.open("rb") as lines:
+            for line in lines_of(lines):
                 with suppress(ValueError, KeyError, TypeError, RecursionError):
-                    frame = as_current_schema(json.loads(line))
+                    frame = as_current_schema(read_json(line))
                     truth[frame["file"]] = frame
     return truth
 

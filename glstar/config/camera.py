@@ -15,6 +15,7 @@ from glstar.camera.sensor.pixelpattern import read_map
 from glstar.camera.sensor.sensor import NoiseModel
 from glstar.camera.sensor.tonecurve import checked_points, curve_text, is_curve_text, parse_curve, read_curve
 from glstar.config.section import Section
+from glstar.errors import ConfigError
 from glstar.sky.place.timescale import CLOCK_GRAIN_S
 
 _EXPOSURE = Exposure(start_utc_s=0.0, duration_s=1.0)
@@ -174,8 +175,8 @@ def checked_lens(values: dict[str, Any], camera: Camera, folder: Path, faults: l
     path = str((folder / file).absolute())
     try:
         height_px, width_px = read_map(path).shape
-    except (OSError, ValueError) as error:
-        faults.append(("lens.vignetting_file", f"cannot be used: {path}: {error}"))
+    except ConfigError as error:
+        faults.append(("lens.vignetting_file", f"cannot be used: {error}"))
         return values
     if (width_px, height_px) != (camera.width_px, camera.height_px):
         size = f"{width_px} x {height_px} px and the camera {camera.width_px} x {camera.height_px}"

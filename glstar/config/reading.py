@@ -1,7 +1,5 @@
 """Reading of TOML files into checked sections; validation errors are collected and reported together."""
 
-import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
@@ -24,7 +22,7 @@ from glstar.config.keys import PATHS, PRESETS, SECTIONS, SOURCES, Fault, allowed
 from glstar.config.section import Section, is_file_name
 from glstar.config.sensor import SENSOR_MAPS, SensorSection, completed_sensor, foreign_keys
 from glstar.config.sky import HORIZONS, SkySection
-from glstar.errors import CalibrationError, ConfigError
+from glstar.errors import CalibrationError, ConfigError, reading
 from glstar.render.effects import EFFECTS
 from glstar.render.effects.sky import SKY_MAP_KEY, relative_sky
 from glstar.sky.air.extinction import Extinction
@@ -34,7 +32,7 @@ from glstar.sky.observed.stars import Sky
 from glstar.sky.photometry import StarBrightness
 from glstar.sky.place.apparent import ASTROMETRY
 from glstar.sky.place.horizon import HorizonProfile
-from glstar.system.userinput import did_you_mean, read_text
+from glstar.system.userinput import did_you_mean, read_toml
 from glstar.telemetry import is_map_file
 
 # The default camera: small enough that a frame takes about 30 ms without a GPU.
@@ -58,17 +56,8 @@ def bundled_camera() -> Camera:
 
 def toml_of(path: str | PathLike[str]) -> dict[str, Any]:
     """Return the content of a TOML file."""
-    try:
-        return tomllib.loads(read_text(path, _LARGEST_BYTES))
-    except tomllib.TOMLDecodeError as error:
-        # "Expected '=' after a key in a key/value pair (at line 2, column 9)": put line and column first.
-        parts = re.fullmatch(r"(.*) \(at (.*)\)", str(error))
-        message = f"{parts[2]}: {parts[1]}" if parts else str(error)
-        raise ConfigError(f"{message} (TOML)", file=path) from None
-    except RecursionError:
-        raise ConfigError("is nested too deep to be a config", file=path) from None
-    except ValueError as error:
-        raise ConfigError(str(error), file=path) from None
+    with reading(path, ConfigError):
+        return read_toml(path, _LARGEST_BYTES)
 
 
 def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.camera.photofile import decode_photo, has_image_signature
-from glstar.errors import CalibrationError, ImagesError
+from glstar.errors import CalibrationError, ImagesError, reading
+from glstar.system.userinput import read_whole
 
 # Digital numbers of 8 or 16 bits.
 Grey = NDArray[np.unsignedinteger[Any]]
@@ -65,12 +66,8 @@ def read_grey(path: Path) -> Grey:
     the value channel of HSV, the largest of red, green and blue.  Raises ImagesError if it cannot be read.  Teague &
     Chahl, section 2.5: the value channel preserves the brightness of a star of any colour.
     """
-    try:
-        pixels = decode_photo(path.read_bytes()).pixels
-    except OSError as error:
-        raise ImagesError(path, f"cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise ImagesError(path, str(error)) from error
+    with reading(path, ImagesError):
+        pixels = decode_photo(read_whole(path)).pixels
     if pixels.ndim == 2:
         return pixels
     blue, green, red = cv2.split(pixels)

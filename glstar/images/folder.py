@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from glstar.errors import ImagesError
+from glstar.errors import ImagesError, reason_of
 from glstar.flight import ONLY_CAMERA, Flight
 from glstar.images.decoding import FittedImage, fit, is_image, read_grey
 from glstar.images.times import BESIDE, TABLES, TRUTH, ImageTime, read_table, read_truth, time_of, truth_files
@@ -259,8 +259,8 @@ def _listed_times(folder: Path, table: Path | None) -> tuple[dict[str, ImageTime
     for truth in truth_files(folder):
         try:
             listed |= read_truth(truth)
-        except OSError as error:
-            problems.append(f"{truth.name}: cannot be read: {error.strerror or error}")
+        except (OSError, ValueError) as error:
+            problems.append(f"{truth.name}: cannot be read: {reason_of(error)}")
     if table is not None:
         by_table, refused = read_table(table)
         listed |= by_table

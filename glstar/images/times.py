@@ -12,7 +12,6 @@ states a zone.
 """
 
 import csv
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -26,10 +25,10 @@ from typing import Any
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.photofile import read_exif, zone_of
-from glstar.errors import ConfigError, ImagesError
+from glstar.errors import ConfigError, ImagesError, reading
 from glstar.render.truth.frame import SCHEMAS_READ
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import read_text
+from glstar.system.userinput import lines_of, read_json, read_text, refuse_repeated
 
 TABLES = ("images.csv", "times.csv")
 TRUTH = "truth.jsonl"
@@ -232,13 +231,16 @@ def read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:
     `times`: file name to `ImageTime`; `problems`: a line for each invalid row.  Raises ImagesError if it cannot be
     read, or lacks these columns.
     """
-    try:
-        lines = [line for line in read_text(path, _LARGEST_BYTES).splitlines() if line.strip()[:1] not in ("", "#")]
-    except ValueError as error:
-        raise ImagesError(path, f"cannot be read as a table: {error}") from error
+    with reading(path, ImagesError, "cannot be read as a table"):
+        return _read_table(path)
+
+
+def _read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:
+    lines = [line for line in read_text(path, _LARGEST_BYTES).splitlines() if line.strip()[:1] not in ("", "#")]
     delimiter = max(",;\t", key=(lines or [""])[0].count)
     rows = csv.DictReader(lines, delimiter=delimiter)
     rows.fieldnames = [name.strip().lower() for name in rows.fieldnames or ()]
+    refuse_repeated(rows.fieldnames, {"file", "utc", "utc_s", "exposure_s"})
     column = next((name for name in ("utc", "utc_s") if name in rows.fieldnames), None)
     if "file" not in rows.fieldnames or column is None:
         found = ", ".join(rows.fieldnames)[:100] or "nothing"
@@ -309,6 +311,6 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
 
 def _json_lines(path: Path) -> Iterator[Any]:
     with path.open("rb") as lines:
-        for line in lines:
-            with suppress(ValueError, RecursionError):
-                yield json.loads(line)
+        for line in lines_of(lines):
+            with suppress(ValueError):
+                yield read_json(line)

@@ -40,7 +40,7 @@ from glstar.arrays import Float
 from glstar.errors import AnswersError, GlstarError
 from glstar.rotation import about_y, about_z, matrix_from_quaternion
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import read_text
+from glstar.system.userinput import read_json, read_text, refuse_repeated
 
 INSTANTS = ("start", "middle", "end")
 _QUATERNION = ("qw", "qx", "qy", "qz")
@@ -216,6 +216,7 @@ def _json_row(path: Path, number: int, line: str) -> dict[str, Any]:
         raise AnswersError(path, f"line {number} has {len(line)} characters; at most {MOST_CHARACTERS} are read")
     try:
         row = orjson.loads(line)
+        read_json(line)  # which finds keys that occur twice
     except ValueError as error:
         raise AnswersError(path, f"line {number} is no JSON: {error}") from error
     if not isinstance(row, dict):
@@ -226,10 +227,13 @@ def _json_row(path: Path, number: int, line: str) -> dict[str, Any]:
 def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, Any]]:
     reader = csv.DictReader(io.StringIO(text, newline=""))
     try:
+        refuse_repeated(map(str.strip, reader.fieldnames or ()))
         for row in reader:
             yield reader.line_num, row
     except csv.Error as error:
         raise AnswersError(path, f"line {reader.line_num + 1} is no CSV: {error}") from error
+    except ValueError as error:
+        raise AnswersError(path, str(error)) from error
 
 
 def _csv_row(path: Path, number: int, row: dict[Any, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from glstar.arrays import Float
 from glstar.camera.distortion import Lens
 from glstar.camera.model import AttitudeError, Camera
-from glstar.errors import AnswersError
+from glstar.errors import AnswersError, reading
 from glstar.export.truth.lines import has_truth, read_truth
 from glstar.rotation import euler_from_quaternion, fitted_rotation
 from glstar.score.answers import Answer, ObservedStars
@@ -167,12 +167,13 @@ def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     if not truth.is_file() and not has_truth(truth.parent):
         raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
     offset_s = _clock_offset_s(truth.parent / _MANIFEST)
-    try:
-        frames = [_frame_truth(line, offset_s, least_snr) for line in read_truth(truth)]
-    except KeyError as error:
-        raise AnswersError(
-            truth, f"has no {error.args[0]}, which a score needs; export the frames again with this version"
-        ) from error
+    with reading(truth, AnswersError, "has a damaged line", is_unchecked=True):
+        try:
+            frames = [_frame_truth(line, offset_s, least_snr) for line in read_truth(truth)]
+        except KeyError as error:
+            raise AnswersError(
+                truth, f"has no {error.args[0]}, which a score needs; export the frames again with this version"
+            ) from error
     if not frames:
         raise AnswersError(truth, "holds no frames")
     return frames
@@ -197,26 +198,26 @@ def _frame_truth(line: Mapping[str, Any], clock_offset_s: float, least_snr: floa
     snr = np.array([star["snr"] for star in stars], dtype=np.float64)
     in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
     _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])
-    site, settings = line["site"], line.get("settings", {})
-    clock_offset_s = settings.get("navigator.clock_offset_s", clock_offset_s)
+    site, settings = line["site"], dict(line.get("settings", {}))
+    clock_offset_s = float(settings.get("navigator.clock_offset_s", clock_offset_s))
     return FrameTruth(
-        frame=line["frame"],
-        file=line["file"],
+        frame=int(line["frame"]),
+        file=str(line["file"]),
         utc_mid_s=parse_utc(line["utc_mid"]),
         camera_utc_mid_s=parse_utc(line.get("camera_utc_mid") or line["utc_mid"]) + clock_offset_s,
-        duration_s=line["duration_s"],
-        total_s=line.get("total_s", line["duration_s"]),
+        duration_s=float(line["duration_s"]),
+        total_s=float(line.get("total_s", line["duration_s"])),
         latitude_rad=float(np.deg2rad(site["latitude_deg"])),
         longitude_rad=float(np.deg2rad(site["longitude_deg"])),
-        height_m=site["height_m"],
+        height_m=float(site["height_m"]),
         yaw_rad=float(yaw_rad),
-        C_camera_icrs=np.array(line["C_camera_icrs"], dtype=np.float64),
+        C_camera_icrs=np.array(line["C_camera_icrs"], dtype=np.float64).reshape(3, 3),
         camera=_camera(line["camera"]),
-        catalogue=line["catalogue"],
+        catalogue=str(line["catalogue"]),
         star_id=np.array([star["star_id"] for star in stars], dtype=np.int64),
         xy_px=xy_px,
         is_detectable=(snr >= least_snr) & (in_frame >= 0.5),
-        run=(line.get("flight", ""), line.get("sample", 0)),
+        run=(str(line.get("flight", "")), int(line.get("sample", 0))),
         settings=settings,
         conditions={key: float(line[key]) for key in CONDITIONS if line.get(key) is not None},
     )

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.arrays import Float
-from glstar.errors import CalibrationError
+from glstar.errors import CalibrationError, reading
 from glstar.sky.catalogue.starfield import StarField
 from glstar.system.resources import asset
-from glstar.system.userinput import read_bytes
+from glstar.system.userinput import read_bytes, refuse_repeated
 
 # Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
 USUAL_BV = 0.65
@@ -117,14 +117,19 @@ class StarBrightness:
         contains a value that is not a number, or a star twice.
         """
         path = Path(path)
+        with reading(path, CalibrationError, "is no table of star brightness"):
+            return cls._read(path)
+
+    @classmethod
+    def _read(cls, path: Path) -> Self:
+        content = read_bytes(path, _LARGEST_BYTES)
         try:
-            content = read_bytes(path, _LARGEST_BYTES)
-        except ValueError as error:
-            raise CalibrationError(str(error), path=path) from error
-        try:
-            rows = list(csv.DictReader(content.decode("utf-8-sig").splitlines()))
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise CalibrationError(f"is no table of star brightness: {error}", path=path) from error
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"is no table of star brightness: {error}") from error
+        table = csv.DictReader(text.splitlines())
+        refuse_repeated(table.fieldnames or ())
+        rows = list(table)
         for row in rows:
             if "hr" in row:
                 row.setdefault("star_id", row.pop("hr"))

@@ -11,10 +11,13 @@ and filelock leaves files that exclude others after their process was killed.
 import errno
 import os
 import re
+import shutil
+import stat
 import sys
+import tempfile
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -271,3 +274,57 @@ def _open_locked(path: Path) -> int:
             return handle
         owner = os.read(handle, _MAX_TEXT_BYTES).decode(errors="replace")
     raise LockHeldError(owner or "unknown")
+
+
+# Prefix of temporary directories of unpacked files; each has a lock file and a directory of its content.
+_UNPACKED = "glstar-unpacked-"
+_LOCK, _CONTENT = "lock", "content"
+# A directory without its lock is being created, or its owner was killed meanwhile, s.
+_CREATED_WITHIN_S = 3600.0
+
+
+class UnpackedFolder:
+    """A temporary directory for unpacked files, `path`, which `cleanup` removes; a context manager.
+
+    Those of killed processes are removed first: their locks are free.
+    """
+
+    def __init__(self) -> None:
+        parent = Path(tempfile.gettempdir())
+        for abandoned in _abandoned(parent):
+            shutil.rmtree(abandoned, ignore_errors=True)
+        self._folder = Path(tempfile.mkdtemp(prefix=_UNPACKED, dir=parent))
+        self._lock = LockFile(self._folder / _LOCK)
+        self.path = self._folder / _CONTENT
+        self.path.mkdir()
+
+    def cleanup(self) -> None:
+        """Remove the directory; a second call does nothing."""
+        if self._folder.exists():
+            # The lock last: until then no other process removes it too.
+            shutil.rmtree(self.path, ignore_errors=True)
+            self._lock.release()
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *_: object) -> None:
+        self.cleanup()
+
+
+def _abandoned(parent: Path) -> Iterator[Path]:
+    """Yield the directories of unpacked files of this user whose owners were killed."""
+    user = os.getuid() if hasattr(os, "getuid") else None
+    with suppress(OSError):
+        for folder in parent.glob(f"{_UNPACKED}*"):
+            with suppress(OSError):
+                state = folder.lstat()
+                if not stat.S_ISDIR(state.st_mode) or (user is not None and state.st_uid != user):
+                    continue
+                if (folder / _LOCK).is_file():
+                    with suppress(LockHeldError):
+                        LockFile(folder / _LOCK).release()
+                        yield folder
+                elif time.time() - state.st_mtime > _CREATED_WITHIN_S:
+                    yield folder

@@ -5,11 +5,12 @@ give the same bytes of PNG on every processor.  GLFW and imgui copy text only.
 """
 
 import os
+import re
 import shutil
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -20,12 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
-# Largest image that is decoded, megapixels: more than any current sensor (150), and calibration of it takes 16 GB.
-MAX_MEGAPIXELS = 200
+from glstar.system.userinput import refuse_many_pixels
 
 _JPEG = b"\xff\xd8"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_BMP = b"BM"
+# Beginning of the codestream of a JPEG 2000 and its size: SOC and SIZ.
+_CODESTREAM = b"\xff\x4f\xff\x51"
+# Longest header of text, bytes.
+_TEXT_BYTES = 4096
 # TIFF tags of the size, their possible types (SHORT, LONG, LONG8), and the most directory entries that are read.
 _TIFF_WIDTH = 256
 _TIFF_HEIGHT = 257
@@ -58,35 +61,92 @@ _TIMEOUT_S = 5.0
 
 
 def image_size(content: bytes) -> tuple[int, int] | None:
-    """Return the width and height, px, that the header of a PNG, JPEG, TIFF or BMP file declares for its first image.
+    """Return the width and height, px, that the header of an image file declares for its first image.
 
-    Returns None for other or damaged files.
+    Knows the formats that OpenCV decodes; returns None for other or damaged files.
     """
     try:
-        if content.startswith(PNG_SIGNATURE):
-            return struct.unpack_from(">II", content, 16)
-        if content.startswith(_JPEG):
-            return _jpeg_size(content)
-        if content.startswith(_TIFF):
-            return _tiff_size(content)
-        if content.startswith(_BMP):
-            width, height = struct.unpack_from("<ii", content, 18)
-            return abs(width), abs(height)
-    except struct.error:
+        for signature, size_of in _SIZES.items():
+            if content.startswith(signature):
+                return size_of(content)
+    except (struct.error, ValueError):
         pass
     return None
 
 
-def size_error(content: bytes) -> str | None:
-    """Return why an image file is too large to decode, without its name; None if it may be decoded."""
-    size = image_size(content)
-    if size is None or size[0] * size[1] <= MAX_MEGAPIXELS * 1_000_000:
+def _bmp_size(content: bytes) -> tuple[int, int]:
+    if struct.unpack_from("<I", content, 14) == (12,):  # the header of OS/2
+        return struct.unpack_from("<HH", content, 18)
+    width, height = struct.unpack_from("<ii", content, 18)
+    return abs(width), abs(height)
+
+
+def _webp_size(content: bytes) -> tuple[int, int] | None:
+    """Return the size in the first chunk of a WebP: that of a lossy or lossless image, or of the canvas (RFC 9649)."""
+    kind = content[12:16]
+    if content[8:12] != b"WEBP" or len(content) < 30:
         return None
-    width, height = size
-    return (
-        f"is {width} x {height} px, {width * height / 1e6:.0f} megapixels; glstar reads images of up to"
-        f" {MAX_MEGAPIXELS} megapixels: crop or bin it"
-    )
+    if kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", content, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", content, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8X":
+        return int.from_bytes(content[24:27], "little") + 1, int.from_bytes(content[27:30], "little") + 1
+    return None
+
+
+def _jpeg2000_size(content: bytes) -> tuple[int, int] | None:
+    """Return the size in the codestream of a JPEG 2000: the reference grid without its offset (ISO 15444-1, A.5.1)."""
+    at = content.find(_CODESTREAM)
+    if at < 0:
+        return None
+    width, height, left, top = struct.unpack_from(">IIII", content, at + 8)
+    return max(width - left, 0), max(height - top, 0)
+
+
+def _text_size(content: bytes) -> tuple[int, int] | None:
+    """Return the size of a portable map, whose header is of numbers between white space and comments."""
+    words = re.sub(rb"#[^\n]*", b"", content[:_TEXT_BYTES]).split()
+    if words[0] == b"P7":
+        return int(words[words.index(b"WIDTH") + 1]), int(words[words.index(b"HEIGHT") + 1])
+    return (int(words[1]), int(words[2])) if len(words) > 2 else None
+
+
+def _radiance_size(content: bytes) -> tuple[int, int] | None:
+    found = re.search(rb"\n-Y +(\d{1,9}) +\+X +(\d{1,9})\n", content[:_TEXT_BYTES])
+    return None if found is None else (int(found[2]), int(found[1]))
+
+
+def _png_size(content: bytes) -> tuple[int, int]:
+    return struct.unpack_from(">II", content, 16)
+
+
+def is_whole_png(content: bytes) -> bool:
+    """Return whether the chunks of a PNG lie in the file, to the last one: OpenCV takes memory for any stated length.
+
+    Raises ValueError if a frame of an animation is larger than the largest image.
+    """
+    at = len(PNG_SIGNATURE)
+    while at + 8 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        if at + 12 + length > len(content):
+            return False
+        if kind == b"IEND":
+            return True
+        if kind == b"fcTL" and length >= 12:
+            refuse_many_pixels(*struct.unpack_from(">II", content, at + 12))
+        at += 12 + length
+    return False
+
+
+def _gif_size(content: bytes) -> tuple[int, int]:
+    return struct.unpack_from("<HH", content, 6)
+
+
+def _sun_raster_size(content: bytes) -> tuple[int, int]:
+    return struct.unpack_from(">II", content, 4)
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
@@ -120,6 +180,20 @@ def _tiff_size(content: bytes) -> tuple[int, int] | None:
         if tag in (_TIFF_WIDTH, _TIFF_HEIGHT) and kind in _TIFF_INTEGERS:
             (sides[tag],) = struct.unpack_from(order + _TIFF_INTEGERS[kind], content, entry + value_at)
     return (sides[_TIFF_WIDTH], sides[_TIFF_HEIGHT]) if len(sides) == 2 else None
+
+
+_SIZES: dict[tuple[bytes, ...], Callable[[bytes], tuple[int, int] | None]] = {
+    (PNG_SIGNATURE,): _png_size,
+    (_JPEG,): _jpeg_size,
+    _TIFF: _tiff_size,
+    (b"BM",): _bmp_size,
+    (b"RIFF",): _webp_size,
+    (b"\0\0\0\x0cjP  ", _CODESTREAM): _jpeg2000_size,
+    (b"GIF8",): _gif_size,
+    tuple(f"P{kind}".encode() for kind in "1234567fF"): _text_size,
+    (b"#?RGBE", b"#?RADIANCE"): _radiance_size,
+    (b"\x59\xa6\x6a\x95",): _sun_raster_size,
+}
 
 
 def tiff_directories(content: bytes) -> list[dict[int, tuple[int, ...]]]:
@@ -172,6 +246,9 @@ def read_fits(content: bytes) -> NDArray[np.float64]:
     if dtype is None or not is_plane or not all(side.isdecimal() for side in sides):
         raise ValueError("its first unit is not an image of one channel")
     shape = int(sides[0]), int(sides[1])
+    refuse_many_pixels(shape[1], shape[0])
+    if not all(shape):
+        raise ValueError("its image has no pixels")
     begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
     if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
         raise ValueError("it is cut off")
@@ -179,8 +256,16 @@ def read_fits(content: bytes) -> NDArray[np.float64]:
     if cards.get("ROWORDER", "").strip("' ").upper().replace("_", "-") == "BOTTOM-UP":
         stored = stored[::-1]
     # The standard allows FORTRAN's D for the exponent.
-    scale, zero = (float(cards.get(key, "").replace("D", "E") or default) for key, default in _FITS_SCALE)
-    return np.asarray(stored * scale + zero, dtype=np.float64)
+    scale, zero = (_fits_number(cards.get(key, ""), key, default) for key, default in _FITS_SCALE)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(stored * scale + zero, dtype=np.float64)
+
+
+def _fits_number(text: str, key: str, default: float) -> float:
+    try:
+        return float(text.replace("D", "E") or default)
+    except ValueError:
+        raise ValueError(f"its {key} is {text[:20]!r}, not a number") from None
 
 
 def encode_png(pixels: np.ndarray[Any, Any], *, significant_bits: int | None = None) -> bytes:

@@ -1,14 +1,86 @@
-"""Reading of small files that the user names, such as settings and camera files, and suggestions for misspelt words.
+"""Reading of files that the user names: the limits of what is read of them, and suggestions for misspelt words.
 
-Only regular files up to a given size are read: reading a pipe might block forever, and a flight log given by mistake
-would fill the memory.
+A file of a few kilobytes can unpack to any size, declare an image of any size or nest without end.  Every reader takes
+its bounds from `LIMITS`, before it decodes or unpacks anything.  Only regular files are read: a pipe might block
+forever.
 """
 
+import json
 import os
+import re
 import stat
-from collections.abc import Iterable
+import tomllib
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
 from difflib import get_close_matches
 from os import PathLike, strerror
+from typing import Any, BinaryIO, Literal
+
+LimitName = Literal[
+    "megapixels",
+    "file_mib",
+    "content_mib",
+    "unpacked_gib",
+    "ratio",
+    "members",
+    "archives",
+    "rows",
+    "columns",
+    "cells",
+    "depth",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A limit of files of others."""
+
+    name: LimitName
+    default: float
+    unit: str  # For messages, after the number
+    covers: str  # What it bounds, and why it has its value; for the manual
+
+    @property
+    def variable(self) -> str:
+        """The environment variable that replaces the default."""
+        return f"GLSTAR_MAX_{self.name.upper()}"
+
+    @property
+    def value(self) -> float:
+        """The limit in force; raises ValueError if the environment variable is no number above 0."""
+        text = os.environ.get(self.variable, "")
+        try:
+            number = float(text) if text else self.default
+        except ValueError:
+            number = 0.0
+        if not number > 0:
+            raise ValueError(f"the environment variable {self.variable} is {text!r}, not a number above 0")
+        return number
+
+
+LIMITS = (
+    Limit("megapixels", 200, "megapixels", "photographs and maps of pixels; the largest sensors have 150"),
+    Limit("file_mib", 4096, "MiB", "a file that is read as a whole: images, maps, catalogues, tables of text"),
+    Limit("content_mib", 512, "MiB", "what is unpacked in memory: a KMZ, a chunk of a bag, a packed catalogue"),
+    Limit("unpacked_gib", 16, "GiB", "what is unpacked to the disk: logs in gzip, zip and zstd"),
+    Limit("ratio", 250, "times its size", "unpacked over packed bytes of any of them, from 64 MiB on"),
+    Limit("members", 10_000, "members", "files in an archive"),
+    Limit("archives", 3, "archives", "archives inside each other: flight.csv.gz in a zip has 2"),
+    Limit("rows", 10_000_000, "rows", "rows of a table: Parquet, Excel and text with a column map"),
+    Limit("columns", 10_000, "columns", "columns of a table"),
+    Limit("cells", 20_000_000, "cells", "cells of an Excel sheet, empty ones before others included"),
+    Limit("depth", 64, "levels", "nested elements of XML and YAML"),
+)
+_LIMIT_OF = {limit.name: limit for limit in LIMITS}
+# Constant columns compress to any ratio: what takes no memory to speak of is unpacked in any case, bytes.
+_ANY_RATIO_BYTES = 64 << 20
+_PIECE_BYTES = 1 << 20
+# Two reads for each of 5000 tags of EXIF; a camera writes some 200.
+_MOST_READS = 10_000
+# A line of truth with 100 000 stars has 50 MB.
+_LONGEST_LINE = 64 << 20
+_BYTES = {"MiB": 1 << 20, "GiB": 1 << 30}
 
 _KINDS = (
     (stat.S_ISDIR, "this is a directory; give a file"),
@@ -24,6 +96,87 @@ def refuse_irregular(mode: int) -> None:
     for is_kind, message in _KINDS:
         if is_kind(mode):
             raise ValueError(message)
+
+
+def limit_of(name: LimitName) -> float:
+    """Return a limit: a number, or bytes; raises ValueError if its environment variable is no number."""
+    limit = _LIMIT_OF[name]
+    return limit.value * _BYTES.get(limit.unit, 1)
+
+
+def refuse_more(name: LimitName, amount: float, what: str = "") -> None:
+    """Raise ValueError, which continues "PATH: ", if an amount is above a limit; `what`: what the file has or is."""
+    if amount > limit_of(name):
+        limit = _LIMIT_OF[name]
+        has = what or f"has {amount:,.0f} {limit.unit}"
+        raise ValueError(f"{has}; glstar reads up to {limit.value:,g} {limit.unit} ({limit.variable} raises the limit)")
+
+
+def refuse_many_pixels(width_px: int, height_px: int) -> None:
+    """Raise ValueError, which continues "PATH: ", if an image is too large to decode."""
+    refuse_more(
+        "megapixels",
+        width_px * height_px / 1e6,
+        f"is {width_px} x {height_px} px, {width_px * height_px / 1e6:.4g} megapixels",
+    )
+
+
+class Unpacking:
+    """The bytes that are unpacked of one file; `limit`: the limit of all of them.
+
+    Raises ValueError, which continues "PATH: ", as soon as they are more than the limit, or than the allowed multiple
+    of the packed ones.
+    """
+
+    def __init__(self, packed_bytes: int, limit: Literal["content_mib", "unpacked_gib"]) -> None:
+        self._packed_bytes, self._limit = max(packed_bytes, 1), limit
+        self._bytes = 0
+
+    def add(self, count: int) -> None:
+        """Count more bytes."""
+        self._bytes += count
+        refuse_more(self._limit, self._bytes, "unpacks to more than glstar takes")
+        if self._bytes > _ANY_RATIO_BYTES:
+            refuse_more("ratio", self._bytes / self._packed_bytes, "unpacks to a much larger file, as bombs do")
+
+    def copy(self, packed: Any, target: BinaryIO) -> None:
+        """Copy what a reader of packed bytes yields to a file."""
+        while piece := packed.read(_PIECE_BYTES):
+            self.add(len(piece))
+            target.write(piece)
+
+    def read(self, packed: Any) -> bytes:
+        """Return what a reader of packed bytes yields."""
+        pieces = []
+        while piece := packed.read(_PIECE_BYTES):
+            self.add(len(piece))
+            pieces.append(piece)
+        return b"".join(pieces)
+
+
+class FewReads:
+    """An open file for a library that takes a file record by record, as ExifRead does.
+
+    Raises ValueError after thousands of reads: a damaged directory states any number of records.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._remaining = file, _MOST_READS
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def read(self, count: int = -1) -> bytes:
+        """Return bytes of the file."""
+        self._remaining -= 1
+        if self._remaining < 0:
+            raise ValueError("has too many records in its header")
+        return self._file.read(count)
+
+
+def read_whole(path: str | PathLike[str]) -> bytes:
+    """Return the content of a file of any size up to the limit; see `read_bytes`."""
+    return read_bytes(path, int(limit_of("file_mib")))
 
 
 def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
@@ -58,6 +211,61 @@ def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"is not UTF-8 text (byte 0x{content[error.start]:02x} at offset {error.start})") from None
+
+
+def read_toml(path: str | PathLike[str], largest_bytes: int) -> dict[str, Any]:
+    """Return the content of a small TOML file, in which each key occurs once; see `read_text`.
+
+    Raises ValueError as `read_text` does, and if it is no TOML: line and column come first.
+    """
+    try:
+        return tomllib.loads(read_text(path, largest_bytes))
+    except tomllib.TOMLDecodeError as error:
+        # "Expected '=' after a key in a key/value pair (at line 2, column 9)".
+        parts = re.fullmatch(r"(.*) \(at (.*)\)", str(error))
+        raise ValueError(f"{f'{parts[2]}: {parts[1]}' if parts else error} (TOML)") from None
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+
+
+def lines_of(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines of an open file; raises ValueError, which continues "PATH: ", if one is longer than 64 MiB."""
+    number = 0
+    while line := file.readline(_LONGEST_LINE + 1):
+        number += 1
+        if len(line) > _LONGEST_LINE:
+            raise ValueError(f"line {number} is longer than {_LONGEST_LINE >> 20} MiB")
+        yield line
+
+
+def read_json(text: str | bytes) -> Any:
+    """Return the value of a JSON text; raises ValueError if it is none, nests too deeply or has a key twice."""
+    try:
+        return json.loads(text, object_pairs_hook=_once_each, parse_constant=_no_constant)
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the keys and values of an object of JSON, in which each key occurs once."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {twice[:60]!r} occurs twice")
+    return values
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def refuse_repeated(names: Iterable[str], needed: Collection[str] | None = None) -> None:
+    """Raise ValueError, which continues "PATH: ", if several columns have a name: a needed one, or any."""
+    counts = Counter(names)
+    twice = next((name for name, n in counts.items() if n > 1 and name and (needed is None or name in needed)), None)
+    if twice is not None:
+        raise ValueError(f"has several columns named {twice[:60]}; rename or remove all but one")
 
 
 def is_number(text: str) -> bool:

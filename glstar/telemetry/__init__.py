@@ -28,15 +28,17 @@ module                holds
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
-from glstar.errors import LogFormatError
+from glstar.errors import LogFormatError, reading
 from glstar.flight import Flight, Interpolation
 from glstar.sky.place.site import Site
 from glstar.system.resources import DEMO, flight_path
+from glstar.system.userinput import refuse_more
 from glstar.telemetry import formats, synthetic
 from glstar.telemetry.bags import is_bag_directory
 from glstar.telemetry.dataflash import DataFlashReader
@@ -205,25 +207,30 @@ def open_source(
         name = os.fspath(flight_path(name))
     if is_flight_description(name):
         return _described(name, attitude=attitude, sysid=sysid, boot=boot, vehicle=vehicle)
-    try:
-        if is_bag_directory(name):
-            kind = next(entry for entry in LOG_FORMATS if entry.has_name_spaces)
-            return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
-        archive, member = archive_and_member(name)
-        head = _head(archive)
-        if member and not (formats.is_packed(head) and head.startswith(b"PK")):
-            raise LogFormatError(name, "only a zip archive has members")
-        if formats.is_packed(head):
-            options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}
-            return UnpackedSource(name, formats.unpack, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
-        recognised = formats.log_format(head)
-        if recognised is None:
-            raise LogFormatError(name, f"this is {formats.other_file(head, name)} ({formats.READABLE})", offset=0)
-        return _reader(name, recognised, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
-    except OSError as error:
-        if isinstance(error, FileNotFoundError) and _LINK.match(name):
-            raise LogFormatError(name, f"is a link, not a file; glstar live {name} shows what it sends") from error
-        raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
+    if _LINK.match(name) and not Path(name).exists():
+        raise LogFormatError(name, f"is a link, not a file; glstar live {name} shows what it sends")
+    options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns, "vehicle": vehicle}
+    with reading(name, LogFormatError):
+        return _opened(name, options, 0)
+
+
+def _opened(name: str, options: Mapping[str, Any], archives: int) -> TelemetrySource:
+    """Open a file with the reader for its format; `archives`: the number of those that it is in."""
+    attitude, sysid, boot, columns, vehicle = options.values()
+    refuse_more("archives", archives)
+    if is_bag_directory(name):
+        kind = next(entry for entry in LOG_FORMATS if entry.has_name_spaces)
+        return _reader(name, kind, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
+    archive, member = archive_and_member(name)
+    head = _head(archive)
+    if member and not (formats.is_packed(head) and head.startswith(b"PK")):
+        raise LogFormatError(name, "only a zip archive has members")
+    if formats.is_packed(head):
+        return UnpackedSource(name, formats.unpack, lambda inside: _opened(inside, options, archives + 1))
+    recognised = formats.log_format(head)
+    if recognised is None:
+        raise LogFormatError(name, f"this is {formats.other_file(head, name)} ({formats.READABLE})", offset=0)
+    return _reader(name, recognised, sysid, vehicle, columns)(name, attitude=attitude, boot=boot)
 
 
 def _reader(

@@ -6,15 +6,14 @@ and zip archives are unpacked by `unpack`; `other_file` says what a file is that
 
 import gzip
 import re
-import tempfile
 import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Any
 
-from glstar.errors import LogFormatError
+from glstar.errors import LogFormatError, reading
+from glstar.system.files import UnpackedFolder
+from glstar.system.userinput import Unpacking, refuse_more
 from glstar.telemetry.bags import BagReader, is_bag
 from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader, is_dataflash, is_dataflash_dump
 from glstar.telemetry.mavlink.mavlogdump import MavlogdumpReader, is_mavlogdump
@@ -112,9 +111,6 @@ _KMZ = b"doc.kml"
 _HEAD_BYTES = 4096
 # Number of logs that a message lists.
 _LISTED = 20
-# Larger content is refused: a few kilobytes can unpack to any size, bytes.
-_LARGEST_BYTES = 16 << 30
-_PIECE_BYTES = 1 << 20
 
 
 def is_packed(head: bytes) -> bool:
@@ -122,62 +118,43 @@ def is_packed(head: bytes) -> bool:
     return head.startswith(_GZIP) or (head.startswith(_ZIP) and not is_office_file(head) and _KMZ not in head[:200])
 
 
-# What gzip and zipfile raise on damaged files; damaged names and directories of an archive end in the last two.
-_DAMAGED = (
-    EOFError,
-    zlib.error,
-    gzip.BadGzipFile,
-    zipfile.BadZipFile,
-    NotImplementedError,
-    RuntimeError,
-    IndexError,
-    UnicodeDecodeError,
-)
-
-
-def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
+def unpack(name: str) -> tuple[UnpackedFolder, Path]:
     """Unpack the log of a gzip file or a zip archive into a temporary directory, beside other files of the archive.
 
     `name` may be ``FILE.zip::member``.  Returns the directory, to be removed by its `cleanup`, and the log.  Raises
-    LogFormatError if the file is damaged, or does not hold exactly one log and none is named.
+    LogFormatError if the file is damaged or above a limit, or does not hold exactly one log and none is named.
     """
     archive, member = archive_and_member(name)
-    folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
+    folder = UnpackedFolder()
     try:
-        with Path(archive).open("rb") as file:
-            is_gzip = file.read(2) == _GZIP
-        if is_gzip:
-            path = Path(folder.name) / (PurePath(archive).stem or "log")
-            with gzip.open(archive) as packed:
-                _copy(name, packed, path, 0)
-            return folder, path
-        return folder, _unzipped(name, archive, member, Path(folder.name))
-    except _DAMAGED as error:
-        folder.cleanup()
-        raise LogFormatError(name, f"cannot be unpacked: {error}") from error
+        with reading(name, LogFormatError, "cannot be unpacked"):
+            return folder, _unpacked(name, archive, member, folder.path)
     except BaseException:
         folder.cleanup()
         raise
 
 
-def _copy(name: str, packed: Any, path: Path, before_bytes: int) -> int:
-    """Write the unpacked content to a file; return the total number of bytes."""
-    with path.open("xb") as file:
-        while piece := packed.read(_PIECE_BYTES):
-            before_bytes += len(piece)
-            if before_bytes > _LARGEST_BYTES:
-                raise LogFormatError(name, f"unpacks to more than {_LARGEST_BYTES >> 30} GiB")
-            file.write(piece)
-    return before_bytes
+def _unpacked(name: str, archive: str, member: str, folder: Path) -> Path:
+    """Return the log of a file, unpacked into a folder."""
+    unpacking = Unpacking(Path(archive).stat().st_size, "unpacked_gib")
+    with Path(archive).open("rb") as file:
+        is_gzip = file.read(2) == _GZIP
+    if not is_gzip:
+        return _unzipped(name, archive, member, folder, unpacking)
+    path = folder / (PurePath(archive).stem or "log")
+    with gzip.open(archive) as packed, path.open("xb") as file:
+        unpacking.copy(packed, file)
+    return path
 
 
-def _unzipped(name: str, archive_name: str, wanted: str, folder: Path) -> Path:
+def _unzipped(name: str, archive_name: str, wanted: str, folder: Path, unpacking: Unpacking) -> Path:
     """Unpack all files of an archive with their folders, and return the log that is wanted, or the only one."""
-    size = 0
     logs: dict[str, Path] = {}
     texts: dict[str, Path] = {}
     with zipfile.ZipFile(archive_name) as archive:
-        for number, member in enumerate(archive.infolist()):
+        members = archive.infolist()
+        refuse_more("members", len(members))
+        for number, member in enumerate(members):
             title = member.filename.replace("\\", "/")
             path = _inside(folder, title)
             if member.is_dir() or path.name.startswith("."):
@@ -186,8 +163,8 @@ def _unzipped(name: str, archive_name: str, wanted: str, folder: Path) -> Path:
                 title = f"{title}#{number + 1}"
                 path = folder / f"#{number + 1}" / path.name
             path.parent.mkdir(parents=True, exist_ok=True)
-            with archive.open(member) as packed:
-                size = _copy(name, packed, path, size)
+            with archive.open(member) as packed, path.open("xb") as whole:
+                unpacking.copy(packed, whole)
             with path.open("rb") as file:
                 head = file.read(_HEAD_BYTES)
             if (kind := log_format(head)) is not None:

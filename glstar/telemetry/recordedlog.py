@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from glstar.errors import LogFormatError, TelemetryError
+from glstar.errors import LogFormatError, TelemetryError, reading
 from glstar.flight import AttitudeTrack, CameraTriggers, Flight, FlightEvents, GimbalAttitude, PositionTrack
 from glstar.sky.place.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
@@ -38,7 +38,9 @@ def read_flight(source: TelemetrySource, options: FlightOptions = DEFAULT_OPTION
     LogFormatError
         If there are fewer than two attitudes, no UTC or no position, or no rates for ``"gyro"``.
     """
-    return RecordedLog.read(source).flight(options)
+    log = RecordedLog.read(source)
+    with reading(source.name, LogFormatError):
+        return log.flight(options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,11 @@ class RecordedLog:
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
         """Read an open source to its end; it is not closed.  Raises LogFormatError if no boot has two attitudes."""
+        with reading(source.name, LogFormatError):
+            return cls._read(source)
+
+    @classmethod
+    def _read(cls, source: TelemetrySource) -> Self:
         batches: defaultdict[int, list[Samples]] = defaultdict(list)
         for batch in source.samples():
             batches[batch.boot].append(batch)

@@ -8,7 +8,6 @@ temporary directory: unpacked, or completed.
 
 import io
 import os
-import tempfile
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -21,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float, Integer, Mask
-from glstar.errors import LogFormatError
+from glstar.errors import LogFormatError, reading
 from glstar.flight import ONLY_CAMERA, CameraTriggers, EventKind, FlightEvents, GimbalAttitude
 from glstar.sky.place.site import HEIGHTS_M
+from glstar.system.files import UnpackedFolder
 
 # Reason of the gap between two boots.
 REBOOT = "a reboot of the autopilot"
@@ -547,7 +547,7 @@ def archive_and_member(name: str) -> tuple[str, str]:
     return archive, member
 
 
-Unpack = Callable[[str], tuple["tempfile.TemporaryDirectory[str]", Path]]
+Unpack = Callable[[str], tuple[UnpackedFolder, Path]]
 
 
 class UnpackedSource(TelemetrySource):
@@ -598,7 +598,8 @@ class UnpackedSource(TelemetrySource):
     def _named(self) -> Iterator[None]:
         """Name the archive in errors, in place of the temporary file."""
         try:
-            yield
+            with reading(self._inside, LogFormatError):
+                yield
         except LogFormatError as error:
             reason = f"{Path(self._inside).name}: {error.reason}".replace(self._inside, Path(self._inside).name)
             raise LogFormatError(self.name, reason, offset=error.offset, lacks=error.lacks) from error

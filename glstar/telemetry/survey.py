@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from glstar.errors import TelemetryError
+from glstar.errors import LogFormatError, TelemetryError, reading
 from glstar.flight import ONLY_CAMERA, AttitudeTrack, ClockQuality, Flight, mean_rate_hz
 from glstar.sky.air.skybrightness import light_name
 from glstar.sky.observed.solarsystem import moon_over
@@ -123,6 +123,11 @@ def survey(
     A flight without UTC starts at 1970-01-01, one without position is at 0 N 0 E.  `flags`: the options as command-line
     flags, for the suggested command.  Raises LogFormatError if the log has no attitude.
     """
+    with reading(source.name, LogFormatError):
+        return _survey(source, options, flags)
+
+
+def _survey(source: TelemetrySource, options: FlightOptions, flags: Mapping[str, object]) -> tuple[Survey, Flight]:
     log = RecordedLog.read(source)
     recordings = log.recordings_of_flight(options.position)
     recording = recordings[0]

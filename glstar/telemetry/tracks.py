@@ -6,7 +6,7 @@ cannot be used, of a receiver without a fix or damaged, are passed over and coun
 
 import re
 import zipfile
-import zlib
+from codecs import lookup
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -20,16 +20,14 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from glstar.arrays import Float
-from glstar.errors import ConfigError, LogFormatError
+from glstar.errors import ConfigError, LogFormatError, reading
 from glstar.flight import PositionTrack
 from glstar.sky.place.timescale import parse_utc
-from glstar.system.userinput import read_bytes
+from glstar.system.userinput import Unpacking, limit_of, read_bytes, refuse_more
 from glstar.telemetry.source import flyable, is_missing_height, two_places, valid_positions
 
 # For messages.
 TRACK_FORMATS = "GPX, KML, KMZ, NMEA or IGC"
-# Larger files are refused as mistakes: a day of 10 Hz NMEA has 200 MB.
-_LARGEST_BYTES = 512 << 20
 _DAY_S = 86400.0
 # A longer time without a fix is between two flights, s.
 BETWEEN_FLIGHTS_S = 4 * 3600.0
@@ -40,9 +38,11 @@ _XML = re.compile(rb"^(\xef\xbb\xbf)?\s*<|^(\xff\xfe)?<\x00|^(\xfe\xff)?\x00<")
 # The root after comments and declarations; possessive, so that damaged comments are not searched again and again.
 _ROOT = re.compile(r"(?:<!--.*?-->|<[?!](?!--)|[^<]++)*+<(?:[\w.-]+:)?([A-Za-z]\w*)", re.S)
 _ENCODING = re.compile(rb"""^[^>]{0,80}encoding=["']([\w.-]+)["']""")
+# XML is parsed in pieces, so that deep nesting is found before the rest is parsed.
+_PIECE_CHARACTERS = 1 << 16
+# Of host names and of program texts: some need the square of the time.
+_NO_ENCODINGS = {"idna", "punycode", "unicode_escape", "raw_unicode_escape", "undefined", "utf-7"}
 _NMEA = re.compile(rb"\$[A-Z]{2}(RMC|GGA|ZDA),")
-# What zipfile raises if an archive is damaged or encrypted.
-_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 # Heights of KML that are above ground, or meaningless.
 _ABOVE_GROUND = {"relativeToGround", "relativeToSeaFloor", "clampToGround", "clampToSeaFloor"}
 
@@ -75,14 +75,14 @@ def read_track(path: str) -> GivenTrack:
 
     Raises LogFormatError if it cannot be read, or has no positions with times.
     """
+    with reading(path, LogFormatError, "cannot be read as a track"):
+        return _read_track(path)
+
+
+def _read_track(path: str) -> GivenTrack:
     passed: Counter[str] = Counter()
-    try:
-        kind, parse, text = _format(path, read_bytes(path, _LARGEST_BYTES))
-        fixes = np.array(sorted(parse(text, passed), key=lambda fix: fix[0]), dtype=np.float64).reshape(-1, 4)
-    except (ValueError, KeyError, IndexError, ET.ParseError, *_ZIP_ERRORS) as error:
-        if isinstance(error, LogFormatError):
-            raise
-        raise LogFormatError(path, f"cannot be read as a track: {error}") from error
+    kind, parse, text = _format(path, read_bytes(path, int(limit_of("content_mib"))))
+    fixes = np.array(sorted(parse(text, passed), key=lambda fix: fix[0]), dtype=np.float64).reshape(-1, 4)
     try:
         fixes = _valid(fixes, passed)
     except ValueError as error:
@@ -163,22 +163,22 @@ def _text(content: bytes) -> str:
     if content.startswith((b"<\x00", b"\x00<")):
         return content.decode("utf-16-le" if content.startswith(b"<") else "utf-16-be", errors="replace")
     declared = _ENCODING.match(content[:200])
+    encoding = declared[1].decode() if declared else "utf-8-sig"
     try:
-        return content.decode(declared[1].decode() if declared else "utf-8-sig", errors="replace").lstrip("\ufeff")
+        encoding = "utf-8-sig" if lookup(encoding).name in _NO_ENCODINGS else encoding
+        return content.decode(encoding, errors="replace").lstrip("\ufeff")
     except LookupError:
         return content.decode("utf-8-sig", errors="replace")
 
 
 def _kmz(path: str) -> bytes:
     with zipfile.ZipFile(path) as archive:
+        refuse_more("members", len(archive.namelist()))
         names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
         if not names:
             raise LogFormatError(path, "is a zip archive without a track")
         with archive.open(names[0]) as member:
-            content = member.read(_LARGEST_BYTES + 1)
-    if len(content) > _LARGEST_BYTES:
-        raise LogFormatError(path, f"unpacks to more than {_LARGEST_BYTES >> 20} MiB")
-    return content
+            return Unpacking(Path(path).stat().st_size, "content_mib").read(member)
 
 
 def _elements(text: str, passed: Counter[str]) -> Iterator[tuple[str, ET.Element]]:
@@ -192,18 +192,22 @@ def _elements(text: str, passed: Counter[str]) -> Iterator[tuple[str, ET.Element
     parser: ET.XMLPullParser[ET.Element] = ET.XMLPullParser(["start", "end"])
     ended = 0
     around: list[ET.Element] = []
+    text, deepest = text.lstrip(), limit_of("depth")
     try:
-        parser.feed(text.lstrip())
-        for event, element in cast(Iterator[tuple[str, ET.Element]], parser.read_events()):
-            name = str(element.tag).rpartition("}")[2]
-            if event == "start":
-                around.append(element)
-                continue
-            ended += 1
-            around.pop()
-            if name == "Track" and around:
-                element.extend([child for child in around[-1] if str(child.tag).endswith("altitudeMode")])
-            yield name, element
+        for at in range(0, len(text) + 1, _PIECE_CHARACTERS):
+            parser.feed(text[at : at + _PIECE_CHARACTERS])
+            for event, element in cast(Iterator[tuple[str, ET.Element]], parser.read_events()):
+                name = str(element.tag).rpartition("}")[2]
+                if event == "start":
+                    around.append(element)
+                    if len(around) > deepest:
+                        refuse_more("depth", len(around))
+                    continue
+                ended += 1
+                around.pop()
+                if name == "Track" and around:
+                    element.extend([child for child in around[-1] if str(child.tag).endswith("altitudeMode")])
+                yield name, element
         parser.close()
     except ET.ParseError as error:
         if not ended:
@@ -249,6 +253,7 @@ def _gpx(text: str, passed: Counter[str]) -> Iterator[_Fix]:
                 yield _Fix(_utc_s(texts["time"]), *place_deg, _height_m(texts.get("ele", "")))
             except (ValueError, KeyError):
                 passed["without a readable place or time"] += 1
+        element.clear()
 
 
 def _kml(text: str, passed: Counter[str]) -> Iterator[_Fix]:
@@ -268,6 +273,8 @@ def _kml(text: str, passed: Counter[str]) -> Iterator[_Fix]:
                 place = dict(_texts(children["Point"])).get("coordinates", "")
                 above = _is_above_ground(children["Point"])
                 yield from _kml_fixes([(when, place.split(","))], above, passed)
+        if name in {"Track", "Placemark"}:
+            element.clear()
 
 
 def _is_above_ground(geometry: ET.Element) -> bool:

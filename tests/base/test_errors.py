@@ -1,7 +1,12 @@
 """What glstar refuses: the tree of errors, what each carries, and what it says."""
 
+import json
 import pickle
 import re
+import zlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -163,3 +168,73 @@ def test_an_error_of_another_process_keeps_its_attributes(error: GlstarError) ->
     assert type(revived) is type(error)
     assert str(revived) == str(error)
     assert vars(revived) == vars(error)
+
+
+def _parsed(text: str) -> object:
+    return json.loads(text)
+
+
+def _refused(_text: str) -> object:
+    raise ValueError("is longer than a page")
+
+
+@pytest.mark.parametrize(
+    ("refusal", "message"),
+    [
+        (LogFormatError, "/log.BIN: cannot be read: Expecting value: line 1 column 1 (char 0)"),
+        (ConfigError, "/log.BIN: cannot be read: Expecting value: line 1 column 1 (char 0)"),
+        (CalibrationError, "/log.BIN: cannot be read: Expecting value: line 1 column 1 (char 0)"),
+        (lambda path, text: ConfigError(f"{path} {text}", key="sky.horizon"), "sky.horizon: /log.BIN cannot be read: "),
+    ],
+)
+def test_what_a_library_raises_over_a_file_is_one_line_that_names_it(
+    refusal: Callable[..., GlstarError], message: str
+) -> None:
+    with pytest.raises(GlstarError) as caught, errors.reading("/log.BIN", refusal):
+        _parsed("no JSON")
+
+    assert str(caught.value).startswith(message)
+    assert isinstance(caught.value.__cause__, ValueError)
+
+
+def test_other_errors_of_files_are_worded_for_the_user() -> None:
+    for error, words in {
+        MemoryError(): "it needs more memory than there is",
+        RecursionError("maximum"): "it is nested too deeply",
+        KeyError("stars"): "it has no stars",
+        FileNotFoundError(2, "No such file"): "No such file",
+        zlib.error("Error -3\n  while"): "Error -3 while",
+        EOFError(): "EOFError",
+    }.items():
+        with pytest.raises(LogFormatError) as caught, errors.reading("/log.BIN", LogFormatError, "cannot be unpacked"):
+            raise error
+        assert str(caught.value) == f"/log.BIN: cannot be unpacked: {words}"
+
+
+def test_an_error_of_glstar_passes_a_boundary_unchanged() -> None:
+    inner = LogFormatError("/log.BIN", "is empty", offset=0)
+
+    with pytest.raises(LogFormatError) as caught, errors.reading("/other", CalibrationError):
+        raise inner
+
+    assert caught.value is inner
+
+
+def test_a_mistake_of_glstar_s_own_code_is_no_damage_for_developers_and_the_tests(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # The lines of this file take the part of glstar's.
+    monkeypatch.setattr(errors, "_PACKAGE", str(Path(__file__).parent))
+
+    reading = partial(errors.reading, "/log.BIN", LogFormatError)
+
+    with pytest.raises(KeyError), reading():
+        {}["roll"]
+    with pytest.raises(LogFormatError, match=r"^/log\.BIN: is longer than a page$"), reading():
+        _refused("")
+    with pytest.raises(LogFormatError, match="it has no roll"), reading(is_unchecked=True):
+        {}["roll"]
+
+    monkeypatch.delenv("GLSTAR_DEVELOPMENT")
+    with pytest.raises(LogFormatError, match=r"^/log\.BIN: cannot be read: it has no roll$"), reading():
+        {}["roll"]

@@ -421,7 +421,8 @@ def test_a_file_without_camera_matrix_says_what_is_read(tmp_path: Path) -> None:
         (b"K: !!python/object/apply:os.system [true]", "is not YAML: line 1, column 4: could not determine"),
         (b"a: &a {b: 1}\nK: {<<: *a}\n", "merge keys (<<) are not read"),
         (b"[" * 5000, "is not YAML"),
-        (b"a: 2024-13-45\n", "is not YAML that describes a camera: month must be in 1..12"),
+        (b"a: 2024-13-45\n", "has no camera matrix"),
+        (b"<opencv_storage><K>1</K><K>2</K></opencv_storage>", "the key K occurs twice, with two values"),
         (b"cam0: 3\n", "cam0 holds no keys and values, but one value"),
         (b"cam0: {camera_model: pinhole}\n", "cam0 has no intrinsics"),
         (b"cam0: {intrinsics: [1, 2], resolution: [3, 4]}\n", "cam0.intrinsics holds 2 numbers"),
@@ -432,6 +433,25 @@ def test_a_file_that_is_no_calibration_is_refused_in_one_line(tmp_path: Path, co
     path.write_bytes(content)
 
     assert words in refusal(path)
+
+
+@pytest.mark.parametrize("width", ["01014", "+1014", "1014.0", "1.014e3", "'1014'"])
+def test_a_number_of_a_camera_file_is_decimal(tmp_path: Path, width: str) -> None:
+    path = write(tmp_path / "ost.yaml", ROS.replace("image_width: 1014", f"image_width: {width}"))
+
+    assert camera_from_file(path).width_px == 1014
+
+
+@pytest.mark.parametrize("width", ["16:54", "0x3F6", "0b1111110110"])
+def test_a_number_that_is_not_decimal_is_refused(tmp_path: Path, width: str) -> None:
+    path = write(tmp_path / "ost.yaml", ROS.replace("image_width: 1014", f"image_width: {width}"))
+
+    assert refusal(path) == f"image_width must be a number, not '{width}'"
+
+
+@pytest.mark.parametrize("remark", ["serial: 0012345", "calibration_time: 12:30:00", "date: 2024-13-45"])
+def test_numbers_of_other_keys_are_text(tmp_path: Path, remark: str) -> None:
+    assert camera_from_file(write(tmp_path / "ost.yaml", f"{ROS}\n{remark}\n")).width_px == 1014
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:

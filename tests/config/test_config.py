@@ -448,7 +448,7 @@ def test_a_sensor_is_given_by_a_file_or_by_numbers(write: Write) -> None:
     [
         (b"[exposure]\nduration_s 3\n", "line 2, column 12: Expected '=' after a key in a key/value pair (TOML)"),
         (b"[exposure]\nduration_s = 1\nduration_s = 2\n", "line 3, column "),
-        (b"x = [" + b"[" * 5000, "is nested too deep to be a config"),
+        (b"x = [" + b"[" * 5000, "is nested too deeply"),
         (b"x = 1" + b"0" * 5000, "Exceeds the limit"),
         (b"\xff\xfe[\x00", "is not UTF-8 text (byte 0xff at offset 0)"),
         (b"# caf\xe9\n", "is not UTF-8 text (byte 0xe9 at offset 5)"),

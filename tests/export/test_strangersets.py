@@ -111,3 +111,24 @@ def test_what_a_navigator_does_to_its_images_leaves_those_of_the_truth_alone(tmp
         image.write(b"spoiled")
 
     assert (tmp_path / "truth" / "frame_000000.png").read_bytes() == before
+
+
+@pytest.mark.parametrize("kind", ["csv", "coco", "yolo", "webdataset", "mcap", "png", "srt"])
+@pytest.mark.parametrize("damage", ['"x_px"', '"duration_s": 0.5', '"vmag": '])
+def test_a_truth_with_missing_or_odd_values_is_refused_in_one_line_or_converted(
+    kind: str, damage: str, stranger: Path, tmp_path: Path
+) -> None:
+    truth = stranger / "truth.jsonl"
+    text = truth.read_text()
+    assert damage in text.replace('":', '": ') or damage in text
+    odd = {'"x_px"': '"y_pixels"', '"duration_s": 0.5': '"duration_s": "long"', '"vmag": ': '"vmag": []+'}[damage]
+    truth.write_text(text.replace(damage, odd).replace(damage.replace(": ", ":"), odd.replace(": ", ":")))
+    target = tmp_path / (TARGETS | {"csv": "csv", "srt": "set.srt"})[kind]
+
+    result = RUNNER.invoke(app, ["convert", str(stranger), "--to", kind, "-o", str(target)])
+
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    assert result.exit_code in {0, 1}
+    if result.exit_code:
+        assert result.stderr.startswith(f"glstar: {stranger}")
+        assert result.stderr.count("\n") == 1

@@ -149,7 +149,7 @@ def test_an_image_deleted_after_opening_is_listed(folder: Path, images: RealImag
     gone.path.unlink()
 
     assert await_pixels(images, gone) is None
-    assert images.problems == ["20190729_204729.png: cannot be read: No such file or directory"]
+    assert images.problems == ["20190729_204729.png: there is no such file"]
 
 
 def test_a_table_in_the_folder_is_read_and_names_supplement_it(folder: Path) -> None:

@@ -292,7 +292,7 @@ def test_a_table_without_the_expected_columns_is_rejected(tmp_path: Path, conten
     table = tmp_path / "images.csv"
     table.write_bytes(content)
 
-    with pytest.raises(ImagesError, match=r"columns file and utc|cannot be read as a table"):
+    with pytest.raises(ImagesError, match=r"columns file and utc|is not UTF-8 text"):
         read_table(table)
 
 

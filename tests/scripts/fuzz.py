@@ -1,22 +1,27 @@
-"""Damage logs at random and open them: the result is a flight or a LogFormatError.
+"""Damage files of every kind at random and read them: the result is a value or one line of glstar.
 
 ::
 
-    python -m tests.scripts.fuzz --mutants 20000 --seed 1
+    python -m tests.scripts.fuzz --count 20000
+    python -m tests.scripts.fuzz --kind Parquet --kind maps --count 500 --seed 7
 
-The logs are small, so that a mutant takes milliseconds: some are written here, some are cut from real logs if
-``../shared/logs`` exists.  A mutant fails by any other exception or warning, by more than 5 s or by more than 1 GB; its
-bytes are kept in ``fuzz-failures``.  The same seed makes the same mutants.
+The files are small, so that a mutant takes milliseconds: most are written by the tests' own writers, some are cut from
+real logs if ``../shared/logs`` exists.  `--count` mutants are made of each family, such as logs, tracks or images.  A
+mutant fails by any other exception or warning, by more than 0.5 s of processor time or by more than 300 MB of memory;
+its bytes are kept in ``fuzz-failures``.  Child processes read them: one that crashes or hangs is replaced.  The seed is
+drawn for each run and printed; the same seed makes the same mutants.
 
-``--joined 2000`` also makes 2000 files of each format from pieces of several logs, and checks that every attitude and
-every UTC that is read is that of one of the pieces.
+``--joined 2000`` also makes 2000 files of each format of logs from pieces of several, and checks that every attitude
+and every UTC that is read is that of one of the pieces.
 """
 
 import argparse
-import gzip
 import io
+import multiprocessing
+import os
 import random
-import signal
+import re
+import secrets
 import struct
 import sys
 import tempfile
@@ -26,9 +31,14 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import takewhile
+from math import inf
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,39 +49,25 @@ from glstar.sky.place.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import open_flight, open_source
 from tests.support import bags, joinedlogs, tlog, ulog
+from tests.support.fuzzkinds import READ, Kind, chunks, gzipped, kinds, lines, packed, refusal, workbook, zipped
 from tests.telemetry import test_mappedtable as mapped
 
-try:
-    import resource
-except ImportError:  # not a Unix
-    resource = None
-
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
-SLOWEST_S = 5.0
-MOST_BYTES = 1 << 30
+# Processor time and memory of a mutant, and the wall time after which its process is replaced.
+SLOWEST_S, MOST_BYTES, HANGING_S = 0.5, 300 << 20, 120.0
+# Limits of the manual, lowered: what is within them takes little memory.
+LIMITS = {"MEGAPIXELS": "6", "CONTENT_MIB": "32", "UNPACKED_GIB": "0.03125", "ROWS": "200000", "CELLS": "300000"}
 HOME = Site(latitude_rad=-0.6, longitude_rad=2.4)
 
 
-@dataclass(frozen=True)
-class Seed:
-    """A small valid log: its files, the first of which is opened, and a function that splits a file into records."""
-
-    name: str
-    files: dict[str, bytes]
-    records: Callable[[bytes], list[bytes]]
-    attitudes: tuple[str, ...] = ("auto",)
-    # Offset of the numbers in a record, and a function that corrects the check sum of a changed record.
-    body: int = 0
-    mend: Callable[[bytes], bytes] = field(default=bytes)
-    text: bool = False
-
-    @property
-    def main(self) -> str:
-        return next(iter(self.files))
+def Log(name: str, files: dict[str, bytes], records: Callable[[bytes], list[bytes]], *more: Any, **fields: Any) -> Kind:
+    """Return a kind of logs; `more`: names of attitudes, body, mend."""
+    fields |= dict(zip(("attitudes", "body", "mend"), more, strict=False))
+    return Kind("logs", name, files, records, **fields)
 
 
 # --- the logs -------------------------------------------------------------------------------------------------------
-def seeds() -> list[Seed]:
+def seeds() -> list[Kind]:
     """Return a small log of every format."""
     found = [_table(), _table(rates=True), _dataflash(), _tlog(), _ulog(), _mavlogdump(), _ulog2csv()]
     for extra in (_dataflash_text, _dataflash_dump, _tables_of_others, _bags, _packed):
@@ -79,21 +75,19 @@ def seeds() -> list[Seed]:
     for path in sorted(LOGS.glob("*")):
         data = path.read_bytes()
         if path.suffix == ".tlog":
-            found.append(
-                Seed(f"{path.name} cut", {"cut.tlog": data[:40_000]}, packets, ("auto", "ATTITUDE"), 8, summed)
-            )
+            found.append(Log(f"{path.name} cut", {"cut.tlog": data[:40_000]}, packets, ("auto", "ATTITUDE"), 8, summed))
         elif path.suffix == ".ulg":
             found.append(
-                Seed(f"{path.name} cut", {"cut.ulg": data[:90_000]}, messages, ("auto", "vehicle_attitude[0]"), 5)
+                Log(f"{path.name} cut", {"cut.ulg": data[:90_000]}, messages, ("auto", "vehicle_attitude[0]"), 5)
             )
         elif path.suffix == ".BIN":
             found.append(
-                Seed(f"{path.name} cut", {"cut.bin": data[:20_000] + data[-20_000:]}, heads, ("auto", "ATT"), 3)
+                Log(f"{path.name} cut", {"cut.bin": data[:20_000] + data[-20_000:]}, heads, ("auto", "ATT"), 3)
             )
     return found
 
 
-def _table(*, rates: bool = False) -> Seed:
+def _table(*, rates: bool = False) -> Kind:
     header = "utc,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg,height_m"
     header += ",roll_rate_deg_per_s,pitch_rate_deg_per_s,yaw_rate_deg_per_s" if rates else ""
     rows = [
@@ -101,13 +95,11 @@ def _table(*, rates: bool = False) -> Seed:
         + (",10,0,1e1" if rates else "")
         for i in range(60)
     ]
-    return Seed(f"table{' with rates' * rates}", {"flight.csv": "\n".join([header, *rows]).encode()}, lines, text=True)
+    return Log(f"table{' with rates' * rates}", {"flight.csv": "\n".join([header, *rows]).encode()}, lines, text=True)
 
 
-def _dataflash() -> Seed:
-    return Seed(
-        "DataFlash", {"log.bin": asset("adelaide.BIN").read_bytes()[:30_000]}, heads, ("auto", "ATT", "XKQ1"), 3
-    )
+def _dataflash() -> Kind:
+    return Log("DataFlash", {"log.bin": asset("adelaide.BIN").read_bytes()[:30_000]}, heads, ("auto", "ATT", "XKQ1"), 3)
 
 
 def _tlog_packets() -> tlog.Log:
@@ -128,9 +120,9 @@ def _tlog_packets() -> tlog.Log:
     return log
 
 
-def _tlog() -> Seed:
+def _tlog() -> Kind:
     data = _tlog_packets().data()
-    return Seed("telemetry log", {"log.tlog": data}, packets, ("auto", "ATTITUDE", "XKQ"), 8, summed)
+    return Log("telemetry log", {"log.tlog": data}, packets, ("auto", "ATTITUDE", "XKQ"), 8, summed)
 
 
 def _ulog_log() -> ulog.Log:
@@ -145,12 +137,12 @@ def _ulog_log() -> ulog.Log:
     return log
 
 
-def _ulog() -> Seed:
+def _ulog() -> Kind:
     data = _ulog_log().data(ulog.Log.message("I", b"\x10char[3] sys_namePX4"))
-    return Seed("ULog", {"log.ulg": data}, messages, ("auto", "estimator_attitude[1]", "vehicle_attitude"), 5)
+    return Log("ULog", {"log.ulg": data}, messages, ("auto", "estimator_attitude[1]", "vehicle_attitude"), 5)
 
 
-def _mavlogdump() -> Seed:
+def _mavlogdump() -> Kind:
     """Return the table that mavlogdump writes of the telemetry log."""
     log = _tlog_packets()
     fields = {
@@ -168,10 +160,10 @@ def _mavlogdump() -> Seed:
         if message.get_type() in fields:
             stamp = f"{struct.unpack('>Q', packet[:8])[0] * 1e-6:.8f}"
             rows.append(",".join([stamp, *(values.get(column, "") for column in columns)]))
-    return Seed("mavlogdump", {"dump.csv": "\n".join(rows).encode()}, lines, ("auto", "ATTITUDE"), text=True)
+    return Log("mavlogdump", {"dump.csv": "\n".join(rows).encode()}, lines, ("auto", "ATTITUDE"), text=True)
 
 
-def _ulog2csv() -> Seed:
+def _ulog2csv() -> Kind:
     attitude = ["timestamp,q[0],q[1],q[2],q[3],quat_reset_counter"]
     attitude += [f"{30_000_000 + 20_000 * i},1.0,0.0,0.0,{i * 1e-4},2" for i in range(40)]
     gps = ["timestamp,time_utc_usec,lat,lon,alt,fix_type,timestamp_time_relative"]
@@ -185,10 +177,10 @@ def _ulog2csv() -> Seed:
     files = {"vehicle_attitude": attitude, "vehicle_gps_position": gps, "vehicle_angular_velocity": rates}
     files |= {"vehicle_status": status}
     named = {f"log_{name}_0.csv": "\n".join(rows).encode() for name, rows in files.items()}
-    return Seed("ulog2csv", named, lines, ("auto", "vehicle_attitude", "estimator_attitude"), text=True)
+    return Log("ulog2csv", named, lines, ("auto", "vehicle_attitude", "estimator_attitude"), text=True)
 
 
-def _dataflash_text() -> list[Seed]:
+def _dataflash_text() -> list[Kind]:
     """Return a DataFlash log as text, as Mission Planner writes it."""
     columns = {
         "FMT": ("BBnNZ", "Type,Length,Name,Format,Columns"),
@@ -205,10 +197,10 @@ def _dataflash_text() -> list[Seed]:
         if i % 10 == 0:
             rows.append(f"GPS, {at}, 3, {39600000 + 20 * i}, 2305, -34.93, 138.60, 48.0")
     data = "\n".join(rows).encode()
-    return [Seed("DataFlash as text", {"log.log": data}, lines, ("auto", "ATT", "XKQ"), text=True)]
+    return [Log("DataFlash as text", {"log.log": data}, lines, ("auto", "ATT", "XKQ"), text=True)]
 
 
-def _dataflash_dump() -> list[Seed]:
+def _dataflash_dump() -> list[Kind]:
     att = ["timestamp,TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,AEKF"]
     gps = ["timestamp,TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,U"]
     for i in range(50):
@@ -217,10 +209,10 @@ def _dataflash_dump() -> list[Seed]:
         if i % 10 == 0:
             gps.append(f"{t:.8f},{at},0,3,{39618000 + 20 * i},2305,10,1.2,-34.93,138.60,48.0,1")
     named = {"log_ATT.csv": "\n".join(att).encode(), "log_GPS.csv": "\n".join(gps).encode()}
-    return [Seed("mavlogdump of DataFlash", named, lines, ("auto", "ATT"), text=True)]
+    return [Log("mavlogdump of DataFlash", named, lines, ("auto", "ATT"), text=True)]
 
 
-def _tables_of_others() -> list[Seed]:
+def _tables_of_others() -> list[Kind]:
     """Return tables that are read by a map of columns: AirData's CSV, Parquet and Excel."""
     table = mapped.euler_table(roll=" roll(degrees)", pitch=" pitch(degrees)", yaw=" compass_heading(degrees)")
     table["altitude_above_seaLevel(feet)"] = table.pop("height") / 0.3048
@@ -235,45 +227,34 @@ def _tables_of_others() -> list[Seed]:
     own.to_parquet(parquet)
     own.head(60).to_excel(excel, index=False)
     return [
-        Seed("AirData", {"airdata.csv": table.head(60).to_csv(index=False).encode()}, lines, text=True),
-        Seed("Parquet", {"flight.parquet": parquet.getvalue()}, chunks),
-        Seed("Excel", {"flight.xlsx": excel.getvalue()}, chunks),
+        Log("AirData", {"airdata.csv": table.head(60).to_csv(index=False).encode()}, lines, text=True),
+        Log("Parquet", {"flight.parquet": parquet.getvalue()}, chunks),
+        Log("Excel", {"flight.xlsx": excel.getvalue()}, chunks, **workbook(excel.getvalue())),
     ]
 
 
-def _bags() -> list[Seed]:
+def _bags() -> list[Kind]:
     """Return bags of ROS 1 and ROS 2, each one file."""
     with tempfile.TemporaryDirectory() as name:
         bags.written(Path(name) / "flight.bag", "bag")
-        found = [Seed("ROS 1 bag", {"flight.bag": (Path(name) / "flight.bag").read_bytes()}, chunks)]
+        found = [Log("ROS 1 bag", {"flight.bag": (Path(name) / "flight.bag").read_bytes()}, chunks)]
         for kind in ("db3", "mcap"):
             written = next(bags.written(Path(name) / kind, kind).glob(f"*.{kind}"))
-            found.append(Seed(f"ROS 2 {kind}", {f"flight.{kind}": written.read_bytes()}, chunks))
+            found.append(Log(f"ROS 2 {kind}", {f"flight.{kind}": written.read_bytes()}, chunks))
     return found
 
 
-def _packed() -> list[Seed]:
-    """Return a table in gzip and in a zip archive."""
-    name, content = next(iter(_table().files.items()))
-    archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr(name, content)
-    return [
-        Seed("gzip", {f"{name}.gz": gzip.compress(content, mtime=0)}, chunks),
-        Seed("zip", {"flight.zip": archive.getvalue()}, chunks),
-    ]
+def _packed() -> list[Kind]:
+    """Return a table in gzip, and in zip archives of each compression."""
+    table = _table()
+    methods = {"zip": zipfile.ZIP_DEFLATED, "zip by bzip2": zipfile.ZIP_BZIP2, "zip by LZMA": zipfile.ZIP_LZMA}
+    found = [packed(table, "gzip", f"{table.main}.gz", gzipped, text=False)]
+    for name, method in methods.items():
+        found.append(packed(table, name, "flight.zip", partial(zipped, name="flight.csv", method=method), text=False))
+    return found
 
 
 # --- records --------------------------------------------------------------------------------------------------------
-def lines(data: bytes) -> list[bytes]:
-    return data.splitlines(keepends=True)
-
-
-def chunks(data: bytes) -> list[bytes]:
-    """Return pieces of 64 bytes, of formats whose records need their library."""
-    return [data[at : at + 64] for at in range(0, len(data), 64)]
-
-
 def heads(data: bytes) -> list[bytes]:
     """Return the records of a DataFlash log, split at the header bytes."""
     first, *rest = data.split(b"\xa3\x95")
@@ -325,23 +306,27 @@ ODD_CELLS = ("nan", "inf", "-inf", "1e400", "-1", "0", "1e308", "1e18", "1844674
 ODD_CELLS += ("x", "", "é", "''", '"', "0x10", "1_000", "2024-03-10T11:00:00Z", "9999-12-31", "timestamp")
 
 
-def mutate(seed: Seed, others: list[Seed], chance: random.Random) -> dict[str, bytes]:
-    """Return the files of a log, one of them with one to three kinds of damage."""
-    files = dict(seed.files)
-    name = chance.choice([seed.main, *files])
-    data = files[name]
+def mutate(kind: Kind, others: list[Kind], chance: random.Random) -> dict[str, bytes]:
+    """Return the files of a kind, one of them with one to three kinds of damage, or what is packed in it."""
+    files = dict(kind.files)
+    name = chance.choice([kind.main, kind.main, *files])
+    is_inner = kind.pack is not None and chance.random() < 0.6
+    data = kind.inner if is_inner else files[name]
     for _ in range(chance.choice((1, 1, 2, 3))):
-        data = chance.choice(DAMAGES)(seed, data, others, chance)
+        damages = (*DAMAGES, *TEXT_DAMAGES) if kind.text or is_inner else DAMAGES
+        data = chance.choice(damages)(kind, data, others, chance)
+    if is_inner and kind.pack is not None:
+        name, data = kind.main, kind.pack(data)
     files[name] = data
     return files
 
 
-def cut(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
+def cut(_kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
     at = chance.randrange(len(data) + 1)
     return data[:at] if chance.random() < 0.8 else data[at:]
 
 
-def flip(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
+def flip(_kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
     changed = bytearray(data)
     span = chance.choice((300, 4000, len(data)))
     for _ in range(chance.choice((1, 5, 50, 500)) if changed else 0):
@@ -350,9 +335,9 @@ def flip(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> 
     return bytes(changed)
 
 
-def shuffle(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
+def shuffle(kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
     """Repeat, remove, move or swap records."""
-    records = seed.records(data)
+    records = kind.records(data)
     start = chance.randrange(len(records) or 1)
     some = records[start : start + chance.choice((1, 3, 30))]
     change = chance.randrange(4)
@@ -371,145 +356,311 @@ def shuffle(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) 
     return b"".join(records)
 
 
-def put_odd_numbers(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
-    """Put NaN, infinities or absurd times into some records."""
-    records = seed.records(data)
+def put_odd_numbers(kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
+    """Put NaN, infinities or absurd numbers into some records."""
+    records = kind.records(data)
     for _ in range(chance.choice((1, 3, 20, len(records)))):
         at = chance.randrange(len(records) or 1) if records else 0
         if not records:
             break
         record = bytearray(records[at])
-        if seed.text:
+        if kind.text:
             cells = records[at].decode(errors="replace").rstrip("\n").split(",")
             cells[chance.randrange(len(cells))] = chance.choice(ODD_CELLS)
             records[at] = (",".join(cells) + "\n").encode()
             continue
         odd = chance.choice(ODD_NUMBERS)
-        where = chance.choice((0, 4, 8, chance.randrange(len(record) or 1))) + seed.body
-        where += chance.choice((0, 10)) if seed.mend is summed else 0
+        where = chance.choice((0, 4, 8, chance.randrange(len(record) or 1))) + kind.body
+        where += chance.choice((0, 10)) if kind.mend is summed else 0
         record[where : where + len(odd)] = odd[: max(0, len(record) - where)]
-        records[at] = seed.mend(bytes(record))
+        records[at] = kind.mend(bytes(record))
     return b"".join(records)
 
 
-def splice(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
+def splice(_kind: Kind, data: bytes, others: list[Kind], chance: random.Random) -> bytes:
     """Put a part of another file into this one."""
     other = chance.choice(others)
     foreign = other.files[other.main]
-    start = chance.randrange(len(foreign))
+    start = chance.randrange(len(foreign) or 1)
     part = foreign[start : start + chance.choice((10, 200, 5000))]
     at = chance.choice((0, len(data), chance.randrange(len(data) + 1)))
     return data[:at] + part + data[at:]
 
 
+_WORD = re.compile(rb"[-+.\w]+")
+
+
+def swap_words(_kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
+    """Swap two words of a text, or put one in place of another."""
+    words = list(_WORD.finditer(data))
+    if len(words) < 2:
+        return data
+    one, two = sorted(chance.sample(words, 2), key=lambda word: word.start())
+    first = two[0] if chance.random() < 0.7 else one[0]
+    return data[: one.start()] + first + data[one.end() : two.start()] + one[0] + data[two.end() :]
+
+
+def put_odd_words(_kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
+    """Put extreme numbers or other values in place of some words of a text, such as a value of JSON."""
+    for _ in range(chance.choice((1, 2, 9))):
+        if words := list(_WORD.finditer(data)):
+            word = chance.choice(words)
+            data = data[: word.start()] + chance.choice(ODD_WORDS) + data[word.end() :]
+    return data
+
+
+def nest(_kind: Kind, data: bytes, _others: list[Kind], chance: random.Random) -> bytes:
+    """Put brackets or elements inside each other."""
+    opened = chance.choice((b"[", b'{"a":', b"<a>", b"<Placemark>", b"(", b"- ", b'"'))
+    at = chance.choice((0, len(data), chance.randrange(len(data) + 1)))
+    return data[:at] + opened * chance.choice((1, 3, 70, 3000)) + data[at:]
+
+
+_ODD_TEXTS = (*ODD_CELLS, "null", "true", "[]", "{}", "[[1, 2], 3]", "{a: 1}", "0500", "1:20", "1e999", "-0", "~")
+_ODD_BYTES = (b"9" * 400, b"\xff\xfe", b"\r", b"\0", b"&a", b"*a", b"<<", b"!!python/none", b"<!ENTITY a 'b'>")
+ODD_WORDS = (*(text.encode() for text in _ODD_TEXTS), *_ODD_BYTES)
 DAMAGES = (cut, flip, flip, shuffle, put_odd_numbers, put_odd_numbers, splice)
+TEXT_DAMAGES = (swap_words, swap_words, put_odd_words, put_odd_words, put_odd_words, nest)
 
 
 # --- trials ---------------------------------------------------------------------------------------------------------
-class TooSlowError(Exception):
-    """Opening a mutant exceeded the time limit."""
-
-
-@contextmanager
-def limits() -> Iterator[None]:
-    """Limit a block to 5 s, on systems with interval timers."""
-    if not hasattr(signal, "setitimer"):
-        yield
-        return
-
-    def late(*_: object) -> None:
-        raise TooSlowError(f"more than {SLOWEST_S} s")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, SLOWEST_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-
-
-def limit_memory() -> None:
-    """Limit this process to 1 GB more than its present memory, on Unix."""
-    if resource is None:
-        return
-    pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
-    if pages:
-        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MOST_BYTES, resource.RLIM_INFINITY))
-
-
-def attempt(path: Path, seed: Seed, attitude: str, chance: random.Random) -> str:
-    """Open a mutant as all commands do; return ``"a flight"`` or the start of the error message."""
+def attempt(path: Path, kind: Kind, attitude: str, chance: random.Random) -> str:
+    """Open a damaged log as all commands do; return `READ` or the start of the error message."""
     site = HOME if chance.random() < 0.5 else None
     utc_start = 1.7e9 if chance.random() < 0.5 else None
-    with limits():
-        try:
-            with open_source(path, attitude=attitude) as source:
-                source.facts()
-                for name, samples in source.attitudes():
-                    assert name
-                    assert len(samples.clock_s) == len(samples.q_body_ned) == len(samples.segment)
-        except LogFormatError as error:
-            _is_one_line(error, path)
-        try:
-            flight = open_flight(path, attitude=attitude, site=site, utc_start=utc_start)
-        except LogFormatError as error:
-            _is_one_line(error, path)
-            return str(error).split(": ", 1)[-1][:40]
-        track = flight.attitude
-        q = track.at([track.first_s, (track.first_s + track.last_s) / 2, track.last_s])
-        np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1.0, rtol=0, atol=1e-9)
-        place = flight.position.at(track.first_s)
-        assert abs(place.latitude_rad) <= np.pi / 2
-        assert np.isfinite(place.height_m)
-        assert np.isfinite(track.utc_s).all()
-        if not seed.text and seed.name not in {"Parquet", "Excel"}:  # a table's times are the user's
-            assert track.last_s - track.first_s < 61 * 86400
-        return "a flight"
+    try:
+        with open_source(path, attitude=attitude) as source:
+            source.facts()
+            for name, samples in source.attitudes():
+                assert name
+                assert len(samples.clock_s) == len(samples.q_body_ned) == len(samples.segment)
+    except LogFormatError as error:
+        refusal(error, path)
+    try:
+        flight = open_flight(path, attitude=attitude, site=site, utc_start=utc_start)
+    except LogFormatError as error:
+        return refusal(error, path)
+    track = flight.attitude
+    q = track.at([track.first_s, (track.first_s + track.last_s) / 2, track.last_s])
+    np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1.0, rtol=0, atol=1e-9)
+    place = flight.position.at(track.first_s)
+    assert abs(place.latitude_rad) <= np.pi / 2
+    assert np.isfinite(place.height_m)
+    assert np.isfinite(track.utc_s).all()
+    is_table = kind.text or kind.pack is not None or kind.name in {"Parquet", "Excel"}  # its times are the user's
+    if not is_table:
+        assert track.last_s - track.first_s < 61 * 86400
+    return READ
 
 
-def _is_one_line(error: LogFormatError, path: Path) -> None:
-    assert "\n" not in str(error), "a refusal of more than one line"
-    assert str(path.parent) in str(error), "a refusal that does not name the file"
+@dataclass
+class Trial:
+    """What came of one mutant."""
+
+    number: int
+    kind: str
+    outcome: str = ""  # `READ`, or the start of the message
+    failure: str = ""
+    seconds: float = 0.0
+    memory_bytes: int = 0
+    files: dict[str, bytes] = field(default_factory=dict)  # Of a failure
 
 
-def run(
-    mutants: int, seed: int, folder: Path, keep: Path | None
-) -> tuple[Counter[str], dict[str, Counter[str]], float]:
-    """Try mutants of every format in turn; return the failures, the other outcomes, and the longest time, s."""
-    logs = seeds()
-    failures: Counter[str] = Counter()
-    outcomes: dict[str, Counter[str]] = {log.name: Counter() for log in logs}
-    slowest_s = 0.0
-    for number in range(mutants):
-        chance = random.Random(f"{seed}/{number}")
-        log = logs[number % len(logs)]
-        # Every log is first opened unchanged, which must give a flight.
-        unchanged = number < len(logs)
-        files = dict(log.files) if unchanged else mutate(log, logs, chance)
-        attitude = "auto" if unchanged else chance.choice(log.attitudes)
-        for name, data in files.items():
-            (folder / name).write_bytes(data)
-        began_s = time.process_time()
+def mutant(kind: Kind, others: list[Kind], number: int, seed: int) -> tuple[dict[str, bytes], str, random.Random]:
+    """Return the files of a mutant, its attitude, and the random numbers of its trial; number 0 is not damaged."""
+    chance = random.Random(f"{seed}/{kind.name}/{number}")
+    files = dict(kind.files) if number == 0 else mutate(kind, others, chance)
+    return files, "auto" if number == 0 else chance.choice(kind.attitudes), chance
+
+
+def tried(kind: Kind, others: list[Kind], number: int, seed: int, folder: Path) -> Trial:
+    """Read a mutant; a slow one is read again, because other programs may have held it up."""
+    files, attitude, chance = mutant(kind, others, number, seed)
+    state = chance.getstate()
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    trial = Trial(number, kind.name)
+    for _ in range(2):
+        chance.setstate(state)
+        began_bytes, began_s = reset_peak(), time.process_time()
         printed = io.StringIO()
         try:
             with warnings.catch_warnings(), redirect_stdout(printed), redirect_stderr(printed):
                 warnings.simplefilter("error")
-                outcomes[log.name][attempt(folder / log.main, log, attitude, chance)] += 1
+                path = folder / kind.main
+                trial.outcome = kind.read(path, chance) if kind.read else attempt(path, kind, attitude, chance)
             assert not printed.getvalue(), "something was printed"
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
-            failures[
-                f"{log.name}: {type(error).__name__} {error} ({Path(where.filename).name}:{where.lineno})"[:200]
-            ] += 1
-            for name, data in files.items():
-                if keep is not None:
-                    keep.mkdir(exist_ok=True)
-                    (keep / f"{seed}-{number}-{name}").write_bytes(data)
-        slowest_s = max(slowest_s, time.process_time() - began_s)
-        for name in files:
-            (folder / name).unlink()
-    return failures, outcomes, slowest_s
+            text = " ".join(str(error).split())[:120]
+            trial.failure = f"{type(error).__name__} {text} ({Path(where.filename).name}:{where.lineno})"
+        trial.seconds, trial.memory_bytes = time.process_time() - began_s, peak_bytes() - began_bytes
+        if trial.failure or trial.seconds <= SLOWEST_S or number == 0:
+            break
+    if number == 0 and not trial.failure and trial.outcome != READ and not kind.name.endswith(" cut"):
+        trial.failure = f"undamaged, it is refused: {trial.outcome}"
+    if not trial.failure and number:
+        if trial.seconds > SLOWEST_S:
+            trial.failure = f"more than {SLOWEST_S} s"
+        elif trial.memory_bytes > MOST_BYTES:
+            trial.failure = f"more than {MOST_BYTES >> 20} MB"
+    trial.files = files if trial.failure else {}
+    for name in files:
+        (folder / name).unlink(missing_ok=True)
+    return trial
+
+
+_STATUS, _PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+def peak_bytes() -> int:
+    """Return the largest memory of this process since `reset_peak`; 0 where it is unknown."""
+    found = re.search(r"VmHWM:\s+(\d+)", _STATUS.read_text()) if _STATUS.exists() else None
+    return int(found[1]) << 10 if found else 0
+
+
+def reset_peak() -> int:
+    """Forget the largest memory of this process, on Linux, and return the present one."""
+    with suppress(OSError):
+        _PEAK.write_text("5")
+    return peak_bytes()
+
+
+def work(connection: Connection, every: list[Kind], seed: int) -> None:
+    """Read mutants until there are no more tasks: a process of the pool."""
+    os.environ.update({f"GLSTAR_MAX_{name}": value for name, value in LIMITS.items()})
+    os.environ["GLSTAR_DEVELOPMENT"] = "1"
+    # Libraries print remarks on damaged images.
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    warmed: set[int] = set()
+    with tempfile.TemporaryDirectory() as name:
+        while (task := connection.recv()) is not None:
+            index, number = task
+            if index not in warmed:
+                warmed.add(index)
+                tried(every[index], every, 0, seed, Path(name))
+            connection.send(tried(every[index], every, number, seed, Path(name)))
+
+
+class Pool:
+    """Processes that read mutants; one that crashes or hangs fails its mutant and is replaced."""
+
+    def __init__(self, every: list[Kind], seed: int, workers: int) -> None:
+        self._every, self._seed = every, seed
+        self._context = multiprocessing.get_context("spawn")
+        self._workers: dict[Connection, tuple[Any, tuple[int, int], float]] = {}
+        self._count = workers
+
+    def run(self, tasks: Iterator[tuple[int, int]]) -> Iterator[Trial]:
+        """Yield what comes of pairs of a kind's index and a mutant's number."""
+        for task in tasks:
+            if len(self._workers) >= self._count and all(given for _, given, _ in self._workers.values()):
+                yield from self._results(1)
+            self._give(task)
+        while any(task for _, task, _ in self._workers.values()):
+            yield from self._results(1)
+
+    def _give(self, task: tuple[int, int]) -> None:
+        free = next((at for at, (_, given, _) in self._workers.items() if not given), None)
+        if free is None:
+            free, theirs = self._context.Pipe()
+            process = self._context.Process(target=work, args=(theirs, self._every, self._seed), daemon=True)
+            process.start()
+            theirs.close()
+        else:
+            process = self._workers[free][0]
+        free.send(task)
+        self._workers[free] = process, task, time.monotonic()
+
+    def _results(self, least: int) -> Iterator[Trial]:
+        """Yield the next results; wait for some."""
+        count = 0
+        while count < least and any(task for _, task, _ in self._workers.values()):
+            busy = [at for at, (_, task, _) in self._workers.items() if task]
+            ready = wait(busy, timeout=1.0)
+            for connection in busy:
+                process, task, since_s = self._workers[connection]
+                if connection in ready:
+                    count += 1
+                    try:
+                        trial = connection.recv()
+                    except (EOFError, ConnectionError):
+                        yield self._lost(connection, f"the process died with {process.exitcode}")
+                    else:
+                        self._workers[connection] = process, (), since_s
+                        yield trial
+                elif time.monotonic() - since_s > HANGING_S + 60 * (task[1] == 0):
+                    count += 1
+                    process.kill()
+                    yield self._lost(connection, f"more than {HANGING_S} s of wall time")
+
+    def _lost(self, connection: Connection, failure: str) -> Trial:
+        _, (index, number), _ = self._workers.pop(connection)
+        kind = self._every[index]
+        return Trial(number, kind.name, "", failure, HANGING_S, 0, mutant(kind, self._every, number, self._seed)[0])
+
+    def close(self) -> None:
+        for connection, (process, *_) in self._workers.items():
+            with suppress(OSError):
+                connection.send(None)
+            process.join(5)
+            process.kill()
+
+
+@dataclass
+class Report:
+    """What came of all mutants of one kind."""
+
+    kind: Kind
+    outcomes: Counter[str] = field(default_factory=Counter)
+    failures: Counter[str] = field(default_factory=Counter)
+    slowest_s: float = 0.0
+    most_bytes: int = 0
+
+    def add(self, trial: Trial) -> None:
+        if trial.failure:
+            self.failures[trial.failure] += 1
+        else:
+            self.outcomes[trial.outcome] += 1
+        if trial.number:
+            self.slowest_s = max(self.slowest_s, trial.seconds)
+            self.most_bytes = max(self.most_bytes, trial.memory_bytes)
+
+    def __str__(self) -> str:
+        count = self.outcomes.total() + self.failures.total()
+        refused = count - self.outcomes[READ] - self.failures.total()
+        return (
+            f"{self.kind.family}: {self.kind.name}: {count} mutants, {self.outcomes[READ]} read, {refused} refused with"
+            f" {len(self.outcomes.keys() - {READ})} messages, {self.failures.total()} failed; at most"
+            f" {self.slowest_s:.2f} s, {self.most_bytes >> 20} MB"
+        )
+
+
+def run(
+    every: list[Kind], count: int, seed: int, workers: int, keep: Path | None = None, *, seconds: float = inf
+) -> list[Report]:
+    """Read `count` mutants of each family, divided among its kinds, for some time; the first of each is not damaged."""
+    stop_s = time.monotonic() + seconds
+    reports = {kind.name: Report(kind) for kind in every}
+    assert len(reports) == len(every), "two kinds of one name"
+    families = Counter(kind.family for kind in every)
+    shares = [max(2, -(-count // families[kind.family])) for kind in every]
+    tasks = ((index, number) for number in range(max(shares)) for index in range(len(every)) if number < shares[index])
+    pool = Pool(every, seed, workers)
+    try:
+        for trial in pool.run(takewhile(lambda _: time.monotonic() < stop_s, tasks)):
+            reports[trial.kind].add(trial)
+            if trial.failure and keep is not None and reports[trial.kind].failures[trial.failure] <= 3:
+                for name, data in trial.files.items():
+                    folder = keep / f"{trial.kind}-{seed}-{trial.number}".replace(" ", "_").replace("/", "_")
+                    folder.mkdir(parents=True, exist_ok=True)
+                    (folder / name).write_bytes(data)
+                print(f"FAILED: {trial.kind} {trial.number}: {trial.failure}", flush=True)
+    finally:
+        pool.close()
+    return list(reports.values())
 
 
 def run_joined(files: int, seed: int, folder: Path, keep: Path | None) -> tuple[Counter[str], dict[str, Counter[str]]]:
@@ -519,7 +670,7 @@ def run_joined(files: int, seed: int, folder: Path, keep: Path | None) -> tuple[
     for name, outcome in outcomes.items():
         for number in range(files):
             try:
-                with warnings.catch_warnings(), limits():
+                with warnings.catch_warnings():
                     warnings.simplefilter("error")
                     outcome[joinedlogs.trial(folder, name, number, seed)] += 1
             except Exception as error:
@@ -532,25 +683,34 @@ def run_joined(files: int, seed: int, folder: Path, keep: Path | None) -> tuple[
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--mutants", type=int, default=20_000)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=20_000, help="mutants of each family")
+    parser.add_argument("--kind", action="append", help="a kind or a family; repeatable; by default all")
+    parser.add_argument("--seed", type=int, help="by default a drawn one, which is printed")
+    parser.add_argument("--seconds", type=float, default=inf, help="stop after this time, and report")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--joined", type=int, default=0, help="files of each format, made of pieces of several logs")
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"), help="where failing mutants are kept")
     arguments = parser.parse_args()
-    limit_memory()
+    seed = secrets.randbelow(1 << 31) if arguments.seed is None else arguments.seed
+    every = [*seeds(), *kinds()]
+    if arguments.kind:
+        every = [kind for kind in every if {kind.name, kind.family} & {*arguments.kind}]
+    print(f"seed {seed}; {len(every)} kinds", flush=True)
     began_s = time.monotonic()
+    reports = run(every, arguments.count, seed, arguments.workers, arguments.keep, seconds=arguments.seconds)
     with tempfile.TemporaryDirectory() as folder:
-        failures, outcomes, slowest_s = run(arguments.mutants, arguments.seed, Path(folder), arguments.keep)
-        failed, joined = run_joined(arguments.joined, arguments.seed, Path(folder), arguments.keep)
-    failures += failed
-    outcomes |= joined
-    for name, outcome in outcomes.items():
-        refusals = len(outcome.keys() - {"a flight"})
-        print(f"{name}: {outcome.total()} mutants, {outcome['a flight']} flights, {refusals} kinds of refusal")
-    print(f"{arguments.mutants} mutants in {time.monotonic() - began_s:.0f} s, the slowest {slowest_s:.2f} s")
+        failures, joined = run_joined(arguments.joined, seed, Path(folder), arguments.keep)
+    for report in reports:
+        print(report)
+        for failure, count in report.failures.most_common():
+            print(f"FAILED {count} times: {report.kind.name}: {failure}")
+    for name, outcome in joined.items():
+        if outcome:
+            print(f"joined {name}: {outcome.total()} files, {outcome['a flight']} flights")
     for failure, count in failures.most_common():
-        print(f"FAILED {count} times: {failure}")
-    return 1 if failures else 0
+        print(f"FAILED {count} times: joined {failure}")
+    print(f"{time.monotonic() - began_s:.0f} s")
+    return 1 if failures or any(report.failures for report in reports) else 0
 
 
 if __name__ == "__main__":

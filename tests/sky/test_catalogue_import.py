@@ -14,30 +14,9 @@ from glstar.errors import CatalogueError
 from glstar.sky.catalogue.deep import build_gaia, build_hip_main, build_table, build_tycho2
 from glstar.sky.catalogue.reading import StarCatalogue, star_label, tycho_number
 from glstar.sky.catalogue.writing import space_motion_to_j2000, vmag_from_gaia
+from tests.support.cataloguefiles import HIP_1, SIRIUS, TYC_1, WITHOUT_MEAN
 
 MAS = np.pi / 648000 / 1000
-
-# The first record of hip_main.dat as published (CDS I/239).
-HIP_1 = (
-    "H|           1| |00 00 00.22|+01 05 20.4| 9.10| |H|000.00091185|+01.08901332| |   3.54|   -5.20|   -1.88|  1.32|"
-    "  0.74|  1.39|  1.36|  0.81| 0.32|-0.07|-0.11|-0.24| 0.09|-0.01| 0.10|-0.01| 0.01| 0.34|  0| 0.74|     1| 9.643|"
-    "0.020| 9.130|0.019| | 0.482|0.025|T|0.55|0.03|L| | 9.2043|0.0020|0.017| 87| | 9.17| 9.24|       | | | |          "
-    "| |  | 1| | | |  |   |       |     |     |    |S| | |224700|B+00 5077 |          |          |0.66|F5          |S "
-)
-# The first record of tyc2.dat as published (CDS I/259), and the same star as if it had no mean place.
-TYC_1 = (
-    "0001 00008 1| |  2.31750494|  2.23184345|  -16.3|   -9.0| 68| 73| 1.7| 1.8|1958.89|1951.94| 4|1.0|1.0|0.9|1.0|"
-    "12.146|0.158|12.146|0.223|999| |         |  2.31754222|  2.23186444|1.67|1.54| 88.0|100.8| |-0.2"
-)
-WITHOUT_MEAN = (
-    "0002 00012 3|X|            |            |       |       |   |   |    |    |       |       |  |   |   |   |   |"
-    "13.100|0.158|12.100|0.223|999| |         |  2.31754222|  2.23186444|1.67|1.54| 88.0|100.8| |-0.2"
-)
-# Sirius' place and proper motion of Hipparcos at J1991.25, in the format of suppl_1.dat, with Hp in place of V_T.
-SIRIUS = (
-    "5949 02777 1|H|101.28854105|-16.71314306| -546.0|-1223.1| 1.2| 1.0| 1.3| 1.2|H|      |     |-1.088|0.003|999|T|"
-    " 32349   "
-)
 
 
 def test_the_main_table_of_hipparcos_is_read(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from glstar.camera.photofile import Exif, as_digital_numbers, decode_photo
 from glstar.camera.sensor.tonecurve import GAMMAS, light_before, recorded_by
-from glstar.errors import CalibrationError, ConfigError
+from glstar.errors import CalibrationError, ConfigError, reading
 from glstar.system.imagefiles import encode_png
+from glstar.system.userinput import read_whole
 
 Channel = Literal["value", "red", "green", "blue", "mean"]
 
@@ -72,16 +73,12 @@ def read_image(
     largest number occurs in the image, else 16.  A raw file states it, and so does a grey PNG, TIFF or FITS file whose
     numbers are shifted up to the highest bits.  `demosaiced`: whether a raw mosaic becomes a colour image.  Raises
     CalibrationError if the file cannot be read, is cut off, is too large
-    (`glstar.system.imagefiles.MAX_MEGAPIXELS`), or is no photograph.
+    (`glstar.system.userinput.LIMITS`), or is no photograph.
     """
     path = Path(path)
-    try:
-        content = path.read_bytes()
+    with reading(path, CalibrationError):
+        content = read_whole(path)
         photo = decode_photo(content, demosaiced=demosaiced)
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {(error.strerror or str(error)).lower()}", path=path) from error
-    except ValueError as error:
-        raise CalibrationError(str(error), path=path) from error
     pixels, white_dn = photo.pixels, photo.white_dn
     grey, name = _one_channel(pixels, channel)
     if min(grey.shape) < _LEAST_SIDE_PX:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from glstar.arrays import Float, Float32
 from glstar.camera.photofile import decode_photo
-from glstar.errors import ConfigError
+from glstar.errors import ConfigError, reading, reason_of
 from glstar.system.imagefiles import read_fits
+from glstar.system.userinput import read_whole, refuse_irregular, refuse_many_pixels
 
 # Dark current of hot pixels over that of the others: from, to; falling with the square in between.
 _HOT_FACTOR = (10.0, 1000.0)
@@ -124,8 +125,8 @@ class PixelPattern:
                 continue
             try:
                 height, width = read_map(file).shape
-            except (OSError, ValueError) as error:
-                raise ConfigError(f"cannot be used: {file}: {error}", key=f"sensor.{key}") from None
+            except ConfigError as error:
+                raise ConfigError(f"cannot be used: {error}", key=f"sensor.{key}") from None
             if (width, height) != (width_px, height_px):
                 raise ConfigError(
                     f"{file} has {width} x {height} px and the camera {width_px} x {height_px}", key=f"sensor.{key}"
@@ -155,9 +156,10 @@ def read_map(file: str) -> Float32:
     """Return a map of pixels from a PNG, TIFF, FITS or NPY of one channel, (height, width) float32, read only.
 
     Row 0 is the top, in FITS too.  Numbers of a PNG or TIFF are those of `glstar.camera.photofile`, as of photographs.
-    Raises OSError if the file cannot be read, and ValueError if it is not an image of one channel.
+    Raises ConfigError, whose message names the file, if it cannot be read, is too large or no image of one channel.
     """
-    return _read_map(file, Path(file).stat().st_mtime_ns)
+    with reading(file, ConfigError):
+        return _read_map(file, Path(file).stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=6)
@@ -165,17 +167,21 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
     suffix = Path(file).suffix.lower()
     pixels: Any
     if suffix == ".npy":
+        # Mapped, so that a header of any size takes no memory.
+        refuse_irregular(Path(file).stat().st_mode)
         try:
-            pixels = np.load(file, allow_pickle=False)
-        except EOFError as error:
-            raise ValueError("it is cut off") from error
+            pixels = np.load(file, mmap_mode="r", allow_pickle=False)
+        except (EOFError, ValueError, SyntaxError) as error:
+            raise ValueError(f"it is damaged or cut off ({reason_of(error)})") from error
     elif suffix in {".fits", ".fit", ".fts"}:
-        pixels = read_fits(Path(file).read_bytes())
+        pixels = read_fits(read_whole(file))
     else:
-        pixels = decode_photo(Path(file).read_bytes(), demosaiced=False, floats=True).pixels
-    if np.ndim(pixels) != 2 or not np.issubdtype(np.asarray(pixels).dtype, np.number):
+        pixels = decode_photo(read_whole(file), demosaiced=False, floats=True).pixels
+    if not isinstance(pixels, np.ndarray) or pixels.ndim != 2 or pixels.dtype.kind not in "buif" or not pixels.size:
         raise ValueError("it is not an image of one channel in PNG, TIFF, FITS or NPY")
-    values = np.ascontiguousarray(pixels, dtype=np.float32)
+    refuse_many_pixels(pixels.shape[1], pixels.shape[0])
+    with np.errstate(over="ignore"):
+        values = np.ascontiguousarray(pixels, dtype=np.float32)
     if not np.isfinite(values).all():
         raise ValueError("it has pixels that are not finite")
     values.setflags(write=False)

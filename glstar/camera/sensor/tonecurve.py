@@ -1,6 +1,5 @@
 """Tone curves: by name, by a number, or as points from a list, a text or a file."""
 
-import json
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.system.userinput import is_number, read_text
+from glstar.system.userinput import is_number, read_json, read_text
 
 # Names of tone curves, the default first.
 GAMMAS = ("linear", "srgb", "rpi")
@@ -160,7 +159,7 @@ def _rows_of_csv(text: str) -> list[list[str]]:
 
 
 def _rows_of_json(text: str) -> list[Any]:
-    content = json.loads(text)
+    content = read_json(text)
     for curve in _libcamera_curves(content):
         if not isinstance(curve, list) or len(curve) % 2:
             raise ValueError(f"its {_LIBCAMERA_KEY} is no list of inputs and outputs in turn")

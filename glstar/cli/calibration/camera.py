@@ -18,8 +18,9 @@ from glstar.camera.model import Camera
 from glstar.camera.presets import SensorPreset, camera_presets, sensor_mode, sensor_preset, sensor_presets
 from glstar.cli.flightoptions import sensor_names
 from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
-from glstar.errors import CalibrationError
+from glstar.errors import CalibrationError, reading
 from glstar.system.files import write_atomically
+from glstar.system.userinput import read_whole
 
 if TYPE_CHECKING:
     from glstar.calibrate.geometry.boards import CharucoBoard, Chessboard
@@ -213,16 +214,8 @@ def rectify(
     if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
         raise typer.BadParameter(f"{output} must end with .png or .tiff", param_hint="--output")
     behind = camera_from_file(camera)
-    if not image.is_file():
-        raise CalibrationError("there is no such file", path=image)
-    try:
-        content = image.read_bytes()
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror or error}", path=image) from error
-    try:
-        photo = decode_photo(content, floats=True)
-    except ValueError as error:
-        raise CalibrationError(str(error), path=image) from error
+    with reading(image, CalibrationError):
+        photo = decode_photo(read_whole(image), floats=True)
     pixels = photo.pixels
     undistorted, _ = rectified(pixels, behind)
     suffix = output.suffix.lower()

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from glstar.cli.reporting import echo_note, progress_bar, with_verbosity
-from glstar.errors import ConfigError, ExportError
+from glstar.errors import ConfigError, ExportError, reading
 from glstar.export.directory import refuse_links
 
 _BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".srt": "srt"}
@@ -61,12 +61,13 @@ def convert(
     refuse_links(export)
     if "://" in output and kind != "webdataset":
         raise ConfigError(f"{output}: only --to webdataset writes to an object store")
-    if kind in {"coco", "yolo", "webdataset"}:
-        written = _written_to_learn(export, output, kind, min_snr, shard_frames)
-    elif kind == "srt":
-        written = _subtitles(export, Path(output), video_fps)
-    else:
-        written = tuple(map(str, _written(export, Path(output), kind)))
+    with reading(export, ExportError, "cannot be converted, a line of its truth is damaged", is_unchecked=True):
+        if kind in {"coco", "yolo", "webdataset"}:
+            written = _written_to_learn(export, output, kind, min_snr, shard_frames)
+        elif kind == "srt":
+            written = _subtitles(export, Path(output), video_fps)
+        else:
+            written = tuple(map(str, _written(export, Path(output), kind)))
     if as_json:
         typer.echo(json.dumps({"export": str(export), "format": kind, "written": list(written)}))
     else:

@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from glstar.errors import CatalogueError, ExportError
+from glstar.errors import CatalogueError, ExportError, reading
 from glstar.sky.catalogue.bright import build_bsc5, build_hipparcos
 from glstar.sky.catalogue.deep import build_gaia, build_hip_main, build_table, build_tycho2
 from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue, catalogue_path
@@ -94,6 +94,14 @@ def _built(
         raise typer.BadParameter("only tycho2 takes several files; give --from once")
     if not sources and name in {_Name.TYCHO2, _Name.TABLE}:
         raise typer.BadParameter(f"{name.value} needs its files: give them with --from")
+    first = sources[0] if sources else None
+    with reading(first or name.value, CatalogueError):
+        return _build(name, destination, sources, columns, epoch_yr, force=force)
+
+
+def _build(
+    name: _Name, destination: Path, sources: list[Path], columns: dict[str, str], epoch_yr: float | None, *, force: bool
+) -> CatalogueFile:
     first = sources[0] if sources else None
     if name is _Name.BSC5:
         return build_bsc5(destination, first, force=force)

@@ -26,7 +26,8 @@ from glstar.export.imagefiles.fits import FITS_START, damage_of_fits, decode_fit
 from glstar.export.imagefiles.processing import CameraProcessing, encode_jpeg, to_8_bits
 from glstar.render.effects import scaled_keys
 from glstar.system.files import TEMPORARY, make_directory, publish
-from glstar.system.imagefiles import PNG_SIGNATURE, encode_png
+from glstar.system.imagefiles import PNG_SIGNATURE, encode_png, image_size
+from glstar.system.userinput import refuse_many_pixels
 
 # Suffixes of videos.
 VIDEOS = (".webm", ".mp4")
@@ -176,6 +177,7 @@ def _count_frames(path: Path) -> int:
 
 ImageFormat = Literal["png", "png16", "tiff", "fits", "jpeg"]
 
+_PNG_HEADER = struct.Struct(">IIB")  # width, height, bits
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
@@ -339,6 +341,8 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     """
     if damage := _damage(suffix, len(content), content[:FITS_START], content[-len(_PNG_END) :]):
         raise ValueError(damage)
+    if (size_px := image_size(content)) is not None:
+        refuse_many_pixels(*size_px)
     if suffix == SUFFIX["fits"]:
         return decode_fits(content)
     if suffix == SUFFIX["jpeg"] or (suffix == SUFFIX["png"] and content[_PNG_COLOUR_TYPE] == _PNG_RGB):
@@ -368,12 +372,14 @@ def _decode_png(content: bytes) -> np.ndarray[Any, Any]:
         kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
         if content[at + 8 + length : at + 12 + length] != struct.pack(">I", zlib_ng.crc32(data, zlib_ng.crc32(kind))):
             raise ValueError(f"is damaged: a wrong checksum in its chunk at byte {at}")
-        if kind == b"IHDR":
-            width_px, height_px, bits = struct.unpack_from(">IIB", data)
+        if kind == b"IHDR" and length >= _PNG_HEADER.size:
+            width_px, height_px, bits = _PNG_HEADER.unpack_from(data)
         deflated += data if kind == b"IDAT" else b""
         at += 12 + length
-    rows = np.frombuffer(_inflated(deflated), np.uint8)
-    if bits not in {8, 16} or rows.size != height_px * (1 + width_px * bits // 8):
+    size = height_px * (1 + width_px * bits // 8)
+    refuse_many_pixels(width_px, height_px)
+    rows = np.frombuffer(_inflated(deflated, size), np.uint8)
+    if bits not in {8, 16} or not size or rows.size != size:
         raise ValueError("is no PNG of glstar")
     rows = rows.reshape(height_px, -1)
     if rows[:, 0].any():
@@ -382,11 +388,16 @@ def _decode_png(content: bytes) -> np.ndarray[Any, Any]:
     return pixels.view(">u2").astype(np.uint16) if bits == 16 else pixels
 
 
-def _inflated(deflated: bytes) -> bytes:
+def _inflated(deflated: bytes, size: int) -> bytes:
+    """Return up to one byte more than `size`."""
+    inflater = zlib.decompressobj()
     try:
-        return bytes(zlib.decompress(deflated))
+        content = inflater.decompress(deflated, size + 1)
     except zlib.error as error:
         raise ValueError(f"cannot be decoded ({error})") from error
+    if not inflater.eof and len(content) <= size:
+        raise ValueError("cannot be decoded (its data end too early)")
+    return content
 
 
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:

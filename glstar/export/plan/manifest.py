@@ -34,7 +34,7 @@ from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import described_earth_orientation, format_utc
 from glstar.system.files import flush_directory, flush_handle, temporary_path, write_atomically
 from glstar.system.resources import asset, shader_paths
-from glstar.system.userinput import read_bytes
+from glstar.system.userinput import read_bytes, read_json
 from glstar.telemetry import is_flight_description
 
 # Version 2: the lines of truth are of schema 2.
@@ -315,8 +315,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest in a file; raises ExportError if it is none of glstar, or a link."""
     refuse_link(path)
     try:
-        manifest = json.loads(read_bytes(path, _LARGEST_BYTES))
-    except (ValueError, RecursionError):  # RecursionError: nested too deep for a manifest
+        manifest = read_json(read_bytes(path, _LARGEST_BYTES))
+    except ValueError:
         manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
         raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)

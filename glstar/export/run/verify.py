@@ -1,6 +1,5 @@
 """``glstar export --verify``: comparison of a directory with what an export would write, frame by frame."""
 
-import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -22,6 +21,7 @@ from glstar.export.run.executors import Checker
 from glstar.export.run.export import ALL_FRAMES, Export, Shard
 from glstar.export.truth.lines import TruthFile
 from glstar.system.files import TEMPORARY
+from glstar.system.userinput import read_json, read_whole
 
 _TRUTH = "truth.jsonl"
 _FRAME = re.compile(r"frame_\d{6,}(\.(light|trails|saturated|cloud|flare|ground))?\.(png|tiff|fits|jpg)")
@@ -153,6 +153,6 @@ def _mismatch(path: Path, pixel_type: type, camera: dict[str, Any] | None) -> st
 def _driver_of(directory: Path) -> str:
     """Return the OpenGL driver in the manifest; empty if there is no manifest."""
     try:
-        return str(json.loads((directory / NAME).read_bytes())["renderer"])
+        return str(read_json(read_whole(directory / NAME))["renderer"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return ""

@@ -20,6 +20,7 @@ from glstar.export.truth.splits import read_splits
 from glstar.sky.catalogue.reading import StarCatalogue
 from glstar.sky.place.timescale import format_utc, parse_utc
 from glstar.system.files import write_atomically
+from glstar.system.userinput import read_json, read_whole
 
 # Signal-to-noise ratio from which a star counts as detectable, as in ``glstar score``.
 _DETECTABLE_SNR = 10.0
@@ -125,7 +126,7 @@ def describe_frames(directory: Path) -> str:
     """
     path = directory / "manifest.json"
     try:
-        manifest = json.loads(path.read_bytes())
+        manifest = read_json(read_whole(path))
         config = manifest["config"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ExportError(path, "is no manifest of an export") from error

@@ -16,10 +16,11 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from glstar.errors import ExportError
+from glstar.errors import ExportError, reading
 from glstar.export.directory import create, open_to_append
 from glstar.render.truth.frame import KEYS, SCHEMA, as_current_schema
 from glstar.system.files import flush, flush_directory, publish, temporary_path
+from glstar.system.userinput import lines_of
 
 Numbers = NDArray[np.int64]
 
@@ -300,8 +301,8 @@ def _lines(file: Path) -> Iterator[bytes]:
         lines = file.open("rb")
     except OSError as error:
         raise ExportError(file, f"cannot be read ({error.strerror})") from error
-    with lines:
-        yield from lines
+    with lines, reading(file, ExportError):
+        yield from lines_of(lines)
 
 
 def _listed(path: Path) -> set[str]:

@@ -24,7 +24,7 @@ from glstar.errors import ConfigError, ExportError
 from glstar.export.directory import SPLIT_INDEX, SPLITS, explain_disk_errors, image_path
 from glstar.export.truth.lines import count_frames_of_truth, read_truth
 from glstar.system.files import publish, temporary_path, write_atomically
-from glstar.system.userinput import read_bytes
+from glstar.system.userinput import read_bytes, read_json, read_whole
 
 SCHEMA = "glstar-splits-1"
 _SYNTHETIC = "flight.synthetic"
@@ -259,7 +259,7 @@ def _entry(flight: FlightIdentity) -> dict[str, Any]:
 def _manifest(directory: Path) -> dict[str, Any]:
     path = directory / "manifest.json"
     try:
-        manifest = json.loads(read_bytes(path, _LARGEST_BYTES))
+        manifest = read_json(read_bytes(path, _LARGEST_BYTES))
         has_flights = bool({"flight", "flights"} & manifest.keys())
     except (OSError, ValueError, AttributeError) as error:
         raise ExportError(path, "cannot be read") from error
@@ -274,7 +274,7 @@ def read_splits(directory: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        index = json.loads(path.read_bytes())
+        index = read_json(read_whole(path))
         is_current = index["schema"] == SCHEMA
     except (OSError, ValueError, KeyError, TypeError):
         is_current = False
@@ -340,7 +340,7 @@ class ConvertedSet:
         """Width of the point spread function where the truth does not say it, px."""
         path = self.directory / "manifest.json"
         try:
-            return float(json.loads(path.read_bytes())["sensor"]["psf_sigma_px"])
+            return float(read_json(read_whole(path))["sensor"]["psf_sigma_px"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ExportError(path, f"does not say the width of stars ({error})") from error
 

@@ -40,8 +40,8 @@ def relative_sky(file: str) -> NDArray[np.float32]:
     """
     try:
         level = read_map(file).astype(np.float64)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"cannot be used: {file}: {error}", key="sensor.sky_map") from error
+    except ConfigError as error:
+        raise ConfigError(f"cannot be used: {error}", key="sensor.sky_map") from error
     if level.min() < 0 or level.mean() <= 0:
         raise ConfigError(
             f"cannot be used: {file} holds numbers from {level.min():g} to {level.max():g}; a sky is 0 or brighter"

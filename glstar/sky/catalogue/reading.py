@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from platformdirs import user_data_path
 
 from glstar.arrays import Float
-from glstar.errors import CatalogueError
+from glstar.errors import CatalogueError, reason_of
 from glstar.system.resources import asset
 
 NAMES = ("bsc5", "hipparcos", "tycho2", "gaia")
@@ -355,9 +355,14 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
     try:
         # `immutable`: without lock and journal files, so that the disk may be read-only.
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+            # A view may have rows without end.
+            if connection.execute("SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index')").fetchone():
+                raise CatalogueError(path, "has views or triggers, which `glstar catalogue build` does not write")
             yield connection
     except sqlite3.Error as error:
-        raise CatalogueError(path, f"is damaged ({error}); build it again with `glstar catalogue build`") from error
+        raise CatalogueError(
+            path, f"is damaged ({reason_of(error)}); build it again with `glstar catalogue build`"
+        ) from error
 
 
 def _query(connection: sqlite3.Connection, condition: str, values: Sequence[float]) -> sqlite3.Cursor:

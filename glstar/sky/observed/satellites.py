@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glstar.arrays import Float
-from glstar.errors import ConfigError
+from glstar.errors import ConfigError, reading
 from glstar.rotation import about_z
 from glstar.sky.place.horizon import C_ned_eq
 from glstar.sky.place.site import Site, geocentric_m
 from glstar.sky.place.timescale import UNIX_EPOCH_JD, EarthOrientation
+from glstar.system.userinput import read_text
 
 _KEY = "sky.satellites"
 _LIGHT_KM_PER_S = 299792.458
@@ -26,6 +27,8 @@ _EARTH_KM = 6371.0
 _SUN_RAD = radians(0.2666)
 # Elements describe a low orbit for about two weeks.
 _VALID_DAYS = 14.0
+# All objects that are tracked have 5 MB.
+_LARGEST_BYTES = 64 << 20
 # A line of elements: 69 characters, the last one a checksum.
 _LINE_LENGTH = 69
 # Relative speed of a satellite and the ground at most, km/s.
@@ -91,13 +94,9 @@ class Satellites:
         """
         file = Path(path)
         _sgp4()
-        try:
+        with reading(file, _refusal):
             state = file.stat()
             return _read(file, standard_mag, state.st_mtime_ns, state.st_size)
-        except OSError as error:
-            raise ConfigError(f"{file} cannot be read ({error.strerror})", key=_KEY) from error
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"{file} is no text file; two-line elements are", key=_KEY) from error
 
     def near(
         self, sky: EarthFrames, utc_s: float, span_s: float, site: Site, towards_eq: Float, angle_rad: float
@@ -222,11 +221,15 @@ def _propagator(lines: tuple[str, str]) -> Any:
     return _sgp4().Satrec.twoline2rv(*lines)
 
 
+def _refusal(file: Path, message: str) -> ConfigError:
+    return ConfigError(f"{file} {message}", key=_KEY)
+
+
 # The file is needed again for every change of a setting.
 @lru_cache(maxsize=8)
 def _read(file: Path, standard_mag: float, _changed_ns: int, _size: int) -> Satellites:
     """Return the satellites in a file; the last parameters distinguish its versions."""
-    lines = [line.rstrip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
+    lines = [line.rstrip() for line in read_text(file, _LARGEST_BYTES).splitlines()]
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
     satellites = list[Satellite]()
     name = first = ""

@@ -5,6 +5,7 @@ and `glstar.sky.air.refraction.refraction_displacement`, without asin and tan.
 """
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -16,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glstar.arrays import Float
-from glstar.errors import ConfigError
-from glstar.system.userinput import is_number
+from glstar.errors import ConfigError, reading
+from glstar.system.userinput import is_number, read_text
 
 _EARTH_ROTATION_RAD_PER_S = 7.292115e-5
 _WGS84_A_M = 6378137.0
@@ -29,6 +30,8 @@ _RAY_CURVATURE = 1 / 7
 
 _KEY = "sky.horizon"
 _COLUMNS = ("azimuth_deg", "altitude_deg")
+# A point for every arcsecond has 30 MB.
+_LARGEST_BYTES = 64 << 20
 # Altitudes, deg: the lowest is below the dip of the horizon at any height of an aircraft.
 _ALTITUDES_DEG = (-10.0, 80.0)
 
@@ -135,13 +138,9 @@ class HorizonProfile:
         read, or is no such table.
         """
         file = Path(path)
-        try:
+        with reading(file, _refusal):
             state = file.stat()
             return _read(file, state.st_mtime_ns, state.st_size)
-        except OSError as error:
-            raise ConfigError(f"{file} cannot be read ({error.strerror})", key=_KEY) from error
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"{file} is no text file; a horizon profile is a CSV file", key=_KEY) from error
 
     @cached_property
     def _nodes_rad(self) -> tuple[Float, Float]:
@@ -166,12 +165,16 @@ class HorizonProfile:
         return np.asarray(np.interp(turned, *self._nodes_rad))
 
 
+def _refusal(file: Path, message: str) -> ConfigError:
+    return ConfigError(f"{file} {message}", key=_KEY)
+
+
 # A profile is needed again for every change of a setting.
 @lru_cache(maxsize=8)
 def _read(file: Path, _changed_ns: int, _size: int) -> HorizonProfile:
     """Return the profile in a file; the last parameters distinguish its versions."""
-    with file.open(encoding="utf-8-sig", newline="") as lines:
-        rows = [(number, row) for number, row in enumerate(csv.reader(lines), 1) if any(cell.strip() for cell in row)]
+    lines = csv.reader(io.StringIO(read_text(file, _LARGEST_BYTES), newline=""))
+    rows = [(number, row) for number, row in enumerate(lines, 1) if any(cell.strip() for cell in row)]
     rows = [(number, row) for number, row in rows if not row[0].lstrip().startswith("#")]
     if rows and not is_number(rows[0][1][0]):
         _check_header(file, rows.pop(0)[1])

@@ -9,7 +9,6 @@ import bz2
 import io
 import sqlite3
 import struct
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -20,6 +19,8 @@ from typing import Any, BinaryIO, NamedTuple
 from urllib.parse import quote
 
 from glstar.errors import LogFormatError
+from glstar.system.files import UnpackedFolder
+from glstar.system.userinput import Unpacking, limit_of
 from glstar.telemetry.bags.topics import KINDS, Topic
 
 _MCAP, _SQLITE, _ROS1, _ZSTD = b"\x89MCAP0\r\n", b"SQLite format 3\x00", b"#ROSBAG V2.0\n", b"\x28\xb5\x2f\xfd"
@@ -68,9 +69,7 @@ class _Channel(NamedTuple):
     def decode(self, raw: bytes) -> Any:
         """Return a message, which rosbag2 may have compressed on its own; CDR begins with 0."""
         if raw.startswith(_ZSTD):
-            import zstandard  # noqa: PLC0415 - a dependency of mcap
-
-            raw = bytes(zstandard.decompress(raw))
+            raw = _inflated("zstd", raw)
         return _decoder(self.kind, self.definition, is_idl=self.is_idl, is_ros1=self.is_ros1)(raw)
 
 
@@ -284,6 +283,9 @@ def _sqlite(bag: Bag, path: Path) -> _Messages:
     except sqlite3.OperationalError:  # in a folder that cannot be written the log cannot be read
         database = sqlite3.connect(f"{address}?immutable=1", uri=True)
     with closing(database):
+        # A view may have rows without end.
+        if database.execute("SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index')").fetchone():
+            raise ValueError("its database has views or triggers, which no recorder writes")
         definitions: dict[str, tuple[str, bool]] = {}
         if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
             rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
@@ -306,10 +308,11 @@ def _compressed(bag: Bag, packed: Path) -> _Messages:
     """Yield the messages of a file in a ROS 2 bag that is compressed as a whole."""
     import zstandard  # noqa: PLC0415 - a dependency of mcap
 
-    with tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / "storage"
+    unpacking = Unpacking(packed.stat().st_size, "unpacked_gib")
+    with UnpackedFolder() as folder:
+        path = folder / "storage"
         with packed.open("rb") as content, path.open("wb") as whole:
-            zstandard.ZstdDecompressor().copy_stream(content, whole)
+            unpacking.copy(zstandard.ZstdDecompressor().stream_reader(content, read_across_frames=True), whole)
         with path.open("rb") as file:
             yield from _messages(bag, _WholeReads(file), path)
 
@@ -347,15 +350,18 @@ def _inflated(compression: str, data: bytes) -> bytes:
     import lz4.frame  # noqa: PLC0415 - a dependency of rosbags
     import zstandard  # noqa: PLC0415 - a dependency of mcap
 
-    if compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
+    if compression in {"", "none"}:
+        return data
+    largest = int(limit_of("content_mib"))
+    unpacking = Unpacking(len(data), "content_mib")
     if compression == "zstd":
-        return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
-    if compression == "bz2":
-        return bz2.BZ2Decompressor().decompress(data)
-    if compression not in {"", "none"}:
+        return unpacking.read(zstandard.ZstdDecompressor().stream_reader(data))
+    decompressors: dict[str, Callable[[], Any]] = {"lz4": lz4.frame.LZ4FrameDecompressor, "bz2": bz2.BZ2Decompressor}
+    if compression not in decompressors:
         raise ValueError(f"its compression {compression!r} is not known")
-    return data
+    content = bytes(decompressors[compression]().decompress(data, largest + 1))
+    unpacking.add(len(content))
+    return content
 
 
 def _fields(header: bytes) -> dict[bytes, bytes]:

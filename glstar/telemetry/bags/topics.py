@@ -80,6 +80,8 @@ _SAME_SCALE_S = 0.5
 # The same for seconds since 1980 that are taken as seconds since 1970, s.
 _SAME_EPOCH_S = 60.0
 _GPS_EPOCH_S = 315964800.0
+# Accelerometers of aircraft have ranges of up to 16 g; damaged numbers have any, m/s^2.
+_LARGEST_M_PER_S2 = 1e4
 # Cosine between the mean direction of the accelerometers and the axis of the world that is up.
 _UPRIGHT = 0.8
 
@@ -210,7 +212,7 @@ class Topic:
     def is_up_down(self) -> bool:
         """Whether the third axis of the world is down by the accelerometers of an Imu; at rest they read upwards."""
         acceleration = self.column("acceleration")
-        used = self.is_oriented & np.isfinite(acceleration).all(axis=-1)
+        used = self.is_oriented & (np.abs(acceleration) < _LARGEST_M_PER_S2).all(axis=-1)
         if not used.any():
             return False
         (w, x, y, z), a = self.column("orientation")[used].T, acceleration[used]
@@ -256,7 +258,7 @@ class Topic:
         if not is_whole and end_s - start_s < max(_FROZEN_S, _FROZEN_PART * float(np.ptp(clock_s))):
             return ""
         rate = self.column("rate_rad_per_s")[self.is_oriented][first:stop]
-        rate = rate[np.isfinite(rate).all(axis=-1)]
+        rate = rate[source.valid_rates(rate)]
         # Already the noise of gyros moves an orientation that is estimated from them.
         mean = float(np.linalg.norm(rate.mean(axis=0))) if rate.size else 0.0
         if (is_whole and rate.any()) or mean > 2 * _TURNS_RAD:

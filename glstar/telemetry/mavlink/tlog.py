@@ -34,7 +34,6 @@ UTC and of a ground station with UTC, or those of two boots of one autopilot.  A
 import os
 import re
 import struct
-import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -44,10 +43,12 @@ from typing import Any
 import numpy as np
 
 from glstar.arrays import Float
-from glstar.errors import LogFormatError
+from glstar.errors import LogFormatError, reading
 from glstar.flight import ONLY_CAMERA, EventKind
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.place.timescale import format_utc
+from glstar.system.files import UnpackedFolder
+from glstar.system.userinput import read_whole
 from glstar.telemetry import source
 from glstar.telemetry.mavlink import vehicles
 from glstar.telemetry.mavlink.clock import NO_UTC, VehicleClock, other_clocks, readings_source
@@ -472,11 +473,12 @@ def stream_reader(
     )
 
 
-def _with_arrival_times(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
+def _with_arrival_times(name: str) -> tuple[UnpackedFolder, Path]:
     """Write the packets of a stream as a telemetry log into a temporary directory."""
-    content = Path(name).read_bytes()
-    folder = tempfile.TemporaryDirectory(prefix="glstar-", ignore_cleanup_errors=True)
-    path = Path(folder.name) / f"{Path(name).stem}.tlog"
+    with reading(name, LogFormatError):
+        content = read_whole(name)
+    folder = UnpackedFolder()
+    path = folder.path / f"{Path(name).stem}.tlog"
     clock_s = _START_S
     boot_s: float | None = None
     count = 0

@@ -7,7 +7,8 @@ columns of a CSV file that a program exported from a log.
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
-from glstar.errors import ConfigError, LogFormatError
+from glstar.errors import ConfigError, LogFormatError, reading
 from glstar.sky.place.timescale import parse_utc
-
-Cells = Sequence[Any] | NDArray[Any]
+from glstar.system.userinput import read_whole, refuse_more, refuse_repeated
+from glstar.telemetry.tables import Cells, ParquetColumns, excel_rows
 
 _SEPARATORS = ",;\t|"
 # Cells without a value.
@@ -37,6 +38,8 @@ _PREAMBLE_LINES = 5000
 _ZIP = b"PK\x03\x04"
 _OFFICE_MARKS = (b"[Content_Types].xml", b"docProps/", b"xl/")
 _PARQUET = b"PAR1"
+# Units of times of NumPy, s.
+_TIME_UNITS_S = {"D": 86400.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # A number that can only have a decimal comma: 1,024 may as well be a thousand.
 _DECIMAL_COMMA = re.compile(r"[+-]?(0,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)")
 # Largest deviation of the norm of a quaternion from 1, for components with two decimals.
@@ -70,8 +73,9 @@ class TableFile:
 
     name: str  # The file, for messages
     kind: TableKind
-    columns: dict[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
+    columns: Mapping[str, Cells]  # Cells by column: text of a CSV file, otherwise numbers, times or text
     lines: NDArray[np.int64]  # (n,) int64: line, or row, of each cell, from 1
+    repeated: frozenset[str] = frozenset()  # Names that several columns have
 
     def numbers(self, column: str) -> Float:
         """Return a column of (n,) numbers; NaN for cells without a value.
@@ -81,10 +85,12 @@ class TableFile:
         """
         if column not in self.columns and column.startswith("-"):
             return -self.numbers(column[1:])
-        cells = self.columns[column]
+        cells = self.cells(column)
+        if isinstance(cells, np.ndarray) and cells.dtype.kind == "M" and cells.size:
+            raise self.error(0, column, f"{str(cells[0])[:40]!r} is not a number")
         try:
             numbers = np.array(list(map(float, cells)) if self.kind is TableKind.CSV else cells, dtype=np.float64)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             point = "," if self.kind is TableKind.CSV and _has_decimal_commas(cells) else "."
             numbers = np.array([self._number(column, row, cell, point) for row, cell in enumerate(cells)])
         numbers[~np.isfinite(numbers)] = np.nan
@@ -97,9 +103,19 @@ class TableFile:
         times of Parquet and Excel.  `date` is the column with the date, if it is not in `column`.  Raises
         LogFormatError if a cell is no time.
         """
-        days = self.columns[date] if date is not None else [""] * len(self.lines)
-        cells = enumerate(zip(days, self.columns[column], strict=True))
-        return np.array([self._time(column, row, day, cell) for row, (day, cell) in cells])
+        days = self.cells(date) if date is not None else [""] * len(self.lines)
+        cells = self.cells(column)
+        if isinstance(cells, np.ndarray) and cells.dtype.kind == "M":
+            unit_s = _TIME_UNITS_S[np.datetime_data(cells.dtype)[0]]
+            return np.where(np.isnat(cells), nan, cells.astype(np.int64) * unit_s)
+        rows = enumerate(zip(days, cells, strict=True))
+        return np.array([self._time(column, row, day, cell) for row, (day, cell) in rows])
+
+    def cells(self, column: str) -> Cells:
+        """Return the cells of a column; raises LogFormatError if several columns have its name."""
+        if column in self.repeated:
+            raise LogFormatError(self.name, f"has several columns named {column}; rename or remove all but one")
+        return self.columns[column]
 
     def _number(self, column: str, row: int, cell: Any, point: str) -> float:
         text = "" if cell is None else str(cell).strip()
@@ -107,7 +123,7 @@ class TableFile:
             return np.nan
         try:
             return float(text.replace(point, "."))
-        except ValueError:
+        except (ValueError, OverflowError):
             hint = "; write decimals with a point" if "," in text else ""
             raise self.error(row, column, f"{text[:40]!r} is not a number{hint}") from None
 
@@ -252,7 +268,8 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _read_text(path: str, names: Sequence[str]) -> TableFile:
-    content = Path(path).read_bytes()
+    content = read_whole(path)
+    refuse_more("rows", content.count(b"\n"))
     if b"\0" in content[:_HEADER_BYTES]:
         raise LogFormatError(path, "is no table: it is not text", offset=0)
     lines = _past_preamble(_lines(content.decode("utf-8-sig", errors="replace")))
@@ -260,6 +277,7 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
         raise LogFormatError(path, "has only blank lines and comments", offset=0)
     separator = _separator(lines[0][1])
     header = _cells(lines[0][1], separator)
+    refuse_more("columns", len(header))
     if names and all(_is_number(cell) for cell in header if cell):
         header, rows = list(names), lines
     else:
@@ -269,7 +287,12 @@ def _read_text(path: str, names: Sequence[str]) -> TableFile:
     cells = _split(path, rows, separator, len(header))
     numbers = np.array([number for number, _ in rows[: len(cells)]], dtype=np.int64)
     columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
-    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers)
+    return TableFile(path, TableKind.CSV, dict(zip(header, columns, strict=True)), numbers, _repeated(header))
+
+
+def _repeated(header: Sequence[str]) -> frozenset[str]:
+    """Return the names that occur more than once in a header."""
+    return frozenset(name for name, count in Counter(header).items() if name and count > 1)
 
 
 def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -> list[list[str]]:
@@ -298,50 +321,36 @@ def _read_parquet(path: str) -> TableFile:
         from pyarrow import parquet  # noqa: PLC0415 - an extra, 170 MB
     except ImportError:
         raise LogFormatError(path, "is an Apache Parquet table, which needs pyarrow: pip install pyarrow") from None
-    try:
-        table = parquet.read_table(path)
-    except Exception as error:  # pyarrow raises its own and several standard exceptions
-        raise LogFormatError(path, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from error
-    columns = {name: _parquet_column(table.column(name)) for name in table.column_names}
-    return TableFile(path, TableKind.PARQUET, columns, np.arange(1, table.num_rows + 1))
-
-
-def _parquet_column(column: Any) -> Cells:
-    """Return the cells of a column: an array of numbers, or a list with None for nothing."""
-    import pyarrow as pa  # noqa: PLC0415 - an extra, which has been imported
-
-    if pa.types.is_timestamp(column.type):
-        # pandas reads nanoseconds, which datetime has not.
-        unit_s = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
-        ticks = column.cast(pa.int64()).to_pylist()
-        return [None if tick is None else datetime.fromtimestamp(tick * unit_s, UTC) for tick in ticks]
-    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-        numbers: NDArray[Any] = column.to_numpy(zero_copy_only=False)
-        return numbers if column.null_count == 0 else numbers.astype(np.float64)
-    cells: list[Any] = column.to_pylist()
-    return cells
+    with reading(path, LogFormatError, "cannot be read as Parquet"):
+        with Path(path).open("rb") as file:
+            schema = parquet.read_schema(file)
+        # Text that repeats is kept once, however many rows have it.
+        texts = [field.name for field in schema if str(field.type) in {"string", "large_string"}]
+        table = parquet.ParquetFile(path, read_dictionary=texts)
+        rows, names = table.metadata.num_rows, table.schema_arrow.names
+        refuse_more("rows", rows)
+        refuse_more("columns", len(names))
+        lines = np.arange(1, rows + 1)
+    return TableFile(path, TableKind.PARQUET, ParquetColumns(path, table, rows), lines, _repeated(names))
 
 
 def _read_excel(path: str) -> TableFile:
     try:
-        import openpyxl  # noqa: PLC0415 - an extra, when a workbook is read
+        import openpyxl  # noqa: F401, PLC0415 - an extra, when a workbook is read
     except ImportError:
         raise LogFormatError(path, "is an Excel workbook, which needs openpyxl: pip install openpyxl") from None
-    try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sheet = book.worksheets[0]
-        rows = [(number, row) for number, row in enumerate(sheet.iter_rows(values_only=True), start=1) if any(row)]
-        book.close()
-    except Exception as error:  # openpyxl raises many kinds of exceptions for damaged files
-        raise LogFormatError(path, f"cannot be read as an Excel workbook: {error}") from error
+    with reading(path, LogFormatError, "cannot be read as an Excel workbook"):
+        rows = list(excel_rows(path))
     if not rows:
         raise LogFormatError(path, "its first sheet is empty", offset=0)
     header = ["" if cell is None else str(cell).strip() for cell in rows[0][1]]
-    cells = [row for _, row in islice(rows, 1, None)]
-    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
+    width = len(header)
+    # A row ends with its last cell, and a note beside the table is no part of it.
+    cells = [(row + (None,) * width)[:width] for _, row in islice(rows, 1, None)]
+    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * width
     numbers = np.array([number for number, _ in rows[1:]], dtype=np.int64)
     named = {name: column for name, column in zip(header, columns, strict=True) if name}
-    return TableFile(path, TableKind.EXCEL, named, numbers)
+    return TableFile(path, TableKind.EXCEL, named, numbers, _repeated(header))
 
 
 def csv_rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
@@ -411,7 +420,8 @@ class Dump:
         remaining = csv_rows(name, delimiter=between, quoted=False)
         header = next(remaining, (0, []))[1]
         self.header = tuple(cell.strip() for cell in header)
-        every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
+        with reading(name, LogFormatError):
+            every = {column: self._index(column) for column in dict.fromkeys(wanted or self.header)}
         indices = {column: index for column, index in every.items() if index is not None}
         text_at = self.header.index(texts) if texts in self.header else None
         lines: list[Float] = []
@@ -441,6 +451,7 @@ class Dump:
     def _index(self, name: str) -> tuple[int, int | None] | None:
         """Return the index of a column, and that of the item in its lists for ``name[0]``; None if there is none."""
         if name in self.header:
+            refuse_repeated(self.header, {name})
             return self.header.index(name), None
         match = _LIST_ITEM.fullmatch(name)
         return (self.header.index(match[1]), int(match[2])) if match and match[1] in self.header else None

@@ -19,11 +19,11 @@ from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 import numpy as np
 
 from glstar.arrays import Float, Mask
-from glstar.errors import ConfigError, LogFormatError
+from glstar.errors import ConfigError, LogFormatError, reading
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.sky.place.timescale import GPS_EPOCH_S, WEEK_S, leap_seconds
 from glstar.system.resources import asset
-from glstar.system.userinput import did_you_mean, nearest_word, read_text
+from glstar.system.userinput import did_you_mean, nearest_word, read_toml
 from glstar.telemetry import source
 from glstar.telemetry.tables.files import TABLE_UNIT_TOLERANCE, TableKind, read_table, refuse_other_attitudes
 from glstar.telemetry.tables.tableclock import (
@@ -199,12 +199,8 @@ def column_map(text: str) -> ColumnMap:
     Raises ConfigError if there is no such map, or it is not valid.
     """
     if is_map_file(text):
-        try:
-            keys = tomllib.loads(read_text(text, _LARGEST_BYTES))
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"{text}: {error} (TOML)") from None
-        except ValueError as error:
-            raise ConfigError(f"{text}: {error}") from None
+        with reading(text, ConfigError):
+            keys = read_toml(text, _LARGEST_BYTES)
         return ColumnMap.of(keys, text)
     if "=" in text:
         words = (word.partition("=") for word in re.split(r",(?=\w+=)", text))

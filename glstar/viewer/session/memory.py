@@ -9,6 +9,7 @@ from typing import Any
 
 from glstar.config import Config
 from glstar.system.files import write_atomically
+from glstar.system.userinput import read_json
 from glstar.viewer.overlays.table import Overlay
 
 # Number of flights that are remembered.
@@ -34,7 +35,7 @@ class WindowMemory:
     def load(cls, file: Path) -> "WindowMemory":
         """Read the file; entries that are missing or not valid have their defaults."""
         try:
-            stored: Any = json.loads(file.read_text(encoding="utf-8"))
+            stored: Any = read_json(file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             stored = {}
         if not isinstance(stored, dict):
