@@ -327,7 +327,9 @@ def test_the_key_of_an_error_is_that_of_the_first_validation_error(write: Write)
         (
             "[exposure]\nqq = 1\n",
             "exposure.qq: is no key of [exposure] (there are duration_s, at, at_delay_s, interval_s, rate_hz, trail,"
-            " path_tolerance_px, faintest_dn, readout_s, readout, frames, gap_s, stack)",
+            " path_tolerance_px, faintest_dn, readout_s, readout, frames, gap_s, stack, control, control_target,"
+            " control_percentile, control_min_s, control_min_gain, control_max_gain, control_delay_frames,"
+            " control_speed)",
         ),
         ('[exposure]\n"a\\nb" = 1\n', 'exposure."a\\nb": is no key of [exposure]'),
         (

@@ -41,6 +41,7 @@ interval_s = 10.0
 readout_s = 0.03
 frames = 2
 gap_s = 0.1
+control = "mean"
 [sensor]
 noise = "electrons"
 bit_depth = 12

@@ -211,7 +211,7 @@ class Shot:
             self,
             simulator=replace(self.simulator, sensor=sensor),
             exposure=self.exposure.shortened(duration_s),
-            about={**self.about, "analogue_gain": gain},
+            about={"analogue_gain": gain, **self.about},
             control=None,
         )
 
