@@ -81,7 +81,7 @@ def centre_source(body: Body, stars: StarField) -> BodySources:
 
 
 def star_sigma_rad(camera: Camera, sigma_px: float, off_axis_rad: Float) -> Float:
-    """Return the smallest standard deviation of a star's image that bodies meet on their ways over the image, (n,) rad.
+    """Return the smallest standard deviation of a star's image that bodies meet on their paths, (n,) rad.
 
     `off_axis_rad` (m, n): their angles from the optical axis at m times.
     """
