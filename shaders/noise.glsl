@@ -5,6 +5,9 @@ flat in uvec4 seed_hashes;
 
 #include "hash.glsl"
 
+// Which of four pixels have their shot noise already: those that may be full.
+bvec4 has_shot_noise = bvec4(false);
+
 // Random bits of four neighbouring pixels of a row.
 uvec4 random_bits(uvec2 quad) {
     // Row and column are hashed one after the other: with a sum of their hashes, two rows whose hashes are close would
@@ -27,4 +30,11 @@ vec4 normal_deviates(uvec4 bits) {
     cosine = mix(cosine, -cosine, equal(bits.zw & 1u, uvec2(0u)));
     bvec2 turned = equal(bits.zw & 2u, uvec2(0u));
     return vec4(radius * mix(cosine, sine, turned), radius * mix(sine, cosine, turned));
+}
+
+// Poisson counts of four pixels, DN, from their means and normal deviates, with the third moment.
+vec4 counted_dn(vec4 mean_dn, float dn_per_e, uvec2 quad) {
+    vec4 z = normal_deviates(random_bits(quad + uvec2(0u, 0x40000000u)));
+    float h_dn = dn_per_e / 6.0;
+    return mean_dn - h_dn + z * (sqrt(max(mean_dn * dn_per_e - 2.0 * h_dn * h_dn, 0.0)) + h_dn * z);
 }

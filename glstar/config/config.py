@@ -361,6 +361,7 @@ class Config:
             temperature_c=self.air.temperature_c,
             star_brightness=self.star_brightness(),
             bodies=self.sky.bodies,
+            earthshine=self.sky.earthshine,
             extinction=reading.extinction_of(self.sky, self.air, sensor.colour),
         )
 

@@ -16,6 +16,7 @@ HORIZONS = ("flat", "dip")
 _NATURAL = {"bodies": True, "extinction": "standard", "brightness": "natural", "horizon": "dip"}
 _FULL = {
     **_NATURAL,
+    "earthshine": True,
     "zodiacal_light": True,
     "galaxy": True,
     "extinction_band": "sensor",
@@ -40,6 +41,8 @@ class SkySection(Section):
     dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
     # Whether the Sun, the Moon and the planets are drawn.
     bodies: bool = Field(default=False, description="true or false")
+    # Whether the Earth lights the Moon.
+    earthshine: bool = Field(default=False, description="true or false")
     # Extinction by the air above the aircraft: a standard atmosphere at its height, or ``air.pressure_hpa``.
     extinction: Literal["none", "standard", "pressure"] = "none"
     # Wavelength of the extinction: 510 nm, or that of the sensor's band, with a mosaic that of each channel.

@@ -17,7 +17,7 @@ from glstar.render.motion.pointing import CameraMotion, MotionSamples, Pointing
 from glstar.render.motion.trailmodels import AnalyticSegments, SpriteCost, SubExposureRule, SubExposures, TrailModel
 from glstar.render.readout.stacking import StackedListing, StackedTrails, union
 from glstar.render.scene.attenuation import Attenuation
-from glstar.render.scene.bodies import BodySources, body_field
+from glstar.render.scene.bodies import BodySources, body_field, star_sigma_rad
 from glstar.render.scene.culling import DrawList
 from glstar.render.scene.exposuremotion import ExposureListing, ExposureMotion
 from glstar.render.scene.satellites import SatelliteMotion, Sunlight, passing_satellites
@@ -53,6 +53,8 @@ class Simulator:
         Cost of an analytic segment relative to a sub-exposure, for ``trail = "auto"``.
     bodies : bool
         Whether the Sun, the Moon and the planets are drawn.
+    earthshine : bool
+        Whether the light of the Earth on the Moon is drawn too.
     extinction : Extinction or None
         Extinction by the air above the aircraft; None without extinction.
     gimbal : Gimbal
@@ -71,6 +73,7 @@ class Simulator:
     temperature_c: float = STANDARD_TEMPERATURE_C
     sub_exposures_per_segment: float = trailmodels.SUB_EXPOSURES_PER_SEGMENT
     bodies: bool = False
+    earthshine: bool = False
     extinction: Extinction | None = None
     gimbal: Gimbal = NO_GIMBAL
     moving: SatelliteMotion | None = None
@@ -88,6 +91,7 @@ class Simulator:
         star_brightness: StarBrightness | None = None,
         *,
         bodies: bool = False,
+        earthshine: bool = False,
         extinction: Extinction | None = None,
         gimbal: Gimbal = NO_GIMBAL,
     ) -> Self:
@@ -106,6 +110,8 @@ class Simulator:
             Magnitudes that were measured with the camera, which replace the catalogue's.
         bodies : bool
             Whether the Sun, the Moon and the planets are drawn.
+        earthshine : bool
+            Whether the light of the Earth on the Moon is drawn too.
         extinction : Extinction, optional
             Extinction by the air above the aircraft.
         gimbal : Gimbal
@@ -137,6 +143,7 @@ class Simulator:
             pressure_hpa=pressure_hpa,
             temperature_c=temperature_c,
             bodies=bodies,
+            earthshine=earthshine,
             extinction=extinction,
             gimbal=gimbal,
         )
@@ -299,13 +306,15 @@ class Simulator:
             return None, 0.0
         exposure = path.exposure
         bodies = observed_bodies(self.sky, exposure.mid_utc_s, site)
+        if not self.earthshine:
+            bodies = tuple(replace(body, earthshine_vmag=None) for body in bodies)
         directions = np.array([body.direction_eq for body in bodies])
         radius_rad = np.array([body.angular_radius_rad for body in bodies])
         angle_rad = np.arccos(np.clip(pointing.boresight_eq @ directions.T, -1, 1))
         swing_rad = 0.0 if len(pointing) < 2 else float(_angles_rad(pointing.boresight_eq).max())
         margin_rad = self.camera.field_radius_rad + swing_rad + MAX_REFRACTION_RAD
         near = angle_rad.min(axis=0) < radius_rad + margin_rad
-        sigma_rad = self.sensor.effective_sigma_px / max(self.camera.fx_px, self.camera.fy_px)
+        sigma_rad = star_sigma_rad(self.camera, self.sensor.effective_sigma_px, angle_rad)
         field = in_band(body_field(bodies, self.stars, sigma_rad, near), self.sensor.colour)
         touching = path.culler(field, site).touching(pointing, time_fraction, exposure.duration_s)
         draw_list = touching.integrated(exposure.faintest_dn) if analytic else touching.summed

@@ -197,6 +197,25 @@ def test_a_star_in_the_bloom_of_another_is_saturated_in_the_truth(renderer: GLRe
     assert marked == {"none": [True, False, False], "columns": [True, True, False], "rows": [True, False, False]}
 
 
+def test_blooming_moves_the_electrons_that_were_counted(renderer: GLRenderer) -> None:
+    """Full pixels of a bloom have read noise only, and the charge of the image scatters as Poisson counts do."""
+    model = replace(MODEL, dark_current_e_per_s=0.0, read_noise_after_gain_e=0.0)
+    scene = star(replace(sensor("columns"), electrons=model), vmag=-1.0)
+    frames = np.array([renderer.render(scene, seed=seed).pixels.astype(float) for seed in range(60)])
+    signal_dn = noiseless(renderer, scene).light_dn
+    bloomed_dn = noiseless(renderer, scene).pixels - 100.0
+    filled = (bloomed_dn > FULL_DN - 1) & (signal_dn < 0.5 * FULL_DN)
+    inside = filled & np.roll(filled, 3, axis=0) & np.roll(filled, -3, axis=0)
+    assert inside.sum() > 20
+    assert frames[:, inside].var(axis=0).mean() == pytest.approx(4.0 * 1.0**2 + 1 / 12, rel=0.1)
+    np.testing.assert_allclose(frames[:, inside].mean(), FULL_DN + 100, rtol=0, atol=0.5)
+    sums = (frames - 100.0).sum(axis=(1, 2)) / 2.0
+    expected_e = float(signal_dn.sum()) / 2.0
+    scatter_e = np.sqrt(expected_e + signal_dn.size)
+    assert sums.mean() == pytest.approx(expected_e, abs=4 * scatter_e / np.sqrt(60))
+    assert sums.std() == pytest.approx(scatter_e, rel=0.35)
+
+
 def test_two_effects_that_move_charge_are_refused(context: moderngl.Context) -> None:
     again = replace(BLOOMING, name="again", glsl=BLOOMING.glsl.replace("blooming", "again"))
     with (

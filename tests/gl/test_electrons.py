@@ -106,6 +106,59 @@ def test_the_full_well_and_the_converter_limit_a_pixel(stack: Stack) -> None:
     assert np.unique(stack(replace(full, gain_dn_per_e=4.0), frames=1, bit_depth=12)).tolist() == [4095]
 
 
+@pytest.mark.parametrize("over_sigma", [-8.0, -3.0, -1.0, 0.0, 0.5, 2.0, 8.0])
+@pytest.mark.parametrize("full_well_e", [900.0, 8200.0])
+def test_the_full_well_cuts_the_shot_noise_and_not_the_read_noise(
+    stack: Stack, full_well_e: float, over_sigma: float
+) -> None:
+    """Below, at and above the full well: mean and variance of a normal count that is cut there, drawn in NumPy."""
+    read_noise_e, gain = 3.0, 4.0
+    mean_e = full_well_e + over_sigma * np.sqrt(full_well_e)
+    model = replace(uniform(mean_e, read_noise_e, gain), full_well_e=full_well_e)
+    counts = np.random.default_rng(7).poisson(mean_e, 4_000_000)
+    cut = np.minimum(counts, full_well_e)
+
+    pixels = stack(model, frames=2)
+
+    standard_error_dn = gain * np.sqrt((cut.var() + read_noise_e**2) / pixels.size)
+    assert pixels.mean() == pytest.approx(1000 + gain * cut.mean(), rel=0, abs=0.05 + 4 * standard_error_dn)
+    expected_dn2 = gain**2 * (cut.var() + read_noise_e**2) + 1 / 12
+    assert pixels.var() == pytest.approx(expected_dn2, rel=0.01)
+    # The formulae leave out the skewness of the counts: 1 % of the variance at 900 e.
+    z = np.linspace(-12, 12, 2_000_001)
+    weight, normal = np.exp(-z * z / 2), np.minimum(mean_e + np.sqrt(mean_e) * z, full_well_e)
+    mean, square = (np.average(normal**power, weights=weight) for power in (1, 2))
+    assert model.cut_at_full_well(mean_e) == pytest.approx((mean, square - mean**2), rel=1e-5, abs=1e-3)
+    sensor = Sensor(bit_depth=16, electrons=model)
+    assert sensor.background_mean_dn(0.5) == pytest.approx(1000 + gain * mean, abs=1e-2)
+    expected_dn = gain * np.sqrt(square - mean**2 + read_noise_e**2)
+    assert sensor.background_std_dn(0.5) == pytest.approx(expected_dn, rel=1e-4)
+
+
+def test_the_variance_rises_to_the_saturation_point_of_emva_and_falls_behind_it(stack: Stack) -> None:
+    levels_e = np.arange(6800.0, 8801.0, 100.0)
+    variances = np.array(
+        [stack(replace(uniform(level, 3.0), full_well_e=8200.0), frames=1).var() / 16 for level in levels_e]
+    )
+    # Poisson counts, cut: the variance is largest 3 of their standard deviations of 90 e below the full well.
+    counts = np.random.default_rng(3).poisson(levels_e, (400_000, len(levels_e)))
+    of_counts = np.minimum(counts, 8200).var(axis=0) + 9
+    np.testing.assert_allclose(variances, of_counts, rtol=0.015, atol=3.0)
+    assert levels_e[variances.argmax()] in {7800.0, 7900.0, 8000.0}
+    np.testing.assert_allclose(variances[levels_e <= 7800], levels_e[levels_e <= 7800] + 9, rtol=0.02)
+    np.testing.assert_allclose(variances[levels_e >= 8600], 9 + 1 / 192, rtol=0.02)
+
+
+def test_a_star_at_the_full_well_is_saturated_where_the_converter_is_not(renderer: GLRenderer) -> None:
+    model = replace(uniform(10.0, 3.0), vmag_0_e_per_s=1e6, full_well_e=8200.0)
+    sensor = Sensor(bit_depth=16, electrons=model)
+    scene = stars_at([[60.0, 60.0], [200.0, 120.0]], [-1.0, 5.0], sensor=sensor, lens=camera())
+    frame = renderer.render(scene, seed=1)
+    assert frame.pixels.max() < sensor.saturation_dn
+    truth = json.loads(frame_truth(scene, frame, number=0, file="frame.png"))
+    assert {star["vmag"]: star["saturated"] for star in truth["stars"]} == {-1.0: True, 5.0: False}
+
+
 def test_the_tails_are_those_of_a_poisson_count(stack: Stack) -> None:
     # False alarms of a threshold: fractions of pixels above it, against drawn counts.
     pixels = stack(uniform(5.0, 1.2))

@@ -1,11 +1,13 @@
 """Export frames with random combinations of settings: ``python -m tests.scripts.random_settings --trials 200``.
 
-Each trial picks a camera and some settings of most sections, and draws a frame as ``glstar export`` does.  It fails by
+Each trial picks a camera and some settings of most sections, or the defaults, and draws the bundled flight as
+``glstar export`` does.  It fails by
 
 - an exception that is no `GlstarError`, or a warning;
 - another image, mask or line of truth when the frame is drawn again;
 - truth that is not finite, a peak brighter than the flux, a star that is listed twice;
-- light that differs between analytic trails and dense sub-exposures by more than `FRACTION` of the brightest pixel,
+- light that differs between trails, analytic in one half of the trials and the default model in the other, and dense
+  sub-exposures by more than `FRACTION` of the brightest pixel,
   or with scintillation, which is constant along parts of a trail, `SCINTILLATING_FRACTION`.
 
 The same seed makes the same trials.  Combinations that a config refuses are counted, by their message.
@@ -26,6 +28,7 @@ from unittest.mock import patch
 import numpy as np
 import orjson
 
+from glstar.camera.presets import sensor_presets
 from glstar.config import Config
 from glstar.errors import GlstarError
 from glstar.export.plan.frames import ExportOptions
@@ -95,6 +98,7 @@ GROUPS: dict[str, list[Settings]] = {
         ELECTRONS,
         ELECTRONS | {"sensor.analogue_gain": 8.0, "sensor.black_level_dn": 250.0, "sensor.full_well_e": 8000.0},
     ],
+    "sensor preset": [{"sensor.preset": name} for name in sorted(sensor_presets())],
     "profile": [
         {"sensor.psf": "moffat", "sensor.psf_beta": 2.5},
         {"sensor.psf_wing_fraction": 0.2, "sensor.psf_wing_sigma_px": 5.0, "sensor.psf_halo_fraction": 0.01},
@@ -155,8 +159,8 @@ GROUPS: dict[str, list[Settings]] = {
     "navigator": [{"navigator.attitude": "model", "navigator.drift_sigma_deg": 0.3, "navigator.perlin_deg": 0.2}],
 }
 FORMATS = (None, None, "png16", "tiff", "fits", "jpeg")
-# How often a group has an entry.
-CHANCE = 0.35
+# How often a group has an entry, and how often none has.
+CHANCE, DEFAULTS_CHANCE = 0.35, 0.1
 
 
 def main() -> int:
@@ -190,6 +194,8 @@ def random_settings(seed: int) -> Settings:
     """Return settings of one trial by dotted key."""
     random = np.random.default_rng(seed)
     settings: Settings = CAMERA | {"camera.fx_px": 300.0, "camera.fy_px": 300.0}
+    if random.random() < DEFAULTS_CHANCE:
+        return settings
     for entries in GROUPS.values():
         if random.random() < CHANCE:
             settings |= entries[int(random.integers(len(entries)))]
@@ -264,7 +270,8 @@ def _faults_of_truth(line: Settings) -> Iterator[str]:
 def _faults_of_light(renderer: GLRenderer, config: Config, flight: Flight, options: ExportOptions) -> Iterator[str]:
     """Compare the light of analytic trails with that of dense sub-exposures."""
     fine = config.override(**{"exposure.faintest_dn": 0.0, "exposure.path_tolerance_px": 0.0})
-    analytic = _light(renderer, fine.override(**{"exposure.trail": "analytic"}), flight, options)
+    as_run = config if options.seed % 2 else fine.override(**{"exposure.trail": "analytic"})
+    analytic = _light(renderer, as_run, flight, options)
     fraction = SCINTILLATING_FRACTION if config.sky.scintillation else FRACTION
     rate_hz = 50.0
     while True:

@@ -6,6 +6,9 @@ border; with a barrel lens in every sixth trial.  The reference is the sum of Ga
 the interpolated attitude with a spacing of at most a third of a sigma.  Behind a lens it is the sum of many
 sub-exposures.
 
+With ``--users`` every trial is what users run: the bundled flight as it was logged, its default interpolation,
+``trail = "auto"``, and sigma and exposure time near the defaults.
+
 With ``--pieces`` every trail is drawn in pieces that can be, whatever it costs.
 
 With ``GALLIUM_DRIVER=softpipe`` in the environment, the other software driver of Mesa draws.
@@ -74,6 +77,7 @@ class Variant(NamedTuple):
     horizon: bool = False
     rolling: bool = False
     shaking: bool = False
+    users: bool = False
 
 
 VARIANTS = {
@@ -82,6 +86,7 @@ VARIANTS = {
     "horizon": "let each star rise or set during its exposure, behind a pinhole",
     "rolling": "read rows or columns out one after the other within 0.01 to 0.2 s, behind a pinhole",
     "shaking": "let each star shake about one place, by up to 2 standard deviations to either side",
+    "users": "draw the bundled flight as it was logged, with the default trail model",
 }
 
 
@@ -131,6 +136,8 @@ def random_trial(seed: int, variant: Variant = Variant()) -> Trial:  # noqa: B00
     sensor = Sensor(
         reference_peak_dn=1e6, reference_exposure_s=duration_s, psf_sigma_px=sigma_px, bit_depth=16, reference_vmag=0.0
     )
+    if variant.users:
+        return _as_users_run(random)
     if variant.shaking:
         kind, attitudes = "shaking", _shaken(random, sigma_px / FOCAL_PX)
     else:
@@ -149,6 +156,30 @@ def random_trial(seed: int, variant: Variant = Variant()) -> Trial:  # noqa: B00
     still = sky_over_adelaide(lens, sensor=sensor, vmag_limit=1.0, refraction=variant.refraction)
     simulator = _with_star(still, attitudes, xy_px, utc_s, _altitude_rad(variant, random))
     return Trial(kind, simulator, exposure, deg_per_s)
+
+
+def _as_users_run(random: np.random.Generator) -> Trial:
+    """Return a bright star over the bundled flight with the defaults; half of them have another sigma or exposure."""
+    config = Config()
+    attitude, sigma_px, duration_s = config.open_flight(asset("adelaide.BIN")).attitude, Sensor().psf_sigma_px, 0.5
+    if random.random() < 0.5:
+        sigma_px, duration_s = random.uniform(0.7, 2.0), float(random.choice([0.02, 0.05, 0.1, 0.2, 0.5, 1.0]))
+    sensor = Sensor(
+        reference_peak_dn=1e6, reference_exposure_s=duration_s, psf_sigma_px=sigma_px, bit_depth=16, reference_vmag=0.0
+    )
+    start_s = random.uniform(attitude.first_s + 0.1, attitude.last_s - duration_s - 0.1)
+    exposure = Exposure(start_s, duration_s)
+    middle_s = start_s + duration_s / 2
+    near = np.abs(attitude.utc_s - middle_s) < 2.0 + duration_s
+    logged = _Attitudes(attitude.utc_s[near], attitude.q_body_ned[near], config.flight.interpolation)
+    xy_px = random.uniform([0.0, 0.0], [WIDTH_PX - 1.0, HEIGHT_PX - 1.0])
+    lens = camera(WIDTH_PX, HEIGHT_PX, FOCAL_PX)
+    still = sky_over_adelaide(lens, sensor=sensor, vmag_limit=1.0, refraction=False)
+    turned = Rotation.from_matrix(matrix_from_quaternion(attitude.at(start_s))).inv() * Rotation.from_matrix(
+        matrix_from_quaternion(attitude.at(start_s + duration_s))
+    )
+    deg_per_s = float(np.rad2deg(turned.magnitude())) / duration_s
+    return Trial("users", _with_star(still, logged, xy_px, middle_s, None), exposure, deg_per_s)
 
 
 def _lens_of(variant: Variant, lens: Camera, random: np.random.Generator) -> Camera:

@@ -3,6 +3,8 @@
 import json
 import warnings
 from dataclasses import dataclass
+from datetime import datetime
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +14,16 @@ from typer.testing import CliRunner
 
 from glstar.cli import app
 from glstar.sky.catalogue.reading import StarCatalogue
-from glstar.sky.observed.solarsystem import AU_KM, BODIES, Body, is_corrected, moon_km, moon_vmag, observed_bodies
+from glstar.sky.observed.solarsystem import (
+    AU_KM,
+    BODIES,
+    Body,
+    earthshine_vmag,
+    is_corrected,
+    moon_km,
+    moon_vmag,
+    observed_bodies,
+)
 from glstar.sky.observed.stars import Sky
 from glstar.sky.place.apparent import ASTROMETRY, direction
 from glstar.sky.place.horizon import ned_direction
@@ -46,14 +57,20 @@ def sky(*, astrometry: str = "erfa", dut1_s: float = 0.0) -> Sky:
     return Sky(StarCatalogue.open("bsc5").by_id([2491]), ASTROMETRY[astrometry], dut1_s)
 
 
-@pytest.fixture(scope="module")
-def pairs() -> dict[str, list[Pair]]:
-    """Return 60 dates and places of each body."""
+@cache
+def skyfield_tables() -> tuple[Any, Any]:
+    """Return Skyfield's ephemeris DE421 and its time scale."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the package's table of UT1, which is not read, has expired
         folder = skyfield_data.get_skyfield_data_path()
     loader = skyfield_api.Loader(folder, verbose=False)
-    ephemeris, timescale = loader("de421.bsp"), loader.timescale(builtin=True)
+    return loader("de421.bsp"), loader.timescale(builtin=True)
+
+
+@pytest.fixture(scope="module")
+def pairs() -> dict[str, list[Pair]]:
+    """Return 60 dates and places of each body."""
+    ephemeris, timescale = skyfield_tables()
     random = np.random.default_rng(421)
     found: dict[str, list[Pair]] = {name: [] for name in BODIES}
     for _ in range(DATES):
@@ -173,6 +190,23 @@ def test_the_moon_parallax_grows_with_height() -> None:
 def test_full_moon_has_the_magnitude_of_allen() -> None:
     assert moon_vmag(0.0, 384400.0, 1.0) == pytest.approx(-12.73, abs=1e-9)
     assert moon_vmag(np.pi / 2, 384400.0, 1.0) == pytest.approx(-12.73 + 2.34 + 0.26244, abs=1e-9)
+
+
+def test_earthshine_is_the_light_of_the_earth_that_a_full_moon_would_reflect() -> None:
+    """The Earth seen from the Moon by Skyfield, over the Sun; Apollo 11 reported -3.2 (Agrawal 2016: -1.3 to -3.7)."""
+    ephemeris, timescale = skyfield_tables()
+    for utc in ("2024-03-10T11:00:00Z", "2024-03-14T11:00:00Z", "2024-03-18T11:00:00Z", "2024-03-25T01:00:00Z"):
+        time, utc_s = timescale.from_datetime(datetime.fromisoformat(utc)), parse_utc(utc)
+        seen = ephemeris["moon"].at(time).observe(ephemeris["earth"])
+        from_sun_au = ephemeris["sun"].at(time).observe(ephemeris["earth"]).distance().au
+        phase_deg = seen.phase_angle(ephemeris["sun"]).degrees
+        earth = magnitudelib._earth_magnitude(from_sun_au, seen.distance().au, phase_deg)
+        moon = observed_bodies(sky(), utc_s, Site(0.5, 1.0), ("Moon",))[0]
+        expected = -12.73 + earth + 26.75 + 5 * np.log10(moon.distance_km / 384400.0)
+        assert moon.earthshine_vmag == pytest.approx(expected, abs=0.001)
+        both = 10 ** (-0.4 * moon.vmag) + 10 ** (-0.4 * moon.earthshine_vmag)
+        assert moon.light_vmag == pytest.approx(-2.5 * np.log10(both), abs=1e-9)
+    assert earthshine_vmag(0.0, 384400.0, 1.0, 384400.0) == pytest.approx(-2.92, abs=0.01)
 
 
 def test_corrections_end_with_their_years() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from math import exp, hypot, isfinite, log10, nan, pi, sqrt
+from math import erfc, exp, hypot, isfinite, log10, nan, pi, sqrt
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
@@ -79,9 +79,29 @@ class ElectronModel:
     def background_e(self, duration_s: float) -> float:
         """Return the mean number of electrons of a pixel without a star, on the optical axis, e.
 
-        It is that of sky and dark current, at most the full well.
+        It is that of sky and dark current, cut at the full well.
         """
-        return min((self.sky_e_per_s + self.dark_e_per_s) * duration_s, self.full_well_e)
+        return self.cut_at_full_well((self.sky_e_per_s + self.dark_e_per_s) * duration_s)[0]
+
+    def background_variance_e2(self, duration_s: float) -> float:
+        """Return the variance of such a pixel: shot noise, cut at the full well, and read noise, e^2."""
+        _, shot_e2 = self.cut_at_full_well((self.sky_e_per_s + self.dark_e_per_s) * duration_s)
+        return shot_e2 + self.read_noise_e**2
+
+    def cut_at_full_well(self, mean_e: float) -> tuple[float, float]:
+        """Return mean, e, and variance, e^2, of counts of some mean that are cut at the full well.
+
+        The counts are normal with the variance of Poisson's law.  The variance falls to 0 where the mean passes the
+        full well, which is how EMVA 1288 finds the saturation point.
+        """
+        sigma = sqrt(max(mean_e, 0.0))
+        if mean_e + _NEVER_REACHED_SIGMA * sigma <= self.full_well_e:
+            return mean_e, mean_e
+        room = (self.full_well_e - mean_e) / sigma
+        above, density = erfc(room / sqrt(2)) / 2, exp(-0.5 * room * room) / sqrt(2 * pi)
+        cut = density - room * above  # the mean of what is cut off, in sigma, and its mean square
+        cut_squared = (1 + room * room) * above - room * density
+        return mean_e - sigma * cut, max(mean_e * (1 + room * room - cut_squared - (room + cut) ** 2), 0.0)
 
     def variance_e2(self, mean_e: ArrayLike) -> Float:
         """Return the variance of pixels with some mean numbers of electrons: shot noise and read noise, (...) e^2.
@@ -109,7 +129,7 @@ class ElectronModel:
         King 1983 for the number of pixels.
         """
         flux = np.asarray(flux_e, dtype=np.float64)
-        background_e2 = self.variance_e2(self.background_e(duration_s))
+        background_e2 = self.background_variance_e2(duration_s)
         noise_e2 = flux + np.asarray(area_px2) * background_e2
         return np.asarray(flux / np.sqrt(np.maximum(noise_e2, np.finfo(np.float64).tiny)))
 
@@ -135,6 +155,11 @@ def _require_not_negative(owner: object, keys: Iterable[str], allowed: str) -> N
         if not (isfinite(value) and value >= 0):
             raise ConfigError(f"must be {allowed}, not {value}", key=f"sensor.{key}")
 
+
+# Shot noise never reaches this number of standard deviations.
+_NEVER_REACHED_SIGMA = 9.0
+# A pixel at the full well reads less than this number of standard deviations of the read noise below it.
+_FULL_READ_SIGMA = 5.0
 
 PixelModel = Literal["integrated", "sampled"]
 EffectValue = float | int | bool | str
@@ -364,6 +389,18 @@ class Sensor:
         """Flux of a star over the amplitude of its point spread function, px^2."""
         return self.point_spread.flux_per_peak_px2(self.psf_sigma_px)
 
+    @property
+    def full_dn(self) -> int:
+        """The digital number from which a pixel counts as saturated, DN.
+
+        The limit of the converter, or that of the full well where this is lower, less five times the read noise.
+        """
+        if self.electrons is None:
+            return self.saturation_dn
+        model = self.electrons
+        least_e = max(model.full_well_e - _FULL_READ_SIGMA * model.read_noise_e, 0.5 * model.full_well_e)
+        return min(self.saturation_dn, int(model.black_level_dn + model.dn_per_e * least_e))
+
     def background_mean_dn(self, duration_s: float) -> float:
         """Return the mean of pixels without a star, on the optical axis, DN.
 
@@ -397,7 +434,7 @@ class Sensor:
         model = self.electrons
         if model is None:
             return self.sky_std_dn
-        return float(model.dn_per_e * np.sqrt(model.variance_e2(model.background_e(duration_s))))
+        return float(model.dn_per_e * np.sqrt(model.background_variance_e2(duration_s)))
 
     def flux_of_magnitude_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
         """Return the signal that a source of some magnitude leaves on all its pixels together, DN.
@@ -603,6 +640,11 @@ def noise_equivalent_area_px2(sensor: Sensor) -> float:
     return 1 / squared
 
 
+def _light_e(model: ElectronModel, duration_s: float) -> float:
+    """Return the electrons of sky and dark current of a pixel without a full well."""
+    return (model.sky_e_per_s + model.dark_e_per_s) * duration_s
+
+
 def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: float = 0.0, frames: int = 1) -> float:
     """Return the magnitude of a star that a matched filter finds with a signal-to-noise ratio of 5.
 
@@ -619,7 +661,7 @@ def limiting_mag(sensor: Sensor, duration_s: float, area_px2: float, *, sky_dn: 
     """
     model = sensor.electrons
     dn_per_e = 0.0 if model is None else model.dn_per_e
-    is_full = model is not None and model.background_e(duration_s) + sky_dn / dn_per_e >= model.full_well_e
+    is_full = model is not None and _light_e(model, duration_s) + sky_dn / dn_per_e >= model.full_well_e
     if is_full or sensor.background_mean_dn(duration_s) + sky_dn >= sensor.saturation_dn:
         return nan
     variance_dn2 = sensor.background_std_dn(duration_s) ** 2 + dn_per_e * sky_dn + _QUANTISATION_VARIANCE_DN2

@@ -40,11 +40,11 @@ _FLARE_STEPS_PER_DN = 16
 def saturated_mask(scene: Scene, frame: Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
     """Return where an image is saturated before the camera's processing, (height, width) uint8: 255 there, else 0.
 
-    A saturated pixel has the largest digital number, of a stacked image in one of the short exposures.
+    A saturated pixel is full or has the largest digital number, of a stacked image in one of the short exposures.
     """
     saturated = frame.saturated
     if saturated is None:
-        saturated = frame.pixels >= scene.sensor.saturation_dn
+        saturated = frame.pixels >= scene.sensor.full_dn
     return np.where(saturated, np.uint8(_WHITE), np.uint8(0))
 
 

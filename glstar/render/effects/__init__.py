@@ -24,7 +24,7 @@ from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
 from glstar.render.effects.lensfalloff import FLAT_FALLOFF, LENS_FALLOFF
 from glstar.render.effects.lensflare import FLARE
 from glstar.render.effects.naturalsky import NATURAL_SKY
-from glstar.render.effects.noise import NOISE, ROW_NOISE, SHOT_NOISE
+from glstar.render.effects.noise import FULL_PIXELS, NOISE, ROW_NOISE, SHOT_NOISE
 from glstar.render.effects.output import CAMERA_PROCESSING, PROCESSING_DEFAULTS
 from glstar.render.effects.sky import SKY_LEVEL, SKY_MAP, UNIFORM_SKY
 from glstar.render.effects.stars import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS, POINT_SPREAD, SCINTILLATION
@@ -58,6 +58,7 @@ EFFECTS: tuple[Effect, ...] = (
     RESPONSE_PATTERN,
     DARK_CURRENT,
     DARK_PATTERN,
+    FULL_PIXELS,
     BLOOMING,
     FULL_WELL,
     SHOT_NOISE,

@@ -31,10 +31,11 @@ class Stage(IntEnum):
     SKY = 3  # background as it was measured behind the lens
     FIXED_PATTERN = 4  # pixel response non-uniformity
     DARK_CURRENT = 5  # and hot pixels
-    FULL_WELL = 6
-    NOISE = 7
-    QUANTISATION = 8  # gain, black level, saturation, rounding
-    PROCESSING = 9  # processing of digital numbers by the camera
+    SHOT_NOISE = 6  # of pixels that may be full: the charge that a full well cuts
+    FULL_WELL = 7
+    NOISE = 8
+    QUANTISATION = 9  # gain, black level, saturation, rounding
+    PROCESSING = 10  # processing of digital numbers by the camera
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,10 +39,47 @@ _MODEL = ElectronModel()
 _LITTLE_SKEWNESS = 0.3
 
 
+# Shot noise reaches this number of standard deviations: pixels that are closer to the full well may be cut by it.
+_NEAR_FULL_SIGMA = 6.0
+
+
+def _may_be_full_dn(scene: Scene) -> float:
+    """Return the mean signal m from which shot noise may fill a pixel: m + 6 sqrt(m) is the full well, in electrons."""
+    model = electron_model(scene)
+    half = _NEAR_FULL_SIGMA / 2
+    return model.dn_per_e * (sqrt(half * half + model.full_well_e) - half) ** 2
+
+
+FULL_PIXELS = Effect(
+    name="full_pixels",
+    section="sensor",
+    keys=(),
+    stage=Stage.SHOT_NOISE,
+    noise_model="electrons",
+    uniforms=lambda _values, scene: {
+        "counted_dn_per_e": electron_model(scene).dn_per_e,
+        "counted_from_dn": _may_be_full_dn(scene),
+    },
+    glsl="""\
+uniform float counted_dn_per_e, counted_from_dn;
+
+// Shot noise belongs to the light: the full well cuts it, and blooming moves it.  Of pixels that cannot be full,
+// `shot_noise` adds it with the read noise.
+vec4 full_pixels(vec4 signal_dn, uvec2 quad) {
+    has_shot_noise = greaterThan(signal_dn, vec4(counted_from_dn));
+    if (!any(has_shot_noise)) return signal_dn;
+    return mix(signal_dn, counted_dn(signal_dn, counted_dn_per_e, quad), has_shot_noise);
+}
+""",
+)
+
+
 def _shot_noise_uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
     model = electron_model(scene)
     return {
         "shot_dn_per_e": model.dn_per_e,
+        "shot_from_dn": _may_be_full_dn(scene),
+        "shot_full_dn": model.dn_per_e * model.full_well_e,
         "shot_read_variance_dn2": (model.dn_per_e * model.read_noise_e) ** 2 + 1e-9,
     }
 
@@ -108,7 +145,7 @@ SHOT_NOISE = Effect(
     options=_shot_noise_options,
     truth=_electron_model_truth,
     glsl="""\
-uniform float shot_dn_per_e, shot_read_variance_dn2;
+uniform float shot_dn_per_e, shot_read_variance_dn2, shot_from_dn, shot_full_dn;
 
 // A Poisson count plus Gaussian read noise of variance r2 has the variance v and a third central moment m3.
 // The polynomial signal - h + z (sigma + h z) of a normal deviate z has the variance sigma^2 + 2 h^2, which is v, and
@@ -126,7 +163,17 @@ vec4 shot_noise(vec4 signal_dn, uvec2 quad) {
 #endif
     vec4 sigma_dn = sqrt(variance_dn2 - 2.0 * h_dn * h_dn);
     vec4 z = normal_deviates(random_bits(quad));
-    return signal_dn - h_dn + z * (sigma_dn + h_dn * z);
+    vec4 noisy_dn = signal_dn - h_dn + z * (sigma_dn + h_dn * z);
+    // Pixels that other pixels' charge has filled are full, and those that it has nearly filled may be.
+    bvec4 may_be_full = greaterThan(signal_dn, vec4(shot_from_dn));
+    if (any(has_shot_noise) || any(may_be_full)) {
+        vec4 charge_dn = min(counted_dn(signal_dn, shot_dn_per_e, quad), shot_full_dn);
+        charge_dn = mix(charge_dn, signal_dn, has_shot_noise);
+        charge_dn = mix(charge_dn, signal_dn, greaterThanEqual(signal_dn, vec4(shot_full_dn)));
+        vec4 read_dn = charge_dn + sqrt(shot_read_variance_dn2) * z;
+        noisy_dn = mix(mix(noisy_dn, read_dn, may_be_full), read_dn, has_shot_noise);
+    }
+    return noisy_dn;
 }
 """,
 )

@@ -174,7 +174,7 @@ class GLRenderer:
         light : bool
             Whether the frame that `read` returns includes its noiseless signal, `Frame.light_dn`.
         noiseless : bool
-            Whether to leave out the effects of `Stage.NOISE`.
+            Whether to leave out the effects of `Stage.SHOT_NOISE` and `Stage.NOISE`.
 
         Raises
         ------

@@ -119,7 +119,7 @@ def stacked_frame(render: _Render, scene: Scene, *, seed: int) -> Frame:
     for number, short in enumerate(scene.shorts):
         frame = render(short, seed=short_seed(seed, number))
         total += frame.pixels
-        saturated |= frame.pixels >= scene.sensor.saturation_dn
+        saturated |= frame.pixels >= scene.sensor.full_dn
         if frame.light_dn is not None:
             light += frame.light_dn
     assert frame is not None

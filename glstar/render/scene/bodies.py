@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from glstar.arrays import Float
@@ -18,16 +19,19 @@ from glstar.sky.observed.solarsystem import Body
 
 # The catalogue of the sources.
 BODIES = "bodies"
-# Distance between the sources of a disc, in sigma of a star's image.  At 0.75 the sum of Gaussians has no ripple; what
-# remains is the disc's edge, 1 % of its brightest pixel.
-_SPACING_SIGMA = 0.75
+# Size of the cells of a disc, in sigma of a star's image.  Each has four sources; the sum of all is within 0.3 % of the
+# brightest pixel, and beyond 2 sigma it shows the cells.
+_CELL_SIGMA = 1.75
 # Radius of a disc, in sigma, below which it is one point.
-_POINT_SIGMA = 0.25
-# Samples across a disc, and across each of its cells: a cell's brightness is their mean.
-_SAMPLES_ACROSS = 240
-_CELL_SAMPLES = (2, 8)
-# The largest number of cells across a disc, for cameras of long focal length: 31 000 sources, more widely spaced.
-_MOST_CELLS = 200
+_POINT_SIGMA = 0.02
+# The most cells from pole to pole of a disc, for cameras of long focal length: a million sources.
+_MOST_CELLS = 800
+# Nodes and weights of the integrals over a cell, from -1 to 1.
+_NODES, _WEIGHTS = leggauss(8)
+# The largest phase angle, rad: no body is lit from exactly behind.
+_MOST_PHASE_RAD = np.pi - 1e-4
+# Number of angles from the optical axis at which the scale of the image is taken where a body crosses it; step, rad.
+_SCALE_ANGLES, _SCALE_STEP_RAD = 9, 1e-4
 # Limb darkening of the Sun at V: 1 - u (1 - cos).
 _SUN_DARKENING = 0.6
 
@@ -46,15 +50,17 @@ class BodySources:
         return replace(self, draw_list=replace(self.draw_list, truncation_radius_px=radius_px))
 
 
-def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, near: NDArray[np.bool_]) -> StarField:
+def body_field(
+    bodies: tuple[Body, ...], stars: StarField, sigma_rad: float | Float, near: NDArray[np.bool_]
+) -> StarField:
     """Return the sources of n bodies, in their order, in the frame of the stars of the scene.
 
-    `sigma_rad`: standard deviation of a star's image on the optical axis, rad; `near` (n,) bool: which bodies may touch
+    `sigma_rad` (n,): standard deviation of a star's image at each body, rad; `near` (n,) bool: which bodies may touch
     the image; the others are single points, to save time.
     """
     parts = [
-        disc_sources(body, sigma_rad) if is_near else (body.direction_eq[np.newaxis], np.array([body.vmag]))
-        for body, is_near in zip(bodies, near, strict=True)
+        disc_sources(body, float(sigma)) if is_near else (body.direction_eq[np.newaxis], np.array([body.light_vmag]))
+        for body, sigma, is_near in zip(bodies, np.broadcast_to(sigma_rad, len(bodies)), near, strict=True)
     ]
     number = np.repeat(np.arange(len(bodies), dtype=np.int32), [len(vmag) for _, vmag in parts])
     return StarField(
@@ -74,32 +80,85 @@ def centre_source(body: Body, stars: StarField) -> BodySources:
     return BodySources((body,), field, DrawList(np.zeros(1, dtype=np.int32), np.zeros(1)))
 
 
+def star_sigma_rad(camera: Camera, sigma_px: float, off_axis_rad: Float) -> Float:
+    """Return the smallest standard deviation of a star's image that bodies meet on their paths, (n,) rad.
+
+    `off_axis_rad` (m, n): their angles from the optical axis at m times.
+    """
+    nearest, farthest = (
+        np.minimum(end, camera.field_radius_rad) for end in (off_axis_rad.min(axis=0), off_axis_rad.max(axis=0))
+    )
+    angle = nearest + (farthest - nearest) * np.linspace(0, 1, _SCALE_ANGLES)[:, np.newaxis]
+    px_per_rad = np.full(angle.shape, max(camera.fx_px, camera.fy_px))
+    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        sine, cosine = np.sin(angle), np.cos(angle)
+        at = np.stack([x * sine, y * sine, cosine], axis=-1)
+        outwards = np.stack([x * cosine, y * cosine, -sine], axis=-1)
+        for step in (_SCALE_STEP_RAD * outwards, _SCALE_STEP_RAD * np.array([-y, x, 0])):
+            across_px = np.linalg.norm(camera.project(at + step) - camera.project(at - step), axis=-1)
+            px_per_rad = np.fmax(px_per_rad, across_px / (2 * _SCALE_STEP_RAD))
+    widest: Float = px_per_rad.max(axis=0)
+    return sigma_px / widest
+
+
 def disc_sources(body: Body, sigma_rad: float) -> tuple[Float, Float]:
     """Return the directions, (n, 3), and magnitudes, (n,), of point sources that look like the disc of a body.
 
-    Each is at the centroid of the light of a cell of the disc; their light adds up to the body's.  Brightness by Lommel
-    and Seeliger, mu0 / (mu0 + mu), zero beyond the terminator; of the Sun, linear limb darkening.  `sigma_rad`:
-    standard deviation of a star's image, rad.
+    Their light adds up to the body's.  Brightness by Lommel and Seeliger, mu0 / (mu0 + mu), zero beyond the terminator,
+    and of a disc that its observer lights, uniform; of the Sun, linear limb darkening.  `sigma_rad`: standard deviation
+    of a star's image, rad.
     """
-    radius_rad = body.angular_radius_rad
-    if radius_rad < _POINT_SIGMA * sigma_rad:
-        return body.direction_eq[np.newaxis].copy(), np.array([body.vmag])
-    cells = min(int(np.ceil(2 * radius_rad / (_SPACING_SIGMA * sigma_rad))), _MOST_CELLS)
-    per_side = cells * int(np.clip(_SAMPLES_ACROSS // cells, *_CELL_SAMPLES))
-    along = (np.arange(per_side) + 0.5) / per_side * 2 - 1
-    x, y = (grid.ravel() for grid in np.meshgrid(along, along))
-    inside = x * x + y * y < 1
-    x, y = x[inside], y[inside]
-    light = _radiance(body, x, y)
-    column, row = (((v + 1) / 2 * cells).astype(np.intp) for v in (x, y))
-    cell = row * cells + column
-    flux = np.bincount(cell, light, cells * cells)
-    lit = flux > 0
-    x, y = (np.bincount(cell, light * v, cells * cells)[lit] / flux[lit] for v in (x, y))
+    if body.angular_radius_rad < _POINT_SIGMA * sigma_rad:
+        return body.direction_eq[np.newaxis].copy(), np.array([body.light_vmag])
+    cell = max(_CELL_SIGMA * sigma_rad / body.angular_radius_rad, np.pi / _MOST_CELLS)
+    parts = [(body.vmag, _points_of_disc(body, body.phase_angle_rad, cell))]
+    if body.earthshine_vmag is not None:
+        parts.append((body.earthshine_vmag, _points_of_disc(body, 0.0, cell)))
+    x, y, _ = np.concatenate([points for _, points in parts], axis=1)
     across, up = _disc_axes(body)
-    directions = body.direction_eq + np.tan(radius_rad) * (x[:, np.newaxis] * across + y[:, np.newaxis] * up)
+    directions = body.direction_eq + np.tan(body.angular_radius_rad) * (x[:, None] * across + y[:, None] * up)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return directions, body.vmag - 2.5 * np.log10(flux[lit] / flux.sum())
+    vmag = [mag - 2.5 * np.log10(flux / flux.sum()) for mag, (_, _, flux) in parts]
+    return directions, np.concatenate(vmag)
+
+
+def _points_of_disc(body: Body, phase_rad: float, cell: float) -> Float:
+    """Return the places x, towards the bright limb, and y of points on a disc of radius 1, and their light, (3, n).
+
+    Cells of at most `cell` divide the lit part, from pole to pole and from terminator to limb.  Each has two points in
+    both directions with its light, centroid, and second and third moments: Gauss's rule for the light as the weight.
+    """
+    terminator = -np.cos(min(phase_rad, _MOST_PHASE_RAD))
+    latitude_rad, step_rad = _between(np.linspace(-np.pi / 2, np.pi / 2, 1 + int(np.ceil(np.pi / cell))))
+    ys, widths = _two_points(np.sin(latitude_rad), np.cos(latitude_rad) ** 2 * step_rad)
+    points = []
+    north = ys.size // 2  # the rows of the south mirror those of the north
+    for y, width in zip(ys.ravel()[north:], widths.ravel()[north:], strict=True):
+        half = np.sqrt(1 - y * y)
+        columns = max(1, int(np.ceil(half * (1 - terminator) / cell)))
+        longitude_rad, step_rad = _between(np.arcsin(np.linspace(terminator, 1.0, 1 + columns)))
+        light = _radiance(body, phase_rad, longitude_rad, half) * np.cos(longitude_rad) * step_rad
+        x, flux = _two_points(np.sin(longitude_rad), light)
+        points.append([half * x.ravel(), np.full(x.size, y), width * flux.ravel()])
+    x, y, flux = np.concatenate(points, axis=1)
+    return np.array([np.hstack([x, x]), np.hstack([y, -y]), np.hstack([flux, flux])])
+
+
+def _between(ends_rad: Float) -> tuple[Float, Float]:
+    """Return the angles of integration between consecutive ones, (n, nodes) rad, and their steps."""
+    half = np.diff(ends_rad)[:, np.newaxis] / 2
+    return ends_rad[:-1, np.newaxis] + half * (1 + _NODES), half * _WEIGHTS
+
+
+def _two_points(places: Float, light: Float) -> tuple[Float, Float]:
+    """Return two points each of n cells, (n, 2), with the moments up to the third of light at places, (n, nodes)."""
+    total = light.sum(axis=1, keepdims=True)
+    mean = (light * places).sum(axis=1, keepdims=True) / total
+    offset = places - mean
+    variance, third = ((light * offset**power).sum(axis=1, keepdims=True) / total for power in (2, 3))
+    skew = third / (2 * variance)
+    reach = np.sqrt(variance + skew * skew)
+    return mean + np.hstack([skew - reach, skew + reach]), total * np.hstack([reach + skew, reach - skew]) / (2 * reach)
 
 
 def disc_on_image(camera: Camera, pointing: Pointing, body: Body) -> tuple[float | None, float | None]:
@@ -121,13 +180,12 @@ def disc_on_image(camera: Camera, pointing: Pointing, body: Body) -> tuple[float
     return round(float(np.sqrt(area_px2)), 6), None if limb_deg is None else round(limb_deg, 6)
 
 
-def _radiance(body: Body, x: Float, y: Float) -> Float:
-    """Return the relative radiance of points of a disc of radius 1, x towards the bright limb."""
-    towards_observer = np.sqrt(1 - x * x - y * y)
+def _radiance(body: Body, phase_rad: float, longitude_rad: Float, cos_latitude: float) -> Float:
+    """Return the relative radiance of points of a disc by longitude from its centre towards the bright limb."""
+    towards_observer = np.cos(longitude_rad)
     if body.name == "Sun":
-        return 1 - _SUN_DARKENING * (1 - towards_observer)
-    phase_rad = body.phase_angle_rad
-    towards_sun = np.maximum(x * np.sin(phase_rad) + towards_observer * np.cos(phase_rad), 0.0)
+        return 1 - _SUN_DARKENING * (1 - cos_latitude * towards_observer)
+    towards_sun = np.cos(longitude_rad - phase_rad)  # over the cosine of the latitude, as `towards_observer`
     return np.asarray(towards_sun / (towards_sun + towards_observer))
 
 

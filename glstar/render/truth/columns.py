@@ -216,7 +216,7 @@ _STAR = (
 
 _BODY = (
     Column("name", "string", "", '`"Sun"`, `"Moon"` or a planet'),
-    Column("vmag", "float", "mag", "V magnitude above the air"),
+    Column("vmag", "float", "mag", "V magnitude above the air, without earthshine"),
     Column("x_px", "float", "px", "position of the centre of its disc, as of a star"),
     Column("y_px", "float", "px", "the same"),
     Column("centroid_x_px", "float", "px", "mean position of the centre while it is on the image"),
@@ -242,6 +242,7 @@ _BODY = (
     Column("exposed_s", "float", "s", "as of a star, of the centre", _ROLLING),
     Column("light_dn", "float", "DN", "as of a star, of the centre", _ROLLING),
     Column("extinction_mag", "float", "mag", "extinction by the air", _EXTINCTION),
+    Column("earthshine_vmag", "float", "mag", "of the Moon, `vmag` of the Earth's light on it", "`[sky] earthshine`"),
 )
 
 _SATELLITE = (

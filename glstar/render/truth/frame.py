@@ -323,7 +323,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
     x_px, y_px = (None if np.isnan(v) else float(v) for v in at_middle)
     mean_px = [None if np.isnan(v) else round(float(v), _DIGITS) for v in path.centroid[0]]
     extinction_mag = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
-    observed_mag = body.vmag + (0.0 if extinction_mag is None else float(extinction_mag))
+    observed_mag = body.light_vmag + (0.0 if extinction_mag is None else float(extinction_mag))
     flux_dn = scene.sensor.flux_of_magnitude_dn(observed_mag, scene.exposure.duration_s)
     image_flux_dn = float(flux_dn) * scene.exposure.signal_factor
     diameter_px, limb_deg = disc_on_image(scene.camera, pointing, body)
@@ -348,6 +348,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "bright_limb_deg": limb_deg,
         **{key: float(values[0]) for key, values in row_columns(scene, recorded, np.array([image_flux_dn])).items()},
         **({} if extinction_mag is None else {"extinction_mag": round(float(extinction_mag), _DIGITS)}),
+        **({} if body.earthshine_vmag is None else {"earthshine_vmag": round(body.earthshine_vmag, _DIGITS)}),
     }
 
 

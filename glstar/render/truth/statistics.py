@@ -31,7 +31,7 @@ class TrailStatistics:
         self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
         self._nodes_px: list[Float] = []
-        saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
+        saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.full_dn)
         self.recorded = recorded_rows(scene, scene.visible, rows)
         if self.recorded is not None:
             self._add_recorded(scene, self.recorded, saturation)

@@ -39,6 +39,7 @@ _MEAN_MOON_KM = 384400.0
 _MERCURY = (-0.613, 6.3280e-2, -1.6336e-3, 3.3644e-5, -3.4265e-7, 1.6893e-9, -3.0334e-12)
 _VENUS = (-4.384, -1.044e-3, 3.687e-4, -2.814e-6, 8.938e-9)
 _VENUS_CRESCENT = (236.05828, -2.81914, 8.39034e-3)  # above 163.7 deg
+_EARTH = (-3.99, -1.060e-3, 2.054e-4)
 _MARS = (-1.601, 2.267e-2, -1.302e-4)
 _MARS_GIBBOUS = (-0.367, -0.02573, 3.445e-4)  # above 50 deg, not seen from the Earth
 _JUPITER = (-9.395, -3.7e-4, 6.16e-4)
@@ -95,6 +96,19 @@ def moon_vmag(phase_angle_rad: float, distance_km: float, sun_distance_au: float
     angle_deg = degrees(phase_angle_rad)
     at_mean_distance = _FULL_MOON_VMAG + 0.026 * angle_deg + 4e-9 * angle_deg**4
     return at_mean_distance + 5 * log10(distance_km / _MEAN_MOON_KM * sun_distance_au)
+
+
+def earthshine_vmag(earth_phase_rad: float, moon_km: float, sun_distance_au: float, distance_km: float) -> float:
+    """Return the V magnitude of the Moon's disc as the Earth alone lights it.
+
+    `earth_phase_rad`: angle between Sun and Moon at the Earth; `moon_km`: from the Earth's centre to the Moon;
+    `sun_distance_au`: from the Earth to the Sun; `distance_km`: from the observer to the Moon.  The Moon reflects the
+    Earth's light as it does the Sun's when full, because it comes from the observer's side; V of the Earth at the Moon
+    by Mallama & Hilton 2018.  The observer's parallax, up to 1 deg of phase, and weather on the Earth (0.1 mag) are not
+    in it.
+    """
+    earth = _series(_EARTH, degrees(earth_phase_rad)) + 5 * log10(moon_km / AU_KM * sun_distance_au)
+    return moon_vmag(0.0, distance_km, 1.0) + earth - _SUN_VMAG
 
 
 def planet_vmag(name: str, from_sun_au: Float, from_observer_au: Float, phase_angle_rad: float, year: float) -> float:
@@ -253,14 +267,22 @@ class Body:
     phase_angle_rad: float  # angle between the Sun and the observer at the body; 0 for the Sun
     # Position angle of the middle of the bright limb, from celestial north through east, rad; None for the Sun.
     bright_limb_rad: float | None
-    vmag: float  # V magnitude above the air
+    vmag: float  # V magnitude above the air, without earthshine
     # (3,) diurnal aberration, true equator and equinox: it adds to `direction_eq`
     diurnal_aberration_eq: Float = field(default_factory=lambda: np.zeros(3))
+    earthshine_vmag: float | None = None  # V magnitude of the Moon as the Earth lights it; None for others
 
     @property
     def illuminated_fraction(self) -> float:
         """The lit fraction of the disc, 0 to 1."""
         return (1 + cos(self.phase_angle_rad)) / 2
+
+    @property
+    def light_vmag(self) -> float:
+        """V magnitude of all its light, with earthshine."""
+        if self.earthshine_vmag is None:
+            return self.vmag
+        return -2.5 * log10(10 ** (-0.4 * self.vmag) + 10 ** (-0.4 * self.earthshine_vmag))
 
     @property
     def ra_dec_rad(self) -> tuple[float, float]:
@@ -333,6 +355,17 @@ class _Observer:
             bright_limb_rad=bright_limb_rad,
             vmag=self._vmag(name, from_sun_km / AU_KM, from_observer_km / AU_KM, phase_rad),
             diurnal_aberration_eq=self._C_ned_eq.T @ (seen_ned - in_ned),
+            earthshine_vmag=self._earthshine_vmag(barycentric_km, distance_km) if name == "Moon" else None,
+        )
+
+    def _earthshine_vmag(self, moon_barycentric_km: Float, distance_km: float) -> float:
+        from_earth_km = moon_barycentric_km - self._earth.barycentric_km
+        to_sun_km = -self._earth.heliocentric_km
+        return earthshine_vmag(
+            float(erfa.sepp(to_sun_km, from_earth_km)),
+            float(np.linalg.norm(from_earth_km)),
+            float(np.linalg.norm(to_sun_km)) / AU_KM,
+            distance_km,
         )
 
     def _as_seen(self, name: str) -> tuple[Float, Float]:

@@ -314,6 +314,7 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
         pressure_hpa=config.air.pressure_hpa,
         temperature_c=config.air.temperature_c,
         bodies=config.sky.bodies,
+        earthshine=config.sky.earthshine,
         extinction=extinction_of(config.sky, config.air, config.sensor().colour),
     )
 

@@ -433,4 +433,4 @@ def _changed_px(effects: Sequence[Effect], scene: Scene) -> dict[Effect, NDArray
 
 def _in_this_pass(sensor: Sensor, effects: Sequence[Effect], *, noiseless: bool = False) -> tuple[Effect, ...]:
     active = (effect for effect in active_effects(sensor, effects) if effect.glsl)
-    return tuple(effect for effect in active if not (noiseless and effect.stage is Stage.NOISE))
+    return tuple(effect for effect in active if not (noiseless and effect.stage in {Stage.SHOT_NOISE, Stage.NOISE}))

@@ -132,6 +132,7 @@ def _sky(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> 
     for key, label, is_on, on, off in (
         ("sky.refraction", "Refraction", config.sky.refraction, True, False),
         ("sky.bodies", "Sun, Moon, planets", config.sky.bodies, True, False),
+        ("sky.earthshine", "Earthshine on the Moon", config.sky.earthshine, True, False),
         ("sky.extinction", "Extinction", config.sky.extinction != "none", "standard", "none"),
         ("sky.extinction_band", "Extinction of the band", config.sky.extinction_band == "sensor", "sensor", "eye"),
     ):
