@@ -195,8 +195,6 @@ class Simulator:
         ------
         TrackRangeError
             If the exposure begins before the flight's first attitude or ends after its last.
-        RenderError
-            If the field of view of the camera's lens is too wide to be drawn.
         ConfigError
             If the sum of short exposures does not fit into 16 bits.
 
@@ -207,7 +205,6 @@ class Simulator:
         that no part of it shows a sampling ripple.  Analytic trails have no sub-exposures: see
         `glstar.render.motion.segmentation`.
         """
-        self.camera.require_drawable()
         scene = self._stacked(exposure) if exposure.frames > 1 else self._single(exposure)
         if self.sky.satellites is None:
             return scene
@@ -305,7 +302,10 @@ class Simulator:
         swing_rad = 0.0 if len(pointing) < 2 else float(_angles_rad(pointing.boresight_eq).max())
         margin_rad = self.camera.field_radius_rad + swing_rad + MAX_REFRACTION_RAD
         near = angle_rad.min(axis=0) < radius_rad + margin_rad
-        sigma_rad = self.sensor.effective_sigma_px / max(self.camera.fx_px, self.camera.fy_px)
+        scale = max(self.camera.fx_px, self.camera.fy_px)
+        if self.camera.lens is not None:
+            scale = self.camera.max_px_per_rad
+        sigma_rad = self.sensor.effective_sigma_px / scale
         field = in_band(body_field(bodies, self.stars, sigma_rad, near), self.sensor.colour)
         touching = path.culler(field, site).touching(pointing, time_fraction, exposure.duration_s)
         draw_list = touching.integrated(exposure.faintest_dn) if analytic else touching.summed

@@ -234,8 +234,7 @@ class TrailPieces:
 class CameraPath:
     """The orientation of the camera over an exposure as `AnalyticSegments` describe it.
 
-    Times are numbers of segments: 1.5 is the middle of the second.  `camera`: behind a lens trails are drawn in the
-    undistorted image plane.
+    Times are numbers of segments: 1.5 is the middle of the second.
     """
 
     def __init__(self, trails: AnalyticSegments, camera: Camera) -> None:
@@ -264,7 +263,7 @@ class CameraPath:
         u = np.tile(np.linspace(0.0, 1.0, _CHORDS + 1), count)
         directions = np.swapaxes(self._middle, 1, 2) @ self._rays
         in_camera = self._orientation(segment, u).reshape(count, _CHORDS + 1, 3, 3) @ directions[:, np.newaxis]
-        xy = self._camera.pinhole.project(np.swapaxes(in_camera, -1, -2))
+        xy = self._camera.project(np.swapaxes(in_camera, -1, -2))
         chords_px = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=1), axis=-1)).max(axis=-1).ravel()
         return np.concatenate([[0.0], np.cumsum(chords_px)])
 
@@ -334,11 +333,9 @@ class CameraPath:
 @lru_cache(maxsize=64)
 def _px_per_turn(camera: Camera) -> Float:
     """Return displacements of the probes in the image, x and y, per rotation vector of the camera, (2, 3, probes)."""
-    rays = starpaths.probe_rays(camera)
-    x, y = rays[:2] / rays[2]
-    per_turn = np.array([[-x * y, -(1 + y * y)], [1 + x * x, x * y], [-y, x]])
-    px = np.array([[camera.fx_px, 0.0], [camera.skew_px, camera.fy_px]])
-    px_per_turn = np.ascontiguousarray(np.moveaxis(np.moveaxis(per_turn, -1, 0) @ px, (2, 1, 0), (0, 1, 2)))
+    rays = starpaths.probe_rays(camera).T
+    rates_px = [camera.project_with_rates(rays, np.cross(axis, rays))[1].T for axis in np.eye(3)]
+    px_per_turn = np.ascontiguousarray(np.stack(rates_px, axis=1))
     px_per_turn.flags.writeable = False
     return px_per_turn
 

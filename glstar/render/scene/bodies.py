@@ -40,10 +40,6 @@ class BodySources:
     stars: StarField  # The sources; `star_id` is the index of their body
     draw_list: DrawList  # The sources that may touch the image
 
-    def magnified(self, magnification: float) -> Self:
-        """Return the same sources with larger truncation radii, for an oversampled image."""
-        radius_px = magnification * self.draw_list.truncation_radius_px
-        return replace(self, draw_list=replace(self.draw_list, truncation_radius_px=radius_px))
 
 
 def body_field(bodies: tuple[Body, ...], stars: StarField, sigma_rad: float, near: NDArray[np.bool_]) -> StarField:

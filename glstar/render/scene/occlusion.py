@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from glstar.arrays import Float
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
 from glstar.render.motion.pointing import CameraMotion, Pointing
+from glstar.render.motion.starpaths import view_limit_rad
 from glstar.render.motion.trailmodels import AnalyticSegments
 from glstar.render.scene.transmission import Sources
 from glstar.sky.observed.stars import SIDEREAL_RAD_PER_S
@@ -130,8 +132,8 @@ _ZENITH_MARGIN = 2.0
 _ROUNDING = 1e-9
 
 
-def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) -> Float:
-    """Return when stars rise above the apparent horizon and set.
+def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64], camera: Camera) -> Float:
+    """Return when stars rise above the apparent horizon and set, or come into the view of a lens and leave it.
 
     `direction_eq` (m, 3): geocentric apparent unit vectors, true equator and equinox.  Returns (m, 2) elapsed
     fractions of the exposure: a star is up from the first to the second; if the second is earlier, until the second and
@@ -143,9 +145,22 @@ def rise_and_set(trails: AnalyticSegments, direction_eq: NDArray[np.float64]) ->
     height = pointing[:1].heights(direction_eq)[0]
     times = _without_crossing(height >= 0)
     near = np.flatnonzero(np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING)
+    limit = None if camera.lens is None else _above_limit(pointing, direction_eq, camera)
+    if limit is not None:
+        near = np.flatnonzero((np.abs(height) <= _ZENITH_MARGIN * moved + _ROUNDING) | (limit < 0).any(axis=0))
     if near.size:
-        times[near] = _crossings(pointing, trails.time_fraction, direction_eq[near])
+        heights = pointing.heights(direction_eq[near])
+        if limit is not None:
+            heights = np.minimum(heights, limit[:, near])
+        times[near] = _crossings(heights, trails.time_fraction)
     return times
+
+
+def _above_limit(pointing: Pointing, direction_eq: Float, camera: Camera) -> Float:
+    """Return how far within the view of a lens stars are, as differences of cosines, (n, m)."""
+    in_camera = pointing.to_camera(direction_eq, below_horizon=True)
+    cosine = in_camera[..., 2] / np.linalg.norm(in_camera, axis=-1)
+    return np.asarray(cosine - np.cos(view_limit_rad(camera)))
 
 
 def _without_crossing(is_up: NDArray[np.bool_]) -> Float:
@@ -153,12 +168,11 @@ def _without_crossing(is_up: NDArray[np.bool_]) -> Float:
     return np.column_stack([np.where(is_up, 0.0, NEVER), np.full(len(is_up), NEVER)])
 
 
-def _crossings(pointing: Pointing, time_fraction: Float, direction_eq: Float) -> Float:
-    """Return `rise_and_set` of a few stars: from their heights at all times."""
-    heights = pointing.heights(direction_eq)
+def _crossings(heights: Float, time_fraction: Float) -> Float:
+    """Return `rise_and_set` of a few stars: from their heights at all times, (n, m)."""
     is_up = heights >= 0
     changes = is_up[1:] != is_up[:-1]
-    stars = np.arange(len(direction_eq))
+    stars = np.arange(heights.shape[1])
     times = _without_crossing(is_up[0])
     # A star crosses the horizon at most twice a day; the third crossing of a longer exposure is ignored.
     for _ in range(2):

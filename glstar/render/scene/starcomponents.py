@@ -117,44 +117,6 @@ def _transmission_ratio(scene: Scene) -> NDArray[np.float64] | None:
     return brightness_ratio(extinction_mag[:, np.newaxis] * excess)
 
 
-def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
-    """Return the scene as the pixels of each colour of its sensor's mosaic see it, for sensors without a mosaic."""
-    over_mean = _extinction_over_mean(scene)
-    return {
-        channel: _of_channel(scene, channel, 1.0 if over_mean is None else over_mean[channel]) for channel in _CHANNELS
-    }
-
-
-def _of_channel(scene: Scene, channel: Channel, over_mean: float) -> Scene:
-    """Return the scene in one channel, whose extinction is that of the mean times a factor."""
-    colour, draw_list = scene.sensor.colour, _dimmed(scene.draw_list, over_mean)
-    stars = in_band(scene.stars, colour, channel)
-    peak_dn = scene.sensor.peak_dn(draw_list.observed_mag(stars), scene.exposure.duration_s)
-    analytic = isinstance(scene.trails, AnalyticSegments)
-    radius_px = scene.sensor.truncation_radius_px(peak_dn, draw_list.min_trail_px, renormalized=analytic)
-    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
-    bodies = scene.bodies
-    if bodies is not None:
-        dimmed = _dimmed(bodies.draw_list, over_mean)
-        bodies = replace(bodies, stars=in_band(bodies.stars, colour, channel), draw_list=dimmed)
-    effects = {key: value for key, value in scene.sensor.effects.items() if key != "sensor.mosaic"}
-    return replace(
-        scene,
-        stars=stars,
-        sensor=replace(scene.sensor, effects=effects),
-        draw_list=replace(draw_list, truncation_radius_px=radius_px),
-        bodies=bodies,
-        satellites=tuple(_of_channel(satellite, channel, over_mean) for satellite in scene.satellites),
-    )
-
-
-def _dimmed(draw_list: DrawList, over_mean: float) -> DrawList:
-    """Return a list with the extinction multiplied by a factor."""
-    if draw_list.extinction_mag is None or over_mean == 1:
-        return draw_list
-    return replace(draw_list, extinction_mag=draw_list.extinction_mag * over_mean)
-
-
 # Stars whose widths differ by less than this are drawn together: with the mean of their range, 1 % from each.
 _WIDTH_STEP = 0.02
 
@@ -211,7 +173,7 @@ def _with_radii(scene: Scene) -> Scene:
     draw_list, sensor = scene.draw_list, scene.sensor
     analytic = isinstance(scene.trails, AnalyticSegments)
     radius_px = sensor.truncation_radius_px(drawn_peak_dn(scene), draw_list.min_trail_px, renormalized=analytic)
-    radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
+    radius_px = np.maximum(radius_px, draw_list.truncation_radius_px)
     return replace(scene, draw_list=replace(draw_list, truncation_radius_px=radius_px))
 
 
@@ -225,7 +187,7 @@ def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     dx_px, dy_px = component.offset_px
     if dx_px or dy_px:
         camera = replace(camera, cx_px=camera.cx_px + dx_px, cy_px=camera.cy_px + dy_px)
-    stars = replace(draw_list[kept], truncation_radius_px=scene.camera.max_magnification * radius_px)
+    stars = replace(draw_list[kept], truncation_radius_px=radius_px)
     trails = scene.trails
     if isinstance(trails, SubExposures):
         trails = trails.for_sigma(scene.camera, sensor.effective_sigma_px)
