@@ -249,14 +249,15 @@ Path path_of(int star, int segment) {
     vec3 setting = interpolated(start, middle, end, parameters.y);
 #if LENS
     // Of the vectors themselves, so that a segment ends exactly where the next one starts.
-    LensPoint first = through_lens(starts_up ? at_start.xyz : rising), last = through_lens(ends_up ? at_end.xyz : setting);
-    path.start_px = first.px;
-    path.end_px   = last.px;
+    LensPoint begins_at = through_lens(starts_up ? at_start.xyz : rising);
+    LensPoint ends_at = through_lens(ends_up ? at_end.xyz : setting);
+    path.start_px = begins_at.px;
+    path.end_px   = ends_at.px;
     vec2 middle_px = vector_position_px(starts_up && ends_up ? middle : between);
     vec3 rate = 4.0 * middle - 3.0 * start - end, change = 4.0 * (start - 2.0 * middle + end);
     vec2 scale = (parameters.y - parameters.x) / vec2(starts_up ? weight : 1.0, ends_up ? weight : 1.0);
-    mat2 ends = mat2(first.per_vector * (scale.x * (rate + parameters.x * change)),
-                     last.per_vector * (scale.y * (rate + parameters.y * change)));
+    mat2 ends = mat2(begins_at.per_vector * (scale.x * (rate + parameters.x * change)),
+                     ends_at.per_vector * (scale.y * (rate + parameters.y * change)));
 #else
     path.start_px = starts_up ? at_start.xy : rising.xy / rising.z;
     path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
