@@ -267,8 +267,7 @@ def probe_rays(camera: Camera) -> NDArray[np.float64]:
     columns, rows = (
         (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
     )
-    rays = camera.unproject([(x, y) for y in rows for x in columns]).T
+    rays = camera.unit_vectors([(x, y) for y in rows for x in columns]).T
     rays = rays[:, np.isfinite(rays).all(axis=0)]
-    rays /= np.linalg.norm(rays, axis=0)
     rays.flags.writeable = False
     return rays

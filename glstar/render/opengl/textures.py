@@ -347,7 +347,7 @@ class LensOpenings:
         columns, rows = (np.arange(-(-side // _STEP_PX) + 1) * _STEP_PX for side in size_px)
         # The coordinates of gl_FragCoord.
         grid = np.stack(np.meshgrid(columns, rows), axis=-1) - (guard_band_px + 0.5)
-        distorted = camera.project(self._within_limit(undistorted.unproject(grid)))
+        distorted = camera.project(self._within_limit(undistorted.unit_vectors(grid)))
         per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
         opening = (distorted @ [per_column_s, per_row_s] + first_s) / exposure.span_s
         texture = self._context.texture(
@@ -365,10 +365,10 @@ class LensOpenings:
         )
 
     def _within_limit(self, rays: Float) -> Float:
-        """Return directions (x, y, 1), those beyond the limit of the lens replaced by the nearest within it."""
-        assert self._camera.lens is not None
-        radius = np.hypot(rays[..., 0], rays[..., 1])
-        scale = np.minimum(1.0, 0.999 * self._camera.lens.limit / np.maximum(radius, 1e-9))
+        """Return directions, those beyond the limit of the lens replaced by the nearest within it."""
+        radius = np.hypot(rays[..., 0], rays[..., 1]) / rays[..., 2]
+        limit = np.tan(min(self._camera.limit_rad, np.pi / 2))
+        scale = np.minimum(1.0, 0.999 * limit / np.maximum(radius, 1e-9))
         return np.concatenate([rays[..., :2] * scale[..., np.newaxis], rays[..., 2:]], axis=-1)
 
     def release(self) -> None:

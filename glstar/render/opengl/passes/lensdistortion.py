@@ -91,7 +91,7 @@ def _undistorted_grids(camera: Camera, corner: NDArray[np.intp], side_px: int) -
     """Return undistorted positions on a 5 x 5 grid over each square, (n, 5, 5, 2) px; axes v, then u."""
     steps_px = side_px * np.arange(5) / 4 - 0.5
     grid_px = np.stack(np.meshgrid(steps_px, steps_px), axis=-1)
-    return camera.pinhole.project(camera.unproject(corner[:, np.newaxis, np.newaxis] + grid_px))
+    return camera.pinhole.project(camera.unit_vectors(corner[:, np.newaxis, np.newaxis] + grid_px))
 
 
 def _biquadratic(positions: Float) -> Float:
