@@ -640,7 +640,7 @@ def test_camera_files_of_other_programs_are_read(tmp_path: Path, text: str, expe
     assert camera.lens.model == expected.lens.model
     assert [k for k in camera.lens.coefficients if k] == list(expected.lens.coefficients)
     grid = np.stack(np.meshgrid(np.linspace(0, 751, 5), np.linspace(0, 479, 5)), axis=-1)
-    np.testing.assert_allclose(camera.unproject(grid), expected.unproject(grid), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(camera.unit_vectors(grid), expected.unit_vectors(grid), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def integrated(scene: Scene, star: int, rows: np.ndarray, columns: np.ndarray, s
     xy = np.stack(np.meshgrid(columns[0][:, np.newaxis] + inside, rows[:, 0][:, np.newaxis] + inside), axis=-1)
 
     def undistorted(xy_px: np.ndarray) -> np.ndarray:
-        return lens_camera.pinhole.project(lens_camera.unproject(xy_px))
+        return lens_camera.pinhole.project(lens_camera.unit_vectors(xy_px))
 
     along_x, along_y = step * np.eye(2)
     by_x = (undistorted(xy + along_x) - undistorted(xy - along_x)) / (2 * step)

@@ -87,8 +87,7 @@ def test_no_star_that_grazes_a_corner_between_two_samples_is_culled(trail, axis)
     corners_px = np.where(random.random((200, 2)) < 0.5, beside_px, [319, 239] - beside_px)
     exposure = Exposure(NIGHT_UTC_S + 1.6, 0.5, trail=trail)  # from -40 to 60 deg
     pointing = simulator.pointing(exposure.start_utc_s + random.uniform(0.01, 0.49, 200))
-    rays = lens.unproject(corners_px)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = lens.unit_vectors(corners_px)
     stars = star_field(np.einsum("nij,ni->nj", pointing.C_camera_eq, rays) - pointing.velocity_eq, np.full(200, 2.0))
     still_air = replace(simulator, stars=stars, sky=replace(simulator.sky, refraction=False))
 

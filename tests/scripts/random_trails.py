@@ -171,8 +171,7 @@ def _with_star(
     simulator: Simulator, attitudes: _Attitudes, xy_px: Float, utc_s: float, altitude_rad: float | None
 ) -> Simulator:
     """Return the view of one star of magnitude 0 that is at a pixel at one time, at an apparent altitude."""
-    (ray,) = simulator.camera.unproject(xy_px[np.newaxis])
-    ray /= np.linalg.norm(ray)
+    (ray,) = simulator.camera.unit_vectors(xy_px[np.newaxis])
     unturned = attitudes.track(np.eye(3))
     direction_ned = (simulator.mount.C_camera_body @ matrix_from_quaternion(unturned.at(utc_s))).T @ ray
     flight = Flight(attitudes.track(_turned_to(direction_ned, altitude_rad)), PositionTrack.fixed(ADELAIDE))

@@ -82,7 +82,7 @@ def rolling_light_behind_lens(
     xy = np.stack(np.meshgrid((columns[:, np.newaxis] + inside).ravel(), (rows[:, np.newaxis] + inside).ravel()), -1)
 
     def undistorted(xy_px: Float) -> Float:
-        return camera.pinhole.project(camera.unproject(xy_px))
+        return camera.pinhole.project(camera.unit_vectors(xy_px))
 
     by_x, by_y = ((undistorted(xy + step * e) - undistorted(xy - step * e)) / (2 * step) for e in np.eye(2))
     area = np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0])

@@ -94,8 +94,7 @@ def along(lines):
 
 def rays(xy, lens=LENS):
     """Return the directions of pixels, unit vectors in the camera frame."""
-    ray = lens.unproject(xy)
-    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    return lens.unit_vectors(xy)
 
 
 def C_camera_ned_of_opencv(roll_rad, pitch_rad, yaw_rad):

@@ -137,7 +137,10 @@ class PlateSolution:
         undistorted = camera.project(direction_camera) - centre
         square = (undistorted[:, 0] / camera.fx_px) ** 2 + (undistorted[:, 1] / camera.fy_px) ** 2
         # Beyond the image a negative k1 would turn back and bring stars from outside into the image.
-        square = np.minimum(square, 1.5 * np.tan(camera.field_radius_rad) ** 2)
+        corners = camera.normalized(
+            [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
+        )
+        square = np.minimum(square, 1.5 * (corners**2).sum(axis=1).max())
         xy = centre + undistorted * (1 + self.k1 * square)[:, np.newaxis]
         if self.mirrored:
             xy[:, 0] = camera.width_px - 1 - xy[:, 0]
@@ -187,7 +190,7 @@ def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
         sides_px.append(camera.height_px)
     wide = []
     for side_px, lens in itertools.product(sides_px, _WIDE_LENSES):
-        f_px = side_px / 2 / float(lens.distort([tangent, 0.0])[0])
+        f_px = side_px / 2 / float(lens.radius(np.arctan(tangent)))
         wide.append(replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px, lens=lens))
     return tuple(wide)
 
@@ -205,7 +208,7 @@ def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) ->
     """
     camera = solution.camera
     x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
-    rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
+    rays = camera.unit_vectors(np.column_stack([x, xy_px[:, 1]]))
     pole = solution.C_camera_eq[:, 2]
     half = SIDEREAL_RAD_PER_S * exposure_s / 2
     # Stars move from east to west, against the sense of right ascension.

@@ -9,7 +9,6 @@ from scipy.spatial import KDTree
 from scipy.special import ndtri
 
 from glstar.arrays import Float, Index, Mask, robust_std
-from glstar.calibrate.identify.leastsquares import projection_jacobian
 from glstar.calibrate.identify.platesolution import Matches, PlateSolution, ReferenceStars, sidereal_trails
 from glstar.calibrate.photo.detection import DetectedStars
 from glstar.calibrate.photo.photograph import Photograph
@@ -289,9 +288,11 @@ def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
     if camera.lens is None or not camera.is_drawable:
         return np.ones((len(xy_px), 2))
     xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if solution.mirrored else xy_px
-    _, by_position, _ = projection_jacobian(camera, camera.unproject(xy))
+    rays = camera.unit_vectors(xy)
+    rays /= rays[:, 2:]
+    by_x, by_y = (camera.lens.project_with_rates(rays, side)[1] for side in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     # Positions outside the lens's domain have no star.
-    slopes = np.nan_to_num(by_position @ np.linalg.inv(camera.K[:2, :2]), nan=1.0)
+    slopes = np.nan_to_num(np.stack([by_x, by_y], axis=-1), nan=1.0)
     return np.asarray(np.linalg.svd(slopes, compute_uv=False))
 
 

@@ -299,7 +299,7 @@ def _description(camera: Camera) -> list[str]:
     }
     views = []
     for name, ends in sides.items():
-        a, b = camera.unproject(ends)
+        a, b = camera.unit_vectors(ends)
         cosine = a @ b / np.sqrt((a @ a) * (b @ b))
         views.append(f"{np.rad2deg(np.arccos(cosine)):.2f} deg {name}" if np.isfinite(cosine) else f"dark {name}")
     return [

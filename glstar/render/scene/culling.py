@@ -253,7 +253,7 @@ def _cells(stars: StarField) -> SkyCells:
 def _outward_normals(camera: Camera) -> Float:
     """Return the outward normals of the four planes through a pinhole and the image's sides, (4, 3) unit vectors."""
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
-    corners = camera.unproject([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
+    corners = camera.unit_vectors([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
     outwards = np.cross(np.roll(corners, -1, axis=0), corners)
     outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
     outwards.flags.writeable = False
